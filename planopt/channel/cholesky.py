@@ -64,11 +64,9 @@ def put_lower_factor(into: NDArray[np.float64], matrix: NDArray[np.float64]) -> 
 
 
 def _half_factor(matrix: NDArray[np.float64], overwrite: bool) -> NDArray[np.float64]:
-    """Return L in C order, undefined above the diagonal.
-
-    LAPACK gets the transpose, because copying to Fortran order and clearing the other half would
-    take as long as the factorisation at 512 rows.
-    """
+    """Return L in C order, undefined above the diagonal."""
+    # LAPACK gets the transpose, because copying to Fortran order and clearing the other half would
+    # take as long as the factorisation at 512 rows.
     factor, info = FACTOR(matrix.T, lower=False, clean=False, overwrite_a=overwrite)
     if info != 0:
         raise AssertionError("a covariance with a nugget is positive definite")

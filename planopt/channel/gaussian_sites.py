@@ -132,11 +132,10 @@ class Intervals:
 
 @dataclass(frozen=True)
 class LatentPrior:
-    """Prior distribution of the noise-free power f.
+    """Prior distribution of the noise-free power f."""
 
-    f = mean + columns @ delta + u with u ~ N(0, covariance). delta, the path loss given other
-    measurements, has a density proportional to exp(score' delta - delta' information delta / 2).
-    """
+    # f = mean + columns @ delta + u with u ~ N(0, covariance). delta, the path loss given other
+    # measurements, has a density proportional to exp(score' delta - delta' information delta / 2).
 
     mean_db: NDArray[np.float64]  # (m,)
     covariance_db2: NDArray[np.float64]  # (m, m)
@@ -154,10 +153,8 @@ class LatentPrior:
         return LatentPrior(mean_db, covariance_db2, nothing, np.zeros((0, 0)), np.zeros(0))
 
     def integrated(self) -> tuple[LatentPrior, float]:
-        """Return the prior with delta integrated out, and the log of the integral over delta.
-
-        This makes EP's sweeps cheaper. `information` must be positive definite.
-        """
+        """Return the prior with delta integrated out, and the log of the integral over delta."""
+        # This makes EP's sweeps cheaper. `information` must be positive definite.
         lower = lower_factor(self.information)
         moved = solve_lower(lower, self.columns.T)
         score = solve_lower(lower, self.score)
@@ -208,11 +205,9 @@ def matched_sites(
     inside: TruncatedNormal,
     noise_variance_db2: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return precisions and shifts (m,) of sites that match cavities times interval likelihoods.
-
-    The precision is (1 - s^2) / (omega^2 + s^2 v), v the cavity's variance and s^2 the truncated
-    variance relative to omega^2 + v. This form has no cancellation in narrow intervals.
-    """
+    """Return precisions and shifts (m,) of sites that match cavities times interval likelihoods."""
+    # The precision is (1 - s^2) / (omega^2 + s^2 v), v the cavity's variance and s^2 the truncated
+    # variance relative to omega^2 + v. This form has no cancellation in narrow intervals.
     shrink = np.maximum(1.0 - inside.variance, 0.0)
     left = noise_variance_db2 + variance_db2 * inside.variance
     width = np.sqrt(noise_variance_db2 + variance_db2)
@@ -305,10 +300,8 @@ def _swept(
 def _conditioned(
     prior: LatentPrior, precision: NDArray[np.float64], shift: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
-    """Return variances and means of f - mean given the sites, and the log of the integral.
-
-    Conditions on the sites by factorising I + S^1/2 covariance S^1/2, S the precisions.
-    """
+    """Return variances and means of f - mean given the sites, and the log of the integral."""
+    # Conditions on the sites by factorising I + S^1/2 covariance S^1/2, S the precisions.
     root = np.sqrt(precision)
     scaled = root[:, None] * prior.covariance_db2
     inner = scaled * root
@@ -332,10 +325,8 @@ def _conditioned(
 
 
 def needs_site(measurements: Measurements, noise_variance_db2: float) -> NDArray[np.bool_]:
-    """Return which measurements need a site: censored, or too coarse for Sheppard's correction.
-
-    `noise_variance_db2` is omega^2; the result is a mask ``(n,)``.
-    """
+    """Return which measurements need a site: censored, or too coarse for Sheppard's correction."""
+    # `noise_variance_db2` is omega^2; the result is a mask ``(n,)``.
     finest = FINE_STEP * np.sqrt(noise_variance_db2)
     return measurements.censored | (measurements.resolution_db > finest)
 
@@ -349,11 +340,9 @@ def intervals(measurements: Measurements) -> Intervals:
 
 @one_blas_thread()
 def gaussian_sites(parameters: ChannelParameters, measurements: Measurements) -> Sites:
-    """Replace censored and coarsely rounded measurements by Gaussian ones.
-
-    Sites are matched jointly given all measurements: a limit among strong neighbours is more
-    informative than one where a weak signal is expected.
-    """
+    """Replace censored and coarsely rounded measurements by Gaussian ones."""
+    # Sites are matched jointly given all measurements: a limit among strong neighbours is more
+    # informative than one where a weak signal is expected.
     omega2 = parameters.multipath_std_db**2
     values = measurements.power_dbm.astype(np.float64)
     variances = omega2 + rounded_variance_db2(measurements.resolution_db)

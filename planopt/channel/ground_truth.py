@@ -116,10 +116,8 @@ class Rician:
         return self._moments()[1]
 
     def _moments(self) -> tuple[float, float]:
-        """Return mean and standard deviation in dB by a series over J.
-
-        With J Poisson of mean K, the power times K + 1 is Gamma(1 + J).
-        """
+        """Return mean and standard deviation in dB by a series over J."""
+        # With J Poisson of mean K, the power times K + 1 is Gamma(1 + J).
         k_factor = self.k_factor
         reach = SERIES_DEVIATIONS * math.sqrt(k_factor)
         orders = np.arange(max(0.0, math.floor(k_factor - reach)), k_factor + reach + 40.0)

@@ -93,10 +93,7 @@ LEAST_VARIANCE_DB2 = 1e-6
 
 
 def learn_plain_line(measurements: Measurements, station: Station) -> Predictor:
-    """Learn a line of power against log-distance from the uncensored powers.
-
-    If all distances are equal, the slope is assumed.
-    """
+    """Learn a line of power against log-distance from the uncensored powers."""
     exact = _uncensored(measurements)
     return _line_predictor(Measurements(exact.positions_m, exact.power_dbm), station, unbiased=True)
 

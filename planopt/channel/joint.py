@@ -445,10 +445,8 @@ def sent_and_lost(
     connected: NDArray[np.bool_],  # (count, h)
     traffic: Traffic,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the bits delivered, lost, and left in the buffer; each ``(count,)``.
-
-    This is exact for a fluid: rates are constant on a leg, so its buffer level is monotonic.
-    """
+    """Return the bits delivered, lost, and left in the buffer; each ``(count,)``."""
+    # This is exact for a fluid: rates are constant on a leg, so its buffer level is monotonic.
     waiting = np.full(len(connected), traffic.waiting_bits)
     delivered = np.zeros(len(connected))
     lost = np.zeros(len(connected))

@@ -132,13 +132,12 @@ split, because a factor costs the cube of its rows."""
 
 @dataclass(frozen=True, eq=False)
 class LocalChannel:
-    """Kriging model of one set of m measurements, or of k sets of m (leading axis k).
+    """Kriging model of one set of m measurements, or of k sets of m (leading axis k)."""
 
-    With phi_i(q) = xi^2 exp(-sqrt(|q - position_i|^2 + blur_i) / beta), a prediction at q has mean
-    ``gamma theta + phi' (weights - trend theta)`` and variance
-    ``xi^2 + omega^2 - phi' precision phi + b' M b`` with ``b = gamma - trend' phi``. `precision`,
-    `weights` and `trend` include the age factors a_i: a_i P_ij a_j and a_i w_i.
-    """
+    # With phi_i(q) = xi^2 exp(-sqrt(|q - position_i|^2 + blur_i) / beta), a prediction at q has
+    # mean ``gamma theta + phi' (weights - trend theta)`` and variance ``xi^2 + omega^2 - phi'
+    # precision phi + b' M b`` with ``b = gamma - trend' phi``. `precision`, `weights` and `trend`
+    # include the age factors a_i: a_i P_ij a_j and a_i w_i.
 
     parameters: ChannelParameters
     origins: Origins  # (..., m) of the measurements, without receivers' offsets
@@ -207,10 +206,8 @@ class LocalChannel:
 
     @cached_property
     def inverse(self) -> NDArray[np.float64]:
-        """Inverse U_mm^-1 with the offsets' uncertainty, without age factors; ``(..., m, m)``.
-
-        It is P - P Z V Z' P, P the inverse for known offsets and V their covariance given theta.
-        """
+        """Inverse U_mm^-1 with the offsets' uncertainty, without age factors; ``(..., m, m)``."""
+        # It is P - P Z V Z' P, P the inverse for known offsets and V their covariance given theta.
         if self.covariance_db2.ndim == 2:
             found = inverse(lower_factor(self.covariance_db2))
         else:
@@ -293,11 +290,9 @@ class LocalChannel:
 def nearest_to_path(
     posterior: ChannelPosterior, path_m: NDArray[np.float64], count: int
 ) -> NDArray[np.intp]:
-    """Return indices of the `count` measurements nearest to a path (h, 2), or of all.
-
-    They are the nearest to each position, then the second nearest, and so on, so that every
-    position is represented.
-    """
+    """Return indices of the `count` measurements nearest to a path (h, 2), or of all."""
+    # They are the nearest to each position, then the second nearest, and so on, so that every
+    # position is represented.
     places = require_places(path_m)
     measured = posterior.measurements.positions_m
     there = min(require_count(count, "count"), len(measured))

@@ -52,11 +52,9 @@ matrix is skipped, and temporary arrays stay in cache."""
 def pairwise_distance_m(
     a: NDArray[np.float64], b: NDArray[np.float64], blur_m2: NDArray[np.float64] | None = None
 ) -> NDArray[np.float64]:
-    """Return distances between every row of `a` (..., n, 2) and `b` (..., m, 2); (..., n, m).
-
-    `blur_m2` (position errors) is broadcast and added to the squares. Differences are squared
-    without expanding, so that coordinates near 3e6 keep their precision.
-    """
+    """Return distances between every row of `a` (..., n, 2) and `b` (..., m, 2); (..., n, m)."""
+    # `blur_m2` (position errors) is broadcast and added to the squares. Differences are squared
+    # without expanding, so that coordinates near 3e6 keep their precision.
     dx = a[..., :, None, 0] - b[..., None, :, 0]
     dy = a[..., :, None, 1] - b[..., None, :, 1]
     dx *= dx
@@ -92,13 +90,11 @@ def path_loss_variance_db2(
     station: Station,
     n_pl: float,
 ) -> NDArray[np.float64]:
-    """Return the variance of path loss at positions with errors; (...) in dB^2.
-
-    ``(10 n_PL / ln 10)^2 sigma^2 (rho^2 + sigma^2) / (rho^2 + h^2 + 2 sigma^2)^2`` with rho the
-    horizontal distance to the station and h its height. It is the variance of the squared distance
-    divided by four times its squared mean. Near the station it is bounded and too small: by 8 % at
-    a distance of 7 sigma, by 43 % at sigma.
-    """
+    """Return the variance of path loss at positions with errors; (...) in dB^2."""
+    # ``(10 n_PL / ln 10)^2 sigma^2 (rho^2 + sigma^2) / (rho^2 + h^2 + 2 sigma^2)^2`` with rho the
+    # horizontal distance to the station and h its height. It is the variance of the squared
+    # distance divided by four times its squared mean. Near the station it is bounded and too small:
+    # by 8 % at a distance of 7 sigma, by 43 % at sigma.
     horizontal = ((positions_m - np.asarray(station.position_m)) ** 2).sum(axis=-1)
     variance = position_std_m**2
     mean = horizontal + station.height_m**2 + 2.0 * variance

@@ -49,11 +49,9 @@ class PlaceTree:
     def nearest(
         self, centres_m: NDArray[np.float64], count: int, within_m: float = np.inf
     ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-        """Return indices of the `count` positions nearest to `centres_m` (k, 2), and distances.
-
-        Both are ``(k, count)``, sorted by distance; `count` is at most n. Positions beyond
-        `within_m` have index n and an infinite distance.
-        """
+        """Return indices of the `count` positions nearest to `centres_m` (k, 2), and distances."""
+        # Both are ``(k, count)``, sorted by distance; `count` is at most n. Positions beyond
+        # `within_m` have index n and an infinite distance.
         distances, indices = self._tree.query(centres_m, count, distance_upper_bound=within_m)
         # The tree drops the last axis for a single neighbour.
         shape = len(centres_m), count
@@ -83,10 +81,8 @@ class PlaceIndex:
         centres_m: NDArray[np.float64],  # (k, 2)
         count: int,
     ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-        """Return unsorted indices (k, count) of the nearest positions, and the largest distance^2.
-
-        If there are at most `count` positions, all are returned, with infinite distances.
-        """
+        """Return indices (k, count) of the nearest positions, unsorted, and the largest square."""
+        # If there are at most `count` positions, all are returned, with infinite distances.
         total = len(self.positions_m)
         if count >= total:
             everyone = np.broadcast_to(np.arange(total), (len(centres_m), total))

@@ -87,10 +87,7 @@ class MarginalPosterior:
 
 
 def mixture(weights: NDArray[np.float64], parts: Sequence[Prediction]) -> Prediction:
-    """Return mean and standard deviation of a mixture of predictions with `weights` (k,).
-
-    The variance is the mean of the parts' variances plus the variance of their means.
-    """
+    """Return mean and standard deviation of a mixture of predictions with `weights` (k,)."""
     means = np.stack([part.mean_db for part in parts])
     mean = weights @ means
     variances = np.stack([part.deviation_db for part in parts]) ** 2 + (means - mean) ** 2

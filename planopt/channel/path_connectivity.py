@@ -48,11 +48,10 @@ ERRORS = 3.0
 def bivariate_normal_cdf(
     first: NDArray[np.float64], second: NDArray[np.float64], correlation: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return P(X <= first, Y <= second) of correlated standard normal X and Y.
-
-    Owen's T function makes it exact to rounding (D. B. Owen, Tables for computing bivariate normal
-    probabilities, 1956). Arguments broadcast; infinite scores and correlations of +-1 are valid.
-    """
+    """Return P(X <= first, Y <= second) of correlated standard normal X and Y."""
+    # Owen's T function makes it exact to rounding (D. B. Owen, Tables for computing bivariate
+    # normal probabilities, 1956). Arguments broadcast; infinite scores and correlations of +-1 are
+    # valid.
     h, k, rho = np.broadcast_arrays(_score(first), _score(second), np.clip(correlation, -1.0, 1.0))
     narrow = np.sqrt((1.0 - rho) * (1.0 + rho))
     lower, upper = _array(ndtr(h)), _array(ndtr(k))
@@ -103,12 +102,10 @@ def prefix_probabilities(
     generator: np.random.Generator,
     tolerance: float = 1e-4,
 ) -> PrefixProbabilities:
-    """Return P(X_1 <= u_1, ..., X_k <= u_k), k = 1 .. h, for X ~ N(0, `covariance`).
-
-    Genz's method (Numerical computation of multivariate normal probabilities, 1992) with randomly
-    shifted Richtmyer lattices and the baker's transformation. Each variable is drawn below its
-    bound given the earlier ones; products of the conditional probabilities estimate all prefixes.
-    """
+    """Return P(X_1 <= u_1, ..., X_k <= u_k), k = 1 .. h, for X ~ N(0, `covariance`)."""
+    # Genz's method (Numerical computation of multivariate normal probabilities, 1992) with randomly
+    # shifted Richtmyer lattices and the baker's transformation. Each variable is drawn below its
+    # bound given the earlier ones; products of the conditional probabilities estimate all prefixes.
     if not tolerance > 0.0:
         raise InputError(f"{tolerance!r} is not positive", key="tolerance")
     lower = semidefinite_factor(covariance)
@@ -136,10 +133,8 @@ def prefix_probabilities(
 def _products(
     bound: NDArray[np.float64], lower: NDArray[np.float64], uniform: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return sample means of the products of conditional probabilities up to each k; (h,).
-
-    Products are stored as logarithms, so that improbable prefixes do not underflow.
-    """
+    """Return sample means of the products of conditional probabilities up to each k; (h,)."""
+    # Products are stored as logarithms, so that improbable prefixes do not underflow.
     samples, count = len(uniform), len(bound)
     drawn = np.zeros((samples, count))
     log_product = np.zeros(samples)

@@ -110,10 +110,8 @@ class FactorBuffer:
 
 
 def with_room(buffer: FactorBuffer | None, used: int, count: int) -> FactorBuffer:
-    """Return a buffer for `count` rows whose first `used` rows are those of `buffer`.
-
-    Returns `buffer` itself if it has room and no other posterior uses its free rows.
-    """
+    """Return a buffer for `count` rows whose first `used` rows are those of `buffer`."""
+    # Returns `buffer` itself if it has room and no other posterior uses its free rows.
     if buffer is not None and buffer.used == used and len(buffer.lower) >= count:
         return buffer
     grown = FactorBuffer(count)
@@ -348,10 +346,8 @@ def with_expected(
 
 
 def factored_near(posterior: ChannelPosterior, path_m: NDArray[np.float64]) -> ChannelPosterior:
-    """Return a posterior with a factor: `posterior`, or one of the measurements near a path (h, 2).
-
-    Theta and its covariance remain those of all measurements.
-    """
+    """Return a posterior with a factor, if needed of the measurements near a path (h, 2) only."""
+    # Theta and its covariance remain those of all measurements.
     if posterior.has_factor:
         return posterior
     used = np.sort(nearest_to_path(posterior, path_m, SHARED_NEIGHBOURS))
@@ -492,11 +488,9 @@ def theta_estimate(
 def least_squares_theta(
     posterior: ChannelPosterior,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
-    """Return theta and its error covariance (G'G)^-1 G'UG (G'G)^-1; None if not identified.
-
-    Censored measurements have no residual and are left out. Receivers' offsets are estimated
-    together with theta.
-    """
+    """Return theta and its error covariance (G'G)^-1 G'UG (G'G)^-1; None if not identified."""
+    # Censored measurements have no residual and are left out. Receivers' offsets are estimated
+    # together with theta.
     exact = ~posterior.measurements.censored
     known = posterior.measurements.take(exact)
     gamma = regressors(known.positions_m, posterior.parameters.station)

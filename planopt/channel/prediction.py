@@ -68,20 +68,15 @@ def bound_margin_db(
     threshold_dbm: float,
     p_min: float,
 ) -> NDArray[np.float64]:
-    """Return the margin ``mean - z_p deviation - threshold`` in dB (equation 3.2).
-
-    It is negative if P(power >= threshold) < `p_min`, and NaN if the prediction is NaN.
-    """
+    """Return the margin ``mean - z_p deviation - threshold`` in dB (equation 3.2)."""
     return mean_db - bound_quantile(p_min) * deviation_db - threshold_dbm
 
 
 def connection_probability(
     mean_db: NDArray[np.float64], deviation_db: NDArray[np.float64], threshold_dbm: float
 ) -> NDArray[np.float64]:
-    """Return P(power >= threshold) = Phi((mean - threshold) / deviation) (equation 3.1).
-
-    It is NaN if the prediction is NaN, and 0 or 1 if the standard deviation is 0.
-    """
+    """Return P(power >= threshold) = Phi((mean - threshold) / deviation) (equation 3.1)."""
+    # It is NaN if the prediction is NaN, and 0 or 1 if the standard deviation is 0.
     above = mean_db - threshold_dbm
     certain = np.where(above >= 0.0, np.inf, -np.inf)
     return score_probability(np.divide(above, deviation_db, out=certain, where=deviation_db != 0.0))

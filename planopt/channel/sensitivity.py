@@ -124,11 +124,9 @@ def posterior_derivatives(
 def _kernel_derivatives(
     posterior: ChannelPosterior, places_m: NDArray[np.float64], first_index: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the kernel phi (kappa, n) with spatial gradient (.., 2) and Hessian (.., 2, 2).
-
-    With u the unit vector from the measurement they are -phi u / beta and
-    phi (u u' / beta^2 - (I - u u') / (beta r)). A position error enlarges r and smooths the cusp.
-    """
+    """Return the kernel phi (kappa, n) with spatial gradient (.., 2) and Hessian (.., 2, 2)."""
+    # With u the unit vector from the measurement they are -phi u / beta and phi (u u' / beta^2 - (I
+    # - u u') / (beta r)). A position error enlarges r and smooths the cusp.
     beta = posterior.parameters.decorrelation_m
     origins = posterior.origins
     offset = places_m[None] - origins.positions_m[:, None]

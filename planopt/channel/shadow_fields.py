@@ -185,11 +185,9 @@ def added_to_lattice_db(
     decorrelation_m: float,
     generator: np.random.Generator,
 ) -> NDArray[np.float64]:
-    """Draw shadowing at positions, conditional on a lattice field; ``(n,)``.
-
-    Each value is conditioned on the surrounding nodes and the nearest earlier positions. This is
-    nearly exact within the lattice: under the exponential covariance near values screen far ones.
-    """
+    """Draw shadowing at positions, conditional on a lattice field; ``(n,)``."""
+    # Each value is conditioned on the surrounding nodes and the nearest earlier positions. This is
+    # nearly exact within the lattice: under the exponential covariance near values screen far ones.
     places, back = _distinct(positions_m)
     columns, rows = _stencil(x_m, places[:, 0]), _stencil(y_m, places[:, 1])
     noise = generator.standard_normal(len(places))

@@ -28,10 +28,9 @@ REPLACEMENTS_BEFORE_REBUILD = 32
 
 
 class TileMap:
-    """Map of predicted power and standard deviation on a lattice, updated by measurements.
+    """Map of predicted power and standard deviation on a lattice, updated by measurements."""
 
-    Memory is about ``8 neighbours (neighbours + tile**2)`` bytes per tile.
-    """
+    # Memory is about ``8 neighbours (neighbours + tile**2)`` bytes per tile.
 
     def __init__(
         self,
@@ -112,10 +111,8 @@ class TileMap:
     def _mark(
         self, posterior: ChannelPosterior, wanted: NDArray[np.bool_]
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the tiles where one new measurement replaces one neighbour, and its index.
-
-        All other affected tiles are marked dirty.
-        """
+        """Return the tiles where one new measurement replaces one neighbour, and its index."""
+        # All other affected tiles are marked dirty.
         measured, last = posterior.measurements, self._last
         before = 0 if last is None else len(last.measurements)
         hits = np.zeros(len(self._dirty), dtype=np.intp)
@@ -182,12 +179,10 @@ class TileMap:
         tiles: NDArray[np.intp],  # (k,)
         newcomers: NDArray[np.intp],  # (k,)
     ) -> None:
-        """Replace the farthest neighbour of each tile by a new measurement.
-
-        Removing measurement j from P = U^-1 subtracts w w' with w = P e_j / sqrt(P_jj). Adding one
-        with covariance c to the others adds v v' with v = [1; -P c] / sqrt(delta), delta its
-        variance given the others. The kriging terms change along the same directions.
-        """
+        """Replace the farthest neighbour of each tile by a new measurement."""
+        # Removing measurement j from P = U^-1 subtracts w w' with w = P e_j / sqrt(P_jj). Adding
+        # one with covariance c to the others adds v v' with v = [1; -P c] / sqrt(delta), delta its
+        # variance given the others. The kriging terms change along the same directions.
         parameters = posterior.parameters
         origins = posterior.origins
         measured = origins.positions_m

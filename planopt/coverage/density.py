@@ -129,11 +129,9 @@ def checked_mass(region: ConvexRegion, density: Density) -> float:
 
 
 def fan_moments(density: Callable[[Floats], Floats], boundary: Boundary, patch_m: float) -> Moments:
-    """Integrate a density over cells by Gauss quadrature.
-
-    Each triangle or sector between a centre and a boundary piece is cut into patches, along the
-    piece and radially. Each patch has `NODES` by `NODES` points.
-    """
+    """Integrate a density over cells by Gauss quadrature."""
+    # Each triangle or sector between a centre and a boundary piece is cut into patches, along the
+    # piece and radially. Each patch has `NODES` by `NODES` points.
     u, v, angle = boundary.start_m, boundary.end_m, boundary.angle
     reach = np.sqrt(np.maximum((u * u).sum(axis=1), (v * v).sum(axis=1)))
     width = np.where(angle > 0.0, reach * angle, np.hypot(v[:, 0] - u[:, 0], v[:, 1] - u[:, 1]))
@@ -307,10 +305,7 @@ class RasterDensity:
         return self._summed(piece, centre[piece, None] + ray, rise, len(angle))
 
     def _summed(self, piece: NDArray[np.intp], places: Floats, rise: Floats, count: int) -> Floats:
-        """Sum F dy over points (p, k, 2) with steps dy (p, k) by boundary piece; (5, count).
-
-        Rows hold the integrals of the density times 1, x, y, x^2 and y^2.
-        """
+        """Sum F dy over points (p, k, 2) with steps dy (p, k) by boundary piece; (5, count)."""
         # All points of a part are in the raster cell of its midpoint.
         ix, iy = self._cells(places.mean(axis=1))
         rows, columns = self.raster.values.shape

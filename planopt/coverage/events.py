@@ -97,10 +97,7 @@ def event_places(
     stand_off_m: float | None,
     body_radius_m: float,
 ) -> NDArray[np.float64]:
-    """Return target positions of agents ``(k, 2)`` that respond to an event.
-
-    Targets are on a ring of radius `stand_off_m`; if None, at the event (bodies: packed around it).
-    """
+    """Return target positions of agents ``(k, 2)`` that respond to an event."""
     if stand_off_m is not None:
         return ring_places(agents_m, event_m, stand_off_m)
     if body_radius_m > 0.0:
@@ -171,10 +168,8 @@ class Watch:
 
     @property
     def std_m(self) -> float:
-        """Return the root of the trace of the position covariance; NaN for an undetected event.
-
-        The distance to the farthest rival maximum is added in quadrature.
-        """
+        """Return the root of the trace of the position covariance; NaN for an undetected event."""
+        # The distance to the farthest rival maximum is added in quadrature.
         if self.estimate is None:
             return math.nan
         rivals_m = np.linalg.norm(self.estimate.rivals_m - self.place_m, axis=1)

@@ -365,10 +365,8 @@ def _nearest(tree: KDTree, places: Floats, count: int) -> NDArray[np.intp]:
 
 
 def _to_corners(ground: GeodesicGround, agents: Floats) -> tuple[Floats, NDArray[np.intp]]:
-    """Return the lengths (n, c) of shortest paths from agents to corners, and their first corners.
-
-    Lengths are infinite for an agent that sees no corner.
-    """
+    """Return lengths (n, c) of shortest paths from agents to corners, and first corners."""
+    # Lengths are infinite for an agent that sees no corner.
     away = np.linalg.norm(agents[:, None] - ground.corners_m, axis=2)
     away[~ground.sees_each(agents, ground.corners_m)] = np.inf
     length, first = np.empty(away.shape), np.zeros(away.shape, dtype=np.intp)
@@ -412,11 +410,9 @@ def _own_cost(
 
 
 def _reached(ground: GeodesicGround, starts: Floats, steps: Floats) -> Floats:
-    """Return the end points of steps (k, 2) that start from allowed positions (k, 2).
-
-    A step ends at its full length if that position is allowed and visible, else at the nearest
-    allowed position if that is visible, else at the last allowed position on the line.
-    """
+    """Return the end points of steps (k, 2) that start from allowed positions (k, 2)."""
+    # A step ends at its full length if that position is allowed and visible, else at the nearest
+    # allowed position if that is visible, else at the last allowed position on the line.
     ends = starts + steps
     for which in np.flatnonzero(~(ground.allows(ends) & ground.sees(starts, ends))):
         start, end = starts[which], ends[which]

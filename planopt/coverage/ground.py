@@ -128,11 +128,9 @@ class ConvexGround:
         return np.linalg.norm(agents_m[:, None] - places_m, axis=2)
 
     def steered(self, agents_m: Floats, places_m: Floats, share: float) -> Floats:
-        """Return targets ``(n, 2)`` on the shortest paths of agents to their positions ``(n, 2)``.
-
-        A target is in the direction of the path's first leg, at a distance equal to the path length
-        but limited such that `share` of it stays on the first leg.
-        """
+        """Return targets (n, 2) on the shortest paths of agents to positions (n, 2)."""
+        # A target is in the direction of the path's first leg, at a distance equal to the path
+        # length but limited such that `share` of it stays on the first leg.
         return places_m
 
 

@@ -32,10 +32,7 @@ class StationMap:
     failures: Floats
 
     def near(self, starts_m: Floats, ends_m: Floats) -> Floats:
-        """Return the largest probabilities ``(n, s)`` near lines from starts (n, 2) to ends (n, 2).
-
-        The maximum is taken over the nodes whose discs intersect the line.
-        """
+        """Return the largest probabilities (n, s) near lines from starts (n, 2) to ends (n, 2)."""
         worst = np.ones((len(starts_m), len(self.posteriors)))
         for row, start, end in zip(worst, starts_m, ends_m, strict=True):
             met = line_distances_m(self.nodes_m, start, end)[1] <= self.radius_m

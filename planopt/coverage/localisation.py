@@ -217,11 +217,9 @@ def _starts(sensor: EventSensor, readings: Readings, grid: Floats, strength_know
 def _linearised(
     sensor: EventSensor, readings: Readings, drift: Drift | None, values: Floats
 ) -> tuple[Floats, Floats]:
-    """Return residuals (b, r) over the noise, and derivatives (b, r, 5) of the prediction.
-
-    Rows of `values` (b, 5) hold position, velocity and strength of an event. The prior of the
-    velocity adds two residuals.
-    """
+    """Return residuals (b, r) over the noise, and derivatives (b, r, 5) of the prediction."""
+    # Rows of `values` (b, 5) hold position, velocity and strength of an event. The prior of the
+    # velocity adds two residuals.
     place, velocity, strength = values[:, None, :2], values[:, None, 2:4], values[:, 4:]
     ages = np.zeros((len(readings.signal), 1)) if drift is None else drift.ages_s[:, None]
     offset = place - (readings.positions_m + ages * velocity)
@@ -249,10 +247,7 @@ def _refined(
     free: NDArray[np.bool_],  # (5,) mask of the estimated parameters
     drift: Drift | None,
 ) -> tuple[Floats, Floats, Floats]:
-    """Refine initial guesses (b, 5) together by Levenberg-Marquardt steps within the region.
-
-    Returns the parameters, best first, their misfits (b,), and the information of the best one.
-    """
+    """Refine initial guesses (b, 5) together by Levenberg-Marquardt steps within the region."""
     residual, slopes = _linearised(sensor, readings, drift, values)
     misfit = (residual * residual).sum(axis=1)
     damping = np.full(len(values), 1e-3)

@@ -116,11 +116,9 @@ def _candidates(
 
 
 def _relocated(ground: Ground, places: Floats, cost: float) -> tuple[Floats, float]:
-    """Move one agent at a time next to another and settle, while this lowers the cost.
-
-    The candidates to move are the two agents whose removal raises the cost least. Their
-    destinations are next to the two agents whose duplication lowers it most.
-    """
+    """Move one agent at a time next to another and settle, while this lowers the cost."""
+    # The candidates to move are the two agents whose removal raises the cost least. Their
+    # destinations are next to the two agents whose duplication lowers it most.
     count = len(places)
     if count < 3:
         return places, cost

@@ -90,11 +90,9 @@ class Scene:
         return members
 
     def has_settled(self, time_s: float, residual_m: float, known: Mask, members: Mask) -> bool:
-        """Return whether all agents are settled permanently.
-
-        All agents are at their targets, exactly the active events are detected (`known`, (k,)), no
-        agent waits to join, no event moves, and no event or membership changes later.
-        """
+        """Return whether all agents are settled permanently."""
+        # All agents are at their targets, exactly the active events are detected (`known`, (k,)),
+        # no agent waits to join, no event moves, and no event or membership changes later.
         there = np.array([each.is_there(time_s) for each in self.events], dtype=np.bool_)
         if residual_m > self.settled_m or (known != there).any():
             return False
@@ -288,10 +286,8 @@ class NetworkController:
         readings: Signals,
         who: Numbers,
     ) -> int:
-        """Update the estimates of all events; return the number of transmitted readings.
-
-        Agents that respond to an event, or detect it, collect the readings of their neighbours.
-        """
+        """Update the estimates of all events; return the number of transmitted readings."""
+        # Agents that respond to an event, or detect it, collect the readings of their neighbours.
         sensing, sent = self.scene.sensing, 0
         if sensing is None:
             return 0
@@ -323,12 +319,10 @@ class NetworkController:
         counts: Floats,
         members: Mask,
     ) -> tuple[Numbers, int]:
-        """Return the states (m,) of the members after assignment, and the number of messages.
-
-        The assignment is repeated when members, demands or known events change, when an estimate
-        has moved, and in every step with message losses. Agents that do not respond to an event yet
-        announce their distance plus the hysteresis.
-        """
+        """Return the states (m,) of the members after assignment, and the number of messages."""
+        # The assignment is repeated when members, demands or known events change, when an estimate
+        # has moved, and in every step with message losses. Agents that do not respond to an event
+        # yet announce their distance plus the hysteresis.
         scene = self.scene
         places = np.array([watch.place_m for watch in self._watches]).reshape(-1, 2)
         known = np.flatnonzero(np.isfinite(places[:, 0]))

@@ -144,11 +144,9 @@ def _least_distance(corners: Floats) -> float:
 
 
 def _failures(corners: Floats, radio: RadioLimits) -> Floats:
-    """Return upper bounds (n,) of the probability that an agent is disconnected during a step.
-
-    Each link has the largest length between any positions of both ends. The bound of a path is
-    the sum of its link failures; the best path counts.
-    """
+    """Return upper bounds (n,) of the probability that an agent is disconnected during a step."""
+    # Each link has the largest length between any positions of both ends. The bound of a path is
+    # the sum of its link failures; the best path counts.
     count = len(corners)
     length = np.zeros((count, count))
     direct = np.zeros((count, len(radio.stations_m)))

@@ -257,10 +257,8 @@ def _diagram(places: Floats) -> Polygons:
 
 
 def _clipped(polygons: Polygons, normals: Floats, offsets: Floats) -> Polygons:
-    """Clip all polygons together at half-planes ``normals @ q <= offsets``, one plane at a time.
-
-    Every polygon keeps its number, even if it becomes empty.
-    """
+    """Clip all polygons together at half-planes ``normals @ q <= offsets``, one plane at a time."""
+    # Every polygon keeps its number, even if it becomes empty.
     for normal, offset in zip(normals, offsets, strict=True):
         corners = polygons.corners_m
         beyond = corners @ normal - offset
@@ -282,10 +280,9 @@ def _clipped(polygons: Polygons, normals: Floats, offsets: Floats) -> Polygons:
 
 @dataclass(frozen=True, eq=False)
 class Boundary:
-    """Closed boundaries of cells in counter-clockwise order, relative to the cell centres.
+    """Closed boundaries of cells in counter-clockwise order, relative to the cell centres."""
 
-    Cells are star-shaped: they contain the straight line from the centre to each of their points.
-    """
+    # Cells are star-shaped: they contain the straight line from the centre to each of their points.
 
     centres_m: Floats  # (g, 2) agent position of each cell
     cell: NDArray[np.intp]  # (e,) number of the cell of each piece

@@ -62,10 +62,8 @@ def strict_text(data: Mapping[str, Any]) -> str:
 
 @contextlib.contextmanager
 def replaced_results(folder: Path, files: Patterns, *, keep: bool = False) -> Generator[Path]:
-    """Yield a folder for new results, which replace those in `folder` unless an error occurs.
-
-    With `keep`, they are added to the existing results.
-    """
+    """Yield a folder for new results, which replace those in `folder` unless an error occurs."""
+    # With `keep`, they are added to the existing results.
     staging = folder / hidden_name()
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -52,11 +52,10 @@ class Gain(Protocol):
 
 @dataclass(frozen=True)
 class Information:
-    """Mutual information of measurements and the channel, or the path loss alone, in nats.
+    """Mutual information of measurements and the channel, or the path loss alone, in nats."""
 
-    Channel: 1/2 log det (S + B M B') minus that of the noise (equation 4.5), monotone submodular in
-    the positions. Path loss: minus 1/2 log det S instead, half of log det M_t / det M_{t+h}.
-    """
+    # Channel: 1/2 log det (S + B M B') minus that of the noise (equation 4.5), monotone submodular
+    # in the positions. Path loss: minus 1/2 log det S instead, half of log det M_t / det M_{t+h}.
 
     about: Literal["channel", "path loss"] = "channel"
     factor: float = 1.0
@@ -102,10 +101,9 @@ class Information:
 
 @dataclass(frozen=True, eq=False)
 class VarianceRemoved:
-    """Variance reduction by measurements, or trace of the information on theta: tr(Y' C^-1 Y).
+    """Variance reduction by measurements, or trace of the information on theta: tr(Y' C^-1 Y)."""
 
-    Y is B times `loading`, or the covariances with the map positions.
-    """
+    # Y is B times `loading`, or the covariances with the map positions.
 
     loading: NDArray[np.float64] | None = None  # (2, r); None for the map
     universal: bool = True  # C is S + B M B' if true, else S
@@ -136,14 +134,11 @@ class VarianceRemoved:
         return found.plus(Pull(by_trend=x @ self.loading.T), 2.0)
 
     def derivatives(self, path: LocalPath) -> PathDerivatives:
-        """Return the trace for one path with derivatives.
-
-        Let X = C^-1 Y. For coordinate p of position i, dY = e_i y_p', dC = e_i d_p' + d_p e_i' and
-        u_p = y_p - X' d_p. With R_p = dY - dC X = e_i u_p' - d_p x_i':
-
-            gradient_p = 2 x_i' u_p,
-            Hessian_pq = 2 tr(R_p' C^-1 R_q) + 2 X . d^2 Y - X X' . d^2 C.
-        """
+        """Return the trace for one path with derivatives."""
+        # Let X = C^-1 Y. For coordinate p of position i, dY = e_i y_p', dC = e_i d_p' + d_p e_i'
+        # and u_p = y_p - X' d_p. With R_p = dY - dC X = e_i u_p' - d_p x_i':
+        #     gradient_p = 2 x_i' u_p,
+        #     Hessian_pq = 2 tr(R_p' C^-1 R_q) + 2 X . d^2 Y - X X' . d^2 C.
         batch = path.universal if self.universal else path.covariance
         rows = path.across if self.loading is None else path.trend.times(self.loading)
         weight = inverse(covariance_factor(batch.value))
@@ -169,11 +164,10 @@ at most 3/16 of that width."""
 
 @dataclass(frozen=True)
 class PathUncertainty:
-    """Sum of max{0, L_ii^2 - sigma_TH^2} psi(l_i) in dB^2 (equation 4.4).
+    """Sum of max{0, L_ii^2 - sigma_TH^2} psi(l_i) in dB^2 (equation 4.4)."""
 
-    L_ii^2 is the variance at q_i given measurements at the earlier positions of the path, l_i is
-    the path length up to q_i, and psi(l) = exp(-zeta l).
-    """
+    # L_ii^2 is the variance at q_i given measurements at the earlier positions of the path, l_i is
+    # the path length up to q_i, and psi(l) = exp(-zeta l).
 
     start_m: tuple[float, float]  # Position of the robot
     threshold_db2: float = 0.0  # sigma_TH^2: variance up to this counts as known
@@ -251,10 +245,8 @@ class PathUncertainty:
 
 
 def map_criterion(posterior: ChannelPosterior, region: Region) -> NDArray[np.float64]:
-    """Return G = sum_g w_g varphi(g) varphi(g)', theta's share of the map variance; (2, 2).
-
-    varphi(g) uses the current posterior, without the path's own measurements.
-    """
+    """Return G = sum_g w_g varphi(g) varphi(g)', theta's share of the map variance; (2, 2)."""
+    # varphi(g) uses the current posterior, without the path's own measurements.
     trend = kriging_terms(posterior, region.grid_m).trend
     return trend.T @ (region.weight[:, None] * trend)
 
@@ -327,13 +319,11 @@ def _bent_variances(
     along: NDArray[np.float64],
     weight: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return sum_i w_i / L_ii^2 d^2 L_ii^2 for `weight` w; ``(2 h, 2 h)``.
-
-    L_ii^2 is the minimum of y' S y over y with y_i = 1 and y_k = 0 for k > i. The minimiser is
-    L_ii n_i, with n_i row i of N = L^-1 = `left`. The first derivative is L_ii^2 n_i' dS n_i, the
-    second L_ii^2 (n_i' d^2 S n_i - 2 sum_{k<i} (N dS n_i)_k (N dS' n_i)_k). For coordinate p of
-    position j, (N dS n_i)_k = N_kj (N D')_ip + (N D')_kp N_ij, with N D' = `along`.
-    """
+    """Return sum_i w_i / L_ii^2 d^2 L_ii^2 for `weight` w; ``(2 h, 2 h)``."""
+    # L_ii^2 is the minimum of y' S y over y with y_i = 1 and y_k = 0 for k > i. The minimiser is
+    # L_ii n_i, with n_i row i of N = L^-1 = `left`. The first derivative is L_ii^2 n_i' dS n_i, the
+    # second L_ii^2 (n_i' d^2 S n_i - 2 sum_{k<i} (N dS n_i)_k (N dS' n_i)_k). For coordinate p of
+    # position j, (N dS n_i)_k = N_kj (N D')_ip + (N D')_kp N_ij, with N D' = `along`.
     wide = left[:, batch.owner]
     found = batch.curvature(left.T @ (weight[:, None] * left))
     for i in range(1, len(left)):

@@ -195,10 +195,8 @@ def cross_covariance_db2(
     path_m: NDArray[np.float64],  # (N, 2)
     known: KnownPlaces,
 ) -> NDArray[np.float64]:
-    """Return covariances of measurements on a path with the power at map positions; ``(N, g)``.
-
-    c(q) = k_h(q) - Phi' U^-1 phi(q) + B M varphi(q) (equation 4.6).
-    """
+    """Return covariances of measurements on a path with the power at map positions; ``(N, g)``."""
+    # c(q) = k_h(q) - Phi' U^-1 phi(q) + B M varphi(q) (equation 4.6).
     parameters = posterior.parameters
     phi = posterior.covariance_with_db2(path_m)
     solved = unwhiten(posterior.factor, whiten(posterior.factor, phi))
@@ -216,11 +214,7 @@ def posterior_moments(
     region: Region | None = None,  # Region of the averaged map
     known: KnownPlaces | None = None,  # Precomputed terms of the region for this posterior
 ) -> Moments:
-    """Return the moments of measurements along one path by the exact posterior; O(kappa^2 N).
-
-    Very large logs are reduced to nearby measurements
-    (:func:`planopt.channel.posterior.factored_near`).
-    """
+    """Return the moments of measurements along one path by the exact posterior; O(kappa^2 N)."""
     places = require_places(path_m)
     near = factored_near(posterior, places)
     terms = joint_terms(near, places)
@@ -353,10 +347,8 @@ class LocalPaths:
 
     @cached_property
     def _across(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-        """Distances to map positions, kernel ``(c N, g)`` and covariance c ``(c, N, g)``.
-
-        The weighted covariance c of equation 4.6 is for uncertain theta.
-        """
+        """Distances to map positions, kernel ``(c N, g)`` and covariance c ``(c, N, g)``."""
+        # The weighted covariance c of equation 4.6 is for uncertain theta.
         channel, grid = self.channel, self._map
         distance, kernel = _single_kernel(
             self.paths_m.reshape(-1, 2), grid.positions_m, channel.parameters
@@ -420,10 +412,9 @@ class LocalPaths:
         distance_m: NDArray[np.float32],
         kernel: NDArray[np.float32],
     ) -> NDArray[np.float64]:
-        """Return the gradient through the kernel (c N, m) with `others_m`; ``(c, N, 2)``.
-
-        d k = -k / (beta r) (q - other), with r at least the cusp rounding. Overwrites `by_kernel`.
-        """
+        """Return the gradient through the kernel (c N, m) with `others_m`; ``(c, N, 2)``."""
+        # d k = -k / (beta r) (q - other), with r at least the cusp rounding. Overwrites
+        # `by_kernel`.
         beta = self.channel.parameters.decorrelation_m
         by_kernel *= kernel
         by_kernel /= np.maximum(distance_m, SINGLE(CUSP_ROUNDING * beta))
@@ -449,10 +440,9 @@ def _single_kernel(
     parameters: ChannelParameters,
     added_m2: NDArray[np.float64] | None = None,  # (m,) added to the squared distances
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the distances between `a` and `b` and their shadowing covariances; both ``(n, m)``.
-
-    Offsets from the mean of `a` are rounded to float32, so coordinates near 3e6 keep their digits.
-    """
+    """Return the distances between `a` and `b` and their shadowing covariances; both ``(n, m)``."""
+    # Offsets from the mean of `a` are rounded to float32, so coordinates near 3e6 keep their
+    # digits.
     middle = a.mean(axis=0)
     from_m, to_m = (a - middle).astype(SINGLE), (b - middle).astype(SINGLE)
     distance = from_m[:, :1] - to_m[:, 0]

@@ -253,10 +253,8 @@ OWN_BLOCKS = {
 
 
 def add_own_blocks(hessian: NDArray[np.float64], own: NDArray[np.float64]) -> None:
-    """Add `own` (h, 3), xx, xy, yy of each position, to the diagonal blocks of `hessian`.
-
-    With gates `own` is ``(h, 6)``, as in :class:`Rows`.
-    """
+    """Add `own` (h, 3), xx, xy, yy of each position, to the diagonal blocks of `hessian`."""
+    # With gates `own` is ``(h, 6)``, as in `Rows`.
     first = np.arange(0, len(hessian), len(hessian) // len(own))
     for column, a, b in OWN_BLOCKS[int(own.shape[1])]:
         hessian[first + a, first + b] += own[:, column]
@@ -288,10 +286,7 @@ def by_stages(
     hessian: NDArray[np.float64],  # (h, c, h, c)
     inputs: Sequence[Derivatives],
 ) -> PathDerivatives:
-    """Return derivatives w.r.t. positions of a value that depends on c inputs per stage.
-
-    Each input of a stage, such as connectivity or sensing, depends on its own position only.
-    """
+    """Return derivatives w.r.t. positions of a value that depends on c inputs per stage."""
     steps = len(gradient)
     slopes = np.stack([each.gradient for each in inputs], axis=1)
     bent = np.stack([each.hessian for each in inputs], axis=1)

@@ -37,10 +37,7 @@ def step_cost_s(
 def outage_share(
     probability: NDArray[np.float64], is_below: NDArray[np.bool_], everywhere: bool = False
 ) -> NDArray[np.float64]:
-    """Return the share of a metre at each position that the outage price applies to.
-
-    The share is ``1 - P`` if P is below p_min or `everywhere` is set, otherwise 0.
-    """
+    """Return the share of a metre at each position that the outage price applies to."""
     return np.where(is_below | everywhere, 1.0 - probability, 0.0)
 
 
@@ -58,11 +55,9 @@ def path_cost_s(
     effort_weight_s2_m2: float,
     resting_m: NDArray[np.float64] | None = None,
 ) -> float:
-    """Return the cost of a path (n + 1, 2) up to its end or arrival, without cost-to-go.
-
-    A robot with dynamics has arrived once it can also stop at the goal. `resting_m` (n + 1, 2) is
-    its rest position after braking from each position.
-    """
+    """Return the cost of a path (n + 1, 2) up to its end or arrival, without cost-to-go."""
+    # A robot with dynamics has arrived once it can also stop at the goal. `resting_m` (n + 1, 2) is
+    # its rest position after braking from each position.
     lengths = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
     short_of_goal = np.linalg.norm(positions_m[:-1] - goal_m, axis=1) > goal_radius_m
     if resting_m is not None:

@@ -65,11 +65,8 @@ def fill_rounded_kernel(
     parameters: ChannelParameters,
     soft_m2: NDArray[np.float64] | float,
 ) -> None:
-    """Write the kernel at offsets `x`, `y` (...) and its derivatives x, y, xx, xy, yy.
-
-    The output `rows` (6, ...) is a buffer that solvers reuse. `soft_m2` comes from
-    :func:`softened_m2`.
-    """
+    """Write the kernel at offsets `x`, `y` (...) and its derivatives x, y, xx, xy, yy."""
+    # The output `rows` (6, ...) is a buffer that solvers reuse. `soft_m2` comes from `softened_m2`.
     beta = parameters.decorrelation_m
     value, by_x, by_y, by_xx, by_xy, by_yy = rows
     r = x * x
@@ -115,12 +112,11 @@ StagePower = tuple[Derivatives, Derivatives]
 
 
 class StagePredictor:
-    """Reusable predictor of stage k from the k-th neighbour set of `model`.
+    """Reusable predictor of stage k from the k-th neighbour set of `model`."""
 
-    Let phi be the covariances with the m measurements, g = (1, gamma) the path-loss regressors,
-    A = trend and f = (phi, g). The mean is the linear form ``w' f``. The variance ``xi^2 + omega^2
-    - phi' P phi + b' M b``, b = g - A' phi, is the quadratic form ``xi^2 + omega^2 - f' Q f``.
-    """
+    # Let phi be the covariances with the m measurements, g = (1, gamma) the path-loss regressors, A
+    # = trend and f = (phi, g). The mean is the linear form ``w' f``. The variance ``xi^2 + omega^2
+    # - phi' P phi + b' M b``, b = g - A' phi, is the quadratic form ``xi^2 + omega^2 - f' Q f``.
 
     def __init__(self, model: LocalChannel) -> None:
         self._model = model
@@ -202,11 +198,9 @@ def serving_derivatives(
     thresholds_dbm: Sequence[float],  # (m,)
     scale_db: NDArray[np.float64],  # (N,) c
 ) -> StagePower:
-    """Return the mean serving power of m stations, and `scale_db` as its standard deviation.
-
-    The any-station score z has dz = sum_i w_i dz_i and
-    d2z = sum_i w_i d2z_i + sum_ij W_ij dz_i dz_j'.
-    """
+    """Return the mean serving power of m stations, and `scale_db` as its standard deviation."""
+    # The any-station score z has dz = sum_i w_i dz_i and d2z = sum_i w_i d2z_i + sum_ij W_ij dz_i
+    # dz_j'.
     scores = [
         scores_of(mean, deviation, threshold)
         for (mean, deviation), threshold in zip(powers, thresholds_dbm, strict=True)
@@ -237,10 +231,8 @@ def scores_of(mean: Derivatives, deviation: Derivatives, threshold_dbm: float) -
 def connectivity_derivatives(
     mean_db: Derivatives, deviation_db: Derivatives, threshold_dbm: float
 ) -> Derivatives:
-    """Return P = Q((Upsilon_TH - mu) / sigma) with gradient and Hessian by position.
-
-    dP = n(z) dz and d2P = n(z) (d2z - z dz dz'), n the standard normal density.
-    """
+    """Return P = Q((Upsilon_TH - mu) / sigma) with gradient and Hessian by position."""
+    # dP = n(z) dz and d2P = n(z) (d2z - z dz dz'), n the standard normal density.
     rows = scores_of(mean_db, deviation_db, threshold_dbm).rows
     z = rows[:, 0].copy()
     # Contribution of the slope of the normal density.

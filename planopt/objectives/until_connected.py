@@ -71,11 +71,9 @@ def charged_distance_m(
     settings: Search,
     probed: NDArray[np.bool_] | None = None,  # (h,) True where the robot probes; None: all
 ) -> float:
-    """Return E[D] + beyond_m P(not connected at q_1 .. q_h), by the exact posteriors.
-
-    E[D] alone is smallest for a stationary robot, so leg lengths are those of
-    :func:`counted_legs_m`. Stations are independent, so their outage probabilities multiply.
-    """
+    """Return E[D] + beyond_m P(not connected at q_1 .. q_h), by the exact posteriors."""
+    # E[D] alone is smallest for a stationary robot, so leg lengths are those of `counted_legs_m`.
+    # Stations are independent, so their outage probabilities multiply.
     places = require_places(path_m)
     missing_db = 0.0 if probed is None else np.where(probed, 0.0, NOT_PROBED_DB)
     powers = [joint_prediction(factored_near(each, places), places) for each in posteriors]
@@ -134,11 +132,9 @@ def filtered_failing(
 def search_length_m(
     distance_m: NDArray[np.float64], chance: NDArray[np.float64], decorrelation_m: float
 ) -> NDArray[np.float64]:
-    """Return the expected length of a search by its first probe, R = D + L (1 - P) / P.
-
-    The first probe costs the path length D to its position. Each further probe is nearby, equally
-    likely to succeed, and costs L, `PROBE_SHARE` of the decorrelation distance.
-    """
+    """Return the expected length of a search by its first probe, R = D + L (1 - P) / P."""
+    # The first probe costs the path length D to its position. Each further probe is nearby, equally
+    # likely to succeed, and costs L, `PROBE_SHARE` of the decorrelation distance.
     # Shapes: distance_m, chance (k,).
     odds_against = (1.0 - chance) / np.maximum(chance, LEAST_CHANCE)
     return distance_m + PROBE_SHARE * decorrelation_m * odds_against
@@ -146,11 +142,10 @@ def search_length_m(
 
 @dataclass(frozen=True)
 class PassageProgramme:
-    """CasADi functions of the flat vector z.
+    """CasADi functions of the flat vector z."""
 
-    z stacks (mean above threshold (h,), covariance (h, h)) of each station, the leg lengths (h,)
-    and the cost of ending without connection. Outage probabilities of stations multiply.
-    """
+    # z stacks (mean above threshold (h,), covariance (h, h)) of each station, the leg lengths (h,)
+    # and the cost of ending without connection. Outage probabilities of stations multiply.
 
     value: Any  # Function of z: expected cost in metres
     gradient: Any  # Gradient w.r.t. z, with covariances as lower triangles

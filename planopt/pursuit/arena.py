@@ -64,12 +64,10 @@ class Arena:
 
     @cached_property
     def detour(self) -> float:
-        """Return an upper bound on the ratio of shortest path length to straight-line distance.
-
-        A straight line leaves free space at one point of a boundary ring and re-enters it at
-        another point of the same ring; the shorter arc of the ring between them is a detour. The
-        bound is exact for isolated convex obstacles.
-        """
+        """Return an upper bound on the ratio of shortest path length to straight-line distance."""
+        # A straight line leaves free space at one point of a boundary ring and re-enters it at
+        # another point of the same ring; the shorter arc of the ring between them is a detour. The
+        # bound is exact for isolated convex obstacles.
         if self.obstacles is None or self.bounds_m is None:
             return 1.0
         free = shapely.box(*self.bounds_m).difference(shapely.union_all(self._closed))
@@ -83,10 +81,8 @@ class Arena:
     def moved(
         self, place_m: NDArray[np.float64], moves_m: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the ends of moves (k, 2) from a position (2,), clipped to the bounds.
-
-        A move that violates the clearance is not made at all.
-        """
+        """Return the ends of moves (k, 2) from a position (2,), clipped to the bounds."""
+        # A move that violates the clearance is not made at all.
         ends_m = self.within(place_m + moves_m)
         if self.obstacles is not None:
             lines = segment_lines(np.broadcast_to(place_m, ends_m.shape), ends_m)
@@ -107,10 +103,8 @@ class Arena:
     def route_m(
         self, place_m: NDArray[np.float64], goal_m: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the waypoints (k, 2) of the shortest path to a goal, the goal being last.
-
-        A goal outside free space is replaced by the nearest free point.
-        """
+        """Return the waypoints (k, 2) of the shortest path to a goal, the goal being last."""
+        # A goal outside free space is replaced by the nearest free point.
         goal_m = self.free_m(goal_m)
         if self.obstacles is None:
             return goal_m[None]
@@ -191,11 +185,9 @@ def arena_of(workspace: Workspace, clearance_m: float) -> Arena:
 
 
 def _ring_detour(ring_m: NDArray[np.float64]) -> float:
-    """Return the largest ratio of the shorter arc of a ring (n, 2) to a chord on its right side.
-
-    For points at s and t on two edges, the arc is a concave function of (s, t) and the chord a
-    convex one, so nested golden-section searches find the largest ratio.
-    """
+    """Return the largest ratio of the shorter arc of a ring (n, 2) to a chord on its right side."""
+    # For points at s and t on two edges, the arc is a concave function of (s, t) and the chord a
+    # convex one, so nested golden-section searches find the largest ratio.
     ahead = np.roll(ring_m, -1, axis=0) - ring_m
     length = np.linalg.norm(ahead, axis=1)
     ring_m, ahead, length = ring_m[length > 0.0], ahead[length > 0.0], length[length > 0.0]

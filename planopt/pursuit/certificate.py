@@ -124,10 +124,8 @@ def premises(theorem: Theorem, case: Case) -> list[Inequality]:
 
 
 def stages(theorem: Theorem, case: Case, before_m: Floats) -> list[tuple[Floats, Floats]]:
-    """Return bound and duration for each kind of stage (driving, waiting), given bounds (k,).
-
-    The bound is on W, for the Lemma on the sampled distance. All premises must hold.
-    """
+    """Return bound and duration for each kind of stage (driving, waiting), given bounds (k,)."""
+    # The bound is on W, for the Lemma on the sampled distance. All premises must hold.
     near = case.lagged() if theorem is Theorem.SNAPSHOTS else case
     age_m = np.maximum(near.moved * before_m, near.evader_m_s * near.least_age_s)
     if theorem is Theorem.LEMMA:
@@ -300,10 +298,8 @@ def verify_guarantees(
 def _stage_faults(
     data: PursuitData, log: PursuitLog, claim: Claim, detour: float
 ) -> Iterator[Violation]:
-    """Yield chases with a stage that starts above the bound implied by the previous stage.
-
-    Path lengths are only known to lie between the chord and `detour` times the chord.
-    """
+    """Yield chases with a stage that starts above the bound implied by the previous stage."""
+    # Path lengths are only known to lie between the chord and `detour` times the chord.
     reports = log.reports
     longest = detour if claim.distances is Distances.PATHS else 1.0
     for pursuer, evader in sorted(set(reports.pairs)):

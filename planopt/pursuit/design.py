@@ -335,10 +335,8 @@ def _rated_candidate(task: DesignTask, bits: int) -> Candidate:
 
 
 def _energy_candidate(task: DesignTask, bits: int) -> Candidate:
-    """Return the slot of minimum ``(A / s + B) / (q - p s)`` within margin, payload and deadline.
-
-    A and B are the costs of transmission and idling, q = 1 - a and p s = x.
-    """
+    """Return the slot of least ``(A / s + B) / (q - p s)`` within margin, payload and deadline."""
+    # A and B are the costs of transmission and idling, q = 1 - a and p s = x.
     widest_s = _widest_s(task, bits)
     if isinstance(widest_s, _Failed):
         return widest_s

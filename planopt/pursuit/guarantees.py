@@ -114,11 +114,9 @@ class Guarantee:
         return Inequality("floor below the capture radius", self.floor_m, capture_radius_m, "m")
 
     def capture_time_s(self, distance_m: float, capture_radius_m: float) -> float:
-        """Return the maximum time until the evader is within the radius; infinite if unbounded.
-
-        A stage starting with W takes at most its decrease of W times the maximum ratio of time to
-        decrease. This ratio falls with W, so its integral over W bounds the total time.
-        """
+        """Return the maximum time until the evader is within the radius; infinite if unbounded."""
+        # A stage starting with W takes at most its decrease of W times the maximum ratio of time to
+        # decrease. This ratio falls with W, so its integral over W bounds the total time.
         if not self.holds or not self.captures(capture_radius_m).holds:
             return math.inf
         first, last = _start_m(self.chase, self.bounds, distance_m), capture_radius_m
@@ -260,11 +258,9 @@ def _driven(
 
 
 def _wait(chase: Chase, errors: ServiceBounds, ages: ServiceBounds, lag: float) -> Stage:
-    """Return a stage that ends when a record fresher than the last one arrives.
-
-    Until then all records are older, but their age is bounded by a distance that grows no faster
-    than the evader moves: the last record is at most ``sigma error / (1 - lag)`` old.
-    """
+    """Return a stage that ends when a record fresher than the last one arrives."""
+    # Until then all records are older, but their age is bounded by a distance that grows no faster
+    # than the evader moves: the last record is at most ``sigma error / (1 - lag)`` old.
     if lag >= 1.0:
         return _never
 

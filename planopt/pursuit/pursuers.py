@@ -95,11 +95,9 @@ class UnicycleMotion:
     def towards(
         self, states: NDArray[np.float64], aims_m: NDArray[np.float64], step_s: float
     ) -> NDArray[np.float64]:
-        """Return states after a turn and a drive; inputs are constant over each part of the step.
-
-        The arc to a point at bearing b and distance d has length ``d b / sin b`` and turns by 2 b.
-        It is used if it takes less time than turning by b and driving d.
-        """
+        """Return states after a turn and a drive with constant inputs over each part."""
+        # The arc to a point at bearing b and distance d has length ``d b / sin b`` and turns by 2
+        # b. It is used if it takes less time than turning by b and driving d.
         speed, rate = self.robot.speed_max_m_s, self.robot.turn_rate_max_rad_s
         offset = aims_m - states[..., :2]
         away = np.linalg.norm(offset, axis=-1)

@@ -81,13 +81,11 @@ class SnapshotService:
 
     @property
     def bounds(self) -> ServiceBounds:
-        """Return the bounds that hold for every mote at all times.
-
-        If a level j > 0 is used, the object was at least two cells of level j - 1 away when that
-        level sampled it, so that ``2^j < 2 d`` in mote spacings. A round of ``B 2^j`` frames that
-        starts every r lengths implies an age below ``(1 + r) B 2^j < 2 (1 + r) B d`` frames, 12 d
-        for B = 3 and r = 1. Half the diagonal of a sub-cell is ``2^(j - c) / sqrt 2``.
-        """
+        """Return the bounds that hold for every mote at all times."""
+        # If a level j > 0 is used, the object was at least two cells of level j - 1 away when that
+        # level sampled it, so that ``2^j < 2 d`` in mote spacings. A round of ``B 2^j`` frames that
+        # starts every r lengths implies an age below ``(1 + r) B 2^j < 2 (1 + r) B d`` frames, 12 d
+        # for B = 3 and r = 1. Half the diagonal of a sub-cell is ``2^(j - c) / sqrt 2``.
         frame_s_m = 2.0 * self.hops_per_round * self.frame_s / self.mote_spacing_m
         return ServiceBounds(
             age_s_m=(1 + self.rate_divisor) * frame_s_m,
@@ -108,11 +106,9 @@ class SnapshotService:
         return self.rate_divisor * self.rounds_s
 
     def sample_numbers(self, time_s: float) -> NDArray[np.int64]:
-        """Return the numbers (L + 1,) of the last round of each level that ended by `time_s`.
-
-        Round k of a level samples at k periods. Numbers may be negative because the network has
-        always been running.
-        """
+        """Return the numbers (L + 1,) of the last round of each level that ended by `time_s`."""
+        # Round k of a level samples at k periods. Numbers may be negative because the network has
+        # always been running.
         ended = (time_s - self.rounds_s) / self.periods_s
         return np.floor(ended + ROUNDING).astype(np.int64)
 
@@ -171,18 +167,14 @@ class Snapshot:
         return self.time_s - self.sampled_s
 
     def shown_at(self, mote: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Return flags (L + 1,) of the levels that show the object to a mote (column, row).
-
-        A mote uses the report of the finest of them, which is never older than the others.
-        """
+        """Return flags (L + 1,) of the levels that show the object to a mote (column, row)."""
+        # A mote uses the report of the finest of them, which is never older than the others.
         own = mote >> np.arange(self.service.levels + 1)[:, None]
         return np.asarray((np.abs(own - self.cells) <= 1).all(axis=1), dtype=np.bool_)
 
     def level_map(self) -> NDArray[np.int8]:
-        """Return the level (n, n) from which each mote takes its report; rows are y.
-
-        The level is -1 if none shows the object, which happens only on endless grids.
-        """
+        """Return the level (n, n) from which each mote takes its report; rows are y."""
+        # The level is -1 if none shows the object, which happens only on endless grids.
         side = self.service.motes_per_side
         found = np.full((side, side), -1, dtype=np.int8)
         for level in range(self.service.levels, -1, -1):
@@ -237,10 +229,8 @@ class RecordSource(Protocol):
     def record(
         self, track: Track, place_m: NDArray[np.float64], time_s: float, last: Record | None
     ) -> Record | None:
-        """Return the record at a position and time of the evader on `track`, or None.
-
-        `last` is the record in use. The track ends at the current time.
-        """
+        """Return the record at a position and time of the evader on `track`, or None."""
+        # `last` is the record in use. The track ends at the current time.
         ...
 
 

@@ -315,10 +315,8 @@ def _mote(service: Service, places_m: Floats) -> NDArray[np.int64]:
 
 
 def _aim_faults(data: PursuitData, log: PursuitLog) -> Iterator[Violation]:
-    """Yield aims that are neither the last reported position nor the pursuer's own.
-
-    Among obstacles aims are path vertices, and a predicting pursuer chooses its own.
-    """
+    """Yield aims that are neither the last reported position nor the pursuer's own."""
+    # Among obstacles aims are path vertices, and a predicting pursuer chooses its own.
     if data.obstacles or data.planner not in ("drive", "retarget"):
         return
     bounds_m = data.bounds_m or (-math.inf, -math.inf, math.inf, math.inf)

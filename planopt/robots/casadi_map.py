@@ -161,11 +161,9 @@ class CasadiMap(BaseDynamics):
         return tuple(there - here for there, here in zip(after, state, strict=True))
 
     def change_at_rest(self, state: NDArray[np.float64], step_s: float) -> NDArray[np.float64]:
-        """Return the smallest change ``(s,)`` under the rest input at this position.
-
-        Local searches start from the other components of `state` and from zeros. If the map is not
-        finite during a search, the change at its initial guess is used.
-        """
+        """Return the smallest change ``(s,)`` under the rest input at this position."""
+        # Local searches start from the other components of `state` and from zeros. If the map is
+        # not finite during a search, the change at its initial guess is used.
         low, high = np.array(self.state_bounds)[2:].T
         free = low < high
 

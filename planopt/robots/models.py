@@ -161,11 +161,9 @@ class DoubleIntegrator(BaseDynamics):
         return ((x + 0.5 * step_s * vx, y + 0.5 * step_s * vy),)
 
     def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
-        """Return a point straight ahead, at or beyond the rest position of braking.
-
-        Braking takes n steps of deceleration v / (n h) <= a_max, and n h v / 2 metres, which is at
-        most v (v / a_max + h) / 2.
-        """
+        """Return a point straight ahead, at or beyond the rest position of braking."""
+        # Braking takes n steps of deceleration v / (n h) <= a_max, and n h v / 2 metres, which is
+        # at most v (v / a_max + h) / 2.
         x, y, vx, vy = state
         # |v| is not differentiable at rest; (v^2 / v_max + v_max) / 2 is an upper bound.
         square = (vx * vx + vy * vy) / self.speed_max_m_s**2
@@ -348,13 +346,11 @@ class Unicycle(BaseDynamics):
         return max(1, math.ceil(self.turn_rate_max_rad_s * step_s / PIECE_TURN_RAD))
 
     def timed_pad_m(self, step_s: float) -> float:
-        """Return the largest distance between a piece and its Bezier curve at equal times.
-
-        Let r be the radius, z half the turn and u in [-1, 1] time. The arc is at ``r sin(u z)``
-        along the chord and ``r (cos(u z) - cos z)`` across it; the curve is at ``r u sin(z)`` and
-        ``r (1 - u^2) sin^2(z) / (2 cos z)``. The difference along the chord is largest if
-        ``cos(u z) = sin(z) / z``, across at u = 0. Both increase with speed and turn rate.
-        """
+        """Return the largest distance between a piece and its Bezier curve at equal times."""
+        # Let r be the radius, z half the turn and u in [-1, 1] time. The arc is at ``r sin(u z)``
+        # along the chord and ``r (cos(u z) - cos z)`` across it; the curve is at ``r u sin(z)`` and
+        # ``r (1 - u^2) sin^2(z) / (2 cos z)``. The difference along the chord is largest if ``cos(u
+        # z) = sin(z) / z``, across at u = 0. Both increase with speed and turn rate.
         half = 0.5 * self.turn_rate_max_rad_s * step_s / self._pieces(step_s)
         speed = max(self.speed_max_m_s, -self.speed_min_m_s)
         farthest = math.acos(math.sin(half) / half)
@@ -363,10 +359,9 @@ class Unicycle(BaseDynamics):
         return speed / self.turn_rate_max_rad_s * math.hypot(along, across)
 
     def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
-        """Return pi / (2 w_max) (1 - cos b) d / (d + r) for bearing b and distance d.
-
-        This approximates the turning time; it is less within the turning radius r = v_max / w_max.
-        """
+        """Return pi / (2 w_max) (1 - cos b) d / (d + r) for bearing b and distance d."""
+        # This approximates the turning time; it is less within the turning radius r = v_max /
+        # w_max.
         x, y = place[0] - state[0], place[1] - state[1]
         circle_m = self.speed_max_m_s / self.turn_rate_max_rad_s
         distance = (x * x + y * y + (ROUNDED_SHARE * circle_m) ** 2) ** 0.5
@@ -427,11 +422,9 @@ class Unicycle(BaseDynamics):
         duration_s: float,
         slack_m: float,
     ) -> NDArray[np.bool_]:
-        """Return which positions are within the lateral range of the turn rate.
-
-        The lateral range is v (1 - cos w t) / w up to a quarter turn. Until then, a robot that
-        cannot reverse reaches nothing behind it.
-        """
+        """Return which positions are within the lateral range of the turn rate."""
+        # The lateral range is v (1 - cos w t) / w up to a quarter turn. Until then, a robot that
+        # cannot reverse reaches nothing behind it.
         rate = self.turn_rate_max_rad_s
         turning_s = min(duration_s, 0.5 * math.pi / rate)
         speed = max(self.speed_max_m_s, -self.speed_min_m_s)
@@ -478,10 +471,8 @@ def cosine(angle: Any) -> Any:
 
 
 def sinc(angle: Any) -> Any:
-    """Return sin(z) / z, 1 at zero, accurate to rounding error for angles up to about 3 rad.
-
-    The identity sin(z) = 2 sin(z/2) cos(z/2) is applied three times; a series gives the rest.
-    """
+    """Return sin(z) / z, 1 at zero, accurate to rounding error for angles up to about 3 rad."""
+    # The identity sin(z) = 2 sin(z/2) cos(z/2) is applied three times; a series gives the rest.
     rest = angle / 2.0**HALVINGS
     square = rest * rest
     series = 1.0 - square / 6.0 * (

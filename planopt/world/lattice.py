@@ -210,11 +210,9 @@ def _unsure(
     clearance_m: float,
     obstacles: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return start node and obstacle of the moves that the Lipschitz bound does not decide.
-
-    A move is undecided only if both ends are among the pairs. An end outside the pairs is farther
-    away than clearance plus move length, and the other end keeps the clearance.
-    """
+    """Return start node and obstacle of the moves that the Lipschitz bound does not decide."""
+    # A move is undecided only if both ends are among the pairs. An end outside the pairs is farther
+    # away than clearance plus move length, and the other end keeps the clearance.
     from_open = np.flatnonzero(moves[near.node])
     start = near.node[from_open]
     length = np.hypot(*(places_m[start + stride] - places_m[start]).T)

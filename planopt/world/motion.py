@@ -217,11 +217,9 @@ def arc_segment_distances_m(
     from_m: NDArray[np.float64],
     to_m: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the distance of an arc to each of n segments; (n,).
-
-    The nearest points are a crossing, an end of the arc or the segment, or the foot of the
-    perpendicular from the centre to the segment, if the ray through it meets the arc.
-    """
+    """Return the distance of an arc to each of n segments; (n,)."""
+    # The nearest points are a crossing, an end of the arc or the segment, or the foot of the
+    # perpendicular from the centre to the segment, if the ray through it meets the arc.
     # Shapes: from_m, to_m (n, 2).
     signed = length_m / turn_rad
     radius = abs(signed)

@@ -52,10 +52,8 @@ class MovingDiscs:
         return int(self.radius_m.shape[1])
 
     def counted_steps(self, number: int, motion: TimedMotion) -> int:
-        """Return the number of steps during which a motion must avoid disc `number`.
-
-        Other robots count until all are at rest, moving obstacles until this robot is at rest.
-        """
+        """Return the number of steps during which a motion must avoid disc `number`."""
+        # Other robots count until all are at rest, moving obstacles until this robot is at rest.
         return self.steps if self.is_robot[number] else min(motion.steps, self.steps)
 
     def motion(self, number: int) -> TimedMotion:
@@ -168,10 +166,8 @@ def predicted_discs(
 
 
 def _turn_m(obstacle: MovingObstacle, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the largest distance of the centre from the straight line of each step; (n - 1,).
-
-    Both are linear between turns, so the distance is largest at a turn.
-    """
+    """Return the largest distance of the centre from the straight line of each step; (n - 1,)."""
+    # Both are linear between turns, so the distance is largest at a turn.
     known = np.asarray(obstacle.times_s)
     turns = known[(known > times_s[0]) & (known < times_s[-1])]
     step = np.searchsorted(times_s, turns, side="right") - 1

@@ -129,11 +129,9 @@ class _Edges:
 
 
 def _edges(closed: NDArray[np.bool_]) -> _Edges:
-    """Return all edges of the outlines.
-
-    If two closed cells touch at a corner only, the outline continues along the other cell if both
-    belong to one component, else along its own cell. No outline therefore touches itself.
-    """
+    """Return all edges of the outlines."""
+    # If two closed cells touch at a corner only, the outline continues along the other cell if both
+    # belong to one component, else along its own cell. No outline therefore touches itself.
     labels = _components(closed)
     around = np.pad(labels, 1)
     columns = closed.shape[1] + 1

@@ -38,10 +38,8 @@ class Raster:
 def checked_raster(
     x: NDArray[np.float64], y: NDArray[np.float64], values: NDArray[np.float64], variable: str
 ) -> Raster:
-    """Validate axes and values and return their raster.
-
-    Minus infinity, the decibel value of zero, becomes NaN.
-    """
+    """Validate axes and values and return their raster."""
+    # Minus infinity, the decibel value of zero, becomes NaN.
     for name, axis in (("x", x), ("y", y)):
         if axis.ndim != 1 or axis.size < 2:
             raise InputError(

@@ -78,10 +78,9 @@ _Read = tuple[list[NDArray[np.float64]], Mapping[str, Any]]
 
 
 class _BoundedBytes(io.BytesIO):
-    """In-memory file with a limit on the total number of bytes read.
+    """In-memory file with a limit on the total number of bytes read."""
 
-    In a damaged header, variables may overlap, each as large as the file.
-    """
+    # In a damaged header, variables may overlap, each as large as the file.
 
     def __init__(self, content: bytes) -> None:
         super().__init__(content)
@@ -220,11 +219,9 @@ def write_geotiff(path: Path, rasters: Mapping[str, Raster]) -> None:
 
 
 def read_geotiff(path: Path, variable: str) -> Raster:
-    """Read the band described as `variable`, or the only band if it has no description.
-
-    The file is read from memory, without sidecar files and only as GeoTIFF. GDAL's virtual formats
-    could otherwise open further files.
-    """
+    """Read the band described as `variable`, or the only band if it has no description."""
+    # The file is read from memory, without sidecar files and only as GeoTIFF. GDAL's virtual
+    # formats could otherwise open further files.
     rasterio = import_rasterio(path)
     content = read_bytes(path)
     if content[:4] not in SIGNATURES:

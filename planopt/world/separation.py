@@ -288,13 +288,11 @@ def _best_lines(
     ends_m: NDArray[np.float64],
     piece: NDArray[np.int64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return normals (p, 2), offsets (p,) and gaps (p,) of the best line of each pair.
-
-    The gap of a unit normal n is ``min(n . a, n . b) - max(n . v)``. Its maximum over n is the
-    distance of the convex sets, or minus their penetration depth. The maximiser is a normal of an
-    edge of the piece, a normal of the segment, or, if two vertices are nearest, the direction to a
-    segment end from its nearest corner.
-    """
+    """Return normals (p, 2), offsets (p,) and gaps (p,) of the best line of each pair."""
+    # The gap of a unit normal n is ``min(n . a, n . b) - max(n . v)``. Its maximum over n is the
+    # distance of the convex sets, or minus their penetration depth. The maximiser is a normal of an
+    # edge of the piece, a normal of the segment, or, if two vertices are nearest, the direction to
+    # a segment end from its nearest corner.
     width = int(pieces.corners[piece].max(initial=1))
     # Coordinates relative to the segment's start keep their digits even near 3e6.
     corner = pieces.vertices_m[piece, :width] - starts_m[:, None]

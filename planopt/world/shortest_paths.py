@@ -159,10 +159,8 @@ def grown(polygons: NDArray[np.object_], by_m: float, inner: bool) -> NDArray[np
 
 
 def corners_m(polygons: NDArray[np.object_], free: bool = False) -> NDArray[np.float64]:
-    """Return the corners (n, 2) at which shortest paths turn, i.e. convex obstacle corners.
-
-    The polygons are obstacles, or free space if `free` is set.
-    """
+    """Return the corners (n, 2) at which shortest paths turn, i.e. convex obstacle corners."""
+    # The polygons are obstacles, or free space if `free` is set.
     found = [np.zeros((0, 2))]
     for part in shapely.get_parts(polygons):
         for number, ring in enumerate(shapely.get_rings(part)):

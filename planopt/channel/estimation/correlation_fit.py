@@ -152,10 +152,8 @@ def lemma1_fit(
 def convex_fit(
     bins: LogBins, alpha_db2: float, count: int, bounds: CovarianceBounds, loss: Loss = "squares"
 ) -> CovarianceFit:
-    """Estimate by ``min sum rho(sqrt(tau) (log r - a + b d))`` subject to the constraints.
-
-    With squares it equals :func:`lemma1_fit` on the same bins if no constraint is active.
-    """
+    """Estimate by ``min sum rho(sqrt(tau) (log r - a + b d))`` subject to the constraints."""
+    # With squares it equals `lemma1_fit` on the same bins if no constraint is active.
     if loss == "squares":
         intercept, rate = _convex_line(bins, alpha_db2, bounds, loss)
         scatter = _scatter(bins, intercept, rate)
@@ -231,10 +229,8 @@ def _scatter(bins: LogBins, intercept: float, rate_per_m: float) -> NDArray[np.f
 
 
 def _line_errors(bins: LogBins, intercept: float, squares: float) -> tuple[float, float]:
-    """Return standard errors of xi^2 = exp(intercept) and of the rate; ``inf`` for two bins.
-
-    `squares` is the sum of squared residuals, which are assumed independent between bins.
-    """
+    """Return standard errors of xi^2 = exp(intercept) and of the rate; ``inf`` for two bins."""
+    # `squares` is the sum of squared residuals, which are assumed independent between bins.
     count = len(bins.lag_m)
     if count < 3:
         return math.inf, math.inf

@@ -186,11 +186,9 @@ def least_squares(model: MeanModel, measurements: Measurements) -> LeastSquares:
 def coefficient_covariance(
     model: MeanModel, measurements: Measurements, parameters: ChannelParameters
 ) -> NDArray[np.float64]:
-    """Return the covariance of the least-squares coefficients under correlated shadowing; (p, p).
-
-    It is (G'G)^-1 G' U G (G'G)^-1 with U the measurements' covariance. The usual alpha (G'G)^-1 is
-    several times too small if beta spans many measurements.
-    """
+    """Return the covariance (p, p) of least-squares coefficients under correlated shadowing."""
+    # It is (G'G)^-1 G' U G (G'G)^-1 with U the measurements' covariance. The usual alpha (G'G)^-1
+    # is several times too small if beta spans many measurements.
     columns = np.column_stack([model.columns, receiver_columns(measurements)])
     count = model.columns.shape[1]
     origins = measured_origins(measurements, parameters)

@@ -127,10 +127,8 @@ class LikelihoodData:
         )
 
     def flat_columns(self) -> NDArray[np.float64]:
-        """Return a basis of the columns, for offsets under a flat prior; ``(n, k)``.
-
-        Offsets are left out if fewer than `LEAST_FREEDOM` degrees of freedom would remain.
-        """
+        """Return a basis of the columns, for offsets under a flat prior; ``(n, k)``."""
+        # Offsets are left out if fewer than `LEAST_FREEDOM` degrees of freedom would remain.
         mean = self.columns[:, : len(self.line)]
         if self.columns.shape[1] == len(self.line):
             return mean
@@ -440,11 +438,9 @@ def _interval_prior(
     latent_db2: NDArray[np.float64],  # (n, n) covariance of shadowing
     noise_db2: NDArray[np.float64],  # (n,) of the Gaussian measurements
 ) -> tuple[LatentPrior, float]:
-    """Return the prior of intervals given the Gaussian measurements, and log L of the latter.
-
-    If rounded intervals may be needed to determine theta, log L is taken at the line; the integral
-    over theta is left to the prior's score and information.
-    """
+    """Return the prior of intervals given the Gaussian measurements, and log L of the latter."""
+    # If rounded intervals may be needed to determine theta, log L is taken at the line; the
+    # integral over theta is left to the prior's score and information.
     if data.intervals is None:
         raise AssertionError("there are intervals")
     rows, exact = data.intervals.rows, np.flatnonzero(data.gaussian)
@@ -527,12 +523,10 @@ def _window_sums(
 def _expected_information(
     data: LikelihoodData, covariance: Covariance, projection: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the expected information of (xi^2, omega^2, beta), tr(P dV_i P dV_j) / 2; (3, 3).
-
-    Intervals count as Gaussian sites. The variance of a rounded measurement is assumed to grow as
-    omega^2. Censored measurements carry no information on omega^2, so that its standard error is
-    not understated.
-    """
+    """Return the expected information of (xi^2, omega^2, beta), tr(P dV_i P dV_j) / 2; (3, 3)."""
+    # Intervals count as Gaussian sites. The variance of a rounded measurement is assumed to grow as
+    # omega^2. Censored measurements carry no information on omega^2, so that its standard error is
+    # not understated.
     shadow, _, beta = covariance
     correlation = data.correlation(0, beta)
     slope = correlation * data.distances_m[0] * (shadow / beta**2)
@@ -543,11 +537,9 @@ def _expected_information(
 def profiled_log_likelihood(
     data: LikelihoodData, correlated_share: float, decorrelation_m: float
 ) -> tuple[float, float]:
-    """Return log L of Gaussian measurements with alpha profiled out, and alpha.
-
-    Receivers' offsets have a flat prior and position errors are ignored: terms that do not scale
-    with alpha cannot be profiled.
-    """
+    """Return log L of Gaussian measurements with alpha profiled out, and alpha."""
+    # Receivers' offsets have a flat prior and position errors are ignored: terms that do not scale
+    # with alpha cannot be profiled.
     count = len(data.values_db)
     correlation = correlated_share * data.correlation(0, decorrelation_m)
     np.fill_diagonal(correlation, 1.0)

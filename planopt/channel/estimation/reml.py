@@ -229,10 +229,8 @@ def _distinct(likelihood: RestrictedLikelihood, modes: Iterable[Mode]) -> list[M
 
 
 def _beyond_best(likelihood: RestrictedLikelihood, best: Mode, box: Vector) -> Vector | None:
-    """Return a point with little instead of much multipath, or vice versa, as an initial guess.
-
-    Returns None unless the likelihood there increases away from `best`.
-    """
+    """Return a point with little instead of much multipath, or vice versa, as an initial guess."""
+    # Returns None unless the likelihood there increases away from `best`.
     shadow, nugget, beta = best.covariance
     total = shadow + nugget
     much = nugget > LITTLE_MULTIPATH * total
@@ -298,10 +296,8 @@ FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-8, 1e8
 def minimise_damped(
     objective: Objective, start: Vector, lower: Vector, upper: Vector, tolerance: float
 ) -> tuple[float, Vector]:
-    """Return the minimum within a box and its location, by damped Newton steps.
-
-    BFGS updates from the latest steps correct the objective's curvature.
-    """
+    """Return the minimum within a box and its location, by damped Newton steps."""
+    # BFGS updates from the latest steps correct the objective's curvature.
     point = np.clip(start, lower, upper)
     value, gradient, curvature = objective(point)
     moves: deque[tuple[Vector, Vector]] = deque(maxlen=len(point))
@@ -355,10 +351,7 @@ def _gain(gradient: Vector, curvature: Vector, free: NDArray[np.bool_]) -> float
 def _step(
     gradient: Vector, damped: Vector, free: NDArray[np.bool_], low: Vector, high: Vector
 ) -> Vector:
-    """Return the damped Newton step, with variables fixed at the bounds that it would cross.
-
-    Each iteration fixes at least one variable, so there are at most k.
-    """
+    """Return the damped Newton step, with variables fixed at the bounds that it would cross."""
     step = np.zeros_like(gradient)
     free = free.copy()
     while free.any():

@@ -247,10 +247,8 @@ def station_surface(
 
 
 def losses(surface: StationSurface, places_m: Array) -> tuple[Array, Array]:
-    """Return l ``(m,)`` and theta ``(m, 2)`` for stations at `places_m` (m, 2).
-
-    l is infinite where n_PL is below `MIN_N_PL`.
-    """
+    """Return l ``(m,)`` and theta ``(m, 2)`` for stations at `places_m` (m, 2)."""
+    # l is infinite where n_PL is below `MIN_N_PL`.
     dx = surface.positions_m[:, None, 0] - places_m[:, 0]
     dy = surface.positions_m[:, None, 1] - places_m[:, 1]
     square = np.maximum(dx**2 + dy**2 + surface.height_m**2, MIN_DISTANCE_M**2)
@@ -270,10 +268,8 @@ def losses(surface: StationSurface, places_m: Array) -> tuple[Array, Array]:
 
 
 def _mean_jacobian(positions_m: Array, station: Station, n_pl: float) -> Array:
-    """Return the Jacobian J (n, 4) of the mean with respect to K_PL, n_PL and the position (x, y).
-
-    For a measurement at p the gradient with respect to q is ``10 n_PL / ln 10 (p - q) / d^2``.
-    """
+    """Return the Jacobian J (n, 4) of the mean by K_PL, n_PL and the position (x, y)."""
+    # For a measurement at p the gradient with respect to q is ``10 n_PL / ln 10 (p - q) / d^2``.
     offset = positions_m - np.asarray(station.position_m)
     square = (offset**2).sum(axis=1) + station.height_m**2
     # The mean is constant within the minimum distance.
@@ -284,11 +280,9 @@ def _mean_jacobian(positions_m: Array, station: Station, n_pl: float) -> Array:
 
 
 def gauss_newton(surface: StationSurface, position_m: Array) -> tuple[float, Array, Array]:
-    """Return value, gradient (2,) and Gauss-Newton curvature (2, 2) of l at a position (2,).
-
-    The gradient is exact. The curvature is the expected (Fisher) information of the position with
-    theta unknown; its inverse is the position's covariance if l is quadratic.
-    """
+    """Return value, gradient (2,) and Gauss-Newton curvature (2, 2) of l at a position (2,)."""
+    # The gradient is exact. The curvature is the expected (Fisher) information of the position with
+    # theta unknown; its inverse is the position's covariance if l is quadratic.
     station = surface.station(position_m)
     (loss,), (theta,) = losses(surface, np.asarray(position_m, dtype=np.float64)[None])
     jacobian = _mean_jacobian(surface.positions_m, station, float(theta[1]))
@@ -383,10 +377,8 @@ def _line_surface(measurements: Measurements, station: Station) -> StationSurfac
 def _joint_surface(
     measurements: Measurements, station: Station, forgetting_s: float
 ) -> StationSurface:
-    """Return the likelihood surface with the covariance that REML fits for `station`.
-
-    The prior on n_PL is used: a farther station with a larger n_PL fits almost equally well.
-    """
+    """Return the likelihood surface with the covariance that REML fits for `station`."""
+    # The prior on n_PL is used: a farther station with a larger n_PL fits almost equally well.
     station = _clear_of(measurements, station)
     fitted = fit_channel(measurements, station, forgetting_s=forgetting_s).parameters
     return station_surface(measurements, fitted, has_prior=True)
@@ -430,11 +422,9 @@ def line_covariance_m2(measurements: Measurements, parameters: ChannelParameters
 
 
 def joint_covariance_m2(measurements: Measurements, parameters: ChannelParameters) -> Array | None:
-    """Return the likelihood's second moments about the joint estimate; None if undetermined.
-
-    They are sums over a lattice along the principal axes of the information, up to `MARGIN`
-    extents. Its spacing grows from a fraction of the standard deviation with the distance.
-    """
+    """Return the likelihood's second moments about the joint estimate; None if undetermined."""
+    # They are sums over a lattice along the principal axes of the information, up to `MARGIN`
+    # extents. Its spacing grows from a fraction of the standard deviation with the distance.
     surface = station_surface(measurements, parameters, has_prior=True)
     if _is_at_edge(surface, parameters.station):
         return None
@@ -460,11 +450,9 @@ def joint_covariance_m2(measurements: Measurements, parameters: ChannelParameter
 
 
 def theta_by_position(measurements: Measurements, parameters: ChannelParameters) -> Array:
-    """Return the Jacobian B (2, 2) of generalised least-squares theta by the station's position.
-
-    With S the position's covariance, theta's covariance grows by B S B', because the position's
-    error is uncorrelated with theta's error at the true position.
-    """
+    """Return the Jacobian B (2, 2) of generalised least-squares theta by the station's position."""
+    # With S the position's covariance, theta's covariance grows by B S B', because the position's
+    # error is uncorrelated with theta's error at the true position.
     surface = station_surface(measurements, parameters, has_prior=False)
     whitened = _whitened_jacobian(surface, parameters)
     information = whitened.T @ whitened

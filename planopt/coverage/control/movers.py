@@ -172,10 +172,8 @@ class _Task:
 
 
 def _instant_moves(task: _Task) -> tuple[Floats, SafeSets]:
-    """Plan moves of single integrators, which stop instantly.
-
-    Returns the end points of the first moves (n, 2) and the safe sets.
-    """
+    """Plan moves of single integrators, which stop instantly."""
+    # Returns the end points of the first moves (n, 2) and the safe sets.
     places, share, drifts = task.places, task.share, task.drifts
     step_m = share * np.linalg.norm(task.targets - places, axis=1)
     step_m = np.minimum(task.most_m, step_m + np.linalg.norm(drifts, axis=1))
@@ -194,11 +192,9 @@ def _instant_moves(task: _Task) -> tuple[Floats, SafeSets]:
 
 
 def _inert_moves(task: _Task, now: Floats) -> tuple[Floats, Floats]:
-    """Plan moves of double integrators with velocities (n, 2) in metres per step.
-
-    Returns positions and velocities (n, 2) after the first move. An agent brakes if no planned move
-    is feasible.
-    """
+    """Plan moves of double integrators with velocities (n, 2) in metres per step."""
+    # Returns positions and velocities (n, 2) after the first move. An agent brakes if no planned
+    # move is feasible.
     assert task.limits.acceleration_m_s2 is not None
     places, most, horizon = task.places, task.most_m, task.horizon
     change = task.limits.acceleration_m_s2 * task.limits.time_step_s**2

@@ -105,10 +105,8 @@ def radio_tree(places_m: Floats, radio: RadioLimits, stops_m: Floats | None = No
 
 
 def _clear_of(nodes: Floats, radius_m: float, agent: int, place: Floats, stop: Floats) -> SafeSets:
-    """Return half-planes that contain an agent's reserve and exclude discs about nodes (m, 2).
-
-    The nearest disc defines a half-plane, the nearest disc inside it the next one, and so on.
-    """
+    """Return half-planes that contain an agent's reserve and exclude discs about nodes (m, 2)."""
+    # The nearest disc defines a half-plane, the nearest disc inside it the next one, and so on.
     radius = (1.0 + SPARE) * radius_m
     normals, offsets = list[Floats](), list[float]()
     foot, away = line_distances_m(nodes, place, stop)
@@ -153,10 +151,8 @@ def _longest(failures: Floats, may_fail: float) -> float:
 def _links(
     places: Floats, stops: Floats, longest_m: float
 ) -> tuple[NDArray[np.intp], Floats, Floats]:
-    """Return pairs (e, 2) of agents with feasible links, and circles about their reserves.
-
-    Circles have centres (e, 2) and diameters (e,); the diameter counts as the link length.
-    """
+    """Return pairs (e, 2) of agents with feasible links, and circles about their reserves."""
+    # Circles have centres (e, 2) and diameters (e,); the diameter counts as the link length.
     middle, half = 0.5 * (places + stops), 0.5 * np.linalg.norm(stops - places, axis=1)
     tree = KDTree(middle)
     found = tree.query_pairs(longest_m + 2.0 * float(half.max()), output_type="ndarray")  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
@@ -187,11 +183,9 @@ def _links(
 def _tree(
     pairs: NDArray[np.intp], weights: Floats, fails: Floats, count: int
 ) -> tuple[NDArray[np.intp], Floats, list[int]]:
-    """Return the tree of shortest paths from node `count` over links (e, 2) with weights (e,).
-
-    The result is the link (n,) toward that node, the sum of `fails` (n + 1,) along the path, and
-    the connected agents in order of distance.
-    """
+    """Return the tree of shortest paths from node `count` over links (e, 2) with weights (e,)."""
+    # The result is the link (n,) toward that node, the sum of `fails` (n + 1,) along the path, and
+    # the connected agents in order of distance.
     shape = (count + 1, count + 1)
     graph = csr_array((weights, (pairs[:, 0], pairs[:, 1])), shape=shape)
     number = csr_array((np.arange(1, len(pairs) + 1), (pairs[:, 0], pairs[:, 1])), shape=shape)

@@ -48,10 +48,8 @@ class SafeSets:
     radii_m: Floats
 
     def share_inside(self, starts_m: Floats, ends_m: Floats) -> Floats:
-        """Return the share of each line from starts to ends ``(n, 2)`` inside the set; (n,).
-
-        The starts count as inside.
-        """
+        """Return the share of each line from starts to ends ``(n, 2)`` inside the set; (n,)."""
+        # The starts count as inside.
         share = np.ones(len(starts_m))
         move = ends_m - starts_m
         rise = (self.normals * move[self.agent]).sum(axis=1)
@@ -88,11 +86,9 @@ class SafeSets:
         return replace(self, offsets_m=offsets, radii_m=radii)
 
     def thinned(self, starts_m: Floats, reach_m: Floats) -> SafeSets:
-        """Return the sets without half-planes that are nearly redundant near starts ``(n, 2)``.
-
-        A half-plane is kept if it is the first or almost the first within reach (n,) in one of
-        `LOOKS` directions. The result serves planning only; moves are checked against all sets.
-        """
+        """Return the sets without half-planes that are nearly redundant near starts ``(n, 2)``."""
+        # A half-plane is kept if it is the first or almost the first within reach (n,) in one of
+        # `LOOKS` directions. The result serves planning only; moves are checked against all sets.
         turn = np.linspace(0.0, 2.0 * np.pi, LOOKS, endpoint=False)
         slope = self.normals @ np.stack((np.cos(turn), np.sin(turn)))
         room = np.maximum(self.offsets_m - (self.normals * starts_m[self.agent]).sum(axis=1), 0.0)
@@ -139,11 +135,9 @@ UNBOUNDED = half_planes(NOBODY, np.zeros((0, 2)), np.zeros(0))
 def separate_cells(
     places_m: Floats, stops_m: Floats, body_radius_m: float, reach_m: Floats
 ) -> SafeSets:
-    """Return disjoint convex cells of the agents, inset by the body radius.
-
-    The separating line is halfway between the nearest points of two reserves. For agents that stop
-    instantly it is the bisector, and the cell is the Voronoi cell.
-    """
+    """Return disjoint convex cells of the agents, inset by the body radius."""
+    # The separating line is halfway between the nearest points of two reserves. For agents that
+    # stop instantly it is the bisector, and the cell is the Voronoi cell.
     # Shapes: places_m, stops_m (n, 2); reach_m (n,).
     if body_radius_m == 0.0 or len(places_m) < 2:
         return UNBOUNDED
@@ -276,11 +270,9 @@ def _border(free: shapely.Polygon) -> Floats:
 def _corridors(
     edges: Floats, seeds: Floats, keep_m: float, reach_m: float, touch_m: float
 ) -> SafeSets:
-    """Return convex sets around seed triangles (n, 3, 2) that keep clear of edges (m, 2, 2).
-
-    The boundary point nearest to the seed defines a half-plane; the nearest boundary point inside
-    that half-plane defines the next one, and so on.
-    """
+    """Return convex sets around seed triangles (n, 3, 2) that keep clear of edges (m, 2, 2)."""
+    # The boundary point nearest to the seed defines a half-plane; the nearest boundary point inside
+    # that half-plane defines the next one, and so on.
     count = len(seeds)
     agent = np.repeat(np.arange(count), len(edges))
     part = np.tile(edges, (count, 1, 1))
@@ -331,11 +323,9 @@ def _corridors(
 
 
 def _touching_normal(outward: Floats, seed: Floats, part: Floats, touch_m: float) -> Floats | None:
-    """Return a normal that separates a seed (3, 2) from a boundary side that it touches.
-
-    The result is None if neither the side nor a degenerate triangle defines a separating line. A
-    seed of a single position always has one.
-    """
+    """Return a normal that separates a seed (3, 2) from a boundary side that it touches."""
+    # The result is None if neither the side nor a degenerate triangle defines a separating line. A
+    # seed of a single position always has one.
     if ((seed - part[0]) @ outward <= touch_m).all():
         return outward
     along = seed[2] - seed[0]
@@ -348,10 +338,7 @@ def _touching_normal(outward: Floats, seed: Floats, part: Floats, touch_m: float
 
 
 def _from_triangles(seeds: Floats, parts: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return nearest points (k, 2) of triangles (k, 3, 2) and segments (k, 2, 2), and distances.
-
-    The segments must not enter the triangles.
-    """
+    """Return nearest points (k, 2) of triangles (k, 3, 2) and segments (k, 2, 2), and distances."""
     here, there = np.zeros((len(seeds), 2)), np.zeros((len(seeds), 2))
     least = np.full(len(seeds), np.inf)
     flat = bool((seeds[:, 0] == seeds[:, 1]).all())

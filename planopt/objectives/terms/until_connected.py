@@ -58,11 +58,9 @@ class UntilConnectedTerm(Term):
         )
 
     def _after_try_m(self, at: TermContext) -> float:
-        """Return the expected search length beyond the end of the steered path, in metres.
-
-        It is R - D of :func:`planopt.objectives.until_connected.search_length_m`. It depends on
-        that path only, so it can be recomputed from a saved plan.
-        """
+        """Return the expected search length beyond the end of the steered path, in metres."""
+        # It is R - D of `search_length_m`. It depends on that path only, so it can be recomputed
+        # from a saved plan.
         steered = at.steering
         if steered is None:
             return at.workspace_diagonal_m if self.beyond_m is None else self.beyond_m
@@ -75,19 +73,14 @@ class UntilConnectedTerm(Term):
     def search_length_m(
         self, at: TermContext, length_m: NDArray[np.float64], chance: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the expected search lengths for first probes at these distances; ``(k,)``.
-
-        The length is R of :mod:`planopt.objectives.until_connected`, or D + (1 - P) `beyond_m`.
-        """
+        """Return the expected search lengths for first probes at these distances; ``(k,)``."""
+        # The length is R of `until_connected`, or D + (1 - P) `beyond_m`.
         if self.beyond_m is not None:
             return length_m + (1.0 - chance) * self.beyond_m
         return search_length_m(length_m, chance, at.decorrelation_m)
 
     def charged_beyond_m(self, at: TermContext, ends_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the cost-to-go of plans that end at `ends_m` (n, 2) without connection; (n,).
-
-        It is the remaining length of the steered path plus the expected search length beyond it.
-        """
+        """Return the cost-to-go of plans that end at `ends_m` (n, 2) without connection; (n,)."""
         after = np.full(len(ends_m), self.search(at).beyond_m)
         return after if at.steering is None else after + at.steering.distance_m(ends_m)
 

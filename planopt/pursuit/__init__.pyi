@@ -24,6 +24,8 @@ from planopt.pursuit.evaders import Foresighted as Foresighted
 from planopt.pursuit.evaders import Static as Static
 from planopt.pursuit.evaders import Wandering as Wandering
 from planopt.pursuit.evaders import Zigzag as Zigzag
+from planopt.pursuit.flooding import late_shares as late_shares
+from planopt.pursuit.flooding import peak_blocks_per_frame as peak_blocks_per_frame
 from planopt.pursuit.flooding import simulate_flooding as simulate_flooding
 from planopt.pursuit.guarantees import Chase as Chase
 from planopt.pursuit.guarantees import capture_guarantees as capture_guarantees

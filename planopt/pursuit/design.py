@@ -20,6 +20,7 @@ from pydantic import Field
 
 from planopt.errors import InputError, NoPlanError
 from planopt.keys import SMALLEST, Length, Table
+from planopt.pursuit.flooding import peak_blocks_per_frame
 from planopt.pursuit.guarantees import Chase, Guarantee, capture_guarantees, contraction
 from planopt.pursuit.service import (
     HOPS_PER_ROUND,
@@ -29,6 +30,12 @@ from planopt.pursuit.service import (
     relative_error,
 )
 from planopt.pursuit.theorems import Inequality, Theorem
+
+MAX_SLOT_BLOCKS = 10_000
+"""Maximum number of blocks in a slot."""
+
+ROUNDING = 1e-9
+"""Relative rounding tolerance of a slot that carries its blocks exactly."""
 
 MAX_BITS = 16
 """Maximum number of bits per axis; errors are then 0.001 % of the distance."""
@@ -87,8 +94,8 @@ class MoteNetwork(Table):
     """Constant power of a mote, in W."""
     slots_per_frame: int = Field(default=SLOTS_PER_FRAME, ge=SLOTS_PER_FRAME, le=10_000)
     """Number of slots per TDMA frame."""
-    slot_blocks: int = Field(default=6, ge=1, le=10_000)
-    """Slot capacity in blocks: 6 for the mean load, with some late rounds; more for the peak load.
+    slot_blocks: int | None = Field(default=None, ge=1, le=MAX_SLOT_BLOCKS)
+    """Least capacity of a slot in blocks; default: the peak load, so that every record is on time.
     """
     border_relays: bool = True
     """Flag for relaying of records by motes at the border of the nine cells."""
@@ -103,14 +110,25 @@ class MoteNetwork(Table):
         """Return the mean number of blocks that a mote sends per frame."""
         return mean_blocks_per_frame(self.border_relays, self.levels)
 
+    @property
+    def least_slot_blocks(self) -> int:
+        """Return the least capacity of a slot in blocks."""
+        return self.slot_blocks or peak_blocks_per_frame(self.border_relays, self.levels)
+
+    def slot_capacity(self, slot_width_s: float, bits_per_axis: int) -> int:
+        """Return the number of blocks that fit into a slot after the header."""
+        block_bits = self.record_bits + 2.0 * bits_per_axis
+        free_bits = self.bit_rate_bit_s * slot_width_s * (1.0 + ROUNDING) - self.header_bits
+        return min(int(free_bits / max(block_bits, 1.0)), MAX_SLOT_BLOCKS)
+
     def frame_bits(self, bits_per_axis: float) -> float:
         """Return the mean number of bits that a mote sends per frame, header included."""
         return self.header_bits + self.mean_blocks * (self.record_bits + 2.0 * bits_per_axis)
 
     def least_slot_s(self, bits_per_axis: float) -> float:
-        """Return the width of a slot that carries the header and `slot_blocks` blocks."""
+        """Return the width of a slot that carries the header and the least number of blocks."""
         block_bits = self.record_bits + 2.0 * bits_per_axis
-        return (self.header_bits + self.slot_blocks * block_bits) / self.bit_rate_bit_s
+        return (self.header_bits + self.least_slot_blocks * block_bits) / self.bit_rate_bit_s
 
     def power_w(
         self, slot_width_s: float, bits_per_axis: float, rate_divisor: float = 1.0
@@ -458,7 +476,7 @@ def relaxed_design(
     block = (network.record_bits + 1.0) * t + 2.0 / math.log(2.0) * cp.rel_entr(t, z)
     limits: list[Any] = [
         0.5 * (w + 1.0) + (1.0 + u) / (1.0 - u - task.margin) * z <= t,
-        network.header_bits * t + network.slot_blocks * block
+        network.header_bits * t + network.least_slot_blocks * block
         <= network.bit_rate_bit_s * unit_s * w,
         z <= t,
         w <= 1.0 if rated else w == 1.0,

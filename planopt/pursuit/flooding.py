@@ -17,6 +17,44 @@ from numpy.typing import NDArray
 
 from planopt.pursuit.service import SnapshotService
 
+PEAK_BLOCKS = {
+    True: (4, 10, 15, 19, 24, 29, 34, 39),
+    False: (2, 5, 7, 11, 15, 20, 25, 30),
+}
+"""Peak load of a mote in blocks per frame, with and without border relays, for 1, 2, ... levels.
+
+Counted by :func:`simulate_flooding`. A rate divisor above one never raises it.
+"""
+
+MOST_SIMULATED_LEVELS = 7
+"""Maximum number of levels of a simulated flood; it takes three seconds."""
+
+
+def peak_blocks_per_frame(border_relays: bool, levels: int) -> int:
+    """Return a slot capacity in blocks with which no record waits.
+
+    It is the peak load for up to eight levels. Beyond, it is the bound of eight blocks per level:
+    of the nine heads whose records a mote relays, at most eight are at the same hop distance.
+    """
+    counted = PEAK_BLOCKS[border_relays]
+    return counted[levels - 1] if levels <= len(counted) else 8 * (levels + 1)
+
+
+def late_shares(
+    levels: int, border_relays: bool, slot_blocks: int, rate_divisor: int = 1
+) -> tuple[float, ...] | None:
+    """Return the share of late records by level, exact for lossless links.
+
+    It is None if the slot is narrower than the peak load and the grid too large to simulate.
+    """
+    if slot_blocks >= peak_blocks_per_frame(border_relays, levels):
+        return (0.0,) * (levels + 1)
+    if levels > MOST_SIMULATED_LEVELS:
+        return None
+    service = SnapshotService(levels, 1.0, 1.0, 1, rate_divisor=rate_divisor)
+    run = simulate_flooding(service, border_relays=border_relays, slot_blocks=slot_blocks)
+    return tuple((run.late / run.due).tolist())
+
 
 @dataclass(frozen=True, eq=False)
 class FloodingRun:

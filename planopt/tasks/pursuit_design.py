@@ -32,6 +32,7 @@ from planopt.pursuit.design import (
     sensitivities,
     sharp_design,
 )
+from planopt.pursuit.flooding import MOST_SIMULATED_LEVELS, late_shares
 from planopt.pursuit.guarantees import Chase, Guarantee
 from planopt.pursuit.theorems import Inequality, Theorem
 from planopt.tasks.task import Task, TaskFile, TaskResult
@@ -217,9 +218,26 @@ def _proof(problem: DesignProblem, design: Design) -> tuple[Requirement, ...]:
     given = problem.given
     values = given.pursuit.model_dump() | given.network.model_dump()
     values["margin"] = given.design.margin
+    values["slot_blocks"] = given.network.least_slot_blocks
     data = DesignData(**{key.name: values[key.name] for key in fields(DesignData)})
     return certify(
         data, problem.theorem, design.slot_width_s, design.rate_divisor, design.bits_per_axis
+    )
+
+
+def _unproved(late: tuple[float, ...] | None, blocks: int) -> str:
+    """Return why the rounds of a design may not hold; empty if no record is late."""
+    if late is None:
+        return (
+            f"a slot of {blocks} blocks is below the peak load, and grids of more than "
+            f"{MOST_SIMULATED_LEVELS} levels are not simulated"
+        )
+    worst = int(np.argmax(late))
+    if late[worst] == 0.0:
+        return ""
+    return (
+        f"{100.0 * late[worst]:.3g} % of the level-{worst} records are late with slots of "
+        f"{blocks} blocks, and the guarantee assumes none"
     )
 
 
@@ -255,10 +273,16 @@ def _design_json(
     objective, lasts_s = problem.objective(design), _capture_time_s(problem, design)
     bound = _bound_w(problem)
     gap = None if bound is None else abs(bound - objective) / max(abs(objective), 1e-12)
-    verified = all(each.holds for each in proof)
+    network = problem.design.network
+    blocks = network.slot_capacity(design.slot_width_s, design.bits_per_axis)
+    late = late_shares(network.levels, network.border_relays, blocks, design.rate_divisor)
+    reason = _unproved(late, blocks)
+    verdict = Verdict.FEASIBLE_UNVERIFIED if reason else Verdict.VERIFIED
+    if not all(each.holds for each in proof):
+        verdict = Verdict.VIOLATED
     return {
         "termination": Termination.CONVERGED.value,
-        "verdict": (Verdict.VERIFIED if verified else Verdict.VIOLATED).value,
+        "verdict": verdict.value,
         "objective": objective,
         "bound": bound,
         "gap": gap,
@@ -284,9 +308,12 @@ def _design_json(
                     "text": str(each),
                 }
                 for each in proof
-            ]
+            ],
+            "slot_blocks": blocks,
+            "late_share": None if late is None else list(late),
+            "reasons": [reason] if reason else [],
         },
-        "message": "",
+        "message": reason,
     }
 
 
@@ -387,7 +414,12 @@ def in_words(result: TaskResult) -> Sequence[str]:
         lines.append(f"  capture within {data['capture_time_s']:.4g} s by {problem.theorem.value}")
     if data["energy_per_capture_j"] is not None and problem.method.of_energy:
         lines.append(f"  {data['energy_per_capture_j']:.4g} J a capture")
+    blocks = data["certificate"]["slot_blocks"]
     lines += [f"  {each['text']}" for each in data["certificate"]["requirements"]]
+    if data["message"]:
+        lines.append(f"  not proved: {data['message']}")
+    else:
+        lines.append(f"  every record is on time: a slot carries {blocks} blocks")
     effects = sorted(data["sensitivities"].items(), key=lambda item: -abs(item[1]))
     what = "energy" if problem.method.of_energy else "power"
     shown = ", ".join(f"{name} {value:+.2f} %" for name, value in effects)

@@ -34,6 +34,7 @@ NETWORK = MoteNetwork(
     header_bits=64,
     record_bits=16,
     energy_j_per_bit=1e-6,
+    slot_blocks=6,
 )
 
 

@@ -3,7 +3,13 @@
 import numpy as np
 import pytest
 
-from planopt.pursuit import SnapshotService, mean_blocks_per_frame, simulate_flooding
+from planopt.pursuit import (
+    SnapshotService,
+    late_shares,
+    mean_blocks_per_frame,
+    peak_blocks_per_frame,
+    simulate_flooding,
+)
 
 
 def flood_blocks_per_round(service, border_relays):
@@ -101,3 +107,27 @@ def test_a_slot_for_the_peak_changes_nothing():
     free = simulate_flooding(grid(4))
     tight = simulate_flooding(grid(4), slot_blocks=free.peak_load)
     np.testing.assert_array_equal(free.motes_by_load, tight.motes_by_load)
+
+
+@pytest.mark.parametrize("levels", [1, 2, 3, 4, 5, pytest.param(8, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("border_relays", [True, False])
+def test_peak_load(border_relays, levels):
+    """The tabled peak loads are those of simulated floods, also with fewer rounds."""
+    peak = peak_blocks_per_frame(border_relays, levels)
+    assert simulate_flooding(grid(levels), border_relays=border_relays).peak_load == peak
+    assert peak <= 8 * (levels + 1) and late_shares(levels, border_relays, peak) == (0.0,) * (
+        levels + 1
+    )
+    if levels < 5:
+        for divisor in (2, 3):
+            service = SnapshotService(levels, 1.0, 0.01, 3, rate_divisor=divisor)
+            run = simulate_flooding(service, border_relays=border_relays)
+            assert run.peak_load <= peak and run.keeps_rounds
+
+
+def test_late_shares():
+    """They are late records over due ones; large grids with narrow slots are not simulated."""
+    run = simulate_flooding(grid(4), slot_blocks=6)
+    assert late_shares(4, True, 6) == tuple(run.late / run.due) and run.late.any()
+    assert late_shares(8, True, 38) is None
+    assert late_shares(12, True, 8 * 13) == (0.0,) * 13

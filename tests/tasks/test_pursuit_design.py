@@ -23,7 +23,7 @@ pursuer_speed_m_s = 2.0
 [network]
 levels = 6
 mote_spacing_m = 1.0
-bit_rate_bit_s = 250e3
+bit_rate_bit_s = 1e6
 header_bits = 64
 record_bits = 16
 energy_j_per_bit = 1e-6
@@ -68,7 +68,7 @@ def test_example(written, run):
     [
         ({"pursuer_speed_m_s": "1.0"}, 2, "evader's speed below the pursuer's: 1 < 1 m/s fails"),
         ({"margin": "1e-9\nbits_per_axis = 2"}, 4, "a + margin below 1: 1.03033 < 1 fails by 0.03"),
-        ({"bit_rate_bit_s": "1e3"}, 4, "slot of the payload below the widest slot: 0.2"),
+        ({"bit_rate_bit_s": "1e3"}, 4, "slot of the payload below the widest slot: 0.876"),
         ({"margin": "1e-9\nbits_per_axis = 99"}, 2, "key design.bits_per_axis"),
         ({"pursuer_speed_m_s": "2.0\ndeadline_s = 5.0"}, 2, "which least_power does not look at"),
         ({"margin": "1e-9\nguarantee = 'snapshots'"}, 2, "least_power rests on the lemma"),
@@ -116,6 +116,24 @@ def test_energy_at_half_of_the_limit(written):
     times, energies = np.array(front).T
     assert len(front) > 10 and (np.diff(times) > 0.0).all() and (np.diff(energies) < 0.0).all()
     assert energies[-1] == pytest.approx(energy["objective"], rel=1e-6)
+
+
+def test_slots_below_the_peak_load(written, run):
+    """Slots of six blocks, the mean load, make records late: the guarantee is not proved.
+
+    The default is the peak load: the same radio carries no design then.
+    """
+    code, data = run("solve", written(TEXT, bit_rate_bit_s="16e3\nslot_blocks = 6"))
+    certificate = data["certificate"]
+    assert (code, data["verdict"], certificate["slot_blocks"]) == (3, "feasible_unverified", 6)
+    assert certificate["late_share"][3] == pytest.approx(0.464, abs=1e-3)
+    assert "46.4 % of the level-3 records are late" in data["message"]
+    assert certificate["reasons"] == [data["message"]]
+    code, data = run("solve", written(TEXT, bit_rate_bit_s="16e3"))
+    assert (code, data["verdict"]) == (4, "none")
+    code, data = run("solve", written(TEXT, bit_rate_bit_s="60e3"))
+    assert (code, data["certificate"]["slot_blocks"]) == (0, 30)
+    assert data["certificate"]["late_share"] == [0.0] * 7
 
 
 def test_library_problem(tmp_path, run):

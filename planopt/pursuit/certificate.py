@@ -106,6 +106,9 @@ class Case:
 
 def premises(theorem: Theorem, case: Case) -> list[Inequality]:
     """Return the inequalities required by a theorem."""
+    if case.evader_m_s >= case.pursuer_m_s:
+        words = "evader's speed below the pursuer's"
+        return [Inequality(words, case.evader_m_s, case.pursuer_m_s, "m/s")]
     a, x = case.contraction, case.moved
     if theorem is Theorem.LEMMA:
         return [Inequality("a + x below 1", a + x, 1.0)]

@@ -28,7 +28,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.errors import InputError
 from planopt.pursuit.service import ServiceBounds
 from planopt.pursuit.theorems import Distances, Inequality, Theorem
 
@@ -60,19 +59,15 @@ class Chase:
     # one step of a discrete-time controller
     stage_delay_s: float = 0.0
 
-    def __post_init__(self) -> None:
-        faster = Inequality(
+    @property
+    def slower_evader(self) -> Inequality:
+        """Return the requirement of every theorem."""
+        return Inequality(
             "evader's speed below the pursuer's",
             self.evader_speed_m_s,
             self.pursuer_speed_m_s,
             "m/s",
         )
-        if not faster.holds:
-            raise InputError(
-                str(faster),
-                key="pursuer_speed_m_s",
-                remedy="an evader as fast as its pursuer escapes from any service",
-            )
 
     @property
     def speed_ratio(self) -> float:
@@ -136,6 +131,13 @@ class Guarantee:
 
 def capture_guarantees(chase: Chase, bounds: ServiceBounds) -> dict[Theorem, Guarantee]:
     """Return the guarantee of each theorem for a chase with a service of these bounds."""
+    if not chase.slower_evader.holds:
+        needs = (chase.slower_evader,)
+        return {
+            theorem: Guarantee(theorem, chase, bounds, needs, math.inf, (_never,))
+            for theorem in Theorem
+            if theorem is not Theorem.SNAPSHOTS or bounds.period_s_m is not None
+        }
     a, x = contraction(chase.speed_ratio, bounds.relative_error), staleness(chase, bounds)
     moved_m = chase.evader_speed_m_s * bounds.age_floor_s
     wait = _wait(chase, bounds, bounds, lag=x)
@@ -215,7 +217,7 @@ def guarantees_among_obstacles(
         (Distances.PATHS, chase.pursuer_speed_m_s, REPORT_SHARE * detour),
         (Distances.STRAIGHT, chase.pursuer_speed_m_s / detour, REPORT_SHARE),
     ):
-        if speed_m_s <= chase.evader_speed_m_s:
+        if distances is Distances.STRAIGHT and speed_m_s <= chase.evader_speed_m_s:
             continue
         wider = replace(
             bounds,

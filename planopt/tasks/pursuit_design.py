@@ -182,10 +182,13 @@ def build(given: DesignFile, folder: Path, file: Path | None) -> DesignProblem:
         )
     timed = method is METHODS["capture_in_time"]
     theorem = Theorem(given.design.guarantee or ("snapshots" if timed else "lemma"))
-    try:
-        chase = Chase(pursuit.evader_speed_m_s, pursuit.pursuer_speed_m_s, pursuit.stage_delay_s)
-    except InputError as error:
-        raise InputError(error.message, key=f"pursuit.{error.key}", remedy=error.remedy) from None
+    chase = Chase(pursuit.evader_speed_m_s, pursuit.pursuer_speed_m_s, pursuit.stage_delay_s)
+    if not chase.slower_evader.holds:
+        raise InputError(
+            str(chase.slower_evader),
+            key="pursuit.pursuer_speed_m_s",
+            remedy="no network guarantees the capture of an evader as fast as its pursuer",
+        )
     task = DesignTask(
         given.network,
         chase,

@@ -287,7 +287,6 @@ def build(given: PursuitFile, folder: Path, file: Path | None) -> PursuitProblem
         workspace = Workspace(given.world.bounds_m, obstacles)
         arena = arena_of(workspace, given.pursuit.clearance_m)
     _require_covered(given, service)
-    _require_speeds(given)
     if obstacles:
         _require_open(given)
     problem = PursuitProblem(given, file, service, arena, obstacles)
@@ -311,18 +310,6 @@ def _require_covered(given: PursuitFile, service: SnapshotService) -> None:
             key="world.bounds_m",
             remedy="keep it within, or set network.endless to true",
         )
-
-
-def _require_speeds(given: PursuitFile) -> None:
-    fastest = max(each.speed_max_m_s for each in given.evaders)
-    for index, each in enumerate(given.pursuers):
-        if each.speed_max_m_s <= fastest:
-            raise InputError(
-                f"evader's speed below the pursuer's: {fastest:g} < {each.speed_max_m_s:g} m/s "
-                f"fails by {fastest - each.speed_max_m_s:g} m/s",
-                key=f"pursuers[{index}].speed_max_m_s",
-                remedy="an evader as fast as its pursuer escapes from any service",
-            )
 
 
 def _require_open(given: PursuitFile) -> None:

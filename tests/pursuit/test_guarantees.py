@@ -6,15 +6,16 @@ from math import isinf
 import numpy as np
 import pytest
 
-from planopt import InputError
 from planopt.pursuit import (
     Chase,
+    Distances,
     Inequality,
     ServiceBounds,
     SnapshotService,
     Theorem,
     capture_guarantees,
     contraction,
+    guarantees_among_obstacles,
 )
 
 CHASES = [Chase(1.0, 2.0), Chase(2.5, 3.5, 0.3), Chase(0.4, 2.0, 0.05)]
@@ -172,14 +173,14 @@ def test_period_of_one_evader_step():
     assert Theorem.SNAPSHOTS not in capture_guarantees(Chase(1.0, 2.0), ServiceBounds(2.0, 0.1))
 
 
-@pytest.mark.parametrize(
-    ("speeds", "words"),
-    [
-        ((1.0, 1.0), "fails by 0 m/s"),
-        ((2.0, 1.5), "fails by 0.5 m/s"),
-    ],
-)
-def test_bad_chase(speeds, words):
-    """A pursuer no faster than the evader is refused, and says by how much."""
-    with pytest.raises(InputError, match=words):
-        Chase(*speeds)
+@pytest.mark.parametrize("speeds", [(1.0, 1.0), (2.0, 1.5), (2.0, 1.0)])
+@pytest.mark.parametrize("age_s_m", [0.0, 5.0])
+def test_evader_as_fast_as_its_pursuer(speeds, age_s_m):
+    """No theorem holds, however old or fresh the records are."""
+    bounds = ServiceBounds(age_s_m, 0.1, period_s_m=0.1)
+    found = capture_guarantees(Chase(*speeds), bounds)
+    among = guarantees_among_obstacles(Chase(*speeds), bounds, 2.0)
+    assert set(found) == set(Theorem) == set(among[Distances.PATHS])
+    for each in (*found.values(), *among[Distances.PATHS].values()):
+        assert not each.holds and each.capture_time_s(10.0, 5.0) == np.inf
+        assert "evader's speed below the pursuer's" in str(each.inequalities[0])

@@ -18,6 +18,7 @@ import typer
 from planopt.commands.bench import bench
 from planopt.commands.compare import compare
 from planopt.commands.fit import fit
+from planopt.commands.import_problem import import_problem
 from planopt.commands.map import map_log
 from planopt.commands.options import option
 from planopt.commands.output import print_out, standard_output, stopping
@@ -42,6 +43,7 @@ app.command()(simulate)
 app.command()(compare)
 app.command()(fit)
 app.command("map")(map_log)
+app.command("import")(import_problem)
 app.command()(check)
 app.add_typer(bench, name="bench")
 app.command()(schema)

@@ -31,7 +31,8 @@ from planopt.channel import (
 )
 from planopt.channel.channel_map import measured_bounds_m
 from planopt.channel.held_out import learn_path_loss
-from planopt.channel.power_log import parse_groups, read_groups
+from planopt.channel.logs.log_format import parse_groups
+from planopt.channel.logs.power_log import read_groups
 from planopt.report import draw_calibration, draw_fit, draw_posterior_map
 
 CAMPUS = Path(os.environ.get("PLANOPT_DATA", "data")) / "campus"

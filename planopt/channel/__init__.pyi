@@ -29,6 +29,8 @@ from planopt.channel.joint import joint_prediction as joint_prediction
 from planopt.channel.joint import longest_outage as longest_outage
 from planopt.channel.joint import predict_readings as predict_readings
 from planopt.channel.joint import sample_power as sample_power
+from planopt.channel.logs.log_format import LogFormat as LogFormat
+from planopt.channel.logs.power_log import read_log as read_log
 from planopt.channel.long_logs import receiver_offsets as receiver_offsets
 from planopt.channel.measurements import Measurements as Measurements
 from planopt.channel.parameter_uncertainty import MarginalPosterior as MarginalPosterior
@@ -44,8 +46,6 @@ from planopt.channel.posterior import ChannelPosterior as ChannelPosterior
 from planopt.channel.posterior import at_time as at_time
 from planopt.channel.posterior import condition as condition
 from planopt.channel.posterior import estimate_theta as estimate_theta
-from planopt.channel.power_log import LogFormat as LogFormat
-from planopt.channel.power_log import read_log as read_log
 from planopt.channel.prediction import Prediction as Prediction
 from planopt.channel.sensitivity import mean_squared_error_db2 as mean_squared_error_db2
 from planopt.channel.sensitivity import posterior_derivatives as posterior_derivatives

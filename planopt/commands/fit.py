@@ -60,7 +60,8 @@ def held_out(log: Path, fitted: LogFit, text: str, threshold_dbm: float | None) 
     import numpy as np
 
     from planopt.channel.held_out import deal, held_out_report, predictors_of
-    from planopt.channel.power_log import parse_groups, read_groups
+    from planopt.channel.logs.log_format import parse_groups
+    from planopt.channel.logs.power_log import read_groups
 
     groups = read_groups(log, parse_groups(text), fitted.log_format)
     count = len(np.unique(groups))

@@ -5,16 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast, get_args
+from typing import TYPE_CHECKING, Any, cast, get_args
 
-from planopt.commands.options import LogOptions
+from planopt.commands.options import FormatOptions, LogOptions
 from planopt.errors import InputError
 
 if TYPE_CHECKING:
     from planopt.channel.estimation.channel_fit import ChannelFit, Loss
     from planopt.channel.estimation.station_fit import StationMethod
+    from planopt.channel.logs.log_format import LogFormat
     from planopt.channel.measurements import Measurements
-    from planopt.channel.power_log import LogFormat
 
 DEGENERATE = 3
 """Exit code if the log does not determine the channel."""
@@ -42,13 +42,14 @@ def read_and_fit(options: LogOptions) -> LogFit:
     from planopt.channel.estimation.channel_fit import require_loss, require_method
     from planopt.channel.estimation.fit import fit_channel
     from planopt.channel.estimation.station_fit import fit_channel_and_station
-    from planopt.channel.power_log import at_file_line, parse_station, read_power_log
+    from planopt.channel.logs.log_format import parse_station
+    from planopt.channel.logs.power_log import at_file_line, read_power_log
     from planopt.problems.plausibility import log_warnings
 
     chosen = require_method(options.method, "--method")
     require_loss(options.loss, chosen, "--loss")
     loss = cast("Loss", options.loss)
-    log_format = _log_format(options)
+    log_format = log_format_of(options)
     site = parse_station(options.station, log_format.origin_deg)
     search = _station_method(options.station_method, station_is_given=site is not None)
     forgetting_s = _forgetting_s(options)
@@ -65,7 +66,7 @@ def read_and_fit(options: LogOptions) -> LogFit:
         found = fit(read.measurements)
     except InputError as error:
         raise at_file_line(error, options.log, log_format) from None
-    warnings = (*log_warnings(read.measurements, log_format), *found.warnings)
+    warnings = (*log_warnings(read), *found.warnings)
     return LogFit(read.measurements, found, read.receivers, fit, log_format, warnings)
 
 
@@ -86,33 +87,37 @@ def _station_method(name: str | None, *, station_is_given: bool) -> StationMetho
     return cast("StationMethod", name)
 
 
-def _log_format(options: LogOptions) -> LogFormat:
-    """Return the format of the log."""
-    from planopt.channel.power_log import (
-        DEFAULT_COLUMNS,
-        LogFormat,
-        parse_columns,
-        parse_origin,
-        parse_rows,
-    )
+OPTIONS = {
+    "censored_column": "censored",
+    "floor_dbm": "floor",
+    "time_column": "time",
+    "receiver_column": "receiver",
+    "resolution_db": "resolution",
+    "position_std_m": "position_error",
+    "accuracy_column": "accuracy",
+    "power_unit": "power_unit",
+    "reader": "reader",
+}
+"""Option of each field of a log format that needs no parsing."""
 
-    resolution_db, position_std_m = options.resolution, options.position_error
-    require_option(0.0 <= resolution_db < math.inf, resolution_db, "--resolution", "give 0 or more")
-    require_option(
-        0.0 <= position_std_m < math.inf, position_std_m, "--position-error", "give 0 or more"
-    )
-    require_option(math.isfinite(options.floor or 0.0), options.floor, "--floor", "give dBm")
-    return LogFormat(
-        DEFAULT_COLUMNS if options.columns is None else parse_columns(options.columns),
-        options.censored,
-        options.floor,
-        options.time,
-        options.receiver,
-        resolution_db,
-        position_std_m,
-        parse_rows(options.where or ()),
-        None if options.origin is None else parse_origin(options.origin),
-    )
+
+def log_format_of(options: FormatOptions) -> LogFormat:
+    """Return the format of the log that the options describe."""
+    from planopt.channel.logs.log_format import LogFormat, parse_columns, parse_where
+    from planopt.world.geodesy import parse_origin
+
+    values = {field: getattr(options, name) for field, name in OPTIONS.items()}
+    parsed: dict[str, Any] = {"where": parse_where(options.where or ())}
+    if options.columns is not None:
+        parsed["columns"] = parse_columns(options.columns)
+    if options.origin is not None:
+        parsed["origin_deg"] = parse_origin(options.origin)
+    try:
+        return LogFormat(**values, **parsed)
+    except InputError as error:
+        field = (error.key or "").rpartition(".")[2]
+        key = f"--{OPTIONS.get(field, field).replace('_', '-')}"
+        raise InputError(error.message, key=key, remedy=error.remedy) from None
 
 
 def _forgetting_s(options: LogOptions) -> float:

@@ -55,31 +55,12 @@ class PlanningOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LogOptions:
-    """Options of the commands that read a power log."""
+class FormatOptions:
+    """Options about the format of a power log."""
 
-    log: Annotated[Path, typer.Argument(metavar="LOG.csv", help="A CSV file with a header.")]
-    station: Annotated[
-        str,
-        option(
-            "--station",
-            "X,Y[,HEIGHT]|unknown",
-            "Position of the base station in metres; with --origin LAT,LON[,HEIGHT].",
-        ),
-    ]
-    method: Annotated[
-        str, option("--method", "NAME", "Estimator: lemma1, capped, convex, nls or reml.")
-    ] = "reml"
-    station_method: Annotated[
-        str | None,
-        option(
-            "--station-method",
-            "NAME",
-            "How an unknown station is found: joint (likelihood) or line (least squares).",
-        ),
-    ] = None
     columns: Annotated[
-        str | None, option("--columns", "x=NAME,y=NAME,power=NAME", "Names of columns.")
+        str | None,
+        option("--columns", "x=NAME,y=NAME,power=NAME", "Names of columns; default: detected."),
     ] = None
     censored: Annotated[
         str | None,
@@ -95,12 +76,12 @@ class LogOptions:
     position_error: Annotated[
         float, option("--position-error", "M", "Standard deviation of either coordinate (GPS).")
     ] = 0.0
-    time: Annotated[
-        str | None, option("--time", "COLUMN", "Column of measurement times, in seconds.")
+    accuracy: Annotated[
+        str | None,
+        option("--accuracy", "COLUMN", "Column of position accuracies: 68 % radius in metres."),
     ] = None
-    forgetting: Annotated[
-        float | None,
-        option("--forgetting", "S", "Time constant of changes in shadowing; needs --time."),
+    time: Annotated[
+        str | None, option("--time", "COLUMN", "Column of times: seconds, Unix times or dates.")
     ] = None
     receiver: Annotated[
         str | None,
@@ -121,6 +102,42 @@ class LogOptions:
             "LAT,LON",
             "x and y of the log are longitude, latitude in degrees; LAT,LON is the origin.",
         ),
+    ] = None
+    power_unit: Annotated[
+        str | None, option("--power-unit", "dBm|mW", "Unit of powers; default: detected.")
+    ] = None
+    reader: Annotated[
+        str | None, option("--reader", "NAME", "Program that wrote the log; default: detected.")
+    ] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class LogOptions(FormatOptions):
+    """Options of the commands that fit the channel to a power log."""
+
+    log: Annotated[Path, typer.Argument(metavar="LOG.csv", help="A power log with a header.")]
+    station: Annotated[
+        str,
+        option(
+            "--station",
+            "X,Y[,HEIGHT]|unknown",
+            "Position of the base station in metres; with --origin LAT,LON[,HEIGHT].",
+        ),
+    ]
+    method: Annotated[
+        str, option("--method", "NAME", "Estimator: lemma1, capped, convex, nls or reml.")
+    ] = "reml"
+    station_method: Annotated[
+        str | None,
+        option(
+            "--station-method",
+            "NAME",
+            "How an unknown station is found: joint (likelihood) or line (least squares).",
+        ),
+    ] = None
+    forgetting: Annotated[
+        float | None,
+        option("--forgetting", "S", "Time constant of changes in shadowing; needs --time."),
     ] = None
     loss: Annotated[
         str, option("--loss", "NAME", "Loss of the method convex: squares, huber or absolute.")

@@ -24,6 +24,7 @@ from planopt.channel.ground_truth import (
     power_truth,
     raster_truth,
 )
+from planopt.channel.logs.power_log import read_log
 from planopt.channel.measurements import (
     LARGEST_POWER_DBM,
     LEAST_POWER_DBM,
@@ -33,7 +34,6 @@ from planopt.channel.measurements import (
 )
 from planopt.channel.parameters import PRIOR_N_PL, ChannelParameters
 from planopt.channel.posterior import EXACT_LIMIT, Belief, ChannelPosterior, condition, update
-from planopt.channel.power_log import LogFormat, read_log
 from planopt.errors import InputError
 from planopt.objectives.measuring import MeasuringRule
 from planopt.parts import calling
@@ -263,10 +263,7 @@ def _first_measurements(
     setup, known = problem.channel.measurements, problem.channel.given
     if isinstance(setup, LoggedMeasurements):
         logs = [log_of(setup, radio) for radio in problem.stations]
-        return [
-            read_log(log.file, LogFormat(log.columns, log.censored_column, log.floor_dbm))
-            for log in logs
-        ]
+        return [read_log(log.file, log.log_format) for log in logs]
     if setup.count == 0 and (known is None or known.k_pl_db is None):
         raise InputError(
             "there are no first measurements",
@@ -433,7 +430,7 @@ def with_measurements(
         return problem, None
     by_station = measurements_by_station(problem, measurements)
     bare = tuple(
-        replace(station, log_file=None, power_column=None, censored_column=None)
+        replace(station, log_file=None, power_column=None, censored_column=None, transmitter=None)
         for station in problem.stations
     )
     channel = replace(problem.channel, measurements=SampledMeasurements())

@@ -9,6 +9,10 @@ from planopt.problems.channel_setup import LoggedMeasurements as LoggedMeasureme
 from planopt.problems.channel_setup import ModelTruth as ModelTruth
 from planopt.problems.channel_setup import RasterTruth as RasterTruth
 from planopt.problems.channel_setup import SampledMeasurements as SampledMeasurements
+from planopt.problems.draft import Draft as Draft
+from planopt.problems.draft import DraftSettings as DraftSettings
+from planopt.problems.draft import DraftStation as DraftStation
+from planopt.problems.draft import draft_problem as draft_problem
 from planopt.problems.library import list_problems as list_problems
 from planopt.problems.load import problem_from_dict as problem_from_dict
 from planopt.problems.load import problem_to_dict as problem_to_dict

@@ -21,9 +21,21 @@ from planopt.channel.ground_truth import (
     Rician,
     multipath_of,
 )
+from planopt.channel.logs.log_format import DEFAULT_FORMAT, LogFormat
 from planopt.channel.parameters import Station
 from planopt.errors import InputError
-from planopt.keys import Decibels, FilePath, Metres, Name, Pair, Part, ReadAs, Table, fault_of
+from planopt.keys import (
+    Decibels,
+    FilePath,
+    Metres,
+    Name,
+    Pair,
+    Part,
+    ReadAs,
+    Table,
+    fault_of,
+    table_of,
+)
 from planopt.parts import part_of
 from planopt.plain_values import make_plain
 from planopt.short_repr import short_repr
@@ -295,24 +307,21 @@ class SampledMeasurements(Part):
 
 @dataclass(frozen=True)
 class LoggedMeasurements:
-    """Initial measurements read from a CSV log.
+    """Initial measurements read from a log.
 
     Attributes
     ----------
     file
         Path of the log.
-    columns
-        Column names of x, y and power.
-    censored_column
-        Name of the column that marks censored rows, or None.
-    floor_dbm
-        Power at or below which rows are censored, or None.
+    log_format
+        Columns, units and row filter.
+    transmitter_column
+        Name of the column that names the transmitter, by which each station selects its rows.
     """
 
     file: Path
-    columns: tuple[str, str, str] = ("x_m", "y_m", "power_dbm")
-    censored_column: str | None = None
-    floor_dbm: float | None = None
+    log_format: LogFormat = DEFAULT_FORMAT
+    transmitter_column: str | None = None
 
     def __post_init__(self) -> None:
         make_plain(self, "file")
@@ -340,18 +349,13 @@ class GivenParameters(Part):
         return "has one of k_pl_db and n_pl: give both, or none to have path loss estimated"
 
 
-class ColumnsTable(Table):
-    """Table ``columns``: column names of a log."""
+LogKeys: Any = table_of(LogFormat)
+"""Table with the keys of a log's format."""
 
-    x: str = Field(default="x_m", min_length=1)
-    """Column of x in metres."""
-    y: str = Field(default="y_m", min_length=1)
-    """Column of y in metres."""
-    power: str = Field(default="power_dbm", min_length=1)
-    """Column of received power in dBm."""
+LOG_KEYS = tuple(LogKeys.model_fields)
 
 
-class MeasurementsTable(Table):
+class MeasurementsTable(LogKeys):
     """Table ``[channel.measurements]``: exactly one of ``count`` and ``file``."""
 
     count: int | None = Field(
@@ -361,13 +365,10 @@ class MeasurementsTable(Table):
         description=COUNT_WORDS,
     )
     file: FilePath | None = None
-    """CSV log of initial measurements, relative to the problem file."""
-    columns: ColumnsTable | None = None
-    """Column names of the log, if they differ from x_m, y_m and power_dbm."""
-    censored_column: str | None = Field(default=None, min_length=1)
-    """Column of the log that marks censored rows."""
-    floor_dbm: Decibels | None = None
-    """Power in dBm at or below which log entries are censored."""
+    """Log of initial measurements, relative to the problem file: CSV, or of a known program."""
+    transmitter_column: str | None = Field(default=None, min_length=1)
+    """Column of the log that names the transmitter. Each station uses the rows that name it, by
+    stations.transmitter or else its name."""
     spacing_m: float = Field(default=2.0, ge=0, le=1e6)
     """Minimum distance in metres of a moving robot's new measurement from all earlier ones."""
     shared: bool = False
@@ -381,8 +382,8 @@ class MeasurementsTable(Table):
                 f"needs exactly one of count and file, has {given}: write count = 100, or "
                 'file = "log.csv"'
             )
-        for key in ("columns", "censored_column", "floor_dbm"):
-            if self.file is None and getattr(self, key) is not None:
+        for key in ("transmitter_column", *LOG_KEYS):
+            if self.file is None and key in self.model_fields_set:
                 raise fault_of(f"has {key}, which goes only with file: leave it out")
         return self
 
@@ -391,9 +392,7 @@ class MeasurementsTable(Table):
         """Return the source of initial measurements that the table describes."""
         if self.file is None:
             return SampledMeasurements(self.count or 0)
-        columns = self.columns or ColumnsTable()
-        names = (columns.x, columns.y, columns.power)
-        return LoggedMeasurements(self.file, names, self.censored_column, self.floor_dbm)
+        return LoggedMeasurements(self.file, LogFormat.of_table(self), self.transmitter_column)
 
 
 class FitTable(Table):
@@ -475,8 +474,9 @@ class ChannelSetup(Part):
             "shared": self.share_measurements,
         }
         if isinstance(source, LoggedMeasurements):
-            measurements |= vars(source)
-            measurements["columns"] = dict(zip(("x", "y", "power"), source.columns, strict=True))
+            measurements["file"] = source.file
+            measurements["transmitter_column"] = source.transmitter_column
+            measurements |= source.log_format.to_keys()
         else:
             measurements["count"] = source.count
         fit = {"method": self.fit_method, "given": self.given}
@@ -509,14 +509,19 @@ def log_of(log: LoggedMeasurements, radio: BaseStation) -> LoggedMeasurements:
 
     The censored column of a common log applies to its default power column only.
     """
-    x, y, power = log.columns
+    x, y, power = log.log_format.columns
     shared = radio.log_file is None and radio.power_column is not None
-    return replace(
-        log,
-        file=radio.log_file or log.file,
+    where, column = log.log_format.where, log.transmitter_column
+    if column is not None:
+        where = (*where, (column, radio.transmitter or radio.name))
+    log_format = replace(
+        log.log_format,
         columns=(x, y, radio.power_column or power),
-        censored_column=radio.censored_column or (None if shared else log.censored_column),
+        censored_column=radio.censored_column
+        or (None if shared else log.log_format.censored_column),
+        where=where,
     )
+    return replace(log, file=radio.log_file or log.file, log_format=log_format)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -555,6 +560,9 @@ class BaseStation(Part):
     station needs its own log or power_column."""
     power_column: Annotated[str | None, Field(min_length=1)] = None
     """Column of the station's power in dBm; replaces channel.measurements.columns.power."""
+    transmitter: Annotated[str | None, Field(min_length=1)] = None
+    """Name of the station in the log's column channel.measurements.transmitter_column; default: the
+    station's name."""
     censored_column: Annotated[str | None, Field(min_length=1)] = None
     """Column that marks the station's censored rows; the default for its own log is that of
     channel.measurements."""

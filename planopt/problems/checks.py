@@ -323,7 +323,9 @@ def check_stations(problem: Problem) -> None:
 def _check_keys(problem: Problem) -> None:
     """Raise `InputError` for keys of a station that require a map or a log."""
     raster = isinstance(problem.channel.truth, RasterTruth)
-    logged = isinstance(problem.channel.measurements, LoggedMeasurements)
+    log = problem.channel.measurements
+    logged = isinstance(log, LoggedMeasurements)
+    named = isinstance(log, LoggedMeasurements) and log.transmitter_column is not None
     for number, radio in enumerate(problem.stations):
         for key, there, goes, table in (
             ("gain_file", radio.gain_file, raster, 'channel.truth of kind "raster"'),
@@ -331,6 +333,7 @@ def _check_keys(problem: Problem) -> None:
             ("log_file", radio.log_file, logged, "channel.measurements.file"),
             ("power_column", radio.power_column, logged, "channel.measurements.file"),
             ("censored_column", radio.censored_column, logged, "channel.measurements.file"),
+            ("transmitter", radio.transmitter, named, "channel.measurements.transmitter_column"),
         ):
             if there is not None and not goes:
                 raise InputError(
@@ -362,10 +365,11 @@ def _check_own_channels(problem: Problem) -> None:
         logs = [log_of(log, radio) for radio in problem.stations]
         _no_two_alike(
             problem,
-            [(own.file, own.columns[2]) for own in logs],
+            [(own.file, own.log_format.columns[2], own.log_format.where) for own in logs],
             "log_file",
             "is needed: the measured powers would be those of stations[{other}]",
-            "give each further station a log_file, or a power_column of the same log",
+            "give each further station a log_file or a power_column of the same log, or give "
+            "channel.measurements.transmitter_column",
         )
 
 

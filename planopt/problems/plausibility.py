@@ -9,12 +9,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from planopt.channel.logs.power_log import PowerLog
 from planopt.channel.measurements import Measurements
-from planopt.channel.power_log import LogFormat
 from planopt.errors import InputError
 from planopt.problems.library import read_toml
 from planopt.problems.problem import Problem
-from planopt.world.occupancy import is_grid, read_grid
+from planopt.world.occupancy import OccupancyGrid, is_grid, read_grid
 
 DEGREE_NAMES = ("lat", "lon", "lng")
 """Parts of column names that indicate degrees."""
@@ -41,9 +41,11 @@ JUMP_STEPS = 10.0
 """Largest plausible distance between a robot and its plan in step lengths."""
 
 
-def log_warnings(measurements: Measurements, log_format: LogFormat) -> list[str]:
+def log_warnings(log: PowerLog) -> list[str]:
     """Return warnings about a log, such as degrees read as metres or powers in another unit."""
-    return [*_degrees(measurements, log_format), *_powers(measurements, "the log")]
+    remark = None if log.columns.reader is None else log.columns.reader.remark
+    remarks = [] if remark is None else [remark]
+    return [*remarks, *_degrees(log), *_powers(log.measurements, "the log")]
 
 
 def problem_warnings(problem: Problem) -> list[str]:
@@ -56,17 +58,18 @@ def measured_warnings(measurements: Measurements) -> list[str]:
     return list(_powers(measurements, "measurements"))
 
 
-def _degrees(measurements: Measurements, log_format: LogFormat) -> Iterator[str]:
-    if log_format.origin_deg is not None or not len(measurements):
+def _degrees(log: PowerLog) -> Iterator[str]:
+    columns = log.columns
+    if columns.in_degrees or not len(log.measurements):
         return
-    x, y = measurements.positions_m.T
-    names = [name.lower() for name in log_format.columns[:2]]
+    x, y = log.measurements.positions_m.T
+    names = [name.lower() for name in (columns.x, columns.y)]
     named = all(any(part in name for part in DEGREE_NAMES) for name in names)
     within = np.abs(x).max() <= 180.0 and np.abs(y).max() <= 90.0
     span = max(np.ptp(x), np.ptp(y))
     if within and (named or 0.0 < span < DEGREES_SPAN):
         yield (
-            f"columns {log_format.columns[0]} and {log_format.columns[1]} look like degrees, and "
+            f"columns {columns.x} and {columns.y} look like degrees, and "
             f"count as metres: the log extends over {span:.3g} m (give --origin LAT,LON)"
         )
 
@@ -138,14 +141,19 @@ def _grids(problem: Problem) -> Iterator[str]:
     except (InputError, AttributeError, TypeError):
         return  # Saved problem, or file changed in the meantime
     for name, grid in grids.items():
-        share = grid.grey_free_cells / grid.occupied.size
-        if grid.grey_free_cells:
-            yield (
-                f"{name}: {share:.1%} of the cells are grey 205, which mapping tools write for "
-                "unknown, and count as free (free_thresh: 0.196 makes them unknown)"
-            )
-        if grid.resolution_m > COARSEST_CELL_M:
-            yield (
-                f"{name}: cells of {grid.resolution_m:g} m are implausibly large (resolution is "
-                "metres per cell)"
-            )
+        yield from grid_warnings(name, grid)
+
+
+def grid_warnings(name: str, grid: OccupancyGrid) -> Iterator[str]:
+    """Yield warnings about an occupancy grid."""
+    share = grid.grey_free_cells / grid.occupied.size
+    if grid.grey_free_cells:
+        yield (
+            f"{name}: {share:.1%} of the cells are grey 205, which mapping tools write for "
+            "unknown, and count as free (free_thresh: 0.196 makes them unknown)"
+        )
+    if grid.resolution_m > COARSEST_CELL_M:
+        yield (
+            f"{name}: cells of {grid.resolution_m:g} m are implausibly large (resolution is "
+            "metres per cell)"
+        )

@@ -17,6 +17,7 @@ from planopt.report.coverage_figures import draw_costs as draw_costs
 from planopt.report.coverage_figures import draw_deployment as draw_deployment
 from planopt.report.coverage_figures import draw_network as draw_network
 from planopt.report.coverage_figures import draw_step_times as draw_step_times
+from planopt.report.draft_figure import draw_draft as draw_draft
 from planopt.report.motion_figures import draw_no_plan as draw_no_plan
 from planopt.report.motion_figures import draw_run as draw_run
 from planopt.report.motion_figures import draw_run_series as draw_run_series

@@ -8,19 +8,15 @@ import pytest
 from planopt import InputError
 from planopt.channel import LogFormat, Station, read_log
 from planopt.channel.estimation.least_squares import examine
-from planopt.channel.power_log import (
-    FARTHEST_M,
+from planopt.channel.logs.log_format import (
     GroupColumn,
-    at_file_line,
-    east_north_m,
     parse_columns,
     parse_groups,
-    parse_origin,
-    parse_rows,
     parse_station,
-    read_groups,
-    read_power_log,
+    parse_where,
 )
+from planopt.channel.logs.power_log import at_file_line, read_groups, read_power_log
+from planopt.world.geodesy import parse_origin
 
 
 def written(tmp_path, text, encoding="utf-8"):
@@ -176,7 +172,7 @@ def test_only_some_rows(tmp_path):
         ("tx=2,day=tue", (5,)),
         ("day=wed", (6,)),
     ):
-        chosen = LogFormat(rows=parse_rows(rows.split(",")))
+        chosen = LogFormat(where=parse_where(rows.split(",")))
         own = tmp_path / "own.csv"
         text = TRANSMITTERS.splitlines()
         own.write_text("\n".join([text[0], *(text[line] for line in lines)]))
@@ -192,7 +188,7 @@ def test_only_some_rows(tmp_path):
 def test_a_line_among_some_rows(tmp_path):
     """An index counts the rows that were read, a line all of them."""
     path = written(tmp_path, TRANSMITTERS)
-    chosen = LogFormat(rows=(("tx", "2"),))
+    chosen = LogFormat(where=(("tx", "2"),))
     with pytest.raises(InputError) as caught:
         examine(read_log(path, chosen), Station((7.0, 8.0)))
     assert at_file_line(caught.value, path, chosen).row == 6
@@ -201,18 +197,18 @@ def test_a_line_among_some_rows(tmp_path):
 def test_rows_that_are_not_there(tmp_path):
     """What the column has instead is said; so is a column that is missing, and a bad option."""
     path = written(tmp_path, TRANSMITTERS)
-    error = refused(path, rows=(("tx", "4"),))
+    error = refused(path, where=(("tx", "4"),))
     assert error.message == "no row has tx=4" and error.remedy == "tx has 1, 2, 3"
-    assert "column 'receiver' is missing" in refused(path, rows=(("receiver", "4"),)).message
+    assert "column 'receiver' is missing" in refused(path, where=(("receiver", "4"),)).message
     for text in ("tx", "tx=", "=4", ""):
         with pytest.raises(InputError, match="key --where: cannot read"):
-            parse_rows([text])
+            parse_where([text])
 
 
 def test_columns_option():
     """Named columns replace defaults; anything else is refused."""
     assert parse_columns("x=east, y=north,power=rssi") == ("east", "north", "rssi")
-    assert parse_columns("power=rssi") == ("x_m", "y_m", "rssi")
+    assert parse_columns("power=rssi") == (None, None, "rssi")
     for text in ("", "east", "x=", "z=up", "x=a,,y=b"):
         with pytest.raises(InputError, match="key columns"):
             parse_columns(text)
@@ -260,43 +256,6 @@ def test_a_label_that_cannot_be_printed(tmp_path) -> None:
     assert (error.row, error.key) == (2, "rx") and str(error).isprintable()
 
 
-ORIGINS = [(48.1374, 11.5755), (0.0, 0.0), (-33.9, 151.2), (78.2, -179.9)]
-
-
-@pytest.mark.parametrize("origin", ORIGINS)
-def test_agrees_with_proj(origin: tuple[float, float]) -> None:
-    """PROJ keeps distances (azimuthal equidistant), the plane shortens them by d^3 / 6 R^2.
-
-    So does the direction agree: both have it right at the origin.
-    """
-    warp = pytest.importorskip("rasterio.warp")
-    generator = np.random.default_rng(0)
-    latitude = origin[0] + generator.uniform(-0.08, 0.08, 50)
-    longitude = origin[1] + generator.uniform(-0.08, 0.08, 50)
-    local = f"+proj=aeqd +lat_0={origin[0]} +lon_0={origin[1]} +ellps=WGS84 +units=m"
-    globe = "+proj=longlat +ellps=WGS84"
-    expected = np.stack(warp.transform(globe, local, longitude, latitude), axis=-1)
-    found = east_north_m(longitude, latitude, origin)
-    distance = np.linalg.norm(expected, axis=-1)
-    assert distance.max() > 5000.0
-    error = np.linalg.norm(found - expected, axis=-1)
-    assert (error <= 1e-4 + 1.1 * distance**3 / (6.0 * 6.33e6**2)).all()
-
-
-def test_across_the_date_line() -> None:
-    """Longitudes of 179.99 and -179.99 degrees are neighbours."""
-    found = east_north_m(np.array([-179.99, 179.99]), np.array([10.0, 10.0]), (10.0, 180.0))
-    assert found[0, 0] == pytest.approx(-found[1, 0]) and 0.0 < found[0, 0] < 1200.0
-
-
-def test_too_far() -> None:
-    """No number where the plane is none; the bound is `FARTHEST_M`."""
-    degree_m = 111_132.0
-    near, far = 0.99 * FARTHEST_M / degree_m, 1.01 * FARTHEST_M / degree_m
-    found = east_north_m(np.zeros(3), np.array([45.0 + near, 45.0 + far, -45.0]), (45.0, 0.0))
-    assert np.isfinite(found[0]).all() and np.isnan(found[1:]).all()
-
-
 def test_a_log_in_degrees(tmp_path: Path) -> None:
     """The same places in degrees and in metres."""
     path = tmp_path / "log.csv"
@@ -322,13 +281,6 @@ def test_places_that_cannot_be_meant(row: str, words: str, key: str | None, tmp_
     with pytest.raises(InputError) as caught:
         read_log(path, form)
     assert (caught.value.row, caught.value.key) == (3, key) and words in caught.value.message
-
-
-@pytest.mark.parametrize("text", ["", "48", "48,11,5", "a,b", "nan,0", "90,0", "0,181", "inf,0"])
-def test_origins_that_are_none(text: str) -> None:
-    """Neither is the pole one: it has no east."""
-    with pytest.raises(InputError, match="key --origin"):
-        parse_origin(text)
 
 
 LOG = """x_m,y_m,power_dbm,day,t_s

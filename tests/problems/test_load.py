@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from planopt import InputError, Problem, load
+from planopt.channel import LogFormat
 from planopt.problems import LoggedMeasurements, RasterTruth, problem_from_dict, problem_to_dict
 from planopt.problems.library import library_folder, read_toml
 
@@ -53,7 +54,7 @@ def test_relative_files_start_at_the_problem_file(
     monkeypatch.chdir(tmp_path)
     problem = load("deep/p.toml")
     assert problem.channel.measurements == LoggedMeasurements(
-        folder / "log.csv", ("x_m", "y_m", "rssi"), None, None
+        folder / "log.csv", LogFormat((None, None, "rssi"))
     )
     assert problem.channel.truth == RasterTruth(file=folder / "map.npz", floor_db=-130.0)
     assert problem.workspace.obstacles[-1].polygon.area == pytest.approx(108)

@@ -26,7 +26,7 @@ from small_tables import (
 )
 
 from planopt import InputError, Problem, load
-from planopt.channel import Nakagami
+from planopt.channel import LogFormat, Nakagami
 from planopt.problems import LoggedMeasurements, problem_from_dict, problem_to_dict
 from planopt.studies.bench.cases import library_names
 
@@ -73,7 +73,7 @@ def test_every_setting_survives(tables: Tables, built: Build, tmp_path: Path) ->
     tables["report"] = {"figures": False}
     problem = built(tables)
     assert problem.channel.measurements == LoggedMeasurements(
-        tmp_path / "log.csv", ("east", "y_m", "rssi"), "near_floor", -101.5
+        tmp_path / "log.csv", LogFormat(("east", None, "rssi"), "near_floor", -101.5)
     )
     assert there_and_back(problem) == problem
 

@@ -241,14 +241,20 @@ def implausible_values(
 def suspected_floor(measurements: Measurements) -> str | None:
     """Return a warning if the lowest uncensored power looks like a receiver's floor, else None."""
     exact = measurements.power_dbm[~measurements.censored]
-    values, counts = np.unique(exact, return_counts=True)
-    if len(values) < 2 or not _is_pile(counts):
+    floor = floor_pile_dbm(exact)
+    if floor is None:
         return None
     return (
-        f"the lowest power, {values[0]:g} dBm, occurs {counts[0]} times among {len(exact)}: it "
-        f"looks like the receiver's floor, and biases the fit if it is; mark such powers as "
-        f"censored (--floor={values[0]:g})"
+        f"the lowest power, {floor:g} dBm, occurs {(exact == floor).sum()} times among "
+        f"{len(exact)}: it looks like the receiver's floor, and biases the fit if it is; mark such "
+        f"powers as censored (--floor={floor:g})"
     )
+
+
+def floor_pile_dbm(power_dbm: NDArray[np.float64]) -> float | None:
+    """Return the lowest power if it occurs too often for the end of a range, else None."""
+    values, counts = np.unique(power_dbm, return_counts=True)
+    return float(values[0]) if len(values) > 1 and _is_pile(counts) else None
 
 
 def _is_pile(counts: NDArray[np.intp]) -> bool:

@@ -29,7 +29,8 @@ from planopt.channel.held_out import (
     learn_plain_process,
     part_between,
 )
-from planopt.channel.power_log import parse_groups, read_groups
+from planopt.channel.logs.log_format import parse_groups
+from planopt.channel.logs.power_log import read_groups
 
 PREDICTORS = ["channel", "marginal", "path_loss", "plain_line", "plain_process"]
 CHANNEL = ChannelParameters(-30.0, 2.8, 6.0, 30.0, 2.0, Station((20.0, 35.0), 3.0))

@@ -16,7 +16,7 @@ from scenes import (
 )
 
 from planopt import InputError, Run, Verdict, load
-from planopt.channel import true_power_dbm
+from planopt.channel import LogFormat, true_power_dbm
 from planopt.extend import Rung
 from planopt.planning.files.result_json import run_json
 from planopt.planning.loop.closed_loop import simulate
@@ -249,7 +249,7 @@ def test_first_measurements_from_a_log(tmp_path):
     rows = np.column_stack([measured.positions_m[:60], measured.power_dbm[:60]])
     path = tmp_path / "log.csv"
     np.savetxt(path, rows, delimiter=",", header="east,north,rssi", comments="", fmt="%.17g")
-    setup = LoggedMeasurements(path, ("east", "north", "rssi"), None, None)
+    setup = LoggedMeasurements(path, LogFormat(("east", "north", "rssi")))
     logged = replace(problem, channel=replace(problem.channel, measurements=setup))
     done = simulate(logged, seed=3)
     assert done.first_measurements == 60

@@ -1,0 +1,1 @@
+"""Power logs: tables of programs and files, their columns, and measurements."""

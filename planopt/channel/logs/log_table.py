@@ -1,0 +1,235 @@
+"""Table of a log: text cells with their lines, and the reader of delimited text.
+
+The delimiter is a comma, semicolon, tab, vertical bar or blanks, and decimals may have a comma.
+Empty lines and lines that start with ``#`` are ignored. A byte order mark is accepted.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from planopt.errors import InputError, listed
+from planopt.files.reading import read_text
+
+DELIMITERS = (",", ";", "\t", "|")
+"""Delimiters in order of preference; blanks count if none of these occurs."""
+
+BLANKS = " "
+"""Delimiter of columns that are separated by any number of blanks."""
+
+SAMPLED_LINES = 20
+"""Number of lines from which the delimiter is found."""
+
+EXCEL_DELIMITER = re.compile(r"sep=(.)", re.IGNORECASE)
+"""First line by which Excel names the delimiter."""
+
+DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
+
+FLAGS = {"1": True, "true": True, "0": False, "false": False}
+"""Accepted flags, in lower case; upper case is accepted too."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """Cell of a log with its location."""
+
+    text: str
+    file: Path | None  # None for a table in Python
+    line: int
+    column: str  # Name of its column
+
+    def label(self) -> str:
+        """Return the text, or raise an error if it is empty or not printable."""
+        cell = self.text.strip()
+        if not cell:
+            raise self.error("the cell is empty", "fill it, or leave the row out")
+        if not cell.isprintable():
+            words = f"{cell!a} has a character that cannot be printed"
+            raise self.error(words, "write letters, digits and signs")
+        return cell
+
+    def number(self) -> float:
+        """Return the cell as a finite number."""
+        cell = self.label()
+        try:
+            # Python reads 1_0 as 10.
+            number = math.nan if "_" in cell else float(cell)
+        except ValueError:
+            remedy = "write a number with a decimal point, such as -61.5"
+            raise self.error(f"{cell!r} is not a number", remedy) from None
+        if not math.isfinite(number):
+            remedy = "remove the row, or mark it censored at the receiver's floor"
+            raise self.error(f"{cell!r} is not a finite number", remedy)
+        return number
+
+    def flag(self) -> bool:
+        """Return the cell as a flag."""
+        flag = FLAGS.get(self.text.strip().lower())
+        if flag is None:
+            raise self.error(f"{self.text.strip()!r} is not a flag", "use 0 or 1")
+        return flag
+
+    def error(self, words: str, remedy: str) -> InputError:
+        """Return an error about the cell."""
+        return InputError(words, file=self.file, key=self.column, row=self.line, remedy=remedy)
+
+
+@dataclass(frozen=True)
+class LogTable:
+    """Named columns of text cells."""
+
+    file: Path | None  # None for a table in Python
+    names: tuple[str, ...]
+    rows: Sequence[tuple[int, Sequence[str]]]  # Line number and cells
+    header_line: int = 1
+    delimiter: str = ","
+
+    def index(self, name: str) -> int:
+        """Return the index of a column; raise an error if it is missing or not unique."""
+        if self.names.count(name) == 1:
+            return self.names.index(name)
+        problem = "appears twice" if name in self.names else "is missing"
+        raise InputError(
+            f"column {name!r} {problem}; the file has {listed(self.names)}",
+            file=self.file,
+            key=name,
+            row=self.header_line,
+            remedy="name columns as the header does; x=NAME,y=NAME,power=NAME for the first three",
+        )
+
+    def cells(self, name: str) -> list[Cell]:
+        """Return the cells of a column."""
+        at = self.index(name)
+        return [Cell(cells[at], self.file, line, name) for line, cells in self.rows]
+
+    def numbers(self, name: str) -> list[Cell]:
+        """Return the cells of a numeric column with decimal points."""
+        cells = self.cells(name)
+        commas = [cell for cell in cells if DECIMAL_COMMA.fullmatch(cell.text.strip())]
+        if not commas:
+            return cells
+        points = next((cell for cell in cells if "." in cell.text), None)
+        if points is not None:
+            raise commas[0].error(
+                f"{commas[0].text.strip()!r} has a comma, and {points.text.strip()!r} in line "
+                f"{points.line} a point",
+                "write all numbers with a decimal point and no thousands separator",
+            )
+        return [
+            Cell(cell.text.replace(",", "."), cell.file, cell.line, cell.column) for cell in cells
+        ]
+
+    def where(self, pairs: Sequence[tuple[str, str]]) -> LogTable:
+        """Return the rows that have these texts in these columns."""
+        wanted = [(self.index(name), text) for name, text in pairs]
+        kept = [
+            (line, cells)
+            for line, cells in self.rows
+            if all(cells[at].strip() == text for at, text in wanted)
+        ]
+        return LogTable(self.file, self.names, kept, self.header_line, self.delimiter)
+
+    @cached_property
+    def folded(self) -> dict[str, str]:
+        """Return the names of columns by their lower case letters and digits."""
+        return {fold(name): name for name in reversed(self.names)}
+
+
+def fold(name: str) -> str:
+    """Return the lower case letters and digits of a name."""
+    return "".join(letter for letter in name.lower() if letter.isalnum())
+
+
+def read_delimited(path: Path, preambles: Sequence[str] = ()) -> LogTable:
+    """Read a table of delimited text; lines before the header may start with `preambles`."""
+    lines = list(_lines(read_text(path), tuple(preambles)))
+    named = EXCEL_DELIMITER.fullmatch(lines[0][1]) if lines else None
+    if named is not None:
+        lines = lines[1:]
+    if not lines:
+        raise InputError("the file is empty", file=path, remedy="a header and rows are needed")
+    delimiter = named[1] if named is not None else _delimiter_of([line for _, line in lines])
+    rows = _split(path, lines, delimiter)
+    header_line, header = next(rows)
+    if len(header) == 1:
+        raise InputError(
+            "the first line has one column",
+            file=path,
+            row=header_line,
+            remedy="save the log as CSV: names of columns, then rows, separated by commas",
+        )
+    names = tuple(name.strip() for name in header)
+    return LogTable(path, names, list(_complete(path, rows, len(names))), header_line, delimiter)
+
+
+def _lines(text: str, preambles: tuple[str, ...]) -> Iterator[tuple[int, str]]:
+    """Yield number and content of the header and of every row."""
+    begun = False
+    for number, line in enumerate(io.StringIO(text, newline=None), start=1):
+        # Tabs at the end of a line are empty cells.
+        stripped = line.strip(" \r\n\v\f")
+        if not stripped.strip() or stripped.startswith("#"):
+            continue
+        if not begun and preambles and stripped.startswith(preambles):
+            continue
+        begun = True
+        yield number, stripped
+
+
+def _delimiter_of(lines: Sequence[str]) -> str:
+    """Return the delimiter that divides the header and all sampled rows alike, and most often."""
+    sample = lines[:SAMPLED_LINES]
+    counts = {each: [_count(line, each) for line in sample] for each in DELIMITERS}
+    found = [each for each in DELIMITERS if counts[each][0] > 1]
+    even = [each for each in found if len(set(counts[each])) == 1]
+    if not found:
+        return BLANKS
+    return max(even or found, key=lambda each: counts[each][0])
+
+
+def _count(line: str, delimiter: str) -> int:
+    try:
+        return len(next(csv.reader([line], delimiter=delimiter, strict=True)))
+    except csv.Error:
+        return 0
+
+
+def _split(
+    path: Path, lines: Sequence[tuple[int, str]], delimiter: str
+) -> Iterator[tuple[int, list[str]]]:
+    """Yield line number and cells of each line."""
+    for number, line in lines:
+        if delimiter == BLANKS:
+            yield number, line.split()
+            continue
+        try:
+            yield number, next(csv.reader([line], delimiter=delimiter, strict=True))
+        except csv.Error as error:
+            raise InputError(
+                f"not a CSV row: {error}",
+                file=path,
+                row=number,
+                remedy="save the log as CSV with commas",
+            ) from error
+
+
+def _complete(
+    path: Path, rows: Iterator[tuple[int, list[str]]], count: int
+) -> Iterator[tuple[int, list[str]]]:
+    """Yield the rows; raise an error for one with another number of cells than the header."""
+    for line, cells in rows:
+        if len(cells) != count:
+            raise InputError(
+                f"{len(cells)} cells where the header has {count}",
+                file=path,
+                row=line,
+                remedy="give each row as many cells as the header",
+            )
+        yield line, cells

@@ -1,0 +1,243 @@
+"""Measurements of power logs; errors name the line and the column.
+
+Rows belong to one group if all grouping columns agree: ``day`` for whole days, ``day,t_s:600``
+for blocks of 600 in the column ``t_s`` within each day.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.logs.log_format import DEFAULT_FORMAT, GroupColumn, LogFormat
+from planopt.channel.logs.log_table import Cell, LogTable
+from planopt.channel.logs.readers import LogColumns, columns_of, read_table, readings_of
+from planopt.channel.logs.times import times_s
+from planopt.channel.measurements import LARGEST_POWER_DBM, LEAST_POWER_DBM, Measurements
+from planopt.errors import InputError, listed
+from planopt.keys import LARGEST_COORDINATE_M
+from planopt.world.geodesy import (
+    FARTHEST_M,
+    LARGEST_LATITUDE_DEG,
+    LARGEST_LONGITUDE_DEG,
+    east_north_m,
+)
+
+RANGES_M = ((-LARGEST_COORDINATE_M, LARGEST_COORDINATE_M, "m"),) * 2
+"""Range and unit of x and of y in metres."""
+
+RANGES_DEG = (
+    (-LARGEST_LONGITUDE_DEG, LARGEST_LONGITUDE_DEG, "degrees"),
+    (-LARGEST_LATITUDE_DEG, LARGEST_LATITUDE_DEG, "degrees"),
+)
+"""Range and unit of longitude and of latitude."""
+
+POWER_RANGE = (LEAST_POWER_DBM, LARGEST_POWER_DBM, "dBm")
+
+ACCURACY_RADIUS = math.sqrt(-2.0 * math.log(1.0 - 0.68))
+"""Radius that contains a position with probability 68 %, as Android reports it, in standard
+deviations of a coordinate."""
+
+
+@dataclass(frozen=True)
+class PowerLog:
+    """Measurements of a log, in the order of its rows."""
+
+    measurements: Measurements
+    # Labels by receiver number, the reference first; empty without a receiver column
+    receivers: tuple[str, ...]
+    columns: LogColumns
+    power_unit: str
+
+
+def read_log(path: Path | str, log_format: LogFormat = DEFAULT_FORMAT) -> Measurements:
+    """Read the measurements of a power log; see :class:`LogFormat` for the options."""
+    return read_power_log(path, log_format).measurements
+
+
+def read_power_log(path: Path | str, log_format: LogFormat = DEFAULT_FORMAT) -> PowerLog:
+    """Read the measurements and the receiver labels of a power log."""
+    table, columns = _selected(Path(path), log_format)
+    return measurements_of(table, columns, log_format)
+
+
+def measurements_of(table: LogTable, columns: LogColumns, log_format: LogFormat) -> PowerLog:
+    """Return the measurements in a table of readings."""
+    named = (columns.x, columns.y, columns.power)
+    cells = [table.numbers(name) for name in named]
+    x, y, power = (np.array([cell.number() for cell in column]) for column in cells)
+    unit = log_format.power_unit or ("mW" if columns.power.lower().endswith("mw") else "dBm")
+    if unit == "mW":
+        power = _from_milliwatts(cells[2], power)
+    censored = np.zeros(len(power), dtype=np.bool_)
+    if log_format.censored_column is not None:
+        censored |= np.array([cell.flag() for cell in table.cells(log_format.censored_column)])
+    if log_format.floor_dbm is not None:
+        censored |= power <= log_format.floor_dbm
+        power = np.maximum(power, log_format.floor_dbm)
+    ranges = (*(RANGES_DEG if columns.in_degrees else RANGES_M), POWER_RANGE)
+    for name, values, (least, largest, words) in zip(named, (x, y, power), ranges, strict=True):
+        outside = np.flatnonzero((values < least) | (values > largest)).tolist()
+        if outside:
+            raise InputError(
+                f"{values[outside[0]]:g} {words} is out of range",
+                file=table.file,
+                key=name,
+                row=table.rows[outside[0]][0],
+                remedy=f"from {least:g} to {largest:g} {words}; correct or remove the row",
+            )
+    labels = _labels(table, log_format.receiver_column)
+    # Receivers are numbered by first appearance.
+    number_of = {label: number for number, label in enumerate(dict.fromkeys(labels))}
+    measurements = Measurements(
+        _positions_m(table, x, y, log_format),
+        power,
+        censored,
+        resolution_db=np.full(len(power), log_format.resolution_db),
+        position_std_m=_position_std_m(table, columns, log_format),
+        time_s=np.zeros(len(power)) if columns.time is None else times_s(table.cells(columns.time)),
+        receiver=np.array([number_of[each] for each in labels], dtype=np.intp),
+    )
+    return PowerLog(measurements, tuple(number_of), columns, unit)
+
+
+def _from_milliwatts(cells: Sequence[Cell], power: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return powers in dBm; zero has no logarithm."""
+    if (power <= 0.0).any():
+        cell = cells[int(np.argmax(power <= 0.0))]
+        raise cell.error("a power in mW should be above 0", "remove the row, or write dBm")
+    return 10.0 * np.log10(power)
+
+
+def _labels(table: LogTable, column: str | None) -> list[str]:
+    return [] if column is None else [cell.label() for cell in table.cells(column)]
+
+
+def _position_std_m(
+    table: LogTable, columns: LogColumns, log_format: LogFormat
+) -> NDArray[np.float64]:
+    """Return the standard deviation of each position, from the accuracy where a row has it."""
+    if columns.accuracy is None:
+        return np.full(len(table.rows), log_format.position_std_m)
+    cells = table.numbers(columns.accuracy)
+    found = np.array(
+        [
+            cell.number() / ACCURACY_RADIUS if cell.text.strip() else log_format.position_std_m
+            for cell in cells
+        ]
+    )
+    if (found < 0.0).any():
+        raise cells[int(np.argmax(found < 0.0))].error("an accuracy is negative", "write metres")
+    return found
+
+
+def _positions_m(
+    table: LogTable, x: NDArray[np.float64], y: NDArray[np.float64], log_format: LogFormat
+) -> NDArray[np.float64]:
+    if log_format.origin_deg is None:
+        return np.column_stack([x, y])
+    positions_m = east_north_m(x, y, log_format.origin_deg)
+    afar = np.flatnonzero(np.isnan(positions_m[:, 0])).tolist()
+    if afar:
+        raise InputError(
+            f"is more than {FARTHEST_M / 1000.0:.0f} km from the origin",
+            file=table.file,
+            row=table.rows[afar[0]][0],
+            remedy="give an origin near the log; x is the longitude, y the latitude",
+        )
+    return positions_m
+
+
+def at_file_line(
+    error: InputError, path: Path | str, log_format: LogFormat = DEFAULT_FORMAT
+) -> InputError:
+    """Convert an error about a measurement's index into one about the log's line."""
+    line = error.row
+    if line is not None:
+        line = _selected(Path(path), log_format)[0].rows[line][0]
+    return InputError(error.message, file=path, key=error.key, row=line, remedy=error.remedy)
+
+
+def read_groups(
+    path: Path | str, columns: Sequence[GroupColumn], log_format: LogFormat = DEFAULT_FORMAT
+) -> NDArray[np.intp]:
+    """Return the group label of each row of a log, in order of first appearance; ``(n,)``.
+
+    Parameters
+    ----------
+    path
+        Log file, as for :func:`planopt.channel.read_log`.
+    columns
+        Grouping columns; at least one.
+    log_format
+        Format of the log, with its row filter.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, a column is missing, a cell is empty, or a cell of a column with
+        blocks is not a number.
+    """
+    table, _ = _selected(Path(path), log_format)
+    labels: dict[tuple[str | int, ...], int] = {}
+    found: list[int] = []
+    cells = [
+        table.cells(each.name) if each.block is None else table.numbers(each.name)
+        for each in columns
+    ]
+    for row in zip(*cells, strict=True):
+        key = tuple(
+            cell.label() if column.block is None else math.floor(cell.number() / column.block)
+            for cell, column in zip(row, columns, strict=True)
+        )
+        found.append(labels.setdefault(key, len(labels)))
+    return np.array(found, dtype=np.intp)
+
+
+def _selected(path: Path, log_format: LogFormat) -> tuple[LogTable, LogColumns]:
+    """Return the rows of a log that pass the format's filter, and its columns."""
+    table = read_table(path)
+    columns = columns_of(table, log_format)
+    for name in (columns.x, columns.y, columns.power):
+        table.index(name)
+    readings = readings_of(table, columns)
+    if not readings.rows:
+        raise InputError(
+            "the file has a header but no rows",
+            file=path,
+            remedy="give a log with at least one measurement",
+        )
+    return rows_of(readings, log_format), columns
+
+
+def rows_of(table: LogTable, log_format: LogFormat) -> LogTable:
+    """Return the rows that pass the format's filter; at least one."""
+    chosen = table.where(log_format.where)
+    if not chosen.rows:
+        raise _no_rows(table, log_format)
+    return chosen
+
+
+def _no_rows(table: LogTable, log_format: LogFormat) -> InputError:
+    """Return the error for a log without rows that pass the filter."""
+    names = [name for name, _ in log_format.where]
+    texts = [listed(sorted({cell.text.strip() for cell in table.cells(name)})) for name in names]
+    return InputError(
+        "no row has " + " and ".join(f"{name}={text}" for name, text in log_format.where),
+        file=table.file,
+        remedy="; ".join(f"{name} has {has}" for name, has in zip(names, texts, strict=True)),
+    )
+
+
+def labels_of(table: LogTable, column: str) -> dict[str, int]:
+    """Return the labels in a column of a table with the number of their rows, frequent first."""
+    counts: dict[str, int] = {}
+    for cell in table.cells(column):
+        label = cell.label()
+        counts[label] = counts.get(label, 0) + 1
+    return dict(sorted(counts.items(), key=lambda item: -item[1]))

@@ -1,0 +1,1 @@
+"""Declarations of the logs that known programs write, one module each."""

@@ -1,0 +1,643 @@
+"""Draft of a problem file from a power log and an occupancy map.
+
+Everything that neither the files nor the caller say is detected or assumed. Each assumption is a
+sentence of the draft and a comment in the problem file.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import tomllib
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planopt.channel.channel_map import default_cell_m, measured_bounds_m
+from planopt.channel.estimation.channel_fit import ChannelFit
+from planopt.channel.estimation.fit import fit_channel, floor_pile_dbm
+from planopt.channel.estimation.station_fit import MIN_UNCENSORED, fit_channel_and_station
+from planopt.channel.logs.log_format import LogFormat, parse_station
+from planopt.channel.logs.log_table import LogTable
+from planopt.channel.logs.power_log import PowerLog, labels_of, measurements_of, rows_of
+from planopt.channel.logs.readers import alias, columns_of, read_table, readings_of
+from planopt.channel.measurements import Measurements
+from planopt.channel.parameters import Station
+from planopt.errors import InputError, listed
+from planopt.files.toml_text import toml_text
+from planopt.problems.plausibility import grid_warnings, log_warnings
+from planopt.problems.problem import Problem, problem_from_tables
+from planopt.problems.schema import MAX_STATIONS, SCHEMA_VERSION
+from planopt.world.clearance import clearance_m, index_obstacles, inside_bounds
+from planopt.world.geodesy import Origin, east_north_m
+from planopt.world.occupancy import OccupancyGrid, grid_obstacles, is_grid, read_grid
+from planopt.world.readers import read_obstacles
+from planopt.world.workspace import Workspace
+
+FEWEST_READINGS = 20
+"""Minimum number of readings of a transmitter that becomes a station."""
+
+ABOVE_FLOOR_DB = 10.0
+"""Assumed margin of the connection threshold above the weakest power of the log."""
+
+STEP_SHARE = 0.02
+"""Length of a step as a share of the diagonal of the world."""
+
+ROUND_STEPS = (1.0, 2.0, 5.0)
+"""Leading digits of the length of a step."""
+
+ROUTE_DIAGONALS = 6.0
+"""Length of the longest run in diagonals of the world."""
+
+MARGIN_SHARE = 0.1
+"""Margin of the world around log, start and goal as a share of their extent, without a map."""
+
+TRANSMIT_POWER_DBM = 20.0
+"""Assumed transmit power; plans do not depend on it, since the log has received powers."""
+
+SEARCHED_CELLS = 200
+"""Number of positions along the longer side of the world among which a free one is searched."""
+
+Bounds = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class DraftSettings:
+    """Values of a draft that files do not contain; None for values that are assumed."""
+
+    start: str  # X,Y in metres or LAT,LON in degrees
+    goal: str
+    stations: tuple[str, ...] = ()  # POSITION, or NAME=POSITION of a transmitter
+    transmitters: tuple[str, ...] = ()  # Transmitters that become stations; empty: detected
+    threshold_dbm: float | None = None
+    p_min: float = 0.9
+    speed_m_s: float | None = None
+    clearance_m: float | None = None
+    name: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class DraftStation:
+    """Transmitter of a log with its readings and position."""
+
+    name: str
+    label: str | None  # Text in the column of transmitters
+    measurements: Measurements
+    fit: ChannelFit
+    is_given: bool  # Whether the position is given, not estimated
+
+    @property
+    def position_std_m(self) -> float:
+        """Return the standard deviation of the estimated position: the larger axis."""
+        covariance = self.fit.station_covariance_m2
+        if covariance is None:
+            return 0.0
+        largest = np.linalg.eigvalsh(covariance).max() if np.isfinite(covariance).all() else np.inf
+        return float(np.sqrt(largest))
+
+
+@dataclass(frozen=True, eq=False)
+class Draft:
+    """Problem file made from a log and a map.
+
+    Attributes
+    ----------
+    text
+        Content of the problem file.
+    problem
+        Problem that the file defines.
+    grid
+        Occupancy grid of the map; None without one.
+    stations
+        Transmitters with readings and positions.
+    assumptions
+        What was detected or assumed, one sentence each.
+    warnings
+        What is implausible or uncertain.
+    """
+
+    text: str
+    problem: Problem
+    grid: OccupancyGrid | None
+    stations: tuple[DraftStation, ...]
+    assumptions: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def is_determined(self) -> bool:
+        """Return whether the log determines all channels and positions."""
+        return all(each.fit.status != "degenerate" for each in self.stations)
+
+
+@dataclass
+class _Notes:
+    """Assumptions and warnings that are collected while a draft is made."""
+
+    assumptions: list[str] = field(default_factory=list[str])
+    warnings: list[str] = field(default_factory=list[str])
+
+    def assume(self, *sentences: str) -> None:
+        self.assumptions += sentences
+
+    def warn(self, *sentences: str) -> None:
+        self.warnings += [each for each in sentences if each not in self.warnings]
+
+
+def draft_problem(
+    log: Path | str,
+    file: Path | str,
+    settings: DraftSettings,
+    *,
+    map_file: Path | str | None = None,
+    log_format: LogFormat | None = None,
+    transmitter_column: str | None = None,
+) -> Draft:
+    """Draft the problem of reaching a goal from a log and a map.
+
+    Parameters
+    ----------
+    log
+        Power log, as for :func:`planopt.channel.read_log`.
+    file
+        Problem file to be written; the names of log and map in it are relative to its folder.
+    settings
+        Start, goal and further values.
+    map_file
+        Occupancy grid or obstacles; without it, the world is empty and extends around the log.
+    log_format
+        Columns, units and origin of the log; by default everything is detected.
+    transmitter_column
+        Column of the log that names the transmitter; detected by default.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, something is missing that cannot be detected, or start or goal are
+        not free.
+    """
+    log, file, notes = Path(log), Path(file), _Notes()
+    map_path = None if map_file is None else Path(map_file)
+    table, log_format = _read(log, log_format or LogFormat(), map_path, notes)
+    column, labels = _transmitters(table, transmitter_column, settings, notes)
+    powers = {label: _readings(table, log_format, column, label) for label in labels}
+    log_format = _with_details(log_format, list(powers.values()), notes)
+    powers = {label: _readings(table, log_format, column, label) for label in labels}
+    pooled = np.concatenate([each.measurements.positions_m for each in powers.values()])
+    for each in powers.values():
+        notes.warn(*log_warnings(each))
+    positions = _given_stations(settings.stations, labels, log_format.origin_deg)
+    stations = [
+        _station(label, each.measurements, positions.get(label), number, notes)
+        for number, (label, each) in enumerate(powers.items())
+    ]
+    grid = read_grid(map_path) if map_path is not None and is_grid(map_path) else None
+    start, goal = (
+        _place(text, f"--{key}", log_format.origin_deg, pooled, grid, notes)
+        for key, text in (("start", settings.start), ("goal", settings.goal))
+    )
+    workspace = _workspace(map_path, grid, pooled, (start, goal), notes)
+    _check_alignment(workspace, pooled, notes)
+    tables, comments = _tables(
+        (log, map_path, file),
+        log_format,
+        column,
+        stations,
+        (start, goal),
+        workspace,
+        settings,
+        notes,
+    )
+    heading = "\n".join(
+        f"# {line}"
+        for line in (
+            "Made by planopt import. Assumptions:",
+            *(f"- {each}" for each in notes.assumptions),
+        )
+    )
+    text = f"{heading}\n\n{toml_text(tables, comments)}"
+    folder = file.absolute().parent
+    problem = problem_from_tables(tomllib.loads(text), folder=folder, file=file)
+    return Draft(
+        text, problem, grid, tuple(stations), tuple(notes.assumptions), tuple(notes.warnings)
+    )
+
+
+def _read(
+    log: Path, log_format: LogFormat, map_path: Path | None, notes: _Notes
+) -> tuple[LogTable, LogFormat]:
+    """Return the readings of a log, and the format with its columns and an origin."""
+    table = read_table(log)
+    if log_format.origin_deg is None:
+        # Any origin reveals whether positions are in degrees.
+        trial = columns_of(table, replace(log_format, origin_deg=(0.0, 0.0)))
+        plain = alias(table, "x") is not None and alias(table, "y") is not None
+        if trial.in_degrees and not plain and log_format.columns[0] is None:
+            log_format = _with_origin(table, trial.x, trial.y, log_format, map_path, notes)
+    columns = columns_of(table, log_format)
+    missing = [name for name in (columns.x, columns.y, columns.power) if name not in table.names]
+    if missing:
+        raise InputError(
+            f"there is no column {' or '.join(missing)}; the file has {listed(table.names)}",
+            file=log,
+            row=table.header_line,
+            remedy="name it with --columns x=NAME,y=NAME,power=NAME",
+        )
+    unit = "degrees" if columns.in_degrees else "metres"
+    who = "" if columns.reader is None else f"{columns.reader.name} log: "
+    delimiter = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
+    notes.assume(
+        f"{who}columns {columns.x}, {columns.y} ({unit}) and {columns.power}, separated by "
+        f"{delimiter.get(table.delimiter, table.delimiter)}",
+    )
+    readings = readings_of(table, columns)
+    if len(readings.rows) < len(table.rows):
+        notes.assume(
+            f"{len(table.rows) - len(readings.rows)} of {len(table.rows)} rows are no readings "
+            "with a position"
+        )
+    if not readings.rows:
+        raise InputError("has no readings", file=log, remedy="give a log with at least one row")
+    return readings, replace(log_format, columns=(columns.x, columns.y, columns.power))
+
+
+def _with_origin(
+    table: LogTable, x: str, y: str, log_format: LogFormat, map_path: Path | None, notes: _Notes
+) -> LogFormat:
+    """Return the format with the first position as origin; a map needs a given one."""
+    table.index(x)
+    table.index(y)
+    if not table.rows:
+        raise InputError("has no readings", file=table.file, remedy="give at least one row")
+    longitude, latitude = table.numbers(x)[0].number(), table.numbers(y)[0].number()
+    if map_path is not None:
+        raise InputError(
+            f"columns {x} and {y} are in degrees, and the map is in metres",
+            file=table.file,
+            key="--origin",
+            row=table.header_line,
+            remedy="give the latitude and longitude of the map's point (0, 0); the first row is at "
+            f"{latitude:g},{longitude:g}",
+        )
+    notes.assume(f"the origin is the first position of the log, {latitude:.7f},{longitude:.7f}")
+    return replace(log_format, origin_deg=(latitude, longitude))
+
+
+def _transmitters(
+    table: LogTable, column: str | None, settings: DraftSettings, notes: _Notes
+) -> tuple[str | None, list[str]]:
+    """Return the column of transmitters and the labels of those that become stations."""
+    if column is None:
+        column = alias(table, "transmitter")
+        if column is None:
+            notes.assume("all readings are of one transmitter")
+            return None, ["station"]
+        notes.assume(f"column {column} names the transmitter")
+    counts = labels_of(table, column)
+    unknown = [label for label in settings.transmitters if label not in counts]
+    if unknown:
+        raise InputError(
+            f"no row has {column}={unknown[0]}",
+            file=table.file,
+            key="--transmitter",
+            remedy=f"{column} has {listed(counts)}",
+        )
+    if settings.transmitters:
+        return column, list(settings.transmitters)
+    kept = [label for label, count in counts.items() if count >= FEWEST_READINGS][:MAX_STATIONS]
+    if not kept:
+        raise InputError(
+            f"no transmitter has {FEWEST_READINGS} readings; the most, {max(counts.values())}, "
+            f"has {next(iter(counts))}",
+            file=table.file,
+            key=column,
+            remedy="name another column with --transmitter-column, or give a longer log",
+        )
+    if len(kept) < len(counts):
+        notes.assume(
+            f"{len(counts) - len(kept)} of {len(counts)} transmitters are left out: at most "
+            f"{MAX_STATIONS} with at least {FEWEST_READINGS} readings are used (choose them with "
+            "--transmitter)"
+        )
+    return column, kept
+
+
+def _readings(table: LogTable, log_format: LogFormat, column: str | None, label: str) -> PowerLog:
+    """Return the readings of one transmitter."""
+    where = log_format.where if column is None else (*log_format.where, (column, label))
+    chosen = replace(log_format, where=where)
+    rows = rows_of(table, chosen)
+    return measurements_of(rows, columns_of(rows, chosen), chosen)
+
+
+def _with_details(log_format: LogFormat, logs: Sequence[PowerLog], notes: _Notes) -> LogFormat:
+    """Return the format with floor and rounding step, if the powers show them."""
+    power = np.concatenate([each.measurements.power_dbm for each in logs])
+    if logs[0].power_unit != "dBm":
+        notes.assume(f"powers are in {logs[0].power_unit}")
+    else:
+        notes.assume(f"powers are in dBm, from {power.min():g} to {power.max():g}")
+    if log_format.floor_dbm is None and log_format.censored_column is None:
+        floor = floor_pile_dbm(power)
+        if floor is not None:
+            notes.assume(
+                f"the receiver's floor is {floor:g} dBm, since so many readings have this least "
+                "power; they are upper limits"
+            )
+            log_format = replace(log_format, floor_dbm=floor)
+    if log_format.resolution_db == 0.0 and len(power) > 1 and (power == np.round(power)).all():
+        notes.assume("powers are rounded to 1 dB")
+        log_format = replace(log_format, resolution_db=1.0)
+    return log_format
+
+
+def _given_stations(
+    texts: Sequence[str], labels: Sequence[str], origin_deg: Origin | None
+) -> dict[str, Station]:
+    """Return the given positions of transmitters by label."""
+    found: dict[str, Station] = {}
+    for text in texts:
+        label, equals, position = text.rpartition("=")
+        if not equals:
+            if len(labels) != 1:
+                raise InputError(
+                    f"{text!r} does not say of which transmitter",
+                    key="--station",
+                    remedy=f"write {labels[0]}={text}; the log has {listed(labels)}",
+                )
+            label = labels[0]
+        if label not in labels:
+            raise InputError(
+                f"the log has no transmitter {label!r}",
+                key="--station",
+                remedy=f"it has {listed(labels)}",
+            )
+        station = parse_station(position, origin_deg)
+        if station is not None:
+            found[label] = station
+    return found
+
+
+def _station(
+    label: str, measurements: Measurements, given: Station | None, number: int, notes: _Notes
+) -> DraftStation:
+    """Return a station with the fit of its channel, and its position if it is not given."""
+    name = re.sub(r"[^A-Za-z0-9_-]+", "-", label).strip("-")[:40] or f"station_{number + 1}"
+    if given is None and int((~measurements.censored).sum()) < MIN_UNCENSORED:
+        raise InputError(
+            f"{label}: fewer than {MIN_UNCENSORED} readings above the receiver's floor do not show "
+            "where it is",
+            key="--station",
+            remedy=f"give --station {label}=X,Y, or select others with --transmitter",
+        )
+    fit = (
+        fit_channel_and_station(measurements) if given is None else fit_channel(measurements, given)
+    )
+    found = DraftStation(name, label, measurements, fit, given is not None)
+    x, y = fit.parameters.station.position_m
+    if given is None:
+        notes.assume(
+            f"{label} is at ({x:.1f}, {y:.1f}) m, located from {len(measurements)} readings with a "
+            f"standard deviation of {found.position_std_m:.2g} m"
+        )
+    notes.warn(*(f"{label}: {warning}" for warning in fit.warnings if not _is_estimate(warning)))
+    return found
+
+
+def _is_estimate(warning: str) -> bool:
+    """Return whether a warning only says that the position is estimated."""
+    return "position" in warning and "estimated" in warning
+
+
+def _place(
+    text: str,
+    key: str,
+    origin_deg: Origin | None,
+    near_m: np.ndarray[Any, np.dtype[np.float64]],
+    grid: OccupancyGrid | None,
+    notes: _Notes,
+) -> tuple[float, float]:
+    """Parse a position in metres, or in degrees if it is then within the log or the map."""
+    match = re.fullmatch(r"\s*([^,\s]+)\s*,\s*([^,\s]+?)\s*(m|deg)?\s*", text)
+    try:
+        first, second = (float(part) for part in (match.groups()[:2] if match else ("", "")))
+    except ValueError:
+        first = second = math.nan
+    if match is None or not math.isfinite(first + second):
+        raise InputError(
+            f"cannot read {text!r}",
+            key=key,
+            remedy="write X,Y in metres, or LAT,LON in degrees with --origin",
+        )
+    if match[3] == "deg" and origin_deg is None:
+        raise InputError(
+            f"{text!r} is in degrees, and the map has no origin",
+            key=key,
+            remedy="give --origin LAT,LON, or X,Y in metres",
+        )
+    if match[3] == "m" or origin_deg is None:
+        return first, second
+    (place,) = east_north_m(np.array([second]), np.array([first]), origin_deg)
+    low, high = near_m.min(axis=0), near_m.max(axis=0)
+    if grid is not None:
+        rows, columns = grid.occupied.shape
+        corner = np.array(grid.origin_m)
+        low = np.minimum(low, corner)
+        high = np.maximum(high, corner + grid.resolution_m * np.array([columns, rows]))
+    extent = high - low
+    is_near = bool((place >= low - extent).all() and (place <= high + extent).all())
+    if match[3] == "deg" or is_near:
+        x, y = place.tolist()
+        if match[3] is None:
+            notes.assume(f"{key} {text} is in degrees: ({x:.1f}, {y:.1f}) m")
+        return round(x, 3), round(y, 3)
+    return first, second
+
+
+def _workspace(
+    map_path: Path | None,
+    grid: OccupancyGrid | None,
+    positions_m: np.ndarray[Any, np.dtype[np.float64]],
+    places: Sequence[tuple[float, float]],
+    notes: _Notes,
+) -> Workspace:
+    """Return the world: the extent of the grid, or of everything that is known."""
+    if grid is not None and map_path is not None:
+        rows, columns = grid.occupied.shape
+        (x, y), side = grid.origin_m, grid.resolution_m
+        unknown = float(grid.unknown.mean())
+        notes.warn(*grid_warnings(map_path.name, grid))
+        if unknown > 0.0:
+            notes.assume(f"unknown cells ({unknown:.0%} of the map) are occupied")
+        return Workspace(
+            (x, y, x + side * columns, y + side * rows), grid_obstacles(grid, map_path.stem)
+        )
+    obstacles = () if map_path is None else read_obstacles(map_path)
+    known = Measurements(
+        np.vstack([positions_m, np.array(places)]), np.zeros(len(positions_m) + len(places))
+    )
+    x_min, y_min, x_max, y_max = measured_bounds_m(known)
+    margin = MARGIN_SHARE * max(x_max - x_min, y_max - y_min)
+    bounds = (x_min - margin, y_min - margin, x_max + margin, y_max + margin)
+    bounds = tuple(round(each, 1) for each in bounds)
+    notes.assume(
+        f"the world extends around log, start and goal: {', '.join(f'{b:g}' for b in bounds)}"
+        + ("; there are no obstacles (give --map)" if map_path is None else "")
+    )
+    return Workspace(bounds, obstacles)
+
+
+def _check_alignment(
+    workspace: Workspace, positions_m: np.ndarray[Any, np.dtype[np.float64]], notes: _Notes
+) -> None:
+    """Warn if the log lies outside the map or on obstacles."""
+    inside = inside_bounds(workspace, positions_m)
+    if not inside.all():
+        notes.warn(
+            f"{1.0 - inside.mean():.0%} of the readings lie outside the map (check --origin and "
+            "the origin of the map)"
+        )
+    if inside.any() and workspace.obstacles:
+        away = clearance_m(index_obstacles(workspace), positions_m[inside])
+        blocked = float((away <= 0.0).mean())
+        if blocked > 0.0:
+            notes.warn(
+                f"{blocked:.1%} of the readings on the map lie on occupied or unknown cells (check "
+                "--origin and the direction of the map's axes: x should be east, y north)"
+            )
+
+
+def _tables(
+    files: tuple[Path, Path | None, Path],
+    log_format: LogFormat,
+    column: str | None,
+    stations: Sequence[DraftStation],
+    places: tuple[tuple[float, float], tuple[float, float]],
+    workspace: Workspace,
+    settings: DraftSettings,
+    notes: _Notes,
+) -> tuple[dict[str, Any], dict[str, str]]:
+    """Return the tables of the problem file and comments on assumed values."""
+    log, map_path, file = files
+    folder = file.absolute().parent
+    x_min, y_min, x_max, y_max = workspace.bounds_m
+    diagonal = math.hypot(x_max - x_min, y_max - y_min)
+    speed = 1.0 if settings.speed_m_s is None else settings.speed_m_s
+    clearance = 0.3 if settings.clearance_m is None else settings.clearance_m
+    step = _rounded(STEP_SHARE * diagonal)
+    _require_free(workspace, places, clearance)
+    weakest = min(float(each.measurements.power_dbm.min()) for each in stations)
+    threshold = weakest + ABOVE_FLOOR_DB
+    if settings.threshold_dbm is not None:
+        threshold = settings.threshold_dbm
+    else:
+        notes.assume(
+            f"a robot is connected from {threshold:g} dBm on, {ABOVE_FLOOR_DB:g} dB above the "
+            "weakest reading (--threshold)"
+        )
+    if settings.speed_m_s is None:
+        notes.assume(f"the robot drives at {speed:g} m/s (--speed)")
+    if settings.clearance_m is None:
+        notes.assume(f"its centre keeps {clearance:g} m from obstacles (--clearance)")
+    notes.assume(
+        f"steps are {step:g} m long, P(connected) should be at least {settings.p_min:g}",
+        f"transmit powers are {TRANSMIT_POWER_DBM:g} dBm; plans do not depend on them",
+        "simulations draw the channel from its fit to the log",
+    )
+    obstacles = [] if map_path is None else [{"file": _relative(map_path, folder)}]
+    tables: dict[str, Any] = {
+        "problem": {
+            "schema": SCHEMA_VERSION,
+            "name": settings.name or re.sub(r"[^A-Za-z0-9_-]+", "_", file.stem) or "problem",
+            "task": "reach",
+            "description": f"Made from {log.name}"
+            + ("" if map_path is None else f" and {map_path.name}")
+            + ".",
+        },
+        "world": {"bounds_m": list(workspace.bounds_m), "obstacles": obstacles},
+        "channel": {
+            "truth": {"kind": "fitted", "cell_m": default_cell_m(workspace.bounds_m)},
+            "measurements": {
+                "file": _relative(log, folder),
+                "transmitter_column": column,
+                **log_format.to_keys(),
+                "spacing_m": step,
+            },
+        },
+        "stations": [
+            {
+                "name": each.name,
+                "transmitter": None if column is None else each.label,
+                "position_m": [round(float(x), 2) for x in each.fit.parameters.station.position_m],
+                "height_m": each.fit.parameters.station.height_m,
+                "transmit_power_dbm": TRANSMIT_POWER_DBM,
+                "threshold_dbm": threshold,
+            }
+            for each in stations
+        ],
+        "robots": [
+            {
+                "name": "robot",
+                "start_m": list(places[0]),
+                "goal_m": list(places[1]),
+                "speed_max_m_s": speed,
+            }
+        ],
+        "constraints": {"p_min": settings.p_min, "clearance_m": clearance},
+        "planner": {
+            "name": "auto",
+            "horizon": 10,
+            "step_s": step / speed,
+            "max_steps": math.ceil(ROUTE_DIAGONALS * diagonal / step),
+        },
+    }
+    comments = {
+        "planner.step_s": f"{step:g} m a step",
+        "stations.transmit_power_dbm": "assumed; plans do not depend on it",
+    }
+    if log_format.origin_deg is not None:
+        comments["channel.measurements.origin_deg"] = "latitude and longitude of (0, 0)"
+    if settings.threshold_dbm is None:
+        comments["stations.threshold_dbm"] = "assumed"
+    return tables, comments
+
+
+def _rounded(length_m: float) -> float:
+    """Return the nearest length with the digit 1, 2 or 5."""
+    tens = 10.0 ** math.floor(math.log10(length_m))
+    choices = [digit * tens * scale for scale in (1.0, 10.0) for digit in ROUND_STEPS]
+    return float(f"{min(choices, key=lambda each: abs(math.log(each / length_m))):.1g}")
+
+
+def _relative(path: Path, folder: Path) -> str:
+    """Return a path relative to a folder, with forward slashes."""
+    return Path(os.path.relpath(path.absolute(), folder)).as_posix()
+
+
+def _require_free(
+    workspace: Workspace, places: Sequence[tuple[float, float]], clearance: float
+) -> None:
+    """Raise an error with the nearest free position if start or goal is not free."""
+    index = index_obstacles(workspace)
+    for key, place in zip(("--start", "--goal"), places, strict=True):
+        at = np.array([place])
+        if inside_bounds(workspace, at).all() and clearance_m(index, at)[0] >= clearance:
+            continue
+        x_min, y_min, x_max, y_max = workspace.bounds_m
+        side = max(x_max - x_min, y_max - y_min) / SEARCHED_CELLS
+        x, y = np.arange(x_min, x_max, side), np.arange(y_min, y_max, side)
+        nodes = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        free = nodes[clearance_m(index, nodes) >= clearance]
+        where = (
+            "outside the map"
+            if not inside_bounds(workspace, at).all()
+            else (f"less than the clearance of {clearance:g} m from an obstacle or unknown space")
+        )
+        nearest = "there is no free position; lessen --clearance"
+        if len(free):
+            x, y = free[np.argmin(np.linalg.norm(free - at, axis=1))].tolist()
+            nearest = f"the nearest free position is {x:.2f},{y:.2f}"
+        raise InputError(f"({place[0]:g}, {place[1]:g}) m is {where}", key=key, remedy=nearest)

@@ -1,0 +1,136 @@
+"""Positions in degrees (WGS 84) and metres east and north of an origin.
+
+Positions on the ellipsoid are projected orthogonally onto the tangent plane at the origin
+(``+proj=ortho +ellps=WGS84`` of PROJ). A distance d from the origin comes out too short by
+d^3 / (6 R^2), R the earth's radius: 4 mm at 10 km, 4 m at 100 km.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.errors import InputError
+
+LARGEST_LATITUDE_DEG, LARGEST_LONGITUDE_DEG = 90.0, 180.0
+
+EQUATOR_RADIUS_M = 6_378_137.0
+FLATTENING = 1.0 / 298.257223563
+
+FARTHEST_M = 100_000.0
+"""Maximum distance from the origin."""
+
+INVERSE_STEPS = 6
+"""Newton steps of the inverse projection; four reach rounding at `FARTHEST_M`."""
+
+Origin = tuple[float, float]
+"""Latitude and longitude in degrees of the position (0, 0)."""
+
+
+def parse_origin(text: str, key: str = "--origin") -> Origin:
+    """Parse ``LAT,LON`` in degrees."""
+    try:
+        latitude, longitude = (float(part) for part in text.split(","))
+    except ValueError:
+        latitude = longitude = math.nan
+    return require_origin((latitude, longitude), key, text)
+
+
+def require_origin(origin_deg: Origin, key: str, shown: object = None) -> Origin:
+    """Return a valid origin, or raise an InputError; a pole has no east."""
+    latitude, longitude = origin_deg
+    if not (abs(latitude) < LARGEST_LATITUDE_DEG and abs(longitude) <= LARGEST_LONGITUDE_DEG):
+        raise InputError(
+            f"cannot read {origin_deg if shown is None else shown!r}",
+            key=key,
+            remedy="write LAT,LON in degrees, south and west negative",
+        )
+    return latitude, longitude
+
+
+def east_north_m(
+    longitude_deg: NDArray[np.float64], latitude_deg: NDArray[np.float64], origin_deg: Origin
+) -> NDArray[np.float64]:
+    """Project positions onto the tangent plane at the origin; NaN beyond `FARTHEST_M`."""
+    # Shapes: longitude_deg, latitude_deg (n,); returns (n, 2).
+    axes = _axes(origin_deg)
+    away = _geocentric_m(np.radians(longitude_deg), np.radians(latitude_deg))
+    latitude, longitude = np.radians(origin_deg)
+    away -= _geocentric_m(longitude, latitude)
+    plane = away @ axes.T
+    plane[np.linalg.norm(away, axis=-1) > FARTHEST_M] = np.nan
+    return plane
+
+
+def longitude_latitude_deg(
+    positions_m: NDArray[np.float64], origin_deg: Origin
+) -> NDArray[np.float64]:
+    """Return longitudes and latitudes of positions east and north of the origin; ``(n, 2)``.
+
+    This inverts :func:`east_north_m` by Newton's method.
+    """
+    axes = _axes(origin_deg)
+    latitude, longitude = (np.full(len(positions_m), value) for value in np.radians(origin_deg))
+    start = _geocentric_m(*np.radians(origin_deg)[::-1])
+    for _ in range(INVERSE_STEPS):
+        error = positions_m - (_geocentric_m(longitude, latitude) - start) @ axes.T
+        # Unit vectors east and north at the estimate, seen in the plane
+        east = np.stack([-np.sin(longitude), np.cos(longitude), np.zeros_like(longitude)], axis=-1)
+        north = np.stack(
+            [
+                -np.sin(latitude) * np.cos(longitude),
+                -np.sin(latitude) * np.sin(longitude),
+                np.cos(latitude),
+            ],
+            axis=-1,
+        )
+        seen = np.stack([east @ axes.T, north @ axes.T], axis=-1)
+        moved = np.linalg.solve(seen, error[..., None])[..., 0]
+        across, along = _radii_m(latitude)
+        longitude = longitude + moved[:, 0] / (across * np.cos(latitude))
+        latitude = latitude + moved[:, 1] / along
+    degrees = np.degrees(np.stack([longitude, latitude], axis=-1))
+    degrees[:, 0] = (degrees[:, 0] + 180.0) % 360.0 - 180.0
+    return degrees
+
+
+def _axes(origin_deg: Origin) -> NDArray[np.float64]:
+    """Return the geocentric unit vectors east and north at the origin; ``(2, 3)``."""
+    latitude, longitude = np.radians(origin_deg)
+    east = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
+    up = np.array(
+        [
+            np.cos(latitude) * np.cos(longitude),
+            np.cos(latitude) * np.sin(longitude),
+            np.sin(latitude),
+        ]
+    )
+    return np.stack([east, np.cross(up, east)])
+
+
+def _radii_m(
+    latitude: NDArray[np.float64] | np.float64,
+) -> tuple[NDArray[np.float64] | np.float64, NDArray[np.float64] | np.float64]:
+    """Return the radii of curvature across the meridian and along it."""
+    squared_eccentricity = FLATTENING * (2.0 - FLATTENING)
+    root = np.sqrt(1.0 - squared_eccentricity * np.sin(latitude) ** 2)
+    across = EQUATOR_RADIUS_M / root
+    return across, across * (1.0 - squared_eccentricity) / root**2
+
+
+def _geocentric_m(
+    longitude: NDArray[np.float64] | np.float64, latitude: NDArray[np.float64] | np.float64
+) -> NDArray[np.float64]:
+    """Return geocentric coordinates of positions at height zero; ``(..., 3)``."""
+    squared_eccentricity = FLATTENING * (2.0 - FLATTENING)
+    normal, _ = _radii_m(latitude)
+    return np.stack(
+        [
+            normal * np.cos(latitude) * np.cos(longitude),
+            normal * np.cos(latitude) * np.sin(longitude),
+            normal * (1.0 - squared_eccentricity) * np.sin(latitude),
+        ],
+        axis=-1,
+    )

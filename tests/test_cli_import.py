@@ -1,0 +1,263 @@
+"""``planopt import``: from a map and a log to a problem file that can be solved as it is."""
+
+import itertools
+import json
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import planopt
+from planopt.channel import scattered_field_db
+from planopt.cli import main
+from planopt.world.geodesy import longitude_latitude_deg
+
+ORIGIN = (48.1374, 11.5755)
+SITES = {"aa:01": (5.0, 30.0), "aa:02": (75.0, 22.0)}
+START, GOAL = "-12,-4", "50,43"
+RESOLUTION = 0.5
+
+
+def yard_image() -> np.ndarray:
+    """A yard of 80 m by 60 m with two buildings, and unknown space beyond a fence in the east."""
+    image = np.full((120, 160), 254, dtype=np.uint8)
+    image[40:80, 50:70] = 0
+    image[20:60, 105:115] = 0
+    image[:, 150:] = 205
+    return image
+
+
+def readings() -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """A drive around the buildings in the map's frame, and the rounded powers of both masts."""
+    generator = np.random.default_rng(5)
+    along = np.linspace(0.0, 1.0, 30)[:, None]
+    corners = np.array([(5, 5), (72, 5), (72, 55), (45, 55), (45, 12), (20, 12), (20, 55), (5, 55)])
+    parts = [a + along * (b - a) for a, b in itertools.pairwise(corners)]
+    drive = np.vstack([*parts, [[5.0, 50.0], [8.0, 20.0]]])
+    powers = {}
+    for name, site in SITES.items():
+        distance = np.maximum(np.hypot(*(drive - site).T), 1.0)
+        power = -32.0 - 26.0 * np.log10(distance) + generator.normal(0, 1.0, len(drive))
+        power += scattered_field_db(
+            drive, shadow_std_db=2.0, decorrelation_m=6.0, generator=generator
+        )
+        powers[name] = np.maximum(np.round(power), -84.0)
+    # The map's origin is its pixel (40, 20)
+    return drive - (20.0, 10.0), powers
+
+
+@pytest.fixture(scope="module")
+def yard(tmp_path_factory) -> Path:
+    """Map, a log in degrees, the same log in metres with semicolons, and that of one mast."""
+    folder = tmp_path_factory.mktemp("yard")
+    Image.fromarray(yard_image()).save(folder / "yard.pgm")
+    (folder / "yard.yaml").write_text(
+        f"image: yard.pgm\nresolution: {RESOLUTION}\norigin: [-20.0, -10.0, 0.0]\n"
+        "negate: 0\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+    )
+    places, powers = readings()
+    degrees = longitude_latitude_deg(places, ORIGIN)
+    lines, metres = ["stamp,lat,lon,rssi,BSSID"], ["Zeit;x;y;RSSI"]
+    for row, ((longitude, latitude), (x, y)) in enumerate(zip(degrees, places, strict=True)):
+        for name, power in powers.items():
+            stamp = f"2026-03-14T09:{row // 60:02}:{row % 60:02}"
+            lines.append(f"{stamp},{latitude:.7f},{longitude:.7f},{power[row]:.0f},{name}")
+        metres.append(f"{row};{x:.2f};{y:.2f};{powers['aa:01'][row]:.1f}".replace(".", ","))
+    lines += ["2026-03-14T10:00:00,48.1374,11.5755,-80,bb:03"] * 3
+    (folder / "log.csv").write_text("\n".join(lines))
+    (folder / "metres.csv").write_text("\n".join(metres))
+    return folder
+
+
+def imported(capsys, *arguments: object, code: int = 0) -> dict:
+    """The JSON object of the command."""
+    assert main(["import", *map(str, arguments), "--json"]) == code
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.fixture(scope="module")
+def made(yard: Path) -> Path:
+    """The problem file of both masts."""
+    out = yard / "mine.toml"
+    code = main(
+        ["import", "--map", str(yard / "yard.yaml"), "--log", str(yard / "log.csv")]
+        + ["--origin", "48.1374,11.5755", "--transmitter-column", "BSSID"]
+        + ["--start", START, "--goal", GOAL, "--out", str(out), "--json"]
+    )
+    assert code == 0
+    return out
+
+
+def test_a_map_and_a_log_become_a_plan(made: Path, capsys) -> None:
+    """Three commands, no editing: the plan is verified and checked."""
+    assert main(["solve", str(made), "--out", str(made.parent / "plan"), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["verdict"] == "verified"
+    assert main(["check", str(made.parent / "plan")]) == 0
+
+
+def test_what_the_problem_says(made: Path, yard: Path) -> None:
+    """Both masts near where they are, one log without repetition, unknown space an obstacle."""
+    problem = planopt.load(made)
+    assert [station.name for station in problem.stations] == ["aa-01", "aa-02"]
+    for station, site in zip(problem.stations, SITES.values(), strict=True):
+        away = np.array(station.position_m) - (np.array(site) - (20.0, 10.0))
+        assert np.hypot(*away) < 8.0
+    assert problem.workspace.bounds_m == (-20.0, -10.0, 60.0, 50.0)
+    area = sum(each.polygon.area for each in problem.workspace.obstacles)
+    assert area == pytest.approx((yard_image() != 254).sum() * RESOLUTION**2)
+    keys = tomllib.loads(made.read_text())["channel"]["measurements"]
+    assert (keys["file"], keys["transmitter_column"]) == ("log.csv", "BSSID")
+    assert keys["columns"] == {"x": "lon", "y": "lat", "power": "rssi"}
+    assert (keys["resolution_db"], keys["origin_deg"]) == (1.0, [48.1374, 11.5755])
+    solution = planopt.solve(problem, horizon=2)
+    for posterior, power in zip(solution.belief.posteriors, readings()[1].values(), strict=True):
+        places, _ = readings()
+        np.testing.assert_allclose(posterior.measurements.positions_m, places, atol=0.01)
+        np.testing.assert_array_equal(posterior.measurements.power_dbm, power)
+    assert (yard / "mine.png").stat().st_size > 10_000
+
+
+def test_a_log_suffices_for_a_simulation(made: Path, capsys) -> None:
+    """The channel is drawn from the fit to the log."""
+    assert main(["simulate", str(made), "--horizon", "3", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["outcome"] == "reached"
+
+
+def test_what_is_printed(yard: Path, tmp_path: Path, capsys) -> None:
+    """Every assumption is a sentence, in the output and in the file."""
+    data = imported(
+        *(capsys, "--map", yard / "yard.yaml", "--log", yard / "log.csv"),
+        *("--origin", "48.1374,11.5755", "--start", START, "--goal", GOAL),
+        *("--out", tmp_path / "mine.toml", "--threshold", "-75", "--speed", "2"),
+    )
+    said = " ".join(data["assumptions"])
+    for words in (
+        "columns lon, lat (degrees) and rssi, separated by commas",
+        "column BSSID names the transmitter",
+        "1 of 3 transmitters are left out",
+        "powers are rounded to 1 dB",
+        "unknown cells (6% of the map) are occupied",
+        "aa:01 is at",
+        "clearance",
+    ):
+        assert words in said, said
+    assert "--threshold" not in said and "--speed" not in said
+    assert not any("map" in warning for warning in data["warnings"])
+    text = (tmp_path / "mine.toml").read_text()
+    assert all(f"# - {each}" in text for each in data["assumptions"])
+    assert [each["transmitter"] for each in data["stations"]] == list(SITES)
+
+
+def test_a_log_in_metres_without_a_map(yard: Path, tmp_path: Path, capsys) -> None:
+    """Semicolons, decimal commas, German names; the station is given; the world is the log's."""
+    data = imported(
+        *(capsys, "--log", yard / "metres.csv", "--station", "-15,20,3"),
+        *("--start", START, "--goal", "50,40", "--out", tmp_path / "mine.toml"),
+    )
+    (station,) = data["stations"]
+    assert station["position_m"] == [-15.0, 20.0] and not station["located"]
+    problem = planopt.load(tmp_path / "mine.toml")
+    assert problem.stations[0].height_m == 3.0 and not problem.workspace.obstacles
+    solution = planopt.solve(problem, horizon=3)
+    places, powers = readings()
+    measured = solution.belief.posterior.measurements
+    np.testing.assert_allclose(measured.positions_m, places, atol=0.006)
+    np.testing.assert_array_equal(measured.power_dbm, powers["aa:01"])
+
+
+def test_start_and_goal_in_degrees(yard: Path, tmp_path: Path, capsys) -> None:
+    """The same problem as in metres; a suffix says which where both are possible."""
+    places = np.array([[-12.0, -4.0], [50.0, 43.0]])
+    texts = [f"{lat:.8f},{lon:.8f}" for lon, lat in longitude_latitude_deg(places, ORIGIN)]
+    for suffix in ("", "deg"):
+        data = imported(
+            *(capsys, "--map", yard / "yard.yaml", "--log", yard / "log.csv", "--force"),
+            *("--origin", "48.1374,11.5755", "--out", tmp_path / "mine.toml"),
+            *("--start", texts[0] + suffix, "--goal", texts[1] + suffix),
+        )
+        robot = planopt.load(tmp_path / "mine.toml").robots[0]
+        np.testing.assert_allclose([robot.start_m, robot.goal_m], places, atol=0.01)
+        assert ("is in degrees" in " ".join(data["assumptions"])) == (suffix == "")
+
+
+def refused(capsys, yard: Path, *arguments: object, **replaced: object) -> dict:
+    """The error of the command with other arguments; nothing is written."""
+    out = yard / "refused.toml"
+    usual = {
+        "--map": yard / "yard.yaml",
+        "--log": yard / "log.csv",
+        "--origin": "48.1374,11.5755",
+        "--start": START,
+        "--goal": GOAL,
+        "--out": out,
+    } | {f"--{key}": value for key, value in replaced.items()}
+    words = [str(word) for pair in usual.items() if pair[1] is not None for word in pair]
+    error = imported(capsys, *words, *arguments, code=2)
+    assert not out.exists() and not out.with_suffix(".png").exists()
+    return error
+
+
+@pytest.mark.parametrize(
+    ("replaced", "more", "words"),
+    [
+        ({"origin": None}, (), "--origin: columns lon and lat are in degrees, and the map is in"),
+        ({"start": "10,20"}, (), "the nearest free position is"),
+        ({"goal": "57,43"}, (), "an obstacle or unknown space"),
+        ({"goal": "500,43"}, (), "outside the map"),
+        ({"start": "here"}, (), "write X,Y in metres"),
+        ({"log": "absent.csv"}, (), "no such file"),
+        ({"map": "absent.yaml"}, (), "no such file"),
+        ({}, ("--transmitter-column", "AP"), "column 'AP' is missing"),
+        ({}, ("--transmitter", "cc:01"), "BSSID has aa:01, aa:02, bb:03"),
+        ({}, ("--transmitter-column", "stamp"), "no transmitter has 20 readings"),
+        ({}, ("--station", "5,5"), "does not say of which transmitter"),
+        ({}, ("--station", "cc=5,5"), "no transmitter 'cc'"),
+        ({}, ("--transmitter", "bb:03"), "do not show where it is"),
+        ({}, ("--columns", "power=dBm"), "there is no column dBm"),
+        ({}, ("--speed", "0"), "--speed: 0.0 cannot be used"),
+        ({}, ("--p-min", "2"), "constraints.p_min"),
+        ({}, ("--power-unit", "watt"), "--power-unit: is 'watt'"),
+        ({}, ("--reader", "nobody"), "reader"),
+        ({"out": "mine.txt"}, (), "end it in .toml"),
+    ],
+)
+def test_what_is_missing_is_said(replaced, more, words, yard: Path, capsys) -> None:
+    """One line with the option to give."""
+    error = refused(capsys, yard, *more, **replaced)
+    assert words in error["error"], error["error"]
+
+
+def test_an_existing_file_is_kept(made: Path, yard: Path, capsys) -> None:
+    """Unless --force is given."""
+    before = made.read_bytes()
+    assert (
+        "--force"
+        in imported(
+            *(
+                capsys,
+                "--log",
+                yard / "metres.csv",
+                "--start",
+                START,
+                "--goal",
+                GOAL,
+                "--out",
+                made,
+            ),
+            code=2,
+        )["error"]
+    )
+    assert made.read_bytes() == before
+
+
+def test_a_log_beside_the_map(yard: Path, tmp_path: Path, capsys) -> None:
+    """A wrong origin is noticed: readings outside the map or on walls."""
+    data = imported(
+        *(capsys, "--map", yard / "yard.yaml", "--log", yard / "log.csv"),
+        *("--origin", "48.1372,11.5755", "--start", START, "--goal", GOAL),
+        *("--out", tmp_path / "mine.toml"),
+    )
+    said = " ".join(data["warnings"])
+    assert "outside the map" in said and "occupied or unknown cells" in said

@@ -1,0 +1,61 @@
+"""Degrees and metres east and north of an origin."""
+
+import numpy as np
+import pytest
+
+from planopt import InputError
+from planopt.world.geodesy import FARTHEST_M, east_north_m, longitude_latitude_deg, parse_origin
+
+ORIGINS = [(48.1374, 11.5755), (0.0, 0.0), (-33.9, 151.2), (78.2, -179.9)]
+
+
+@pytest.mark.parametrize("origin", ORIGINS)
+def test_agrees_with_proj(origin: tuple[float, float]) -> None:
+    """PROJ keeps distances (azimuthal equidistant), the plane shortens them by d^3 / 6 R^2.
+
+    So does the direction agree: both have it right at the origin.
+    """
+    warp = pytest.importorskip("rasterio.warp")
+    generator = np.random.default_rng(0)
+    latitude = origin[0] + generator.uniform(-0.08, 0.08, 50)
+    longitude = origin[1] + generator.uniform(-0.08, 0.08, 50)
+    local = f"+proj=aeqd +lat_0={origin[0]} +lon_0={origin[1]} +ellps=WGS84 +units=m"
+    globe = "+proj=longlat +ellps=WGS84"
+    expected = np.stack(warp.transform(globe, local, longitude, latitude), axis=-1)
+    found = east_north_m(longitude, latitude, origin)
+    distance = np.linalg.norm(expected, axis=-1)
+    assert distance.max() > 5000.0
+    error = np.linalg.norm(found - expected, axis=-1)
+    assert (error <= 1e-4 + 1.1 * distance**3 / (6.0 * 6.33e6**2)).all()
+
+
+def test_across_the_date_line() -> None:
+    """Longitudes of 179.99 and -179.99 degrees are neighbours."""
+    found = east_north_m(np.array([-179.99, 179.99]), np.array([10.0, 10.0]), (10.0, 180.0))
+    assert found[0, 0] == pytest.approx(-found[1, 0]) and 0.0 < found[0, 0] < 1200.0
+
+
+def test_too_far() -> None:
+    """No number where the plane is none; the bound is `FARTHEST_M`."""
+    degree_m = 111_132.0
+    near, far = 0.99 * FARTHEST_M / degree_m, 1.01 * FARTHEST_M / degree_m
+    found = east_north_m(np.zeros(3), np.array([45.0 + near, 45.0 + far, -45.0]), (45.0, 0.0))
+    assert np.isfinite(found[0]).all() and np.isnan(found[1:]).all()
+
+
+@pytest.mark.parametrize("origin", ORIGINS)
+def test_the_inverse(origin: tuple[float, float]) -> None:
+    """Positions up to 90 km away return to a millimetre."""
+    generator = np.random.default_rng(1)
+    angle, away = generator.uniform(0.0, 2.0 * np.pi, 200), generator.uniform(0.0, 9e4, 200)
+    places = away[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+    longitude, latitude = longitude_latitude_deg(places, origin).T
+    assert (np.abs(longitude) <= 180.0).all()
+    np.testing.assert_allclose(east_north_m(longitude, latitude, origin), places, atol=1e-3)
+
+
+@pytest.mark.parametrize("text", ["", "48", "48,11,5", "a,b", "nan,0", "90,0", "0,181", "inf,0"])
+def test_origins_that_are_none(text: str) -> None:
+    """Neither is the pole one: it has no east."""
+    with pytest.raises(InputError, match="key --origin"):
+        parse_origin(text)

@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 63_200,
-    "lines of code": 44_700,
-    "files": 270,
-    "functions": 3_337,
+    "lines": 64_700,
+    "lines of code": 46_100,
+    "files": 285,
+    "functions": 3_430,
     "docstring lines": 8_600,
-    "lines of tests": 45_500,
+    "lines of tests": 46_300,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

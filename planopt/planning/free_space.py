@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import shapely
 from numpy.typing import NDArray
@@ -64,10 +62,6 @@ def nodes_in_reach(
     return nodes, np.linalg.norm(road_map.nodes_m[nodes] - position_m, axis=1)
 
 
-BISECTIONS = 16
-"""Number of bisections for the widest clearance."""
-
-
 def is_joined(problem: Problem, clearance_m: float, without: Obstacle | None = None) -> bool:
     """Return whether a path from start to goal with this clearance exists."""
     polygons = [each.polygon for each in problem.workspace.obstacles if each is not without]
@@ -80,27 +74,6 @@ def is_joined(problem: Problem, clearance_m: float, without: Obstacle | None = N
         for part in shapely.get_parts(free)
         if isinstance(part, shapely.Polygon) and not part.is_empty
     )
-
-
-def widest_clearance_m(
-    problem: Problem, is_over: Callable[[], bool] = lambda: False
-) -> float | None:
-    """Return the largest clearance below the problem's that leaves a path to the goal.
-
-    Bisection ends early if `is_over` returns True. Return None if there is no path at all.
-    """
-    if not is_joined(problem, 0.0):
-        return None
-    low, high = 0.0, problem.constraints.clearance_m
-    for _ in range(BISECTIONS):
-        if is_over():
-            break
-        middle = 0.5 * (low + high)
-        if is_joined(problem, middle):
-            low = middle
-        else:
-            high = middle
-    return low
 
 
 def obstacles_met(

@@ -14,10 +14,18 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.planning.candidates import Budget, Candidate, Scorer, best_of, budget_from, verified_of
-from planopt.planning.driven import driven_starts
-from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_path
+from planopt.planning.candidates import (
+    Budget,
+    Candidate,
+    Scorer,
+    best_of,
+    budget_from,
+    drive_candidate,
+    verified_of,
+)
+from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_drive, shifted_path
 from planopt.planning.programme.path_nlp import METHODS
+from planopt.planning.proof.motion import swept_motion, verify_apart, verify_motion
 from planopt.planning.refinement import GuessRefinement
 from planopt.planning.scene import Ground
 from planopt.planning.search.guess_search import COUPLED_GUESSES, Guess, GuessSearch
@@ -26,6 +34,7 @@ from planopt.planning.search.place_paths import path_to_unmeasured, paths_to_goo
 from planopt.planning.values.context import StepContext, bends_guesses
 from planopt.planning.values.objective_value import ObjectiveValue, rule_missing
 from planopt.problems.problem import Problem
+from planopt.robots.dynamics import Drive, rolled_out
 
 CLOSE_SHARE = 0.01
 """A batch-optimised guess that is worse by more than this fraction rarely becomes the best."""
@@ -41,6 +50,44 @@ def is_worth_following(
     if start.value < best.value - CLOSE_SHARE * abs(best.value):
         return False
     return all(np.abs(start.path_m - path).max() > MERGED_STEPS * longest_m for path in refined_m)
+
+
+def driven_starts(
+    scorer: Scorer, context: StepContext, starts: list[Guess], warm: Plan | None
+) -> list[Guess]:
+    """Return drivable guesses, best first, followed by those that violate clearance."""
+    problem = scorer.problem
+    dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
+    found: list[Guess] = []
+    for start in starts:
+        inputs = dynamics.following(scorer.state, start.path_m, step_s)
+        drive = rolled_out(dynamics, scorer.state, inputs, step_s)
+        found.append(driven_start(scorer, context, drive))
+    last = last_drive(problem, warm)
+    if last is not None:
+        found.append(driven_start(scorer, context, last))
+    found.sort(key=lambda start: (not start.clear, round(start.missing_db, 2), -start.value))
+    return found
+
+
+def last_drive(problem: Problem, warm: Plan | None) -> Drive | None:
+    """Return the remainder of a verified previous plan, then braking; None if there is none."""
+    shifted = shifted_drive(problem, warm)
+    if shifted is None or warm is None or warm.verdict is not Verdict.VERIFIED:
+        return None
+    return shifted if len(shifted.inputs) == problem.planner.horizon else None
+
+
+def driven_start(scorer: Scorer, context: StepContext, drive: Drive) -> Guess:
+    """Return a drive as an initial guess."""
+    candidate = drive_candidate(scorer, drive, Rung.LATTICE, Termination.LATTICE_ONLY)
+    path = candidate.path_m
+    moved = verify_motion(scorer.problem, scorer.index, scorer.state, drive.positions_m, drive)
+    swept = swept_motion(scorer.problem, drive.positions_m, drive)
+    apart = verify_apart(scorer.context.moving, swept)
+    clear = not (moved.reasons or apart.reasons)
+    missing = rule_missing(context, path)
+    return Guess(path, scorer.worth(candidate), missing, drive, clear)
 
 
 DRIVEN_ROUNDS = 12

@@ -30,14 +30,12 @@ from planopt.channel.posterior import condition
 from planopt.errors import InputError
 from planopt.parts import calling, class_name, part_of
 from planopt.planning.candidates import Scorer, held, released
-from planopt.planning.history import BEGINNING
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.plan import Plan
-from planopt.planning.scene import Ground, first_moves, free_ends
+from planopt.planning.plan import BEGINNING, Plan
+from planopt.planning.scene import Ground, PathsFrom, first_moves, free_ends, stops_along
 from planopt.planning.search.lattice_search import steps_apart
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.search.place_paths import path_to_unmeasured
-from planopt.planning.search.taut_path import PathsFrom, stops_along
 from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M
 from planopt.planning.values.context import StepContext
 from planopt.planning.values.exploration import learns

@@ -34,10 +34,11 @@ from planopt.planning.certificate import (
     holes_on,
     named_holes,
 )
-from planopt.planning.driven import driven_start, last_drive
-from planopt.planning.history import BEGINNING, History
-from planopt.planning.horizon_planner import FallbackCascade
+from planopt.planning.goal_refinement import GoalRefinement
+from planopt.planning.horizon_planner import FallbackCascade, driven_start, last_drive
 from planopt.planning.plan import (
+    BEGINNING,
+    History,
     Pivot,
     Plan,
     Rung,
@@ -46,26 +47,23 @@ from planopt.planning.plan import (
     shifted_drive,
     shifted_path,
 )
-from planopt.planning.programme.clearance_lines import MOVING_LINES
 from planopt.planning.programme.goal_value import ROUNDING_STEPS, GoalCharge
 from planopt.planning.programme.path_nlp import GOAL, METHODS, PathNlp, build_path_nlp
+from planopt.planning.programme.path_polish import MOVING_LINES
 from planopt.planning.programme.path_rows import PathShape
 from planopt.planning.proof.context import VerifierContext, search_prediction, verifier_context
 from planopt.planning.proof.motion import stands, stops_at_goal
 from planopt.planning.proof.searches import build_goal_grid
-from planopt.planning.refinement import GoalRefinement
 from planopt.planning.reservations import reserved_path
-from planopt.planning.scene import Scene, first_moves
+from planopt.planning.scene import Scene, first_moves, retime
 from planopt.planning.search.global_search import GlobalSearch, GlobalStart
 from planopt.planning.search.guess_search import Guess
 from planopt.planning.search.pivot import Ahead, find_pivot
-from planopt.planning.search.taut_path import retime
 from planopt.planning.search.timed_search import TimedPath
 from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M
 from planopt.planning.values.context import Aim, StepContext, step_context
 from planopt.planning.values.exploration import workspace_region
 from planopt.planning.values.reach_cost import ReachCost, resting_places_m
-from planopt.planning.values.rule_rows import step_rows
 from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Drive, rolled_out
 from planopt.world.moving_discs import MovingDiscs
@@ -202,10 +200,8 @@ class ReachPlanner:
                 lattice = scorer.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY)
                 refinement = None
                 if self._nlp is not None and _moves(scorer, start.path_m):
-                    plain = problem.constraints.rule.is_plain
-                    rows_of = None if plain else partial(step_rows, step)
-                    shared = (scorer, cost, start, ahead, lattice.objective, budget)
-                    refinement = GoalRefinement(self._nlp, self.scene, *shared, rows_of)
+                    shared = (step, scorer, cost, start, ahead, lattice.objective, budget)
+                    refinement = GoalRefinement(self._nlp, self.scene, *shared)
                 tried = list(self._candidates(scorer, refinement, lattice, warm, budget))
                 chosen = best_of(scorer, tried, warm, scorer.worth(lattice))
             pivot = cost.pivot_of(chosen.path_m)

@@ -2,49 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.prediction import Prediction, bound_quantile
-from planopt.objectives.reach import cruising_speed_m_s
-from planopt.objectives.stage_power import scores_of
+from planopt.channel.prediction import Prediction
 from planopt.planning.candidates import Budget, Candidate, Scorer, solve_limit_s
 from planopt.planning.certificate import RuleResult
-from planopt.planning.driven import motion_shape, motion_task, refined_drive, standstill_m
-from planopt.planning.plan import Rung, Termination, Verdict
-from planopt.planning.programme.clearance_lines import (
+from planopt.planning.plan import Rung, Termination
+from planopt.planning.programme.path_nlp import METHODS, PathNlp, build_path_nlp, near_start
+from planopt.planning.programme.path_polish import (
     LINE_REACH_STEPS,
     REPAIRS,
+    MotionTask,
+    PathTask,
+    RefinedPath,
     lines_about,
     lines_with_violated,
     moving_count,
+    polish_path,
     tail_count,
 )
-from planopt.planning.programme.evaluation import margins_of
-from planopt.planning.programme.goal_value import GoalValue, OutagePrice
-from planopt.planning.programme.path_nlp import METHODS, PathNlp, build_path_nlp, near_start
-from planopt.planning.programme.path_polish import PathTask, RefinedPath, polish_path
-from planopt.planning.programme.path_rows import PathShape
-from planopt.planning.proof.context import obstacles_ahead
+from planopt.planning.programme.path_rows import MotionShape, PathShape
+from planopt.planning.proof.context import SEARCH_ERROR_DB, is_search_exact, obstacles_ahead
 from planopt.planning.proof.rule import rule_of
-from planopt.planning.rule_bounds import lacks, moved, recentred, with_bounds
-from planopt.planning.scene import Ground, Scene
-from planopt.planning.search.global_search import GlobalStart
+from planopt.planning.scene import Ground
 from planopt.planning.search.guess_search import Guess
-from planopt.planning.search.pivot import Ahead
-from planopt.planning.search.taut_path import retime
 from planopt.planning.tolerances import (
-    MARGIN_PAD_DB,
-    STANDSTILL_M,
-    STEP_PAD_M,
+    MARGIN_TOLERANCE_DB,
 )
 from planopt.planning.values.context import StepContext, structure_of
-from planopt.planning.values.local_value import local_value, stage_predictor
-from planopt.planning.values.reach_cost import ReachCost
+from planopt.planning.values.local_value import local_value
 from planopt.planning.values.rule_rows import (
     RuleRows,
     has_step_rows,
@@ -53,13 +43,13 @@ from planopt.planning.values.rule_rows import (
     rule_rows,
 )
 from planopt.problems.problem import Problem
-from planopt.robots.dynamics import Drive, braked_motion
-from planopt.targets.rounding import Derivatives
+from planopt.robots.dynamics import Drive, braked_motion, rolled_out
 from planopt.world.moving_discs import MovingDiscs
 from planopt.world.separation import (
     PackedPieces,
     SeparatingLines,
     joined_lines,
+    separating_lines,
     split_lines,
     tail_lines,
 )
@@ -112,6 +102,186 @@ def candidate_of(
         kkt_residual=point.kkt_residual,
         multipliers=point.multipliers,
     )
+
+
+def motion_shape(problem: Problem, lines: int) -> MotionShape | None:
+    """Return the structure of the rows of the dynamics; None for the single integrator."""
+    robot = problem.robots[0]
+    if robot.moves_freely:
+        return None
+    return MotionShape(robot.dynamics, problem.planner.step_s, problem.planner.horizon, lines)
+
+
+def motion_task(
+    problem: Problem,
+    ground: Ground,
+    shape: MotionShape,
+    drive: Drive,
+    still: SeparatingLines | None,
+) -> MotionTask:
+    """Return the motion data of a refinement; `still` are separating lines at rest."""
+    last = drive.states[-1]
+    end = standstill_m(problem, last)[None]
+    reach = LINE_REACH_STEPS * problem.step_length_m
+    count = shape.lines - (0 if still is None else int(still.piece.shape[1]))
+    lines = separating_lines(ground.pieces, last[None, :2], end, count, reach)
+    return MotionTask(shape, drive, lines if still is None else joined_lines(lines, still))
+
+
+def standstill_m(problem: Problem, state: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return a resting position (2,) reached by braking from `state` (s,), or slightly beyond."""
+    points = problem.robots[0].dynamics.stop_points(tuple(state), problem.planner.step_s)
+    return np.array(points[-1] if points else state[:2], dtype=np.float64)
+
+
+def refined_drive(
+    problem: Problem, state: NDArray[np.float64], inputs: NDArray[np.float64] | None
+) -> Drive | None:
+    """Return the trajectory of a solver's inputs; None for the single integrator."""
+    if inputs is None:
+        return None
+    return rolled_out(problem.robots[0].dynamics, state, inputs, problem.planner.step_s)
+
+
+LOCAL_PAD_DB = 0.04
+"""Margin added to the corrected bound: nine of ten returned paths have a smaller error (48
+neighbours, 1,000 measurements, xi 4, beta 20 m)."""
+
+GIVEN_UP_DB = 1e-3
+"""Slack up to this value counts as solver tolerance."""
+
+MISSING_DB_COST = 100.0
+"""Cost per dB of slack in the solver if the bound cannot be met."""
+
+
+def with_bounds(task: PathTask, context: StepContext, rows: RuleRows) -> PathTask:
+    """Return the task with bounds that the guess meets; elsewhere with the least shortfall.
+
+    The initial guess stays feasible. Bounded slack is available to all steps at its price.
+    """
+    if rows.weight is not None:
+        return _with_total(task, context, rows)
+    if not context.problem.constraints.asks_connection:
+        return task
+    wanted, local, exact = _wanted(task, context, rows)
+    kept = exact >= -MARGIN_TOLERANCE_DB
+    bound = np.where(kept, np.minimum(wanted, local), wanted)
+    limit, weight = _slack(context, task.scale, np.where(np.isfinite(exact), -exact, 0.0))
+    if not context.problem.constraints.rule.by_step:
+        weight = weight if np.isinf(limit).any() else weight / max(int(rows.asked.sum()), 1)
+    return replace(
+        task,
+        bound_db=np.where(rows.asked, bound, -np.inf),
+        slack_limit_db=np.where(rows.asked, limit, 0.0),
+        slack_weight=weight,
+    )
+
+
+def lacks(
+    context: StepContext, rows: RuleRows, point: RefinedPath, *, firmly: bool = False
+) -> bool:
+    """Return whether a returned path violates a bound that it meets by the local model.
+
+    With `firmly` a margin below the error of the search's predictions counts as a violation, since
+    its verification may be expensive.
+    """
+    if not len(point.slack_db) or not np.isfinite(point.path_m).all():
+        return False
+    power = context.power(point.path_m)
+    if rows.weight is not None:
+        missing = _slack_of_sum(rows, power) > MARGIN_TOLERANCE_DB
+        return bool(point.slack_db[0] <= GIVEN_UP_DB and missing)
+    margins = rows.margins_db(power)
+    unsure = firmly and not is_search_exact(context.posterior)
+    least = SEARCH_ERROR_DB if unsure else -MARGIN_TOLERANCE_DB
+    return bool((margins[point.slack_db <= GIVEN_UP_DB] < least).any())
+
+
+def recentred(task: PathTask, context: StepContext, rows: RuleRows, point: RefinedPath) -> PathTask:
+    """Return the task corrected by the local model's error at a returned path."""
+    task = moved(task, context, rows, point.path_m)
+    if rows.weight is not None:
+        return replace(task, total_bound=_wanted_total(task, context, rows)[0])
+    wanted = _wanted(task, context, rows)[0]
+    return replace(task, bound_db=np.where(rows.asked, wanted, -np.inf))
+
+
+def moved(
+    task: PathTask, context: StepContext, rows: RuleRows, path_m: NDArray[np.float64]
+) -> PathTask:
+    """Return the task for another path (N, 2), with the local channel near it."""
+    return replace(task, path_m=path_m, evaluate=local_value(context, path_m, rows))
+
+
+def _with_total(task: PathTask, context: StepContext, rows: RuleRows) -> PathTask:
+    power = context.power(task.path_m)
+    task = replace(task, total_per_db=_per_db(rows, power))
+    wanted, local = _wanted_total(task, context, rows)
+    short_db = (rows.total - rows.sum_of(power)) / task.total_per_db
+    limit, weight = _slack(context, task.scale, np.array([short_db]))
+    return replace(
+        task,
+        total_bound=wanted if short_db > 0.0 else min(wanted, local),
+        slack_limit_db=limit,
+        slack_weight=weight,
+    )
+
+
+def _slack(
+    context: StepContext, scale: float, missing_db: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], float]:
+    """Return the limit of each row's slack, and the slack's cost per dB in the solver.
+
+    The limit is infinite for rows that the guess violates beyond the slack; slack then costs more.
+    """
+    rule = context.problem.constraints.rule
+    allowed = rule.slack_max_db or 0.0
+    limit = np.where(missing_db <= allowed + MARGIN_TOLERANCE_DB, allowed, np.inf)
+    if np.isinf(limit).any() or allowed == 0.0:
+        return limit, MISSING_DB_COST
+    return limit, scale * rule.slack_price
+
+
+def _wanted(
+    task: PathTask, context: StepContext, rows: RuleRows
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Return the required local margins, and the guess's local and exact margins.
+
+    The requirement includes the local model's error at the guess.
+    """
+    local, exact = margins_at(task, task.path_m), rows.margins_db(context.power(task.path_m))
+    return LOCAL_PAD_DB + local - exact, local, exact
+
+
+def margins_at(task: PathTask, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the margins (N,) of a path by the local model of a bounded task."""
+    margins = task.evaluate(path_m).margins
+    if margins is None:
+        raise AssertionError("a bounded problem has margins")
+    return margins.value
+
+
+def _wanted_total(task: PathTask, context: StepContext, rows: RuleRows) -> tuple[float, float]:
+    """Return the required local sum, and the guess's local sum."""
+    total = task.evaluate(task.path_m).total
+    if total is None:
+        raise AssertionError("a bounded sum is there")
+    off = total.value - rows.sum_of(context.power(task.path_m))
+    return rows.total + off + LOCAL_PAD_DB * task.total_per_db, total.value
+
+
+def _per_db(rows: RuleRows, power: Prediction) -> float:
+    """Return the derivative of the sum by the threshold reduction in dB; not zero."""
+    if rows.weight is None:
+        raise AssertionError("no sum is bounded")
+    score = (power.mean_db - rows.threshold_dbm) / power.deviation_db
+    density = np.exp(-0.5 * score**2) / (np.sqrt(2.0 * np.pi) * power.deviation_db)
+    return max(float(rows.weight @ density), 1e-3 * float(rows.weight.max(initial=0.0)), 1e-9)
+
+
+def _slack_of_sum(rows: RuleRows, power: Prediction) -> float:
+    """Return the shortfall of the sum in dB, to first order."""
+    return (rows.total - rows.sum_of(power)) / _per_db(rows, power)
 
 
 LINES_PER_SEGMENT = 2
@@ -284,252 +454,3 @@ def _driven_from(task: PathTask, drive: Drive | None) -> PathTask:
     if task.motion is None or drive is None:
         return task
     return replace(task, motion=replace(task.motion, drive=drive))
-
-
-class GoalRefinement:
-    """Refinement of one step's guesses to a goal, in the order of the fallbacks."""
-
-    def __init__(
-        self,
-        nlp: PathNlp,
-        scene: Scene,
-        scorer: Scorer,
-        cost: ReachCost,
-        start: GlobalStart,
-        ahead: Ahead,
-        lattice_objective: float,
-        budget: Budget,
-        rows_of: Callable[[NDArray[np.float64]], RuleRows] | None = None,
-    ) -> None:
-        self._nlp = nlp
-        self._scene = scene
-        self._scorer = scorer
-        self._cost = cost
-        self._start = start
-        self._ahead = ahead
-        self._lattice_objective = lattice_objective
-        self._budget = budget
-        self._rows_of = rows_of
-        self._rows = None if rows_of is None else rows_of(start.path_m)
-
-    def attempts(self, shifted_m: NDArray[np.float64] | None) -> Iterator[Candidate]:
-        """Yield verified candidates, best guess first, each with the effort since the last one.
-
-        The shifted last plan is the better guess if it arrives sooner than the lattice path.
-        """
-        starts: list[tuple[NDArray[np.float64], Rung]] = (
-            [(self._start.path_m, Rung.RELAXED)]
-            if bool((self._start.margin_db < 0.0).any())
-            else [(self._retimed(), Rung.PLAN), (self._start.path_m, Rung.COLD_RETRY)]
-        )
-        shifted_m = None if shifted_m is None else self._drawn_on(shifted_m)
-        if shifted_m is not None:
-            relaxes = bool((self._start_margins(shifted_m) < 0.0).any())
-            if self._scorer.objective(shifted_m) < self._lattice_objective:
-                starts.insert(0, (shifted_m, Rung.RELAXED if relaxes else Rung.PLAN))
-            else:
-                starts.append((shifted_m, Rung.RELAXED if relaxes else Rung.COLD_RETRY))
-        for path_m, rung in starts:
-            for candidate in self._from(path_m, rung):
-                sooner = self._sooner(candidate)
-                if sooner is not None:
-                    yield sooner
-                    candidate = replace(candidate, solve_s=0.0, iterations=0)
-                yield candidate
-
-    def _drawn_on(self, shifted_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the shifted last plan, with its last step towards the pivot."""
-        problem, before = self._scorer.problem, shifted_m[-1]
-        to_pivot = self._ahead.leading(before).position_m - before
-        away, longest = float(np.linalg.norm(to_pivot)), problem.step_length_m - STEP_PAD_M
-        goal_away = np.linalg.norm(before - np.asarray(problem.goal_m))
-        if len(shifted_m) == 1 or away == 0.0 or goal_away <= problem.constraints.goal_radius_m:
-            return shifted_m
-        return np.vstack([shifted_m[:-1], before + to_pivot * min(1.0, longest / away)])
-
-    def _retimed(self) -> NDArray[np.float64]:
-        """Return the lattice path at cruising speed."""
-        problem = self._scorer.problem
-        speed = cruising_speed_m_s(
-            problem.reach.effort_weight_s2_m2, problem.robots[0].speed_max_m_s
-        )
-        step = speed * problem.planner.step_s - STEP_PAD_M
-        return retime(self._scorer.position_m, self._start.path_m, self._start.beyond_m, step)
-
-    def _sooner(self, candidate: Candidate) -> Candidate | None:
-        """Return a candidate that arrives in fewer steps; None if the path is too long."""
-        problem = self._scorer.problem
-        path = np.vstack([self._scorer.position_m, candidate.path_m])
-        away = np.linalg.norm(path - np.asarray(problem.goal_m), axis=1)
-        there = np.nonzero(away <= problem.constraints.goal_radius_m)[0]
-        if candidate.verdict is not Verdict.VERIFIED or there.size == 0 or there[0] < 2:
-            return None
-        if self._budget.spent:
-            return None
-        faster = retime(path[0], candidate.path_m, path[:0], problem.step_length_m - STEP_PAD_M)
-        if np.linalg.norm(faster[there[0] - 2] - faster[-1]) > 0.0:
-            return None
-        begun = perf_counter()
-        self._look_at(faster)
-        task = self._task(faster)
-        bound = self._asked(np.minimum(_margins_at(task, faster), MARGIN_PAD_DB))
-        refined = polish_path(self._nlp, replace(task, bound_db=bound))
-        iterations = candidate.iterations + refined.iterations
-        solve_s = candidate.solve_s + perf_counter() - begun
-        better = self._assessed(refined, candidate.rung, solve_s, iterations)
-        is_better = better.objective < candidate.objective
-        return better if better.verdict is Verdict.VERIFIED and is_better else None
-
-    def _from(self, path_m: NDArray[np.float64], rung: Rung) -> Iterator[Candidate]:
-        """Yield refinements of a path, each with lines for the verified violations added.
-
-        Steps that meet the bound in the guess must keep it; with `rung` RELAXED others are free.
-        """
-        if self._budget.spent:
-            return
-        self._look_at(path_m)
-        task = self._task(path_m)
-        exact = self._start_margins(path_m)
-        local = _margins_at(task, path_m)
-        # If the local model is optimistic, its bound is raised by the error.
-        wanted = MARGIN_PAD_DB + np.maximum(local - exact, 0.0)
-        begun = perf_counter()
-        iterations = 0
-        free = (exact < 0.0) & (rung is Rung.RELAXED)
-        # A guess that meets the bound must stay feasible.
-        bound = np.where(exact >= 0.0, np.minimum(wanted, local), wanted)
-        bound[free] = -np.inf
-        for _ in range(REPAIRS):
-            if self._budget.spent:
-                return
-            refined = polish_path(self._nlp, replace(task, bound_db=self._asked(bound)))
-            iterations += refined.iterations
-            candidate = self._assessed(refined, rung, perf_counter() - begun, iterations)
-            yield candidate
-            begun, iterations = perf_counter(), 0
-            if not candidate.sound:
-                lines = lines_with_violated(
-                    self._scorer.problem,
-                    self._scene.pieces,
-                    self._scorer.context.moving,
-                    task.lines,
-                    np.vstack([task.start_m, path_m]),
-                    np.vstack([task.start_m, refined.path_m]),
-                )
-                if lines is None:
-                    return
-                task = replace(task, lines=lines)
-            if candidate.power is None:
-                return
-            planned = Prediction(candidate.power.mean_db[1:], candidate.power.deviation_db[1:])
-            lacking = np.where(free, 0.0, -self._margins_db(planned))
-            if candidate.sound and not (lacking > 0.0).any():
-                return
-            bound = bound + np.where(lacking > 0.0, lacking + MARGIN_PAD_DB, 0.0)
-
-    def _task(self, path_m: NDArray[np.float64]) -> PathTask:
-        """Return the data of the refinement of a guess."""
-        scorer = self._scorer
-        problem, pivot = scorer.problem, self._ahead.leading(path_m[-1])
-        ends = np.vstack([scorer.position_m, path_m])
-        lines = lines_about(
-            problem, self._scene.pieces, scorer.context.moving, ends, self._nlp.shape.lines
-        )
-        goal = np.asarray(problem.goal_m)
-        at_goal = np.linalg.norm(path_m[-1] - goal) <= problem.constraints.goal_radius_m
-        # A guess that waits at its end has arrived, at the goal or a waiting position; spread over
-        # the whole horizon, its refinement would never arrive.
-        standing = np.linalg.norm(path_m - path_m[-1], axis=1) <= STANDSTILL_M
-        arrival = len(path_m) - int(np.argmin(standing[::-1])) if not standing.all() else 0
-        dwells = at_goal or arrival < len(path_m) - 1
-        value = GoalValue(
-            start_m=scorer.position_m,
-            pivot_m=pivot.position_m,
-            effort_s_m2=problem.reach.effort_weight_s2_m2 / problem.planner.step_s,
-            rate_s_m=self._cost.rate_s_m * max(pivot.metre_cost, self._dearest_metre(path_m)),
-            outage=self._outage(path_m),
-            margins=self._margins_about(path_m),
-        )
-        return PathTask(
-            start_m=scorer.position_m,
-            path_m=path_m,
-            lines=lines,
-            clearance_m=problem.constraints.clearance_m,
-            step_length_m=problem.step_length_m,
-            bounds_m=problem.workspace.bounds_m,
-            evaluate=value,
-            scale=1.0,
-            bound_db=np.full(len(path_m), -np.inf),
-            arrival=arrival + 1 if dwells else None,
-        )
-
-    def _dearest_metre(self, path_m: NDArray[np.float64]) -> float:
-        """Return the largest cost per metre along a path; a lower rate would not pay for it."""
-        return float(self._cost.metre_costs(path_m).max())
-
-    def _outage(self, path_m: NDArray[np.float64]) -> OutagePrice:
-        """Return the price of outage along a path."""
-        before, charged = self._cost.outage_charges(path_m)
-        price = self._cost.rate_s_m * self._cost.outage_price
-        return OutagePrice(price, before, charged)
-
-    def _margins_about(
-        self, path_m: NDArray[np.float64]
-    ) -> Callable[[NDArray[np.float64]], tuple[Derivatives, Derivatives]]:
-        """Return margins and scores from the measurements nearest to each stage of a path."""
-        problem = self._scorer.problem
-        predict_stages = stage_predictor(
-            self._scorer.context.law,
-            path_m,
-            problem.planner.neighbours,
-        )
-        threshold = problem.stations[0].threshold_dbm
-        z: float | NDArray[np.float64] = bound_quantile(problem.constraints.p_min)
-        if self._rows is not None:
-            threshold, z = self._rows.threshold_dbm, self._rows.quantile
-
-        def margins(positions_m: NDArray[np.float64]) -> tuple[Derivatives, Derivatives]:
-            power = predict_stages(positions_m)
-            scores = scores_of(*power, self._cost.threshold_dbm)
-            return margins_of(*power, threshold, z), scores
-
-        return margins
-
-    def _start_margins(self, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the margins of a guess."""
-        if self._rows_of is not None:
-            rows = self._rows_of(path_m)
-            return rows.margins_db(self._cost.power(path_m))
-        return self._margins_db(self._cost.power(path_m))
-
-    def _look_at(self, path_m: NDArray[np.float64]) -> None:
-        """Update the rule's rows for a path."""
-        if self._rows_of is not None:
-            self._rows = self._rows_of(path_m)
-
-    def _margins_db(self, power: Prediction) -> NDArray[np.float64]:
-        """Return the margins of the rows; infinite at unconstrained steps."""
-        return (
-            self._scorer.margins_db(power) if self._rows is None else self._rows.margins_db(power)
-        )
-
-    def _asked(self, bound_db: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the bounds of the constrained steps, minus infinity at others."""
-        return bound_db if self._rows is None else np.where(self._rows.asked, bound_db, -np.inf)
-
-    def _assessed(
-        self, refined: RefinedPath, rung: Rung, solve_s: float, iterations: int
-    ) -> Candidate:
-        candidate = candidate_of(self._scorer, refined, rung, self._lattice_objective, solve_s)
-        assessed = self._scorer.assessed(replace(candidate, iterations=iterations))
-        # The refined path may meet a bound that the guess misses.
-        met_after_all = rung is Rung.RELAXED and not assessed.relaxes
-        return replace(assessed, rung=Rung.PLAN) if met_after_all else assessed
-
-
-def _margins_at(task: PathTask, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the margins (N,) of a path by the local model."""
-    margins = task.evaluate(path_m).margins
-    if margins is None:
-        raise AssertionError("a path to a goal has margins")
-    return margins.value

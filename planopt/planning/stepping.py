@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from planopt.channel.measurements import Measurements, join
 from planopt.channel.posterior import Belief
-from planopt.planning.history import History, history_of
 from planopt.planning.initial_data import learn_measured
-from planopt.planning.plan import Plan, Rung
+from planopt.planning.plan import History, Plan, Rung, history_of
 from planopt.planning.reservations import has_separation
 from planopt.planning.target_watch import TargetWatch, aim_of, counted
 from planopt.planning.tolerances import STANDSTILL_M

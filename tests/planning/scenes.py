@@ -36,8 +36,8 @@ from planopt.channel import (
     condition,
 )
 from planopt.objectives import ReachObjective
-from planopt.planning.history import BEGINNING, History
 from planopt.planning.initial_data import Prepared
+from planopt.planning.plan import BEGINNING, History
 from planopt.planning.proof.context import (
     VerifierContext,
     obstacles_ahead,

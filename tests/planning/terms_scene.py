@@ -19,9 +19,8 @@ from planopt.planning.initial_data import prepare
 from planopt.planning.proof.context import VerifierContext, uncertain_law
 from planopt.planning.scene import Ground, build_ground
 from planopt.planning.values.context import Aim, StepContext, step_context
-from planopt.planning.values.exploration import workspace_region
+from planopt.planning.values.exploration import SteeringWay, workspace_region
 from planopt.planning.values.objective_value import ObjectiveValue
-from planopt.planning.values.steered_path import SteeringWay
 from planopt.problems.problem import problem_from_tables
 from planopt.world import index_obstacles
 

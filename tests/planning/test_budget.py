@@ -20,7 +20,7 @@ from planopt.planning.programme.path_polish import RefinedPath
 from planopt.planning.proof import context as predictions
 from planopt.planning.proof.context import SEARCH_ERROR_DB
 from planopt.planning.reach_planner import ReachPlanner
-from planopt.planning.rule_bounds import lacks
+from planopt.planning.refinement import lacks
 from planopt.planning.scene import build_scene
 from planopt.planning.solve import solve
 from planopt.planning.values.rule_rows import rule_rows

@@ -14,7 +14,7 @@ from rules_scene import ruled_problem
 
 from planopt import ConnectivityRule, InputError, check, load, simulate, solve
 from planopt.extend import OwnRule
-from planopt.planning.history import History
+from planopt.planning.plan import History
 from planopt.planning.proof.rule import rule_of
 from planopt.problems import problem_from_dict, problem_to_dict
 

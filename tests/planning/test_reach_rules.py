@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from time import process_time
 
 import numpy as np
 import pytest
 from scenes import bad_band, belief_of, small_problem
 
 from planopt import ConnectivityRule, NoPlanError, Verdict
-from planopt.planning.explain.changes import Trials, deadline_s
-from planopt.planning.explain.no_path import explain_blocked
-from planopt.planning.history import History
+from planopt.planning.explain.changes import EXPLAINED_S, Trials
+from planopt.planning.explain.explain import explain_blocked
+from planopt.planning.plan import History
 from planopt.planning.proof.context import stations_law
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene, first_moves
@@ -122,7 +123,7 @@ def test_what_would_open_a_hard_bound():
         except NoPlanError:
             return None
 
-    trials = Trials(solve_again, deadline_s())
+    trials = Trials(solve_again, process_time() + EXPLAINED_S)
     found = explain_blocked(problem, scene.road_map, first, scene.goal_node, margins, trials)
     by_key = {(each.constraint, each.relaxed_value is None): each for each in found}
     lower = by_key["stations[0].threshold_dbm", False]

@@ -19,7 +19,7 @@ from scenes import (
     small_problem,
 )
 
-import planopt.planning.refinement as refine
+import planopt.planning.goal_refinement as refine
 from planopt import Verdict
 from planopt.extend import Rung
 from planopt.planning.candidates import Budget, Scorer
@@ -40,7 +40,9 @@ def refiner_of(problem, power_at=good_everywhere, lines=4):
     scorer = Scorer(VerifierContext(problem, scene.index, belief.posteriors, at), reach_cost)
     nlp = goal_nlp(problem.planner.horizon, lines)
     cost = scorer.objective(start.path_m)
-    refiner = refine.GoalRefinement(nlp, scene, scorer, reach_cost, start, ahead, cost, Budget())
+    refiner = refine.GoalRefinement(
+        nlp, scene, situation, scorer, reach_cost, start, ahead, cost, Budget()
+    )
     return refiner, scorer, start
 
 

@@ -36,7 +36,7 @@ from scenes import (
 from unpriced import unpriced
 
 from planopt import Problem
-from planopt.planning.history import BEGINNING, History
+from planopt.planning.plan import BEGINNING, History
 from planopt.planning.proof.context import VerifierContext
 from planopt.world import index_obstacles
 

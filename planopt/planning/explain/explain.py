@@ -1,20 +1,38 @@
-"""Explanation of problems without verified plan, and of plans that cross coverage holes."""
+"""Explanation of problems without verified plan, and of plans that cross coverage holes.
+
+A path to a goal may be opened by clearance, an obstacle, the time step, or the chance constraint.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
+from time import process_time
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import connected_components  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.posterior import Belief, ChannelPosterior
+from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError, NoPlanError
 from planopt.parts import part_of
-from planopt.planning.explain.changes import Trials, deadline_s
-from planopt.planning.explain.no_path import explain_blocked, explain_no_path, is_open
-from planopt.planning.explain.violations import Case, explain_violated
+from planopt.planning.explain.changes import (
+    DIGITS,
+    EXPLAINED_S,
+    Case,
+    Key,
+    Trials,
+    connection_keys,
+    constraint_key,
+    explain_violated,
+    rounded,
+)
 from planopt.planning.explanation import Crossing, Explanation, Relaxation
 from planopt.planning.free_space import is_joined
 from planopt.planning.initial_data import prepare
@@ -25,8 +43,9 @@ from planopt.planning.reservations import beside, others_of, planned_motion
 from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.solve import solve, solve_on
+from planopt.planning.tolerances import CLEARANCE_PAD_M, MARGIN_PAD_DB
 from planopt.problems.problem import Problem, problem_of_robot
-from planopt.world.lattice import lattice_paths, route_from
+from planopt.world.lattice import RoadMap, lattice_paths, route_from
 
 
 @one_blas_thread()
@@ -56,7 +75,7 @@ def explain(result: Solution | Problem, seed: int = 0) -> Explanation:
     if not isinstance(result, Problem):
         remedy = "give a Problem, or what planopt.solve returned"
         return _explain_solution(part_of("result", result, Solution, remedy))
-    ends_s = deadline_s()
+    ends_s = process_time() + EXPLAINED_S
     try:
         solution = solve(result, seed=seed)
     except (NoPlanError, InputError) as error:
@@ -81,7 +100,7 @@ def _explain_solution(solution: Solution) -> Explanation:
     found: list[Relaxation] = []
     problem, belief = solution.problem, solution.belief
     motions = [planned_motion(problem, plan) for plan in solution.plans]
-    ends_s = deadline_s()
+    ends_s = process_time() + EXPLAINED_S
     for number, plan in enumerate(solution.plans):
         if plan.verdict is not Verdict.VERIFIED:
             moving = beside(problem, 0, others_of(motions, number))
@@ -116,7 +135,7 @@ def explain_no_plan(
     With several robots, each one that has no path on its own is considered.
     """
     owns = [problem_of_robot(problem, number) for number in range(len(problem.robots))]
-    ends_s = deadline_s() if ends_s is None else ends_s
+    ends_s = process_time() + EXPLAINED_S if ends_s is None else ends_s
     try:
         belief = prepare(problem, seed).belief
     except InputError:
@@ -217,3 +236,163 @@ def _cheapest_path(
     cost_m = float(lengths[first] * (1.0 + surcharge[nodes[first]]) + paths.cost_m[nodes[first]])
     rest = route_from(road_map, paths, int(nodes[first]), np.inf)
     return cost_m, np.vstack([start_m, road_map.nodes_m[rest]])
+
+
+BISECTIONS, CLEARANCES, BISECTED_DIGITS = 16, 8, 12
+"""Numbers of bisections of the clearance in free space, and on the lattice; significant digits."""
+
+MOST_OBSTACLES = 60
+"""Maximum number of obstacles up to which removing each one is tried."""
+
+SHORTER, STEPS_TRIED = 0.9, 20
+"""Refinement factor of the time step, and with it the lattice, and number of refinements."""
+
+
+def is_open(problem: Problem) -> bool:
+    """Return whether obstacles leave the problem's first robot a path to its goal."""
+    try:
+        build_scene(problem)
+    except NoPlanError:
+        return False
+    return True
+
+
+def explain_no_path(problem: Problem, trials: Trials, joined: bool) -> tuple[Relaxation, ...]:
+    """Return changes, each of which alone would open a path to the goal.
+
+    If start and goal are connected in free space (`joined`), only the lattice is too coarse.
+    """
+    if joined:
+        clearance_m = problem.constraints.clearance_m
+        return (*_clearance(problem, trials, clearance_m), *_step(problem, trials))
+    widest_m = widest_clearance_m(problem, lambda: trials.are_over)
+    found = [] if widest_m is None else _clearance(problem, trials, widest_m)
+    return (*found, *_obstacles(problem, trials))
+
+
+def widest_clearance_m(
+    problem: Problem, is_over: Callable[[], bool] = lambda: False
+) -> float | None:
+    """Return the largest clearance below the problem's that joins start and goal, if any does."""
+    if not is_joined(problem, 0.0):
+        return None
+    clearance_m = problem.constraints.clearance_m
+    return _largest(partial(is_joined, problem), clearance_m, BISECTIONS, is_over)
+
+
+def _largest(
+    is_met: Callable[[float], bool], high: float, count: int, is_over: Callable[[], bool]
+) -> float:
+    """Return the largest value below `high` found by bisection that is met; 0 is met."""
+    low = 0.0
+    for _ in range(count):
+        if is_over():
+            break
+        middle = rounded(0.5 * (low + high), BISECTED_DIGITS, down=True)
+        low, high = (middle, high) if is_met(middle) else (low, middle)
+    return low
+
+
+def _clearance(problem: Problem, trials: Trials, widest: float) -> list[Relaxation]:
+    """Propose the largest clearance, up to `widest`, for which a path is found."""
+    key = constraint_key(problem, "clearance_m", "m", 0.0)
+    high = rounded(max(widest - 1.1 * CLEARANCE_PAD_M, 0.0), DIGITS, down=True)
+
+    def opens(value: float) -> bool:
+        return is_open(key.changed(problem, value))
+
+    if opens(high):
+        return [_opened(problem, trials, key, high)]
+    if trials.are_over or not opens(0.0):
+        return []
+    value = _largest(opens, high, CLEARANCES, lambda: trials.are_over)
+    return [_opened(problem, trials, key, rounded(value, DIGITS, down=True))]
+
+
+def _step(problem: Problem, trials: Trials) -> list[Relaxation]:
+    """Propose a shorter time step, which makes the lattice fine enough to find the path."""
+    key = Key("planner.step_s", "s", problem.planner.step_s, 0.0)
+    for power in range(1, STEPS_TRIED + 1):
+        step_s = rounded(key.value * SHORTER**power, DIGITS, down=True)
+        try:
+            if not trials.are_over and is_open(key.changed(problem, step_s)):
+                return [_opened(problem, trials, key, step_s)]
+        except InputError:
+            break  # the lattice would have too many nodes
+    return []
+
+
+def _opened(problem: Problem, trials: Trials, key: Key, value: float) -> Relaxation:
+    verified = trials.is_verified(key.changed(problem, value))
+    robot, shortfall = problem.robots[0].name, key.value - value
+    return key.relaxation(robot, (), shortfall, key.unit, value, verified=verified)
+
+
+def _obstacles(problem: Problem, trials: Trials) -> list[Relaxation]:
+    """Return every obstacle whose removal opens a path."""
+    obstacles = problem.workspace.obstacles
+    found: list[Relaxation] = []
+    for obstacle in obstacles if len(obstacles) <= MOST_OBSTACLES else ():
+        if trials.are_over or not is_joined(problem, problem.constraints.clearance_m, obstacle):
+            continue
+        rest = tuple(other for other in obstacles if other is not obstacle)
+        changed = replace(problem, workspace=replace(problem.workspace, obstacles=rest))
+        verified = trials.is_verified(changed)
+        if verified or is_open(changed):
+            removed = Key(f"world.obstacles ({obstacle.name})", "", math.nan, 0.0)
+            robot = problem.robots[0].name
+            found.append(removed.relaxation(robot, (), None, "", None, verified=verified))
+    return found
+
+
+def explain_blocked(
+    problem: Problem,
+    road_map: RoadMap,
+    first: NDArray[np.intp],  # (k,) nodes that the robot can reach first
+    goal: int,  # node
+    margins: NodeMargins,
+    trials: Trials,
+) -> tuple[Relaxation, ...]:
+    """Return changes of a hard chance constraint that would open a path to the goal."""
+    threshold, robot = problem.stations[0].threshold_dbm, problem.robots[0].name
+    chance = connection_probability(margins.mean_db, margins.deviation_db, threshold)
+    slack_db = problem.constraints.rule.slack_max_db or 0.0
+    lacking_db = MARGIN_PAD_DB - slack_db - _widest(road_map, first, goal, margins.margin_db)
+    found: list[Relaxation] = []
+    keys = connection_keys(problem)
+    for key in keys:
+        least = lacking_db
+        if key.name == "constraints.p_min":
+            least = key.value - _widest(road_map, first, goal, chance)
+        value = trials.first(problem, key, least) if 0.0 < least <= key.most else None
+        if value is not None:
+            found.append(key.relaxation(robot, (), None, "", value))
+    # Without slack_max_db, the constraint may be violated at a price.
+    rule = replace(problem.constraints.rule, slack_max_db=None)
+    if trials.is_verified(replace(problem, constraints=replace(problem.constraints, rule=rule))):
+        found.append(keys[-1].relaxation(robot, (), None, "", None))
+    return tuple(found)
+
+
+def _widest(
+    road_map: RoadMap,
+    first: NDArray[np.intp],
+    goal: int,
+    score: NDArray[np.float64],  # (n,)
+) -> float:
+    """Return the maximum over paths to the goal of the minimum score along the path."""
+    count = len(score)
+    end, move = np.nonzero(road_map.sources < count)
+    begin = road_map.sources[end, move]
+    least = np.minimum(score[begin], score[end])
+    levels = np.unique(score)
+    low, high = 0, len(levels) - 1
+    while low < high:
+        middle = (low + high + 1) // 2
+        kept = least >= levels[middle]
+        graph = csr_matrix((np.ones(int(kept.sum())), (begin[kept], end[kept])), (count, count))
+        _, part = cast("tuple[int, NDArray[np.int32]]", connected_components(graph, directed=False))
+        open_ = first[score[first] >= levels[middle]]
+        joined = score[goal] >= levels[middle] and bool((part[open_] == part[goal]).any())
+        low, high = (middle, high) if joined else (low, middle - 1)
+    return float(levels[low])

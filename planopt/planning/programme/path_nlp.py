@@ -37,8 +37,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.objectives.terms.term import Structure
-from planopt.planning.programme.evaluation import Evaluation, ValueSource
-from planopt.planning.programme.goal_value import PARAMETERS, goal_cost_s
+from planopt.planning.programme.goal_value import PARAMETERS, Evaluation, ValueSource, goal_cost_s
 from planopt.planning.programme.path_rows import PathShape, motion_rows, path_rows
 from planopt.planning.programme.solver import (
     OPTIONS,

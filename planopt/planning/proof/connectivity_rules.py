@@ -19,7 +19,7 @@ from planopt.channel.path_connectivity import JointConnectivity, joint_connectiv
 from planopt.channel.posterior import ChannelPosterior, factored_near
 from planopt.errors import InputError
 from planopt.planning.certificate import RuleResult
-from planopt.planning.history import History, data_of_steps_mbit
+from planopt.planning.plan import History, data_of_steps_mbit
 from planopt.planning.proof.rule import ROUNDING, BySlack, PathCase, Rule
 from planopt.planning.tolerances import RULE_TOLERANCE
 from planopt.problems.problem import Problem

@@ -16,7 +16,7 @@ from planopt.channel.kriging import NEIGHBOURS_BEYOND, predict, predict_nearby
 from planopt.channel.parameter_uncertainty import marginalise
 from planopt.channel.posterior import EXACT_LIMIT, ChannelPosterior
 from planopt.channel.prediction import Prediction
-from planopt.planning.history import BEGINNING, History
+from planopt.planning.plan import BEGINNING, History
 from planopt.planning.proof.searches import GoalCosts, GoalGrid
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex

@@ -18,7 +18,7 @@ from planopt.channel.prediction import Prediction, connection_probability
 from planopt.errors import InputError
 from planopt.parts import calling, class_name, returned
 from planopt.planning.certificate import RuleResult
-from planopt.planning.history import History
+from planopt.planning.plan import History
 from planopt.planning.proof.context import VerifierContext
 from planopt.problems.constraints import register_rule
 from planopt.problems.problem import Problem

@@ -21,8 +21,7 @@ from numpy.typing import NDArray
 from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
 from planopt.objectives.reach import outage_share
 from planopt.planning.certificate import Certificate, RuleResult
-from planopt.planning.history import History
-from planopt.planning.plan import Verdict
+from planopt.planning.plan import History, Verdict
 from planopt.planning.proof.context import (
     VerifierContext,
     certified_prediction,

@@ -19,9 +19,14 @@ from numpy.typing import NDArray
 
 from planopt.planning.candidates import UNLIMITED, Budget
 from planopt.planning.scene import Ground
-from planopt.planning.search.climb import APART_STEPS, climb_paths, distinct
 from planopt.planning.search.lattice_search import steps_apart
-from planopt.planning.search.local_ranking import LocalRanking, can_climb
+from planopt.planning.search.local_ranking import (
+    APART_STEPS,
+    LocalRanking,
+    can_climb,
+    climb_paths,
+    distinct,
+)
 from planopt.planning.tolerances import CLEARANCE_PAD_M, CLEARANCE_TOLERANCE_M, STEP_PAD_M
 from planopt.planning.values.context import StepContext
 from planopt.problems.problem import Problem

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from planopt.channel.prediction import bound_margin_db, connection_probability
 from planopt.objectives.reach import charged_length_m, cost_rate_s_m, path_cost_s
 from planopt.planning.free_space import node_at
-from planopt.planning.history import History
+from planopt.planning.plan import History
 from planopt.planning.scene import Scene, first_moves
 from planopt.planning.search.lattice_search import first_steps_apart, move_table, search_cheapest
 from planopt.planning.search.node_margins import NodeMargins

@@ -24,10 +24,9 @@ from planopt.channel.neighbours import PlaceTree
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.planning.candidates import Candidate, Scorer, held
 from planopt.planning.proof.context import search_prediction
-from planopt.planning.scene import Ground, free_ends
+from planopt.planning.scene import Ground, PathsFrom, free_ends, retime, stops_along
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.search.node_margins import NodeField
-from planopt.planning.search.taut_path import PathsFrom, retime, stops_along
 from planopt.planning.tolerances import CLEARANCE_PAD_M, MARGIN_PAD_DB, STEP_PAD_M
 from planopt.planning.values.context import StepContext
 from planopt.planning.values.exploration import left_to_learn

@@ -26,14 +26,12 @@ from planopt.objectives.terms.measured import MappingTerm
 from planopt.objectives.terms.term import Term
 from planopt.objectives.terms.until_connected import UntilConnectedTerm
 from planopt.planning.proof.context import search_power
-from planopt.planning.scene import Ground, first_moves
+from planopt.planning.scene import Ground, PathsFrom, first_moves, taut_turns
 from planopt.planning.search.global_search import FORBIDDEN
 from planopt.planning.search.node_margins import LatticeMap, NodeMargins
-from planopt.planning.search.taut_path import PathsFrom, taut_turns
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.planning.values.context import StepContext
-from planopt.planning.values.exploration import workspace_region
-from planopt.planning.values.steered_path import SteeringWay, steering_way
+from planopt.planning.values.exploration import SteeringWay, steering_way, workspace_region
 from planopt.problems.problem import Problem
 from planopt.world.clearance import segments_clear
 from planopt.world.lattice import lattice_paths, route_from

@@ -20,9 +20,8 @@ from planopt.objectives.moments import Region
 from planopt.objectives.terms.term import Steers
 from planopt.planning.candidates import Scorer
 from planopt.planning.foresight import FollowingPlanner
-from planopt.planning.history import BEGINNING, History
 from planopt.planning.initial_data import TeamSeeds
-from planopt.planning.plan import Plan, Verdict
+from planopt.planning.plan import BEGINNING, History, Plan, Verdict
 from planopt.planning.planners import Planner, asked_plan, planner_for
 from planopt.planning.proof.context import SEARCH_EXACT_LIMIT, verifier_context
 from planopt.planning.reservations import (
@@ -44,9 +43,8 @@ from planopt.planning.values.context import (
     places_of_others,
     step_context,
 )
-from planopt.planning.values.exploration import workspace_region
+from planopt.planning.values.exploration import SteeringWay, steering_way, workspace_region
 from planopt.planning.values.objective_value import ObjectiveValue
-from planopt.planning.values.steered_path import SteeringWay, steering_way
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.motion import TimedMotion
 from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs

@@ -28,8 +28,7 @@ from planopt.objectives.terms.term import Structure
 from planopt.objectives.tracking import Held
 from planopt.planning.proof.context import VerifierContext, search_power, search_prediction
 from planopt.planning.tolerances import STANDSTILL_M
-from planopt.planning.values.exploration import explores, region_near
-from planopt.planning.values.steered_path import SteeringWay
+from planopt.planning.values.exploration import SteeringWay, explores, region_near
 from planopt.problems.problem import Problem
 from planopt.targets.information_filter import TargetModel
 

@@ -22,7 +22,7 @@ from planopt.objectives.stage_power import ServingStages, StagePredictor, connec
 from planopt.objectives.terms.context import NearPath, Part
 from planopt.objectives.terms.term import Structure, Term
 from planopt.parts import calling, class_name, is_own, returned
-from planopt.planning.programme.evaluation import (
+from planopt.planning.programme.goal_value import (
     EvaluatePath,
     Evaluation,
     PathValue,

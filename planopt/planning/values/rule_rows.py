@@ -20,7 +20,7 @@ from planopt.channel.prediction import (
 )
 from planopt.objectives.moments import LocalPaths, Pull
 from planopt.planning.certificate import RuleResult
-from planopt.planning.history import History
+from planopt.planning.plan import History
 from planopt.planning.proof.rule import Rule, rule_of
 from planopt.planning.tolerances import margins_asked_db
 from planopt.planning.values.context import StepContext

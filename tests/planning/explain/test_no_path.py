@@ -11,10 +11,10 @@ import shapely
 from scenes import belief_of, small_problem
 
 from planopt import NoPlanError, Obstacle, Plan, Problem, Verdict, Workspace, explain, load
-from planopt.planning.explain.changes import Trials, deadline_s
-from planopt.planning.explain.no_path import explain_no_path
+from planopt.planning.explain.changes import EXPLAINED_S, Trials
+from planopt.planning.explain.explain import explain_no_path, widest_clearance_m
 from planopt.planning.explanation import Relaxation
-from planopt.planning.free_space import is_joined, widest_clearance_m
+from planopt.planning.free_space import is_joined
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
 
@@ -32,7 +32,7 @@ def planned(problem: Problem) -> Plan | None:
 def explained(problem: Problem) -> dict[str, Relaxation]:
     """The changes that open a path, by key."""
     joined = is_joined(problem, problem.constraints.clearance_m)
-    found = explain_no_path(problem, Trials(planned, deadline_s()), joined)
+    found = explain_no_path(problem, Trials(planned, process_time() + EXPLAINED_S), joined)
     return {one.constraint: one for one in found}
 
 

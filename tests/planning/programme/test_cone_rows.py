@@ -7,7 +7,7 @@ import pytest
 from motion_scene import DOUBLE, WHEELS
 from reach_tasks import constant_margins
 
-from planopt.planning.programme.evaluation import Evaluation, PathValue
+from planopt.planning.programme.goal_value import Evaluation, PathValue
 from planopt.planning.programme.path_nlp import build_path_nlp
 from planopt.planning.programme.path_rows import MotionShape, PathShape
 from planopt.planning.programme.scp import motion_cones, step_cones

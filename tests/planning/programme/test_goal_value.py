@@ -9,12 +9,12 @@ from reach_tasks import bowl_margins, constant_margins, goal_nlp, outage_of, sco
 from scipy.stats import norm
 
 from planopt.extend import Termination
-from planopt.planning.programme.evaluation import ValueSource
 from planopt.planning.programme.goal_value import (
     PIVOT_ROUNDING_M,
     STEP_ROUNDING_M,
     GoalValue,
     OutagePrice,
+    ValueSource,
 )
 from planopt.planning.programme.path_nlp import curvature
 from planopt.planning.programme.solver import Bounds

@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import minimize
 
 from planopt.extend import Termination
-from planopt.planning.programme.evaluation import (
+from planopt.planning.programme.goal_value import (
     Evaluation,
     PathValue,
 )

@@ -11,7 +11,7 @@ from planopt.channel import ChannelParameters, Station, condition
 from planopt.channel.kriging import LocalChannel, predict
 from planopt.channel.prediction import bound_margin_db, bound_quantile
 from planopt.objectives.stage_power import CUSP_ROUNDING, StagePredictor
-from planopt.planning.programme.evaluation import margins_of
+from planopt.planning.programme.goal_value import margins_of
 from planopt.targets.rounding import Derivatives
 
 PARAMETERS = ChannelParameters(-35.0, 2.8, 5.0, 12.0, 2.0, Station((3.0, -4.0), 6.0))

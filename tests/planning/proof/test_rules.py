@@ -14,7 +14,7 @@ from scipy.stats import binomtest
 
 from planopt import Verdict
 from planopt.channel import joint_connectivity, sample_power
-from planopt.planning.history import History, data_of_steps_mbit, history_of
+from planopt.planning.plan import History, data_of_steps_mbit, history_of
 from planopt.planning.proof.connectivity_rules import (
     ACCURACY,
     SEED,

@@ -20,7 +20,7 @@ import test_rules
 
 from planopt.planning.proof.rule import Rule
 
-HISTORY = "planopt.planning.history"
+HISTORY = "planopt.planning.plan"
 RULE, RULES = "planopt.planning.proof.rule", "planopt.planning.proof.connectivity_rules"
 VERIFY, RESULT = "planopt.planning.proof.verify", "planopt.planning.certificate"
 USERS = (HISTORY, RULE, RULES, VERIFY, RESULT)

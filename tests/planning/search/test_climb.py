@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from planopt.planning.candidates import Budget
-from planopt.planning.search.climb import climb_paths, distinct
+from planopt.planning.search.local_ranking import climb_paths, distinct
 
 START = np.array([1.0, -2.0])
 

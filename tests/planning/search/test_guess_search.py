@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 from terms_scene import CONNECT, context_of, scorer_of, terms_problem
 
-from planopt.planning.history import history_of
 from planopt.planning.horizon_planner import HorizonPlanner
+from planopt.planning.plan import history_of
 from planopt.planning.search.guess_search import GuessSearch, without_waiting
 from planopt.planning.values.objective_value import ObjectiveValue
 

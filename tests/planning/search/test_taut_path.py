@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planopt.planning.search.taut_path import retime
+from planopt.planning.scene import retime
 
 START = np.array([0.0, 0.0])
 NOTHING = np.zeros((0, 2))

@@ -14,8 +14,8 @@ from planopt import Obstacle, Verdict
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.planners import OneStepPlanner
+from planopt.planning.scene import PathsFrom
 from planopt.planning.search.place_paths import path_to_unmeasured
-from planopt.planning.search.taut_path import PathsFrom
 from planopt.world import swept_clearance_m
 
 INFORMATION = {"kind": "mapping", "form": "information"}

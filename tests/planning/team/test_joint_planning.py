@@ -79,8 +79,8 @@ def test_rounds_never_make_the_team_worse(terms):
 
 def _worth_together(solution):
     """The plans' values, each given those before it, from a team of its own."""
-    from planopt.planning.history import BEGINNING
     from planopt.planning.initial_data import team_seeds
+    from planopt.planning.plan import BEGINNING
     from planopt.planning.team.team_step import build_team
     from planopt.planning.values.context import Pending
 

@@ -14,7 +14,7 @@ from terms_scene import LEARNING, context_of, scorer_of, terms_problem
 from planopt import InputError, check, load, load_result, simulate
 from planopt.planning.proof.context import search_prediction
 from planopt.planning.search.steering import GoalSteering
-from planopt.planning.values.steered_path import SteeringWay
+from planopt.planning.values.exploration import SteeringWay
 from planopt.problems import problem_to_dict
 from planopt.problems.problem import problem_from_tables
 from planopt.world import index_obstacles

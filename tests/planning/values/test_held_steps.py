@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from planopt.planning.history import History
+from planopt.planning.plan import History
 from planopt.planning.proof.connectivity_rules import Outage
 
 

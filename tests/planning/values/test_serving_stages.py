@@ -13,7 +13,7 @@ from planopt.channel.connectivity_law import ConnectivityLaw
 from planopt.channel.kriging import LocalChannel
 from planopt.channel.prediction import bound_quantile, connection_probability
 from planopt.objectives.stage_power import ServingStages, StagePredictor, connectivity_derivatives
-from planopt.planning.programme.evaluation import margins_of
+from planopt.planning.programme.goal_value import margins_of
 
 PATH = np.array([[12.0, 9.0], [16.3, 11.2], [21.1, 13.0], [27.7, 12.1], [33.4, 8.2]])
 P_MIN = 0.8

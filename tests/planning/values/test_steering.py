@@ -11,7 +11,7 @@ from terms_scene import context_of, scorer_of, terms_problem
 
 from planopt import Obstacle
 from planopt.planning.search.steering import Steering
-from planopt.planning.values.steered_path import SteeringWay
+from planopt.planning.values.exploration import SteeringWay
 from planopt.world import clearance_m, index_obstacles, swept_clearance_m
 
 TWO_LAYER = {

@@ -1,0 +1,234 @@
+"""Refinement of one step's guesses to a goal, in the order of the fallbacks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.prediction import Prediction
+from planopt.objectives.reach import cruising_speed_m_s
+from planopt.objectives.stage_power import scores_of
+from planopt.planning.candidates import Budget, Candidate, Scorer
+from planopt.planning.plan import Rung, Verdict
+from planopt.planning.programme.goal_value import GoalValue, OutagePrice, margins_of
+from planopt.planning.programme.path_nlp import PathNlp
+from planopt.planning.programme.path_polish import (
+    REPAIRS,
+    PathTask,
+    lines_about,
+    lines_with_violated,
+    polish_path,
+)
+from planopt.planning.refinement import candidate_of, margins_at
+from planopt.planning.scene import Scene, retime
+from planopt.planning.search.global_search import GlobalStart
+from planopt.planning.search.pivot import Ahead
+from planopt.planning.tolerances import MARGIN_PAD_DB, STANDSTILL_M, STEP_PAD_M
+from planopt.planning.values.context import StepContext
+from planopt.planning.values.local_value import stage_predictor
+from planopt.planning.values.reach_cost import ReachCost
+from planopt.planning.values.rule_rows import RuleRows, step_rows
+from planopt.targets.rounding import Derivatives
+
+
+@dataclass(frozen=True, eq=False)
+class GoalRefinement:
+    """Refinement of one step's guesses to a goal, in the order of the fallbacks."""
+
+    nlp: PathNlp
+    scene: Scene
+    step: StepContext  # Planner's context, thresholds lowered by bounded slack
+    scorer: Scorer
+    cost: ReachCost
+    start: GlobalStart
+    ahead: Ahead
+    lattice_objective: float
+    budget: Budget
+
+    def attempts(self, shifted_m: NDArray[np.float64] | None) -> Iterator[Candidate]:
+        """Yield verified candidates, best guess first, each with the effort since the last one.
+
+        The shifted last plan is the better guess if it arrives sooner than the lattice path.
+        """
+        start_m = self.start.path_m
+        starts = [(self._retimed(), Rung.PLAN), (start_m, Rung.COLD_RETRY)]
+        if bool((self.start.margin_db < 0.0).any()):
+            starts = [(start_m, Rung.RELAXED)]
+        if shifted_m is not None:
+            shifted_m = self._drawn_on(shifted_m)
+            margins = step_rows(self.step, shifted_m).margins_db(self.cost.power(shifted_m))
+            relaxes = bool((margins < 0.0).any())
+            if self.scorer.objective(shifted_m) < self.lattice_objective:
+                starts.insert(0, (shifted_m, Rung.RELAXED if relaxes else Rung.PLAN))
+            else:
+                starts.append((shifted_m, Rung.RELAXED if relaxes else Rung.COLD_RETRY))
+        for path_m, rung in starts:
+            for candidate in self._from(path_m, rung):
+                sooner = self._sooner(candidate)
+                if sooner is not None:
+                    yield sooner
+                    candidate = replace(candidate, solve_s=0.0, iterations=0)
+                yield candidate
+
+    def _drawn_on(self, shifted_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the shifted last plan, with its last step towards the pivot."""
+        problem, before = self.scorer.problem, shifted_m[-1]
+        to_pivot = self.ahead.leading(before).position_m - before
+        away, longest = float(np.linalg.norm(to_pivot)), problem.step_length_m - STEP_PAD_M
+        goal_away = np.linalg.norm(before - np.asarray(problem.goal_m))
+        if len(shifted_m) == 1 or away == 0.0 or goal_away <= problem.constraints.goal_radius_m:
+            return shifted_m
+        return np.vstack([shifted_m[:-1], before + to_pivot * min(1.0, longest / away)])
+
+    def _retimed(self) -> NDArray[np.float64]:
+        """Return the lattice path at cruising speed."""
+        problem, start = self.scorer.problem, self.start
+        effort, fastest = problem.reach.effort_weight_s2_m2, problem.robots[0].speed_max_m_s
+        step_m = cruising_speed_m_s(effort, fastest) * problem.planner.step_s - STEP_PAD_M
+        return retime(self.scorer.position_m, start.path_m, start.beyond_m, step_m)
+
+    def _sooner(self, candidate: Candidate) -> Candidate | None:
+        """Return a candidate that arrives in fewer steps; None if the path is too long."""
+        problem = self.scorer.problem
+        path = np.vstack([self.scorer.position_m, candidate.path_m])
+        away = np.linalg.norm(path - np.asarray(problem.goal_m), axis=1)
+        there = np.nonzero(away <= problem.constraints.goal_radius_m)[0]
+        if candidate.verdict is not Verdict.VERIFIED or there.size == 0 or there[0] < 2:
+            return None
+        if self.budget.spent:
+            return None
+        faster = retime(path[0], candidate.path_m, path[:0], problem.step_length_m - STEP_PAD_M)
+        if np.linalg.norm(faster[there[0] - 2] - faster[-1]) > 0.0:
+            return None
+        begun = perf_counter()
+        rows = step_rows(self.step, faster)
+        task = self._task(faster, rows)
+        bound = np.minimum(margins_at(task, faster), MARGIN_PAD_DB)
+        better = self._refined(task, rows, bound, candidate.rung, begun)
+        better = replace(
+            better,
+            solve_s=better.solve_s + candidate.solve_s,
+            iterations=better.iterations + candidate.iterations,
+        )
+        is_better = better.objective < candidate.objective
+        return better if better.verdict is Verdict.VERIFIED and is_better else None
+
+    def _from(self, path_m: NDArray[np.float64], rung: Rung) -> Iterator[Candidate]:
+        """Yield refinements of a path, each with lines for the verified violations added.
+
+        Steps that meet the bound in the guess must keep it; with `rung` RELAXED others are free.
+        """
+        if self.budget.spent:
+            return
+        rows = step_rows(self.step, path_m)
+        task = self._task(path_m, rows)
+        exact = rows.margins_db(self.cost.power(path_m))
+        local = margins_at(task, path_m)
+        # If the local model is optimistic, its bound is raised by the error.
+        wanted = MARGIN_PAD_DB + np.maximum(local - exact, 0.0)
+        begun = perf_counter()
+        free = (exact < 0.0) & (rung is Rung.RELAXED)
+        # A guess that meets the bound must stay feasible.
+        bound = np.where(exact >= 0.0, np.minimum(wanted, local), wanted)
+        bound[free] = -np.inf
+        for _ in range(REPAIRS):
+            if self.budget.spent:
+                return
+            candidate = self._refined(task, rows, bound, rung, begun)
+            yield candidate
+            begun = perf_counter()
+            if not candidate.sound:
+                lines = lines_with_violated(
+                    self.scorer.problem,
+                    self.scene.pieces,
+                    self.scorer.context.moving,
+                    task.lines,
+                    np.vstack([task.start_m, path_m]),
+                    np.vstack([task.start_m, candidate.path_m]),
+                )
+                if lines is None:
+                    return
+                task = replace(task, lines=lines)
+            if candidate.power is None:
+                return
+            planned = Prediction(candidate.power.mean_db[1:], candidate.power.deviation_db[1:])
+            lacking = np.where(free, 0.0, -rows.margins_db(planned))
+            if candidate.sound and not (lacking > 0.0).any():
+                return
+            bound = bound + np.where(lacking > 0.0, lacking + MARGIN_PAD_DB, 0.0)
+
+    def _refined(
+        self,
+        task: PathTask,
+        rows: RuleRows,
+        bound_db: NDArray[np.float64],
+        rung: Rung,
+        begun_s: float,
+    ) -> Candidate:
+        """Return the verified candidate of a task with these bounds of the constrained steps."""
+        bound_db = np.where(rows.asked, bound_db, -np.inf)
+        point = polish_path(self.nlp, replace(task, bound_db=bound_db))
+        solve_s = perf_counter() - begun_s
+        candidate = candidate_of(self.scorer, point, rung, self.lattice_objective, solve_s)
+        assessed = self.scorer.assessed(candidate)
+        # The refined path may meet a bound that the guess misses.
+        met_after_all = rung is Rung.RELAXED and not assessed.relaxes
+        return replace(assessed, rung=Rung.PLAN) if met_after_all else assessed
+
+    def _task(self, path_m: NDArray[np.float64], rows: RuleRows) -> PathTask:
+        """Return the data of the refinement of a guess."""
+        scorer, cost = self.scorer, self.cost
+        problem, pivot = scorer.problem, self.ahead.leading(path_m[-1])
+        ends = np.vstack([scorer.position_m, path_m])
+        at_goal = (
+            np.linalg.norm(path_m[-1] - np.asarray(problem.goal_m))
+            <= problem.constraints.goal_radius_m
+        )
+        # A guess that waits at its end has arrived, at the goal or a waiting position; spread over
+        # the whole horizon, its refinement would never arrive.
+        standing = np.linalg.norm(path_m - path_m[-1], axis=1) <= STANDSTILL_M
+        arrival = len(path_m) - int(np.argmin(standing[::-1])) if not standing.all() else 0
+        dwells = at_goal or arrival < len(path_m) - 1
+        before, charged = cost.outage_charges(path_m)
+        # A rate below the largest cost of a metre on the path would not pay for that metre.
+        metre_cost = max(pivot.metre_cost, float(cost.metre_costs(path_m).max()))
+        value = GoalValue(
+            start_m=scorer.position_m,
+            pivot_m=pivot.position_m,
+            effort_s_m2=problem.reach.effort_weight_s2_m2 / problem.planner.step_s,
+            rate_s_m=cost.rate_s_m * metre_cost,
+            outage=OutagePrice(cost.rate_s_m * cost.outage_price, before, charged),
+            margins=self._margins_about(path_m, rows),
+        )
+        return PathTask(
+            start_m=scorer.position_m,
+            path_m=path_m,
+            lines=lines_about(
+                problem, self.scene.pieces, scorer.context.moving, ends, self.nlp.shape.lines
+            ),
+            clearance_m=problem.constraints.clearance_m,
+            step_length_m=problem.step_length_m,
+            bounds_m=problem.workspace.bounds_m,
+            evaluate=value,
+            scale=1.0,
+            bound_db=np.full(len(path_m), -np.inf),
+            arrival=arrival + 1 if dwells else None,
+        )
+
+    def _margins_about(
+        self, path_m: NDArray[np.float64], rows: RuleRows
+    ) -> Callable[[NDArray[np.float64]], tuple[Derivatives, Derivatives]]:
+        """Return margins and scores from the measurements nearest to each stage of a path."""
+        law, neighbours = self.scorer.context.law, self.scorer.problem.planner.neighbours
+        predict_stages, quantile = stage_predictor(law, path_m, neighbours), rows.quantile
+
+        def margins(positions_m: NDArray[np.float64]) -> tuple[Derivatives, Derivatives]:
+            power = predict_stages(positions_m)
+            scores = scores_of(*power, self.cost.threshold_dbm)
+            return margins_of(*power, rows.threshold_dbm, quantile), scores
+
+        return margins

@@ -8,6 +8,7 @@ import pytest
 from step_deadlines import STRESS, STRESS_STEPS, Timed, line_of, main, read_log, scene, timed
 
 from planopt import load
+from planopt.problems.tasks import MOTION
 from planopt.studies.bench.cases import library_names
 
 
@@ -54,7 +55,7 @@ def test_larger_scenes_are_larger() -> None:
 
 def test_no_path_is_left_out() -> None:
     """The problem without a free path is in the library, and has no steps to time."""
-    assert "munich_courtyard" in library_names()
+    assert "munich_courtyard" in library_names(MOTION)
     assert timed("munich_courtyard", 0, None) is None
 
 

@@ -80,13 +80,13 @@ def team_case(seed: int) -> tuple[bool, bool]:
     demand = capped_demand(float(generator.uniform(0.1, 0.4)), 8, count // 2)
     event, settled_m = starts[-1], SETTLED_SHARE * math.sqrt(region.area_m2 / count)
     scene = Scene(
-        ConvexGround(region), starts[:-1], np.zeros(count), np.full(count, np.inf),
+        ConvexGround(region), np.zeros(count), np.full(count, np.inf),
         (Event("event", (float(event[0]), float(event[1])), 5.0),), (demand,),
         Sensing(EventSensor(0.5, 200.0, 5.0)), None,
         "all" if seed % 2 else "coverage_only", GAINS, 1.0, 1.0, Counting("leader"), None, 30,
         1.0, 1500.0, settled_m,
     )  # fmt: skip
-    run = simulate_network(scene, LawMover(GAINS, 1.0, 4.0), generator)
+    run = simulate_network(scene, starts[:-1], LawMover(GAINS, 1.0, 4.0), generator)
     here = run.positions_m[-1]
     # Who covers may be near to the event by chance, but not on it.
     at_event = np.linalg.norm(here - run.estimates_m[-1, 0], axis=1) <= settled_m

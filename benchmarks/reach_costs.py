@@ -27,6 +27,7 @@ from planopt.planning.loop.clairvoyant import clairvoyant_path, realised_cost_m
 from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.scene import build_scene
 from planopt.problems.objective import OutageCharge
+from planopt.problems.tasks import MOTION
 from planopt.studies.bench.cases import library_names
 from planopt.studies.comparison_rows import mean_interval
 
@@ -83,7 +84,7 @@ class Record:
 def reach_problems() -> list[str]:
     """Names of the library's problems of one robot that have a goal and a free path to it."""
     names: list[str] = []
-    for name in library_names():
+    for name in library_names(MOTION):
         problem = load(name)
         if problem.task != "reach" or len(problem.robots) > 1:
             continue

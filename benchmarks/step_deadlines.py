@@ -27,6 +27,7 @@ from courier_teams import drawn_problem
 
 from planopt import NoPlanError, Problem, load, simulate
 from planopt.planning.loop.results import summary_of
+from planopt.problems.tasks import MOTION
 from planopt.studies.bench.cases import library_names
 
 STRESS_STEPS = 12
@@ -161,7 +162,7 @@ def main() -> None:
     parser.add_argument("--log", type=Path, required=True)
     parser.add_argument("--processor-time", action="store_true")
     asked = parser.parse_args()
-    names = asked.problems or library_names()
+    names = asked.problems or library_names(MOTION)
     known = {(each.problem, each.seed, each.budget_s) for each in read_log(asked.log)}
     for seed in range(asked.first_seed, asked.first_seed + asked.seeds):
         for name in names:

@@ -11,9 +11,10 @@ import pytest
 from planopt import OutputError, load
 from planopt.cli import main
 from planopt.problems import list_problems, problem_from_dict, problem_to_dict
+from planopt.problems.tasks import MOTION
 from planopt.studies.bench.cases import library_names
 
-NAMES = library_names()
+NAMES = library_names(MOTION)
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -105,7 +105,7 @@ def compare(
             remedy="give --horizons, --planners or --sweep",
         )
     chosen = (
-        default_seeds(own)
+        default_seeds(own, loaded)
         if seeds is None and first_seed is None
         else seed_range(str(DEFAULT_SEEDS) if seeds is None else seeds, first_seed)
     )

@@ -74,14 +74,14 @@ def _perform(action: Action, options: PlanningOptions, animation: bool = False) 
             words = [line for line in report.words if line != refusal]
         else:
             with progress("explaining"):
-                report = task.report(result)
+                report = task.explained(result)
             words = [] if options.json else list(report.words)
         if folder is not None:
             report.save(folder)
         if options.json or words:
             show(options.json, report.data if options.json else {}, "\n".join(words))
         wanted = task.has_figures(problem) or animation
-        with drawing(folder, report.files, wanted=wanted) as new:
+        with drawing(folder, task.files, wanted=wanted) as new:
             if new is not None:
                 report.draw(new, animation=animation)
     return report.exit_code

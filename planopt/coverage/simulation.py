@@ -45,10 +45,9 @@ Signals = Callable[[int, Numbers], Floats]
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Simulation problem of a network: ground, agents, events and settings."""
+    """Problem of a network: ground, events and settings; agents start where the run says."""
 
     ground: Ground
-    starts_m: Floats  # (n, 2)
     joins_s: Floats  # (n,): an agent is a member for joins_s <= time < leaves_s
     leaves_s: Floats
     events: tuple[Event, ...]
@@ -163,14 +162,16 @@ class NetworkController:
 
     Parameters
     ----------
-    scene, mover
-        Problem, and the control law or planner that moves the agents.
+    scene, starts_m, mover
+        Problem, starting positions ``(n, 2)`` in metres, and the control law or planner.
     generator
         Random number generator for counting and lost messages.
     """
 
-    def __init__(self, scene: Scene, mover: Mover, generator: np.random.Generator) -> None:
-        agents, events = len(scene.starts_m), len(scene.events)
+    def __init__(
+        self, scene: Scene, starts_m: Floats, mover: Mover, generator: np.random.Generator
+    ) -> None:
+        agents, events = len(starts_m), len(scene.events)
         self.scene = scene
         self._mover, self._generator = mover, generator
         self._steps = 0
@@ -179,7 +180,7 @@ class NetworkController:
         # Membership mask (n,) and event estimates (k, 2) at the last assignment
         self._assigned_for: tuple[Mask, Floats] | None = None
         self._tally: Tally | None = None
-        self.motion = Motion.at_rest(scene.starts_m.astype(np.float64))
+        self.motion = Motion.at_rest(starts_m.astype(np.float64))
 
     def step(
         self,
@@ -411,6 +412,7 @@ def _numbers(key: str, values: Any, shape: tuple[int, ...]) -> Floats:
 
 def simulate_network(
     scene: Scene,
+    starts_m: Floats,  # (n, 2)
     mover: Mover,
     generator: np.random.Generator,
     on_step: Callable[[], None] = lambda: None,
@@ -421,7 +423,7 @@ def simulate_network(
     A step starts from the `saved` motion if both agree within `FOLLOWED_M`. A closed loop amplifies
     rounding differences between processors; a single step does not.
     """
-    controller = NetworkController(scene, mover, generator)
+    controller = NetworkController(scene, starts_m, mover, generator)
     motions, rows = [controller.motion], list[NetworkStep]()
     for step in range(round(scene.duration_s / scene.time_step_s)):
         now = motions[-1]

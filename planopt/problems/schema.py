@@ -84,22 +84,18 @@ class WorldTable(Table):
     """[x_min, y_min, x_max, y_max] in metres."""
     obstacles: tuple[ObstacleTable, ...] = Field(default=(), strict=False)
     """Forbidden areas."""
+
+
+class MotionWorldTable(WorldTable):
+    """Table ``[world]``: bounds, obstacles and moving obstacles."""
+
     moving: tuple[MovingObstacle, ...] = Field(default=(), strict=False, max_length=50)
     """Moving obstacles with predicted trajectories."""
 
 
-def _workspace_of(table: WorldTable, folder: Path) -> Workspace:
+def _workspace_of(table: MotionWorldTable, folder: Path) -> Workspace:
     """Return the workspace that a table describes, with obstacles read from their files."""
-    obstacles = [
-        replace(
-            obstacle,
-            known_from_s=entry.known_from_s,
-            until_s=math.inf if entry.until_s is None else entry.until_s,
-        )
-        for index, entry in enumerate(table.obstacles)
-        for obstacle in obstacles_of(entry, index, folder)
-    ]
-    return Workspace(table.bounds_m, obstacles, table.moving)
+    return Workspace(table.bounds_m, obstacles_of(table.obstacles, folder), table.moving)
 
 
 def _world_keys(workspace: Workspace) -> dict[str, Any]:
@@ -107,11 +103,24 @@ def _world_keys(workspace: Workspace) -> dict[str, Any]:
     return {"bounds_m": workspace.bounds_m, "moving": workspace.moving}
 
 
-WORLD = ReadAs(WorldTable, _workspace_of, Workspace, to_keys=_world_keys, needs_folder=True)
+WORLD = ReadAs(MotionWorldTable, _workspace_of, Workspace, to_keys=_world_keys, needs_folder=True)
 
 
-def obstacles_of(table: ObstacleTable, index: int, folder: Path) -> tuple[Obstacle, ...]:
-    """Return the obstacles of one entry of ``world.obstacles``; errors name its key."""
+def obstacles_of(entries: Sequence[ObstacleTable], folder: Path) -> tuple[Obstacle, ...]:
+    """Return the obstacles of ``world.obstacles``, read from their files; errors name the entry."""
+    return tuple(
+        replace(
+            obstacle,
+            known_from_s=entry.known_from_s,
+            until_s=math.inf if entry.until_s is None else entry.until_s,
+        )
+        for index, entry in enumerate(entries)
+        for obstacle in _entry_obstacles(entry, index, folder)
+    )
+
+
+def _entry_obstacles(table: ObstacleTable, index: int, folder: Path) -> tuple[Obstacle, ...]:
+    """Return the obstacles of one entry of ``world.obstacles``."""
     key = f"world.obstacles[{index}]"
     name = f"obstacle {index}" if table.name is None else table.name
     try:

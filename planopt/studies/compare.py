@@ -26,9 +26,14 @@ from planopt.problems.settings import (
 from planopt.problems.tasks import TaskProblem, task_of
 from planopt.studies.comparison import Comparison
 from planopt.studies.comparison_rows import comparison_rows
-from planopt.studies.study import FinishedRuns, Study, run_key, run_study
-
-AnyProblem = Problem | TaskProblem
+from planopt.studies.study import (
+    AnyProblem,
+    FinishedRuns,
+    Study,
+    run_key,
+    run_study,
+    shared_data,
+)
 
 Item = tuple[AnyProblem, int]
 """A problem with the settings of a run, and its seed."""
@@ -52,7 +57,8 @@ def compare(
     Parameters
     ----------
     problems
-        One or several problems of tasks that can be simulated, with different names.
+        One or several problems with different names. Designs, which cannot be simulated, are
+        solved.
     horizons, planners, costs_to_go
         Values to compare; None keeps the problems' own. By default, problems with a goal are
         compared with both costs-to-go; others have none.
@@ -62,9 +68,9 @@ def compare(
         without any setting is compared as specified in its table ``compare``.
     seeds
         Random seeds, or their number (0, 1, ...). Defaults to those of the table ``compare`` if it
-        is used, else 30. Every setting uses the same seeds. Ratios and differences are paired by
-        seed with the first setting of the same problem, or of the first problem if each has only
-        one setting.
+        is used, else 30, or 1 for designs. Every setting uses the same seeds. Ratios and
+        differences are paired by seed with the first setting of the same problem, or of the first
+        problem if each has only one setting.
     workers
         Number of processes; each runs one seed of one problem on one BLAS thread. Only measured
         times depend on it.
@@ -106,11 +112,11 @@ def compare(
     lists = Lists(*own, swept_values(sweep))
     variants = variants_of(compared, lists)
     if seeds is None:
-        seeds = default_seeds(own_settings(compared, lists))
+        seeds = default_seeds(own_settings(compared, lists), compared)
     chosen = chosen_seeds(seeds)
     kept = None if finished is None else FinishedRuns(Path(finished))
     study: Study[Item, Any, RunSummary] = Study(
-        kind=RunSummary, prepare=_shared, work=_drive, key=lambda item: run_key(*item)
+        kind=RunSummary, prepare=shared_data, work=_drive, key=lambda item: run_key(*item)
     )
     places = [(variant, seed) for seed in chosen for variant in range(len(variants))]
     groups = [[(each, seed) for each in variants[variant].settings] for variant, seed in places]
@@ -142,15 +148,6 @@ def compare(
         resumed=resumed,
         others=tuple(compared[1:]),
     )
-
-
-def _shared(item: Item) -> Any:
-    """Return the data common to all settings of one seed, or the error if there is no plan."""
-    problem, seed = item
-    try:
-        return task_of(problem).shared(problem, seed)
-    except NoPlanError as error:
-        return error
 
 
 def _drive(item: Item, shared: Any) -> RunSummary:
@@ -212,8 +209,10 @@ def own_settings(problems: Sequence[AnyProblem], lists: Lists) -> ComparisonSett
     return first.compare
 
 
-def default_seeds(own: ComparisonSettings | None) -> range:
-    """Return the default seeds: those of the table ``compare`` if it is used."""
+def default_seeds(own: ComparisonSettings | None, problems: Sequence[AnyProblem] = ()) -> range:
+    """Return the default seeds: those of the table ``compare`` if it is used, one for designs."""
+    if problems and all(task_of(problem).simulate is None for problem in problems):
+        return range(1)
     return seeds_of(DEFAULT_SEEDS if own is None else own.seeds, "compare.seeds")
 
 
@@ -321,7 +320,7 @@ def _settings(
 ) -> tuple[AnyProblem, ...]:
     """Return a problem with each combination of cost-to-go, planner and horizon, once each."""
     task = task_of(problem)
-    if task.simulate is None:
+    if task.simulate is None and task.solve is None:
         raise InputError(
             f"{problem.name} has the task {problem.task}, which has no runs to compare",
             file=problem.file,

@@ -31,7 +31,7 @@ from joblib import (
     parallel_config,
 )
 
-from planopt.errors import InputError
+from planopt.errors import InputError, NoPlanError
 from planopt.files.reading import read_bytes, read_text
 from planopt.files.typed_json import decoded, encoded
 from planopt.files.writing import remove_remains, strict_text, write_text
@@ -53,6 +53,8 @@ LIBRARIES = ("casadi", "clarabel", "numpy", "scipy", "shapely")
 """Packages whose version may change a result."""
 
 Value = TypeVar("Value")
+
+AnyProblem = Problem | TaskProblem
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,16 @@ def _read_record(file: Path, kind: type[Value]) -> tuple[Any, Value] | None:
         return None
 
 
-def run_key(problem: Problem | TaskProblem, seed: int) -> dict[str, Any]:
+def shared_data(item: tuple[AnyProblem, int]) -> Any:
+    """Return the data common to all settings of a problem and seed, or the reason for no plan."""
+    problem, seed = item
+    try:
+        return task_of(problem).shared(problem, seed)
+    except NoPlanError as error:
+        return error
+
+
+def run_key(problem: AnyProblem, seed: int) -> dict[str, Any]:
     """Return everything that determines a run: problem, seed and program."""
     tables = task_of(problem).tables(problem)
     return {"problem": _deciding(tables), "seed": seed, "program": dict(program())}

@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING, Any, overload
 
-from planopt.errors import NoPlanError, path_of
-from planopt.planning.check.check import CheckResult, check_motion, load_motion_result
+from planopt.errors import InputError, NoPlanError, path_of
+from planopt.planning.check.check import CheckResult
 from planopt.planning.files.saved import read_object
 from planopt.planning.initial_data import UserMeasurements
 from planopt.planning.plan import Plan, Verdict
 from planopt.problems.problem import Problem
-from planopt.problems.tasks import MOTION, TaskProblem, named_task
-from planopt.tasks.task import TaskResult, perform, read_result, reasons_against
+from planopt.problems.tasks import TaskProblem, named_task, task_named
+from planopt.tasks.task import Task, TaskResult, perform
 
 if TYPE_CHECKING:
     from planopt.planning.loop.results import Run, Solution
@@ -193,9 +193,7 @@ def check(path: Path | str) -> CheckResult:
         return CheckResult(Verdict.NONE, (), (f"there is no comparison to check: {error}",))
     if reasons is None:
         file, data = read_object(given)
-        if named_task(data.get("problem_file")) in MOTION:
-            return check_motion(file, data)
-        reasons = reasons_against(file, data)
+        return _task_of_file(file, data).check(file, data)
     return CheckResult(Verdict.VIOLATED if reasons else Verdict.VERIFIED, (), tuple(reasons))
 
 
@@ -239,6 +237,12 @@ def load_result(path: Path | str) -> Solution | Run | Comparison | TaskResult:
     if comparison is not None:
         return comparison
     file, data = read_object(given)
-    if named_task(data.get("problem_file")) in MOTION:
-        return load_motion_result(file, data)
-    return read_result(file, data)
+    return _task_of_file(file, data).load_result(file, data)
+
+
+def _task_of_file(file: Path, data: Mapping[str, Any]) -> Task:
+    """Return the task of a saved result; errors name the file."""
+    try:
+        return task_named(named_task(data.get("problem_file")))
+    except InputError as error:
+        raise error.located(file) from None

@@ -2,54 +2,59 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from time import process_time
 from typing import TYPE_CHECKING, Any
 
-from planopt.errors import NoPlanError
+import numpy as np
+
+from planopt.errors import InputError, NoPlanError
+from planopt.files.typed_json import finite
 from planopt.planning.certificate import BlockedError
-from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE, save_no_plan
+from planopt.planning.files.saved import PLAN_FILE, RUN_FILE, save_no_plan
 from planopt.planning.loop.results import Run, RunSummary, Solution, summary_of
+from planopt.planning.plan import Plan, Termination, Verdict
 from planopt.problems.load import problem_to_dict, with_overrides
-from planopt.problems.planner_kinds import planner_kind
+from planopt.problems.planner_kinds import planner_kind, planner_names
 from planopt.problems.problem import Problem, problem_from_tables
 from planopt.problems.schema import ProblemFile
-from planopt.tasks.task import ANIMATION, NO_PLAN, Action, Task
+from planopt.tasks.task import NO_PLAN, Action, Task, checked_again, save_figures
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from planopt.planning.check.check import CheckResult
+    from planopt.studies.bench.cases import States
+
+RUN_PLANNER, RUN_STEPS = "auto", 20
+"""Planner and number of planned steps of the closed loops of the regression suite."""
+
 
 @dataclass(frozen=True, eq=False)
-class MotionReport:
-    """Report of a solution, a run or a missing plan for the command line."""
+class NoPlan:
+    """Result of an action without a plan."""
 
     problem: Problem
     words: Sequence[str]
-    exit_code: int
-    make_data: Callable[[], Mapping[str, Any]]
-    save: Callable[[Path], None]
+    data: Mapping[str, Any]
+    file: str  # Name of the saved file
     figures: Callable[[], Mapping[str, Figure]]
-    run: Run | None = None  # Run to animate
 
-    files = PLAN_OR_RUN
+    exit_code = NO_PLAN
 
-    @property
-    def data(self) -> Mapping[str, Any]:
-        """Return the JSON object of the result."""
-        return self.make_data()
+    def save(self, folder: Path) -> None:
+        """Save the JSON object; a run without a plan has no released plans."""
+        more: dict[str, Any] = {"plans": []} if self.file == RUN_FILE else {}
+        save_no_plan({**self.data, **more}, self.problem, folder, self.file)
 
     def draw(self, folder: Path, *, animation: bool = False) -> None:
-        """Draw the figures selected by the problem, and optionally an animation."""
-        from planopt.report import save_figure
-
-        if self.problem.report.figures:
-            for name, figure in self.figures().items():
-                save_figure(figure, folder / name)
-        if animation and self.run is not None:
-            _animate(self.run, folder / ANIMATION)
+        """Draw the blocked paths, if the problem enables figures."""
+        save_figures(self.figures() if self.problem.report.figures else {}, folder)
 
 
 def _animate(run: Run, path: Path) -> None:
@@ -87,6 +92,7 @@ class MotionTask(Task):
     """Common task of all motion planning problems, with result types of its own."""
 
     says_ahead = True
+    plans_ahead = True
 
     def problem_from(self, tables: object, *, folder: Path, file: Path | None) -> Problem:
         """Build a validated problem from tables or from parts."""
@@ -160,52 +166,161 @@ class MotionTask(Task):
 
         return summary_of(simulate(problem, seed=seed, **shared))
 
+    def planners(self, problem: Problem, kind: str) -> Sequence[str]:
+        """Return the planners that solve a problem without knowing the ground truth."""
+        known = planner_names() if kind == "plan" else (RUN_PLANNER,)
+        return [name for name in known if _allows(problem, name)]
+
+    def answer(
+        self, problem: Problem, kind: str, seed: int, shared: Any, states: States = ()
+    ) -> dict[str, Any]:
+        """Return the row of a plan, checked from its files, or of the first steps of a run."""
+        if kind == "run":
+            return _run_answer(problem, seed, shared, states)
+        from planopt.planning.solve import solve_on
+
+        begun = process_time()
+        solution = solve_on(problem, shared["prepared"].belief, seed, shared["scenes"])
+        cpu_s = process_time() - begun
+        plans, checked = solution.plans, checked_again(self, solution)
+        proofs = [plan.certificate for plan in plans]
+        residuals = [proof.kkt_residual for proof in proofs if proof.kkt_residual is not None]
+        return {
+            **_totals(plans),
+            "objective": finite(sum(plan.objective for plan in plans)),
+            "verdict": solution.verdict.value,
+            "termination": _worst(Termination, (plan.termination.value for plan in plans)),
+            "accepted": checked.verdict is Verdict.VERIFIED,
+            "reasons": checked.reasons,
+            "cpu_s": cpu_s,
+            "kkt_residual": max(residuals, default=None),
+            "min_clearance_m": finite(min(proof.min_clearance_m for proof in proofs)),
+            "min_connectivity": finite(min(proof.min_connectivity for proof in proofs)),
+        }
+
     def words_ahead(self, problem: Problem, plans: Any) -> Iterable[str]:
         """Return text about the coverage holes on the route to each goal."""
         from planopt.report.motion_words import words_ahead
 
         return words_ahead(problem, plans)
 
-    def report(self, result: Solution | Run) -> MotionReport:
-        """Report a result; explain a solution that is unverified or crosses coverage holes."""
-        from planopt.planning.files.result_json import run_json, solution_json
+    def explained(self, result: Solution | Run) -> Solution | Run:
+        """Explain a solution that is unverified or crosses coverage holes."""
+        if not isinstance(result, Solution):
+            return result
+        if result.exit_code == 0 and not any(plan.holes for plan in result.plans):
+            return result
+        from planopt.planning.explain.explain import explain
+
+        return replace(result, explanation=explain(result))
+
+    def result_words(self, result: Solution | Run) -> Sequence[str]:
+        """Return a text summary of a result, line by line."""
         from planopt.report.motion_words import run_in_words, solution_in_words
 
-        figures = partial(_figures, result)
-        if not isinstance(result, Solution):
-            words, data = run_in_words(result), partial(run_json, result)
-            code, save = result.exit_code, result.save
-            return MotionReport(result.problem, words, code, data, save, figures, result)
-        if result.exit_code != 0 or any(plan.holes for plan in result.plans):
-            from planopt.planning.explain.explain import explain
+        is_plan = isinstance(result, Solution)
+        return solution_in_words(result) if is_plan else run_in_words(result)
 
-            result = replace(result, explanation=explain(result))
-        words, data = solution_in_words(result), partial(solution_json, result)
-        return MotionReport(result.problem, words, result.exit_code, data, result.save, figures)
+    def data(self, result: Solution | Run) -> dict[str, Any]:
+        """Return the JSON object of a result."""
+        from planopt.planning.files.result_json import run_json, solution_json
 
-    def no_plan(
-        self, action: Action, problem: Problem, seed: int, error: NoPlanError
-    ) -> MotionReport:
-        """Report that no plan exists; for ``solve``, suggest changes that would help."""
+        return solution_json(result) if isinstance(result, Solution) else run_json(result)
+
+    def check(self, file: Path, data: Mapping[str, Any]) -> CheckResult:
+        """Replay and verify a saved result whose JSON object is already loaded."""
+        from planopt.planning.check.check import check_motion
+
+        return check_motion(file, data)
+
+    def load_result(self, file: Path, data: Mapping[str, Any]) -> Solution | Run:
+        """Read a saved result whose JSON object is already loaded."""
+        from planopt.planning.check.check import load_motion_result
+
+        return load_motion_result(file, data)
+
+    def no_plan(self, action: Action, problem: Problem, seed: int, error: NoPlanError) -> NoPlan:
+        """Return that no plan exists; for ``solve``, with changes that would help."""
         from planopt.planning.explain.explain import explain_no_plan
         from planopt.planning.files.result_json import no_plan_json, no_run_json
 
-        words, more = [f"{problem.name}: no plan: {error}"], dict[str, list[Any]]()
-        figures: Callable[[], Mapping[str, Figure]] = dict
+        words = [f"{problem.name}: no plan: {error}"]
         if action == "simulate":
-            name, data, more["plans"] = RUN_FILE, no_run_json(problem, seed, str(error)), []
-        else:
-            helpful = explain_no_plan(problem, seed)
-            blocked = error.blocked if isinstance(error, BlockedError) else ()
-            name, data = PLAN_FILE, no_plan_json(problem, seed, str(error), helpful, blocked)
-            nothing = ["no single change of a key or obstacle gives a plan"]
-            words += [f"  {each}" for each in helpful or nothing]
-            figures = partial(_blocked_figures, problem, seed, error)
+            return NoPlan(problem, words, no_run_json(problem, seed, str(error)), RUN_FILE, dict)
+        helpful = explain_no_plan(problem, seed)
+        blocked = error.blocked if isinstance(error, BlockedError) else ()
+        data = no_plan_json(problem, seed, str(error), helpful, blocked)
+        nothing = ["no single change of a key or obstacle gives a plan"]
+        words += [f"  {each}" for each in helpful or nothing]
+        figures = partial(_blocked_figures, problem, seed, error)
+        return NoPlan(problem, words, data, PLAN_FILE, figures)
 
-        def save(folder: Path) -> None:
-            save_no_plan({**data, **more}, problem, folder, name)
 
-        return MotionReport(problem, words, NO_PLAN, lambda: data, save, figures)
+def _allows(problem: Problem, planner: str) -> bool:
+    """Return whether a planner can solve a problem without knowing the ground truth."""
+    kind = planner_kind(planner)
+    if kind.foresees or (kind.tracks and not problem.targets):
+        return False
+    try:
+        with_overrides(problem, planner=planner)
+    except InputError:
+        return False
+    return kind.has_dynamics or not problem.has_dynamics
+
+
+def _run_answer(problem: Problem, seed: int, shared: Any, recorded: States) -> dict[str, Any]:
+    """Return the row of the first steps of a closed loop, planned from `recorded` states if any."""
+    from planopt.planning.initial_data import team_seeds, with_drawn_starts
+    from planopt.planning.loop.drive import first_steps, true_world
+    from planopt.planning.target_watch import watch_target
+    from planopt.planning.team.couriers import planning
+
+    begun = process_time()
+    problem = with_drawn_starts(problem, seed)
+    seeds = team_seeds(problem, seed)
+    prepared, scenes = shared["prepared"], shared["scenes"] if problem.task == "reach" else None
+    steps, states = first_steps(
+        problem,
+        prepared.belief,
+        true_world(problem, prepared.truths, list),
+        planning(problem, scenes, seeds),
+        watch_target(problem, seeds.target),
+        seeds.target,
+        RUN_STEPS,
+        recorded,
+    )
+    cpu_s = process_time() - begun
+    plans = [plan for each in steps for plan in each]
+    found = (plan.objective for plan in plans)
+    return {
+        **_totals(plans),
+        "objective": finite(sum(found) / len(plans)) if plans else None,
+        "verdict": _worst(Verdict, (plan.verdict.value for plan in plans)),
+        "cpu_s": cpu_s,
+        "states": recorded or tuple(tuple(tuple(s.tolist()) for s in each) for each in states),
+    }
+
+
+def _totals(plans: Sequence[Plan]) -> dict[str, Any]:
+    """Return the entries of a row that are totals over plans, with a digest of their paths."""
+    # Adding zero turns negative zeros into positive ones.
+    paths = (np.round(plan.positions_m, 3) + 0.0 for plan in plans)
+    rounded = b"".join(path_m.astype("<f8").tobytes() for path_m in paths)
+    return {
+        "outcome": "planned",
+        "rungs": dict(Counter(plan.rung.value for plan in plans)),
+        "iterations": sum(plan.iterations for plan in plans),
+        "solve_s": float(sum(plan.solve_s for plan in plans)),
+        "wall_s": float(sum(plan.wall_s for plan in plans)),
+        "steps": len(plans),
+        "path_digest": hashlib.sha256(rounded).hexdigest()[:16],
+    }
+
+
+def _worst(labels: type[Verdict] | type[Termination], named: Iterable[str]) -> str:
+    """Return the worst label; the members of each type are ordered from good to bad."""
+    order = [label.value for label in labels]
+    return max(named, key=order.index, default=order[-1])
 
 
 TASK = MotionTask(
@@ -214,6 +329,7 @@ TASK = MotionTask(
     simulate="planopt.planning.loop.closed_loop:simulate",
     override=with_overrides,
     controller="planopt.planning.solve:Planner",
+    figures=_figures,
     animate=_animate,
     steps=lambda problem: problem.planner.max_steps,
 )

@@ -380,6 +380,7 @@ TASK = Task(
     controller=_controller,
     verify=_faults,
     reached=("captured",),
+    criterion=("capture_time_s", "min"),
     summary=_in_words,
     refusal=_refusal,
     columns={STEPS_FILE: STEP_COLUMNS, RECORDS_FILE: RECORD_COLUMNS},

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from planopt.errors import InputError
-from planopt.keys import SMALLEST, Distance, Length, Name, Pair, Quad, Table
-from planopt.problems.schema import ObstacleTable, obstacle_table, obstacles_of
+from planopt.keys import SMALLEST, Distance, Length, Name, Pair, Table
+from planopt.problems.schema import WorldTable, obstacle_table, obstacles_of
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
 from planopt.problems.tasks import TaskProblem
 from planopt.pursuit.arena import EVADER_SHARE, Arena, arena_of
@@ -48,15 +48,6 @@ START_DRAWS = 1000
 """Maximum number of positions drawn for a start in free space."""
 
 PlannerName = Literal["drive", "retarget", "receding"]
-
-
-class WorldTable(Table):
-    """Table ``[world]``: bounds and obstacles; without it the space is unbounded and free."""
-
-    bounds_m: Quad
-    """[x_min, y_min, x_max, y_max] in metres."""
-    obstacles: list[ObstacleTable] = Field(default=[])
-    """Forbidden areas."""
 
 
 class ServiceTable(Table):
@@ -157,6 +148,7 @@ class PursuitFile(TaskFile):
     """Problem file (TOML) of the task pursuit."""
 
     world: WorldTable | None = None
+    """Bounds and obstacles; without them the space is unbounded and free."""
     network: ServiceTable
     pursuit: RulesTable
     pursuers: list[PursuerTable] = Field(min_length=1, max_length=50)
@@ -279,11 +271,7 @@ def build(given: PursuitFile, folder: Path, file: Path | None) -> PursuitProblem
     obstacles: tuple[Obstacle, ...] = ()
     arena = Arena()
     if given.world is not None:
-        obstacles = tuple(
-            obstacle
-            for index, table in enumerate(given.world.obstacles)
-            for obstacle in obstacles_of(table, index, folder)
-        )
+        obstacles = obstacles_of(given.world.obstacles, folder)
         workspace = Workspace(given.world.bounds_m, obstacles)
         arena = arena_of(workspace, given.pursuit.clearance_m)
     _require_covered(given, service)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import import_module
 from inspect import signature
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast
+from time import process_time
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast, get_args
 
 import numpy as np
 from pydantic import Field
@@ -16,11 +18,13 @@ from pydantic import Field
 from planopt.errors import A_FOLDER, InputError, NoPlanError, path_of
 from planopt.files.compare import differences, in_words
 from planopt.files.tables import Column, Data, comparable, dataframe, read_table, write_tables
-from planopt.files.typed_json import whole_number
+from planopt.files.typed_json import finite, whole_number
 from planopt.files.writing import Patterns, replaced_results, strict_text, write_text
 from planopt.keys import Name, Table, located
-from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE
+from planopt.planning.check.check import CheckResult
+from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE, read_object
 from planopt.planning.loop.results import RunSummary, short_summary
+from planopt.planning.plan import Verdict
 from planopt.problems.settings import ReportSettings
 from planopt.problems.tasks import TaskProblem, problem_from, task_of
 
@@ -31,6 +35,9 @@ ANIMATION = "run.gif"
 
 NO_PLAN, NOT_VERIFIED = 4, 3
 """Exit codes of the command line."""
+
+MOST_REASONS = 3
+"""Maximum number of faults in a row of the regression suite."""
 
 Action = Literal["solve", "simulate"]
 
@@ -93,6 +100,8 @@ class Task:
         simulator. It is called for every simulation and by :func:`planopt.check`.
     reached
         Values of ``outcome`` that mark a successful run.
+    criterion
+        Metric by which the regression suite compares runs, and ``min`` or ``max``.
     summary
         Function that returns a text summary of a result, whose ``value`` may be None.
     refusal
@@ -120,6 +129,7 @@ class Task:
     controller: Callable[..., Any] | str | None = None
     verify: Callable[[Any], Sequence[str]] | None = None
     reached: tuple[str, ...] = ()
+    criterion: tuple[str, Literal["min", "max"]] = ("", "min")
     summary: Callable[[Any], Sequence[str]] | None = None
     refusal: Callable[[Any, NoPlanError], Mapping[str, Any]] | None = None
     columns: Mapping[str, Sequence[Column]] = field(default_factory=dict[str, Sequence[Column]])
@@ -129,6 +139,12 @@ class Task:
     steps: Callable[[Any], int | None] = lambda problem: None
 
     says_ahead: ClassVar[bool] = False  # Whether `words_ahead` may return text
+    plans_ahead: ClassVar[bool] = False  # Whether `solve` depends on horizon and planner
+
+    @property
+    def files(self) -> Patterns:
+        """Return the file name patterns of results of the task and of motion planning."""
+        return (*PLAN_OR_RUN, *self.columns, *self.pictures)
 
     def problem_from(self, tables: object, *, folder: Path, file: Path | None) -> Any:
         """Build a validated problem from tables."""
@@ -159,12 +175,19 @@ class Task:
         """Return text to print before the first step of a run."""
         return ()
 
-    def report(self, result: Any) -> Any:
-        """Return the report of a result for the command line; it has the members of TaskResult."""
+    def explained(self, result: Any) -> Any:
+        """Return a result with an explanation for the command line."""
         return result
 
+    def draw(self, result: Any, folder: Path, *, animation: bool = False) -> None:
+        """Draw the figures selected by the problem, and optionally an animation."""
+        if self.figures is not None and self.has_figures(result.problem):
+            save_figures(self.figures(result), folder)
+        if self.animate is not None and animation:
+            self.animate(result, folder / ANIMATION)
+
     def no_plan(self, action: Action, problem: Any, seed: int, error: NoPlanError) -> Any:
-        """Return the report of an action without a plan."""
+        """Return the result of an action without a plan."""
         planner = getattr(problem.given, "planner", None)
         data: dict[str, Any] = {
             "problem": problem.name,
@@ -204,18 +227,79 @@ class Task:
         return None
 
     def run_summary(self, problem: Any, seed: int, shared: Any) -> RunSummary:
-        """Simulate a problem and return the summary of the run, for comparisons."""
-        result: TaskResult = perform("simulate", problem, seed=seed)
-        data, rate = result.data, result.data.get("verified_rate")
+        """Simulate a problem, or solve it, and return the summary of the run, for comparisons."""
+        simulated = self.simulate is not None
+        result: TaskResult = perform("simulate" if simulated else "solve", problem, seed=seed)
+        data = result.data
+        rate = data.get("verified_rate") if simulated else float(result.exit_code == 0)
         reason = str(data.get("reason", data.get("message", "")))
-        labels = self.labels(problem)
+        outcome = data["outcome"] if simulated else data["verdict"]
         return replace(
-            short_summary(labels, seed, data["outcome"], reason, result.exit_code),
-            metrics=_numbers(data.get("metrics", {})),
+            short_summary(self.labels(problem), seed, outcome, reason, result.exit_code),
+            metrics=_numbers(data.get("metrics", {}) if simulated else _scalars(data)),
             rungs={str(name): int(count) for name, count in data.get("rungs", {}).items()},
             verified_rate=np.nan if rate is None else float(rate),
             step_s=np.asarray(result.step_s, dtype=float),
         )
+
+    def planners(self, problem: Any, kind: str) -> Sequence[str]:
+        """Return the planners of a problem's cases (plan or run) in the regression suite.
+
+        The name of the task stands for its only solver or simulator.
+        """
+        if self.function("solve" if kind == "plan" else "simulate") is None:
+            return ()
+        table: Table | None = getattr(problem.given, "planner", None)
+        if kind == "plan" or table is None:
+            return (problem.task,)
+        known = get_args(type(table).model_fields["name"].annotation)
+        return [name for name in known if self._allows(problem, name)]
+
+    def _allows(self, problem: Any, planner: str) -> bool:
+        """Return whether a planner suits a problem."""
+        try:
+            self.overridden(problem, planner=planner)
+        except InputError:
+            return False
+        return True
+
+    def answer(
+        self, problem: Any, kind: str, seed: int, shared: Any, states: Any = ()
+    ) -> dict[str, Any]:
+        """Return the row of a plan, checked from its files, or of a run in the regression suite."""
+        begun = process_time()
+        result: TaskResult = perform("solve" if kind == "plan" else "simulate", problem, seed=seed)
+        cpu_s = process_time() - begun
+        data, steps = result.data, max(len(result.step_s), 1)
+        name, sense = self.criterion
+        objective = _numbers(data.get("metrics", {})).get(name, data.get("objective"))
+        verdicts = {0: Verdict.VERIFIED, NOT_VERIFIED: Verdict.VIOLATED}
+        row = {
+            "outcome": "planned",
+            "verdict": verdicts.get(result.exit_code, Verdict.NONE).value,
+            "termination": data.get("termination", data.get("outcome", "")),
+            "objective": None if objective is None else finite(objective),
+            "sense": data.get("sense", sense),
+            "reasons": tuple(data.get("faults", ()))[:MOST_REASONS],
+            "rungs": {"plan": steps},
+            "steps": steps,
+            "cpu_s": cpu_s,
+            "wall_s": data["wall_s"],
+        }
+        if kind != "plan":
+            return row
+        checked = checked_again(self, result)
+        accepted = checked.verdict is Verdict.VERIFIED
+        return {**row, "accepted": accepted, "reasons": checked.reasons}
+
+    def check(self, file: Path, data: Mapping[str, Any]) -> CheckResult:
+        """Recompute and verify a saved result whose JSON object is already loaded."""
+        reasons = tuple(_reasons_against(file, data))
+        return CheckResult(Verdict.VIOLATED if reasons else Verdict.VERIFIED, (), reasons)
+
+    def load_result(self, file: Path, data: Mapping[str, Any]) -> Any:
+        """Read a saved result whose JSON object is already loaded."""
+        return _read_result(file, data)
 
     def act(self, action: Action, problem: Any, *, seed: int = 0, **settings: Any) -> Any:
         """Perform an action with settings, ignoring those that are None."""
@@ -267,6 +351,30 @@ def _numbers(metrics: Mapping[str, Any]) -> dict[str, float]:
         else:
             found[name] = np.nan if value is None else float(value)
     return found
+
+
+def _scalars(data: Mapping[str, Any]) -> dict[str, float]:
+    """Return the numbers of a design or deployment, its metrics in a comparison."""
+    return {
+        name: value
+        for name, value in data.items()
+        if isinstance(value, int | float) and name not in ("seed", "wall_s")
+    }
+
+
+def save_figures(figures: Mapping[str, Any], folder: Path) -> None:
+    """Write figures by file name."""
+    from planopt.report import save_figure
+
+    for name, figure in figures.items():
+        save_figure(figure, folder / name)
+
+
+def checked_again(task: Task, result: Any) -> CheckResult:
+    """Save a result to a temporary folder and check it from its files."""
+    with tempfile.TemporaryDirectory() as folder:
+        result.save(folder)
+        return task.check(*read_object(Path(folder)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -322,11 +430,6 @@ class TaskResult:
             return NO_PLAN
         return NOT_VERIFIED if self.data.get("faults") else 0
 
-    @property
-    def files(self) -> Patterns:
-        """Return the file name patterns of results of the task and of motion planning."""
-        return (*PLAN_OR_RUN, *self.task.columns, *self.task.pictures)
-
     def save(self, folder: Path | str) -> None:
         """Save the result to a folder that :func:`planopt.check` and ``load_result`` can read.
 
@@ -342,7 +445,7 @@ class TaskResult:
         """
         file = RUN_FILE if "outcome" in self.data else PLAN_FILE
         columns = self.task.columns
-        with replaced_results(path_of("folder", folder, A_FOLDER), self.files) as new:
+        with replaced_results(path_of("folder", folder, A_FOLDER), self.task.files) as new:
             write_tables(new, {name: (columns[name], data) for name, data in self.tables.items()})
             record = {**self.data, "problem_file": self.problem.tables()}
             write_text(new / file, strict_text(record))
@@ -375,16 +478,8 @@ class TaskResult:
 
     def draw(self, folder: Path, *, animation: bool = False) -> None:
         """Draw the figures selected by the problem, and optionally an animation."""
-        from planopt.report import save_figure
-
-        task = self.task
-        if self.value is None:
-            return
-        if task.figures is not None and self.problem.has_figures:
-            for name, figure in task.figures(self).items():
-                save_figure(figure, folder / name)
-        if task.animate is not None and animation:
-            task.animate(self, folder / ANIMATION)
+        if self.value is not None:
+            self.task.draw(self, folder, animation=animation)
 
 
 def perform(
@@ -422,7 +517,7 @@ def perform(
     return replace(result, data=data, step_s=np.diff(ends_s).tolist())
 
 
-def read_result(file: Path, data: Mapping[str, Any]) -> TaskResult:
+def _read_result(file: Path, data: Mapping[str, Any]) -> TaskResult:
     """Read a saved result whose JSON object is already loaded."""
     problem = problem_from(data.get("problem_file"), folder=file.absolute().parent, file=file)
     columns = task_of(problem).columns
@@ -432,12 +527,12 @@ def read_result(file: Path, data: Mapping[str, Any]) -> TaskResult:
     return TaskResult(problem, kept, tables)
 
 
-def reasons_against(file: Path, data: Mapping[str, Any]) -> list[str]:
+def _reasons_against(file: Path, data: Mapping[str, Any]) -> list[str]:
     """Recompute and verify a saved result; return its differences and faults.
 
     If the task has an independent verifier, ``verify`` is called on the new result.
     """
-    saved = read_result(file, data)
+    saved = _read_result(file, data)
     seed = whole_number(file, data, "seed")
     if saved.data.get("outcome") == "no_plan" or saved.data.get("verdict") == "none":
         return [f"there is nothing to check: {saved.words[0]}"]

@@ -247,7 +247,7 @@ def test_plans_of_a_team(simulation, belief, plan, task):
 def test_pictures_are_written(simulation, solution, tmp_path):
     """A run and a solution are saved under the same names for every number of robots."""
     for value in (team_run(simulation, "map", 1), solution):
-        TASK.report(value).draw(tmp_path)
+        TASK.explained(value).draw(tmp_path)
     names = {"plan.png", "run.png", "belief.png"}
     assert {file.name for file in tmp_path.iterdir()} == names
     assert all((tmp_path / name).read_bytes().startswith(b"\x89PNG") for name in names)

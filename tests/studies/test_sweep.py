@@ -133,7 +133,7 @@ def test_other_tasks_are_swept(problem) -> None:
     again = compare([pursuit, problem], seeds=[1], costs_to_go=None)
     assert again.runs[0].metrics["capture_time_s"] == alone.data["metrics"]["capture_time_s"]
     assert [run.problem for run in again.runs][1:] == ["open_field"] * 2
-    with pytest.raises(InputError, match="no runs to compare"):
+    with pytest.raises(InputError, match="not for the task pursuit_design"):
         compare(planopt.load("pursuit_design"), [1], seeds=1)
 
 

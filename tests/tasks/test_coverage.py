@@ -94,8 +94,8 @@ def test_pictures_show_the_region_itself(written):
     """The outline of a region that is not convex is drawn with its notch, not as its hull."""
     notched = "outline_m = [[0, 0], [40, 0], [40, 30], [30, 30], [30, 20], [0, 20]]"
     content = planopt.load(written(("bounds_m = [0, 0, 40, 30]", notched)))
-    starts = content.scene(np.random.default_rng(0)).starts_m
-    panel = draw_deployment("notched", content.ground, (), starts, 1.0).axes[0]
+    starts = content.starts(np.random.default_rng(0))
+    panel = draw_deployment("notched", content.scene.ground, (), starts, 1.0).axes[0]
     assert [30.0, 20.0] in panel.lines[0].get_xydata().tolist()
     assert len(panel.collections[1].get_offsets()) == len(starts)
 
@@ -195,7 +195,7 @@ def test_exactly_the_wanted_agents_and_a_centroidal_rest(written):
         at_event = np.linalg.norm(done.positions_m[-1] - (12.0, 11.0), axis=1) < 1.0
         assert at_event.sum() == 3
         assert (done.states[-1][at_event] == 0).all()
-        assert done.residuals_m[-1] <= content.settled_m
+        assert done.residuals_m[-1] <= content.scene.settled_m
 
 
 def test_receding_horizon_within_limits(written, tmp_path, run):
@@ -238,7 +238,7 @@ def test_no_two_bodies_touch(inert, written, tmp_path, run):
         changes.append(("body_radius_m", "acceleration_max_m_s2 = 0.7\nbody_radius_m"))
     content, middle = planopt.load(written(*changes, more=RECEDING)), np.array([12.0, 11.0])
     # The last agent would join at the event, where the others stand.
-    starts = np.vstack([content.scene(np.random.default_rng(2)).starts_m, middle]).tolist()
+    starts = np.vstack([content.starts(np.random.default_rng(2)), middle]).tolist()
     listed = f'kind = "list", places_m = {starts}'
     changes[0] = ('kind = "random", count = 12', listed)
     file = written(*changes, more="[[changes]]\nagents = [12]\njoins_s = 30\n" + RECEDING)
@@ -327,8 +327,7 @@ def _links_are_drawn(kept, lost):
 def test_radio_is_kept_where_the_law_loses_it():
     """Plans keep every agent's way to the station; the laws alone do not, and it is said."""
     content = planopt.load("coverage_radio")
-    short = content.given.control.model_copy(update={"duration_s": 30.0})
-    content = replace(content, given=content.given.model_copy(update={"control": short}))
+    content = replace(content, scene=replace(content.scene, duration_s=30.0))
     kept, by_law = planopt.simulate(content), planopt.simulate(content, planner="law")
     assert kept.data["faults"] == []
     lost = by_law.data["faults"]
@@ -336,7 +335,7 @@ def test_radio_is_kept_where_the_law_loses_it():
     _links_are_drawn(kept, by_law)
     with pytest.raises(InputError, match="without a link to a station") as caught:
         away = content.given.radio.model_copy(update={"stations_m": [(200.0, 150.0)]})
-        replace(content, given=content.given.model_copy(update={"radio": away})).scene(
+        replace(content, given=content.given.model_copy(update={"radio": away})).starts(
             np.random.default_rng(0)
         )
     assert caught.value.key == "agents.start"

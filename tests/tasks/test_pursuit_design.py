@@ -10,6 +10,7 @@ import pytest
 import planopt
 from planopt import InputError, NoPlanError
 from planopt.problems.library import library_folder
+from planopt.problems.load import with_changes
 
 TEXT = (library_folder() / "pursuit_design.toml").read_text()
 PLAIN = """
@@ -154,3 +155,21 @@ def test_library_problem(tmp_path, run):
         planopt.simulate(planopt.load("pursuit_design"))
     with pytest.raises(InputError, match="horizon: is not for the task pursuit_design"):
         planopt.solve(planopt.load("pursuit_design"), horizon=3)
+
+
+def test_designs_are_swept(tmp_path, run):
+    """A comparison solves the design for each value of a key; a design that fails says so."""
+    code, data = run(
+        *("compare", "pursuit_design", "--sweep", "network.bit_rate_bit_s=64e3,250e3"),
+        *("--out", tmp_path, "--first-seed", "0", "--seeds", "1"),
+    )
+    assert code == 0 and [one["seed"] for one in data["runs"]] == [0, 0]
+    for one in data["runs"]:
+        key, value = next(iter(one["sweep"].items()))
+        changed = with_changes(planopt.load("pursuit_design"), {key: value})
+        assert one["metrics"]["objective"] == planopt.solve(changed).data["objective"]
+    assert planopt.check(tmp_path).verdict is planopt.Verdict.VERIFIED
+    found = planopt.compare(
+        planopt.load("pursuit_design"), sweep={"pursuit.deadline_s": [1e-3, 300.0]}
+    )
+    assert [one.outcome for one in found.runs] == ["no_plan", "verified"]

@@ -20,10 +20,11 @@ def test_a_network_is_driven_through_its_events(tmp_path, planner):
     network = planopt.Planner(problem, planner=planner, seed=5)
     # The seed draws the starts first, then the noise of the sensors.
     rng = np.random.default_rng(5)
-    problem.scene(rng)
+    problem.starts(rng)
+    scene = problem.scene
     positions_m = run.positions_m[0]
     for step, time_s in enumerate(run.times_s[:-1].tolist()):
-        read = [signals(e, problem.sensing, positions_m, time_s, rng) for e in problem.events]
+        read = [signals(e, scene.sensing, positions_m, time_s, rng) for e in scene.events]
         action = network.step(positions_m, read)
         np.testing.assert_array_equal(action.states, run.states[step])
         positions_m = action.motion.places_m

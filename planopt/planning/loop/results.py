@@ -24,6 +24,7 @@ from planopt.planning.loop.metrics import run_metrics
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.values.context import Aim
 from planopt.problems.problem import Problem
+from planopt.problems.tasks import task_of
 from planopt.short_repr import LINES, wrapped
 
 if TYPE_CHECKING:
@@ -49,6 +50,20 @@ class Result(ABC):
     @abstractmethod
     def exit_code(self) -> int:
         """Return the exit code of the command line."""
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """Return a text summary of the result, line by line."""
+        return tuple(task_of(self.problem).result_words(self))
+
+    @property
+    def data(self) -> Mapping[str, Any]:
+        """Return the JSON object of the result."""
+        return task_of(self.problem).data(self)
+
+    def draw(self, folder: Path, *, animation: bool = False) -> None:
+        """Draw the figures selected by the problem, and optionally an animation."""
+        task_of(self.problem).draw(self, folder, animation=animation)
 
     def plot(self) -> Figure:
         """Draw the result on the map, with the predictions of a plan; no window is opened.

@@ -1,58 +1,33 @@
-"""Cases of the regression suite, and their result rows, each verified from its files."""
+"""Cases of the regression suite, and their result rows, each computed by the problem's task."""
 
 from __future__ import annotations
 
-import hashlib
-import tempfile
-from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from pathlib import Path
 from time import process_time
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from planopt.channel.cholesky import one_blas_thread
 from planopt.errors import InputError, NoPlanError
-from planopt.files.typed_json import encoded, finite
-from planopt.planning.check.check import check_motion
-from planopt.planning.files.saved import read_object
-from planopt.planning.initial_data import Prepared, prepare, team_seeds, with_drawn_starts
-from planopt.planning.loop.drive import first_steps, true_world
-from planopt.planning.plan import Plan, Rung, Termination, Verdict
-from planopt.planning.scene import Scene, build_scenes
-from planopt.planning.solve import solve_on
-from planopt.planning.target_watch import watch_target
-from planopt.planning.team.couriers import planning
+from planopt.files.typed_json import encoded
+from planopt.planning.plan import Termination, Verdict
 from planopt.problems.library import list_problems
-from planopt.problems.load import load_motion, with_overrides
+from planopt.problems.load import load
 from planopt.problems.planner_kinds import planner_kind, planner_names
-from planopt.problems.problem import Problem
-from planopt.problems.tasks import MOTION
-from planopt.studies.study import run_key
+from planopt.problems.tasks import task_of
+from planopt.studies.study import AnyProblem, run_key, shared_data
 
 PLAN, RUN = "plan", "run"
-"""Kinds of cases: one plan from the start, or the first steps of a closed loop."""
+"""Kinds of cases: one plan from the start, or a closed loop."""
 
 States = tuple[tuple[tuple[float, ...], ...], ...]
 """States, by step and robot."""
 
 HORIZONS = (5, 20)
-"""Horizons in steps that every problem is solved with, in addition to its own."""
-
-RUN_PLANNER = "auto"
-"""Planner of closed-loop cases, which take longer than a single plan."""
-
-COSTS_TO_GO = ("connected", "geodesic")
-"""Cost-to-go settings of problems with a goal."""
+"""Horizons in steps of plans, in addition to the problem's own."""
 
 PLANNED, NO_PLAN, ERROR = "planned", "no_plan", "error"
 """Outcomes of cases."""
-
-RUN_STEPS = 20
-"""Number of planned steps of a closed loop."""
 
 
 @dataclass(frozen=True, order=True)
@@ -94,7 +69,13 @@ def library_cases(
     run_seeds: Iterable[int] = range(1),
 ) -> list[Case]:
     """Return every valid combination, ordered by problem and then by seed."""
-    known = planner_names()
+    loaded = {name: load(name) for name in (library_names() if problems is None else problems)}
+    chosen = {
+        (name, kind): task_of(problem).planners(problem, kind)
+        for name, problem in loaded.items()
+        for kind in (PLAN, RUN)
+    }
+    known = dict.fromkeys([*planner_names(), *(each for own in chosen.values() for each in own)])
     for name in planners or ():
         if name not in known:
             raise InputError(
@@ -102,28 +83,29 @@ def library_cases(
                 key="planners",
                 remedy=f"one of {', '.join(known)}",
             )
-    names = library_names() if problems is None else problems
     each, driven = list(seeds), list(run_seeds)
     cases: list[Case] = []
-    for name in dict.fromkeys(names):
-        problem = load_motion(name)
-        own = problem.planner.horizon
-        ahead = sorted({own, *HORIZONS}) if horizons is None else list(dict.fromkeys(horizons))
-        for horizon in ahead:
-            with_overrides(problem, horizon=horizon)
-        allowed = [one for one in planners or known if _allows(problem, one)]
-        costs = COSTS_TO_GO if problem.task == "reach" else ("",)
+    for name, problem in loaded.items():
+        task = task_of(problem)
+        own, _, own_cost = task.labels(problem)
+        ahead, costs = [own], [own_cost]
+        if task.plans_ahead:
+            ahead = sorted({own, *HORIZONS}) if horizons is None else list(dict.fromkeys(horizons))
+            costs = task.compared_costs_to_go(problem)
+        for horizon in ahead if task.plans_ahead else ():
+            task.overridden(problem, horizon=horizon)
         for seed in sorted({*each, *driven}):
-            if seed in each:
+            for kind, seeds_of_kind, settings in (
+                (PLAN, each, [(cost, horizon) for cost in costs for horizon in ahead]),
+                (RUN, driven, [(own_cost, own)]),
+            ):
+                allowed = chosen[name, kind]
                 cases += [
-                    Case(Question(name, PLAN, cost, horizon, seed), planner)
-                    for cost in costs
-                    for horizon in ahead
-                    for planner in allowed
+                    Case(Question(name, kind, cost or "", horizon, seed), planner)
+                    for cost, horizon in settings
+                    for planner in (planners or allowed)
+                    if planner in allowed and seed in seeds_of_kind
                 ]
-            if seed in driven and RUN_PLANNER in allowed:
-                question = Question(name, RUN, problem.cost_to_go or "", own, seed)
-                cases.append(Case(question, RUN_PLANNER))
     if not cases:
         raise InputError(
             "there is no case: no problem allows one of the planners",
@@ -133,33 +115,23 @@ def library_cases(
     return cases
 
 
-def library_names() -> list[str]:
-    """Return the names of the motion planning problems in the library."""
-    return [entry.name for entry in list_problems() if entry.task in MOTION]
+def library_names(tasks: Collection[str] | None = None) -> list[str]:
+    """Return the names of the library's problems, of all tasks by default."""
+    return [entry.name for entry in list_problems() if tasks is None or entry.task in tasks]
 
 
-def problem_of(case: Case) -> Problem:
+def problem_of(case: Case) -> AnyProblem:
     """Load the problem of a case and apply its settings."""
     question = case.question
-    asked = with_overrides(
-        load_motion(question.problem),
+    problem = load(question.problem)
+    if case.planner == problem.task:
+        return problem
+    return task_of(problem).overridden(
+        problem,
         horizon=question.horizon,
         planner=case.planner,
         cost_to_go=question.cost_to_go or None,
     )
-    return replace(asked, report=replace(asked.report, figures=False))
-
-
-def _allows(problem: Problem, planner: str) -> bool:
-    """Return whether a planner can solve a problem without knowing the ground truth."""
-    kind = planner_kind(planner)
-    if kind.foresees or (kind.tracks and not problem.targets):
-        return False
-    try:
-        with_overrides(problem, planner=planner)
-    except InputError:
-        return False
-    return kind.has_dynamics or not problem.has_dynamics
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,30 +185,17 @@ class Row(Answer):
     min_connectivity: float | None = None
 
 
-@dataclass(frozen=True)
-class Start:
-    """Initial belief and scenes that all cases of one problem and seed have in common."""
-
-    prepared: Prepared
-    scenes: tuple[Scene, ...] | None
-    no_plan: str = ""
-
-
-def start_of(case: Case) -> Start:
-    """Draw the channel, fit it and build the scenes for the cases of one problem and seed."""
-    problem = problem_of(case)
-    prepared = prepare(problem, case.question.seed)
-    try:
-        return Start(prepared, build_scenes(problem))
-    except NoPlanError as error:
-        return Start(prepared, None, str(error))
+def start_of(case: Case) -> Any:
+    """Return the data that all cases of one problem and seed share, or the reason for no plan."""
+    return shared_data((problem_of(case), case.question.seed))
 
 
 def key_of(case: Case) -> dict[str, Any]:
     """Return everything that determines a row."""
+    is_motion_planner = case.planner in planner_names()
     return {
         **run_key(problem_of(case), case.question.seed),
-        "planner_version": planner_kind(case.planner).version,
+        "planner_version": planner_kind(case.planner).version if is_motion_planner else "",
         "kind": case.question.kind,
         "name": case.question.problem,
         "states": encoded(case.states),
@@ -244,107 +203,22 @@ def key_of(case: Case) -> dict[str, Any]:
 
 
 @one_blas_thread()
-def answer(case: Case, start: Start) -> Row:
-    """Solve a case and check the result from its files; every error becomes a row."""
-    problem = problem_of(case)
-    nothing = _nothing(case, problem)
-    if start.no_plan:
-        return replace(nothing, outcome=NO_PLAN, reasons=(start.no_plan,))
+def answer(case: Case, shared: Any) -> Row:
+    """Solve a case by the task of its problem; every error becomes a row."""
+    problem, question = problem_of(case), case.question
+    task = task_of(problem)
+    no_path = "" if question.kind == RUN else Termination.NO_PATH.value
+    sense = getattr(problem, "sense", "min")
+    row = Row(**asdict(question), planner=case.planner, sense=sense, termination=no_path)
     begun = process_time()
     try:
-        if case.question.kind == RUN:
-            return _run_row(problem, nothing, start, case.states)
-        return _plan_row(problem, nothing, start)
+        if isinstance(shared, NoPlanError):
+            raise shared
+        found: Mapping[str, Any] = task.answer(
+            problem, question.kind, question.seed, shared, case.states
+        )
     except NoPlanError as error:
-        outcome, words = NO_PLAN, str(error)
+        found = {"outcome": NO_PLAN, "reasons": (str(error),)}
     except Exception as error:
-        outcome, words = ERROR, f"{type(error).__name__}: {error}"
-    return replace(nothing, outcome=outcome, reasons=(words,), cpu_s=process_time() - begun)
-
-
-def _nothing(case: Case, problem: Problem) -> Row:
-    """Return the row of a case without a result."""
-    no_path = "" if case.question.kind == RUN else Termination.NO_PATH.value
-    question = asdict(case.question)
-    return Row(**question, planner=case.planner, sense=problem.sense, termination=no_path)
-
-
-def _plan_row(problem: Problem, nothing: Row, start: Start) -> Row:
-    begun = process_time()
-    solution = solve_on(problem, start.prepared.belief, nothing.seed, start.scenes)
-    cpu_s = process_time() - begun
-    plans = solution.plans
-    with tempfile.TemporaryDirectory() as folder:
-        solution.save(Path(folder))
-        checked = check_motion(*read_object(Path(folder)))
-    proofs = [plan.certificate for plan in plans]
-    residuals = [proof.kkt_residual for proof in proofs if proof.kkt_residual is not None]
-    return replace(
-        nothing,
-        **_totals(plans),
-        objective=finite(sum(plan.objective for plan in plans)),
-        verdict=solution.verdict.value,
-        termination=_worst(Termination, (plan.termination.value for plan in plans)),
-        outcome=PLANNED,
-        accepted=checked.verdict is Verdict.VERIFIED,
-        reasons=checked.reasons,
-        cpu_s=cpu_s,
-        path_digest=_digest(plan.positions_m for plan in plans),
-        kkt_residual=max(residuals, default=None),
-        min_clearance_m=finite(min(proof.min_clearance_m for proof in proofs)),
-        min_connectivity=finite(min(proof.min_connectivity for proof in proofs)),
-    )
-
-
-def _run_row(problem: Problem, nothing: Row, start: Start, recorded: States) -> Row:
-    begun = process_time()
-    problem = with_drawn_starts(problem, nothing.seed)
-    seeds = team_seeds(problem, nothing.seed)
-    scenes = start.scenes if problem.task == "reach" else None
-    steps, states = first_steps(
-        problem,
-        start.prepared.belief,
-        true_world(problem, start.prepared.truths, list),
-        planning(problem, scenes, seeds),
-        watch_target(problem, seeds.target),
-        seeds.target,
-        RUN_STEPS,
-        recorded,
-    )
-    cpu_s = process_time() - begun
-    plans = [plan for each in steps for plan in each]
-    found = (plan.objective for plan in plans)
-    return replace(
-        nothing,
-        **_totals(plans),
-        objective=finite(sum(found) / len(plans)) if plans else None,
-        verdict=_worst(Verdict, (plan.verdict.value for plan in plans)),
-        outcome=PLANNED,
-        cpu_s=cpu_s,
-        path_digest=_digest(plan.positions_m for plan in plans),
-        states=recorded or tuple(tuple(tuple(s.tolist()) for s in each) for each in states),
-    )
-
-
-def _totals(plans: Sequence[Plan]) -> dict[str, Any]:
-    """Return the entries of a row that are totals over plans."""
-    return {
-        "rungs": dict(Counter(plan.rung.value for plan in plans)),
-        "iterations": sum(plan.iterations for plan in plans),
-        "solve_s": float(sum(plan.solve_s for plan in plans)),
-        "wall_s": float(sum(plan.wall_s for plan in plans)),
-        "steps": len(plans),
-    }
-
-
-def _worst(labels: type[Verdict] | type[Termination] | type[Rung], named: Iterable[str]) -> str:
-    """Return the worst label; the members of each type are ordered from good to bad."""
-    order = [label.value for label in labels]
-    return max(named, key=order.index, default=order[-1])
-
-
-def _digest(paths_m: Iterable[NDArray[np.float64]]) -> str:
-    """Return a digest of paths, rounded to 1 mm."""
-    # Adding zero turns negative zeros into positive ones.
-    rounded = b"".join((np.round(path_m, 3) + 0.0).astype("<f8").tobytes() for path_m in paths_m)
-    return hashlib.sha256(rounded).hexdigest()[:16]
+        found = {"outcome": ERROR, "reasons": (f"{type(error).__name__}: {error}",)}
+    return replace(row, **{"cpu_s": process_time() - begun, **found})

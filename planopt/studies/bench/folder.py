@@ -24,7 +24,7 @@ from planopt.files.reading import read_text
 from planopt.files.typed_json import decoded, encoded
 from planopt.files.writing import strict_text, write_text
 from planopt.planning import tolerances
-from planopt.problems.load import load_motion
+from planopt.problems.load import load
 from planopt.studies.bench.cases import Case, Row, answer, key_of, start_of
 from planopt.studies.bench.references import OBJECTIVE_SHARE
 from planopt.studies.study import FinishedRuns, Study, cpu_name, program, run_key, run_study
@@ -170,5 +170,5 @@ def _require_same(before: Manifest, now: Manifest, folder: Path) -> None:
 
 
 def _problem_digest(name: str) -> str:
-    tables: Mapping[str, Any] = run_key(load_motion(name), 0)["problem"]
+    tables: Mapping[str, Any] = run_key(load(name), 0)["problem"]
     return hashlib.sha256(strict_text(tables).encode()).hexdigest()[:16]

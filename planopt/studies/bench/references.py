@@ -18,7 +18,8 @@ from planopt.files.typed_json import decoded, encoded
 from planopt.files.writing import write_text
 from planopt.planning.plan import Verdict
 from planopt.problems.library import library_folder
-from planopt.problems.load import load_motion
+from planopt.problems.load import load
+from planopt.problems.tasks import task_of
 from planopt.studies.bench.cases import PLAN, RUN, Answer, Case, Question, Row, library_names
 
 OBJECTIVE_SHARE = 0.01
@@ -33,8 +34,8 @@ FAST_SEED = 0
 FAST_PLANNERS = ("auto", "scp", "lattice")
 """Planners of the fast subset."""
 
-FAST_RUN_CPU_S = 3.0
-"""Maximum CPU time in seconds of closed loops in the fast subset when they were stored."""
+FAST_CPU_S = 3.0
+"""Maximum CPU time in seconds of other cases of the fast subset when they were stored."""
 
 _ABOUT = (
     "Best known results of the solver regression suite, one a line: planopt bench report DIR "
@@ -183,26 +184,30 @@ def fast_cases(
 ) -> tuple[list[Case], list[str]]:
     """Return the cases of the fast subset, and a list of missing references.
 
-    The subset covers plans of `FAST_PLANNERS` and quick runs, without changes of the problems.
+    The subset covers plans of `FAST_PLANNERS`, and quick runs, designs and deployments, without
+    changes of the problems.
     """
     cases: list[Case] = []
     missing: list[str] = []
     names = library_names() if problems is None else problems
     for name in names:
-        problem = load_motion(name)
-        own = (problem.planner.horizon, problem.cost_to_go or "")
+        problem = load(name)
+        horizon, _, cost_to_go = task_of(problem).labels(problem)
         mine = [
             one
             for one in references.values()
             if one.problem == name
             and one.seed == FAST_SEED
-            and (one.horizon, one.cost_to_go) == own
+            and (one.horizon, one.cost_to_go) == (horizon, cost_to_go or "")
         ]
-        plans = [one.case for one in mine if one.kind == PLAN and one.planner in FAST_PLANNERS]
-        runs = [one.case for one in mine if one.kind == RUN and one.cpu_s <= FAST_RUN_CPU_S]
-        if not plans:
+        if not mine:
             missing.append(f"{name}: no reference with its own settings, seed {FAST_SEED}")
-        cases += [*sorted(plans), *sorted(runs)]
+        cases += sorted(
+            one.case
+            for one in mine
+            if (one.planner in FAST_PLANNERS and one.kind == PLAN)
+            or (one.cpu_s <= FAST_CPU_S and (one.kind == RUN or one.planner == problem.task))
+        )
     missing += [
         f"{name}: has references, but the library has no such problem"
         for name in sorted({one.problem for one in references.values()}.difference(library_names()))

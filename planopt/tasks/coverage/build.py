@@ -54,69 +54,22 @@ class CoverageProblem(TaskProblem):
     """Problem of the task coverage."""
 
     given: CoverageFile
-    ground: Ground
-    density: Density
+    scene: Scene
     obstacles: tuple[Obstacle, ...]
-    events: tuple[Event, ...]
-    demands: tuple[Demand, ...]  # Number of agents that each event requires
-    sensing: Sensing | None
-    joins_s: NDArray[np.float64]  # (n,) times at which agents join, and leave
-    leaves_s: NDArray[np.float64]
+    density: Density
     station_map: StationMap | None = None  # Estimated links to stations; None for the path loss law
 
-    @property
-    def settled_m(self) -> float:
-        """Return the distance to the target up to which an agent counts as settled."""
-        given = self.given.control.settled_m
-        spacing_m = math.sqrt(self.ground.area_m2 / len(self.joins_s))
-        return SETTLED_SHARE * spacing_m if given is None else given
-
-    @property
-    def stand_off_m(self) -> float | None:
-        """Return the radius of the ring of responding agents; None if they stop at the event."""
-        if self.sensing is None or not self.given.assignment.stand_off:
-            return None
-        return self.sensing.sensor.best_distance_m
-
-    def scene(self, generator: np.random.Generator) -> Scene:
-        """Return the scene of one run, with random starting positions drawn."""
-        given, control, limits = self.given, self.given.control, self.limits
-        body_m, rules = limits.body_radius_m, given.assignment
-        return Scene(
-            self.ground,
-            self._starts(generator),
-            self.joins_s,
-            self.leaves_s,
-            self.events,
-            self.demands,
-            self.sensing,
-            self.stand_off_m,
-            control.partition,
-            control.gains,
-            rules.hysteresis_m,
-            rules.moved_m,
-            given.counting,
-            given.links,
-            rules.flag_rounds,
-            control.time_step_s,
-            control.duration_s,
-            self.settled_m,
-            control.stop_when_settled,
-            2.0 * body_m + limits.longest_stop_m if body_m > 0.0 else None,
-            body_m,
-        )
-
-    def _starts(self, generator: np.random.Generator) -> NDArray[np.float64]:
+    def starts(self, generator: np.random.Generator) -> NDArray[np.float64]:
         """Return validated starting positions (n, 2): free, separated and linked to a station."""
-        table, body_m = self.given.agents, self.given.agents.body_radius_m
-        starts = starts_of(table, self.ground, generator)
+        table, ground, joins = self.given.agents, self.scene.ground, self.scene.joins_s
+        body_m, starts = table.body_radius_m, starts_of(table, ground, generator)
         listed = isinstance(table.start, PlacesTable)
 
         def key(agent: int) -> str:
             """Return the key that sets an agent's starting position."""
             return f"agents.start.places_m[{agent}]" if listed else "agents.start"
 
-        outside = np.flatnonzero(~has_room(self.ground, starts, body_m))
+        outside = np.flatnonzero(~has_room(ground, starts, body_m))
         if len(outside):
             x, y = starts[outside[0]]
             raise InputError(
@@ -124,8 +77,8 @@ class CoverageProblem(TaskProblem):
                 "or too near to one",
                 key=key(int(outside[0])),
             )
-        for joins_s in np.unique(self.joins_s):
-            who = np.flatnonzero(self.joins_s == joins_s)
+        for joins_s in np.unique(joins):
+            who = np.flatnonzero(joins == joins_s)
             touching = overlapping(starts[who], body_m)
             if touching is not None:
                 one, other = who[list(touching)].tolist()
@@ -137,7 +90,7 @@ class CoverageProblem(TaskProblem):
                     remedy="place them farther apart, or give a smaller agents.body_radius_m",
                 )
         if self.radio is not None:
-            lonely = np.flatnonzero(~radio_tree(starts[self.joins_s == 0.0], self.radio).connected)
+            lonely = np.flatnonzero(~radio_tree(starts[joins == 0.0], self.radio).connected)
             if len(lonely):
                 raise InputError(
                     f"{len(lonely)} of {len(starts)} agents start without a link to a station",
@@ -149,16 +102,7 @@ class CoverageProblem(TaskProblem):
     @property
     def limits(self) -> MoveLimits:
         """Return the motion limits and clearances of the agents."""
-        agents, given = self.given.agents, self.given
-        speed = math.inf if agents.speed_max_m_s is None else agents.speed_max_m_s
-        return MoveLimits(
-            given.control.time_step_s,
-            speed,
-            agents.acceleration_max_m_s2,
-            agents.turn_rate_max_rad_s,
-            body_radius_m=agents.body_radius_m,
-            clearance_m=given.world.clearance_m,
-        )
+        return _limits(self.given)
 
     @property
     def radio(self) -> RadioLimits | None:
@@ -218,11 +162,11 @@ class CoverageProblem(TaskProblem):
             f"{self.name}: {self.description}",
             f"  task        coverage, planner {given.planner.name}, steps of "
             f"{given.control.time_step_s:g} s, at most {given.control.duration_s:g} s",
-            f"  region      {self.ground.area_m2:g} m^2, {len(self.obstacles)} obstacles, "
+            f"  region      {self.scene.ground.area_m2:g} m^2, {len(self.obstacles)} obstacles, "
             f"density {given.density.kind}",
             f"  agents      {given.agents.start.number}, {speed}; their number is {counted}",
         ]
-        for event in self.events:
+        for event in self.scene.events:
             x, y = event.place_m
             end = "" if np.isinf(event.ends_s) else f" to {event.ends_s:g} s"
             lines.append(
@@ -233,11 +177,7 @@ class CoverageProblem(TaskProblem):
 
 def build(given: CoverageFile, folder: Path, file: Path | None) -> CoverageProblem:
     """Build the problem from validated tables."""
-    obstacles = tuple(
-        obstacle
-        for index, table in enumerate(given.world.obstacles)
-        for obstacle in obstacles_of(table, index, folder)
-    )
+    obstacles = obstacles_of(given.world.obstacles, folder)
     density, control, sensing = density_of(given.density, folder), given.control, _sensing(given)
     ground = _ground(given.world, obstacles, density, given.agents.body_radius_m)
     agents = given.agents.start.number
@@ -265,13 +205,65 @@ def build(given: CoverageFile, folder: Path, file: Path | None) -> CoverageProbl
             remedy=f"give {LEAST_ON_RING} agents or more",
         )
     mapped = None if given.radio is None else station_map_of(given.radio, ground, folder)
-    problem = CoverageProblem(
-        given, file, ground, density, obstacles, tuple(events), tuple(demands), sensing, joins,
-        leaves, mapped,
-    )  # fmt: skip
-    problem.scene(np.random.default_rng(0))
+    scene = _scene(given, ground, tuple(events), tuple(demands), sensing, joins, leaves)
+    problem = CoverageProblem(given, file, scene, obstacles, density, mapped)
+    problem.starts(np.random.default_rng(0))
     assert problem.mover  # Raises for limits that the planner does not support
     return problem
+
+
+def _limits(given: CoverageFile) -> MoveLimits:
+    """Return the motion limits and clearances of the agents."""
+    agents = given.agents
+    return MoveLimits(
+        given.control.time_step_s,
+        math.inf if agents.speed_max_m_s is None else agents.speed_max_m_s,
+        agents.acceleration_max_m_s2,
+        agents.turn_rate_max_rad_s,
+        body_radius_m=agents.body_radius_m,
+        clearance_m=given.world.clearance_m,
+    )
+
+
+def _scene(
+    given: CoverageFile,
+    ground: Ground,
+    events: tuple[Event, ...],
+    demands: tuple[Demand, ...],
+    sensing: Sensing | None,
+    joins_s: NDArray[np.float64],
+    leaves_s: NDArray[np.float64],
+) -> Scene:
+    """Return the problem of the network for its simulator."""
+    control, rules, body_m = given.control, given.assignment, given.agents.body_radius_m
+    settled_m = control.settled_m
+    if settled_m is None:
+        settled_m = SETTLED_SHARE * math.sqrt(ground.area_m2 / len(joins_s))
+    stand_off_m = None
+    if sensing is not None and rules.stand_off:
+        stand_off_m = sensing.sensor.best_distance_m
+    return Scene(
+        ground,
+        joins_s,
+        leaves_s,
+        events,
+        demands,
+        sensing,
+        stand_off_m,
+        control.partition,
+        control.gains,
+        rules.hysteresis_m,
+        rules.moved_m,
+        given.counting,
+        given.links,
+        rules.flag_rounds,
+        control.time_step_s,
+        control.duration_s,
+        settled_m,
+        control.stop_when_settled,
+        2.0 * body_m + _limits(given).longest_stop_m if body_m > 0.0 else None,
+        body_m,
+    )
 
 
 def overlapping(places_m: NDArray[np.float64], body_radius_m: float) -> tuple[int, int] | None:

@@ -97,9 +97,9 @@ def simulate(
     For a check, the steps start from the states in the `saved` tables.
     """
     generator = np.random.default_rng(seed)
-    scene = problem.scene(generator)
-    motions = () if saved is None else _motions_of(saved[STEPS_FILE], len(scene.starts_m))
-    run = simulate_network(scene, problem.mover, generator, on_step, motions)
+    starts_m = problem.starts(generator)
+    motions = () if saved is None else _motions_of(saved[STEPS_FILE], len(starts_m))
+    run = simulate_network(problem.scene, starts_m, problem.mover, generator, on_step, motions)
     planner, events = problem.given.planner, event_results(problem, run)
     outcome, reason = outcome_of(problem, run, events)
     data = {
@@ -137,7 +137,7 @@ def _motions_of(steps: Data, agents: int) -> list[Motion]:
 def controller(problem: CoverageProblem, *, seed: int) -> NetworkController:
     """Return the controller of a network with the starts and random numbers of a seed."""
     generator = np.random.default_rng(seed)
-    return NetworkController(problem.scene(generator), problem.mover, generator)
+    return NetworkController(problem.scene, problem.starts(generator), problem.mover, generator)
 
 
 def faults(result: TaskResult) -> list[str]:
@@ -173,13 +173,11 @@ def faults(result: TaskResult) -> list[str]:
 def solve(problem: CoverageProblem, *, seed: int) -> TaskResult:
     """Return the best deployment found from several starts, with a lower bound of the cost."""
     generator = np.random.default_rng(seed)
-    scene = problem.scene(generator)
-    found = best_deployment(
-        problem.ground, len(scene.starts_m), STARTS, generator, first_m=scene.starts_m
-    )
+    ground, starts_m = problem.scene.ground, problem.starts(generator)
+    found = best_deployment(ground, len(starts_m), STARTS, generator, first_m=starts_m)
     body_m, bound = problem.limits.body_radius_m, found.lower_bound
-    cost = problem.ground.cover(found.places_m).cost
-    fits = bool(has_room(problem.ground, found.places_m, body_m).all())
+    cost = ground.cover(found.places_m).cost
+    fits = bool(has_room(ground, found.places_m, body_m).all())
     fits &= overlapping(found.places_m, body_m) is None
     data = {
         "horizon": None,
@@ -208,18 +206,18 @@ def outcome_of(
             return "unserved", f"{entry['name']} was not detected"
         if entry["served_s"] is None:
             return "unserved", f"{entry['name']} never had its agents in place"
-    moving = any(any(each.velocity_m_s) and each.is_there(last_s) for each in problem.events)
+    moving = any(any(each.velocity_m_s) and each.is_there(last_s) for each in problem.scene.events)
     if run.settled:
         return "settled", f"after {_settled_s(problem, run):g} s"
     if moving:
         return "served", f"an event moves on at {last_s:g} s"
-    due = (problem.joins_s <= last_s) & (last_s < problem.leaves_s)
+    due = (problem.scene.joins_s <= last_s) & (last_s < problem.scene.leaves_s)
     waiting = np.flatnonzero(due & (run.states[-1] == ABSENT))
     if len(waiting):
         return "not_settled", f"{agent_name(int(waiting[0]))} waits for room to join"
     return "not_settled", (
         f"an agent is {run.residuals_m[-1]:.3g} m from its target after {last_s:g} s, "
-        f"settled is {problem.settled_m:.3g} m"
+        f"settled is {problem.scene.settled_m:.3g} m"
     )
 
 
@@ -250,8 +248,8 @@ def event_results(problem: CoverageProblem, run: NetworkRun) -> list[dict[str, A
     """Return the times of detection, service and end of each event, and its estimation error."""
     results = list[dict[str, Any]]()
     times_s = run.times_s[:-1]
-    near_m = problem.settled_m + ON_TARGET_M
-    for number, event in enumerate(problem.events):
+    near_m = problem.scene.settled_m + ON_TARGET_M
+    for number, event in enumerate(problem.scene.events):
         known = np.isfinite(run.estimates_m[:, number, 0])
         there = np.array([event.is_there(time_s) for time_s in times_s.tolist()])
         team = run.states == number
@@ -302,7 +300,7 @@ def _in_place(
     off_m = np.linalg.norm(here - run.estimates_m[:, number, None], axis=2)
     team = (run.states == number).sum(axis=1).tolist()
     reach_m = np.array([packing_reach_m(agents, body_m) for agents in team])
-    reach_m += near_m + (problem.stand_off_m or 0.0)
+    reach_m += near_m + (problem.scene.stand_off_m or 0.0)
     return in_place | (still & (off_m <= reach_m[:, None]))
 
 
@@ -310,7 +308,7 @@ def _settled_s(problem: CoverageProblem, run: NetworkRun) -> float | None:
     """Return the time from which all agents were settled; None if unsettled at the end."""
     if not run.settled:
         return None
-    off = np.flatnonzero(run.residuals_m > problem.settled_m + ON_TARGET_M)
+    off = np.flatnonzero(run.residuals_m > problem.scene.settled_m + ON_TARGET_M)
     return float(run.times_s[off[-1] + 1]) if len(off) else 0.0
 
 
@@ -322,8 +320,8 @@ def _first_s(times_s: NDArray[np.float64], which: NDArray[np.bool_]) -> float | 
 def tables_of(problem: CoverageProblem, run: NetworkRun) -> dict[str, Data]:
     """Return the tables ``steps.csv``, ``network.csv`` and ``events.csv``."""
     steps, agents = run.states.shape
-    times_s, events = run.times_s[:-1], len(problem.events)
-    words = {NONE: COVERS, ABSENT: AWAY, **{k: e.name for k, e in enumerate(problem.events)}}
+    times_s, events = run.times_s[:-1], len(problem.scene.events)
+    words = {NONE: COVERS, ABSENT: AWAY, **{k: e.name for k, e in enumerate(problem.scene.events)}}
     states = np.array([words[state] for state in run.states.ravel().tolist()], dtype=np.str_)
 
     def by_agent(values: NDArray[Any], end: Any = np.nan) -> NDArray[Any]:
@@ -331,12 +329,12 @@ def tables_of(problem: CoverageProblem, run: NetworkRun) -> dict[str, Data]:
         missing = np.full((steps + 1 - len(values), agents), end, dtype=values.dtype)
         return np.concatenate((values, missing)).T.ravel()
 
-    places = np.array([[e.place_at(t) for t in times_s.tolist()] for e in problem.events])
+    places = np.array([[e.place_at(t) for t in times_s.tolist()] for e in problem.scene.events])
     places = places.reshape(events, steps, 2)
     team = np.array([(run.states == k).sum(axis=1) for k in range(events)], dtype=np.int64)
     stds = run.stds_m.T.ravel()
     numbers = np.array(range(steps + 1), dtype=np.int64)
-    there = [[int(e.is_there(t)) for t in times_s.tolist()] for e in problem.events]
+    there = [[int(e.is_there(t)) for t in times_s.tolist()] for e in problem.scene.events]
     return {
         STEPS_FILE: {
             "robot": np.repeat([agent_name(number) for number in range(agents)], steps + 1),
@@ -362,7 +360,9 @@ def tables_of(problem: CoverageProblem, run: NetworkRun) -> dict[str, Data]:
             "reading_messages": run.messages[:, 2],
         },
         EVENTS_FILE: {
-            "event": np.repeat(np.array([e.name for e in problem.events], dtype=np.str_), steps),
+            "event": np.repeat(
+                np.array([e.name for e in problem.scene.events], dtype=np.str_), steps
+            ),
             "step": np.repeat(numbers[None, :-1], events, axis=0).ravel(),
             "t_s": np.repeat(times_s[None], events, axis=0).ravel(),
             "there": np.array(there, dtype=np.int64).ravel(),
@@ -429,7 +429,7 @@ def _figures(result: TaskResult) -> dict[str, Figure]:
     shapes = tuple(each.polygon for each in problem.obstacles)
     return {
         PLAN_PICTURE: draw_deployment(
-            problem.name, problem.ground, shapes, found.places_m, found.cost
+            problem.name, problem.scene.ground, shapes, found.places_m, found.cost
         )
     }
 
@@ -448,7 +448,12 @@ def picture(result: TaskResult) -> NetworkPicture:
     problem = cast("CoverageProblem", result.problem)
     shapes = tuple(each.polygon for each in problem.obstacles)
     return NetworkPicture(
-        problem.name, result.value, problem.ground, shapes, problem.events, problem.radio
+        problem.name,
+        result.value,
+        problem.scene.ground,
+        shapes,
+        problem.scene.events,
+        problem.radio,
     )
 
 
@@ -461,6 +466,7 @@ TASK = Task(
     controller=controller,
     verify=faults,
     reached=("settled", "served"),
+    criterion=("cost_mean", "min"),
     summary=in_words,
     columns={
         STEPS_FILE: STEP_COLUMNS,

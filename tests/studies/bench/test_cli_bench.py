@@ -23,6 +23,7 @@ from planopt.problems.library import find_problem
 from planopt.studies import study
 from planopt.studies.bench import cases
 from planopt.studies.bench.references import read_references, write_references
+from planopt.tasks.motion import MotionTask
 
 CHECK = ["bench", "check", "--problems"]
 RUN = ["bench", "run", "--seeds", "1", "--run-seeds", "0", "--horizons", "2"]
@@ -47,13 +48,13 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def answered(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     """Planners of the cases that are answered in this process, not taken from the record."""
     seen: list[str] = []
-    original = cases._plan_row
+    original = MotionTask.answer
 
-    def counted(problem, nothing, start):
-        seen.append(nothing.planner)
-        return original(problem, nothing, start)
+    def counted(task, problem, *more):
+        seen.append(problem.planner.name)
+        return original(task, problem, *more)
 
-    monkeypatch.setattr(cases, "_plan_row", counted)
+    monkeypatch.setattr(MotionTask, "answer", counted)
     return seen
 
 
@@ -188,8 +189,9 @@ def test_check_passes(share: Path, capsys) -> None:
 def test_check_passes_on_other_processors(kernels: str) -> None:
     """Rounding differs between the kernels of OpenBLAS; plans from recorded states do not."""
     code = "import sys; from planopt.cli import main; sys.exit(main())"
+    problems = "fig2,indoor_learn,outdoor_map,coverage_obstacles,pursuit_obstacles"
     done = subprocess.run(
-        [sys.executable, "-c", code, *CHECK, "fig2,indoor_learn,outdoor_map", "--workers", "1"],
+        [sys.executable, "-c", code, *CHECK, problems, "--workers", "1"],
         env={**os.environ, "OPENBLAS_CORETYPE": kernels},
         capture_output=True,
         text=True,
@@ -241,14 +243,14 @@ def test_check_fails_in_words(share: Path, change, words: str, capsys) -> None:
 def test_a_rejected_plan_and_an_error_fail(share: Path, monkeypatch, capsys) -> None:
     """A check that objects is a regression; so is a planner that raises, and the rest goes on."""
     forged = SimpleNamespace(verdict=None, reasons=("forged",))
-    monkeypatch.setattr(cases, "check_motion", lambda *_: forged)
+    monkeypatch.setattr(MotionTask, "check", lambda *_: forged)
     assert checked(share) == 1
     assert "the check from its files rejects it (forged)" in capsys.readouterr().out
 
     def broken(*_):
         raise ZeroDivisionError("no")
 
-    monkeypatch.setattr(cases, "solve_on", broken)
+    monkeypatch.setattr("planopt.planning.solve.solve_on", broken)
     assert checked(share) == 1
     assert "outcome error, was planned (ZeroDivisionError: no)" in capsys.readouterr().out
 

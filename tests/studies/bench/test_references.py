@@ -82,7 +82,8 @@ def test_library_is_whole() -> None:
     assert missing == []
     assert {case.question.problem for case in cases} == set(library_names())
     assert {case.question.kind for case in cases} == {"plan", "run"}
-    assert {case.planner for case in cases} == {"auto", "scp", "lattice"}
+    others = {"coverage", "drive", "law", "pursuit_design", "receding", "retarget"}
+    assert {case.planner for case in cases} == {"auto", "scp", "lattice", *others}
 
 
 def test_a_problem_without_reference_is_told() -> None:

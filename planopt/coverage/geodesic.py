@@ -18,7 +18,7 @@ from scipy.sparse.csgraph import dijkstra  # pyright: ignore[reportUnknownVariab
 from scipy.spatial import KDTree
 
 from planopt.coverage.density import UNIFORM, Density, UniformDensity
-from planopt.coverage.ground import ConvexGround, Cover
+from planopt.coverage.ground import ConvexGround, Cover, TwoNearest
 from planopt.coverage.voronoi import (
     Boundary,
     ConvexRegion,
@@ -41,6 +41,9 @@ MAX_NODES = 200_000
 
 HALVINGS = 8
 """Largest number of halvings of a step until it lowers the cost of the agent's own cell."""
+
+NEAREST = 8
+"""Number of agents nearest in a straight line among which the second nearest is sought."""
 
 AT_CORNER = 1e-9
 """Share of the region's extent within which an agent counts as being at a corner."""
@@ -105,6 +108,26 @@ class GeodesicGround:
         agents = self.nearest(agents_m)
         cells = geodesic_cells(self, agents)
         return Cover(cells.cost, geodesic_targets(self, agents, cells))
+
+    def two_nearest(self, agents_m: Floats) -> TwoNearest:
+        """Return the nodes with their two nearest agents; the second among the nearest few."""
+        agents = self.nearest(agents_m)
+        cells = geodesic_cells(self, agents)
+        nodes, owner = self.ends_m, cells.owner
+        second = np.full(len(nodes), np.inf)
+        if len(self.corners_m):
+            reach, _ = _to_corners(self, agents)
+            one, other = np.argsort(reach, axis=0)[:2]
+            away = np.where(one == owner[:, None], other, one)
+            legs = _last_legs(self, nodes, self.corner_sees)
+            second = (reach[away, np.arange(len(self.corners_m))] + legs).min(axis=1)
+        for agent in _nearest(KDTree(agents), nodes, min(len(agents), NEAREST)).T:
+            straight = np.linalg.norm(nodes - agents[agent], axis=1)
+            seen = np.flatnonzero((agent != owner) & (straight < second))
+            seen = seen[self.sees(agents[agent[seen]], nodes[seen])]
+            second[seen] = straight[seen]
+        second[np.isinf(second)] = float(np.ptp(nodes, axis=0).sum())
+        return TwoNearest(nodes, self.mass, owner, cells.distance_m**2, second**2)
 
     def borders(self, agents_m: Floats) -> Floats:
         """Return cell boundaries ``(e, 2, 2)``: grid lines between nodes of different agents."""

@@ -6,11 +6,13 @@ A ground is the region that a network covers, with its distance metric. The modu
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from planopt.coverage.density import UNIFORM, Density
 from planopt.coverage.network import Network
@@ -26,6 +28,9 @@ from planopt.coverage.voronoi import (
 )
 
 Floats = NDArray[np.float64]
+
+SAMPLES = 100
+"""Number of sample points along each side of the bounding box."""
 
 EMPTY = 1e-12
 """Share of the mass below which a cell counts as empty; its centroid would be rounding error."""
@@ -81,6 +86,17 @@ class Cover:
 
 
 @dataclass(frozen=True, eq=False)
+class TwoNearest:
+    """Sample points of a ground with their squared distances to the two nearest agents."""
+
+    samples_m: Floats  # (m, 2)
+    mass: Floats  # (m,)
+    owner: NDArray[np.intp]  # (m,) number of the nearest agent
+    first_m2: Floats  # (m,) at most the square of the sensing range
+    second_m2: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class ConvexGround:
     """Convex region without obstacles."""
 
@@ -117,6 +133,20 @@ class ConvexGround:
         """Return the coverage cost and the targets of agents ``(n, 2)``."""
         found = coverage(voronoi_cells(self.region, agents_m), self.density, self.sensing_range_m)
         return Cover(found.cost, found.centroids_m)
+
+    def two_nearest(self, agents_m: Floats) -> TwoNearest:
+        """Return sample points on a grid with their two nearest agents."""
+        low, high = self.region.corners_m.min(axis=0), self.region.corners_m.max(axis=0)
+        along = (np.arange(SAMPLES) + 0.5) / SAMPLES
+        grid = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
+        samples = low + grid * (high - low)
+        samples = samples[self.region.contains(samples)]
+        found = KDTree(agents_m).query(samples, k=2)  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
+        distances, agents = np.asarray(found[0], dtype=np.float64), np.asarray(found[1])  # pyright: ignore[reportUnknownArgumentType]
+        reach = math.inf if self.sensing_range_m is None else self.sensing_range_m
+        first, second = (np.minimum(distances, reach) ** 2).T
+        share_m2 = float((high - low).prod()) / SAMPLES**2
+        return TwoNearest(samples, share_m2 * self.density.at(samples), agents[:, 0], first, second)
 
     def borders(self, agents_m: Floats) -> Floats:
         """Return the cell boundaries as line segments ``(e, 2, 2)`` for figures."""

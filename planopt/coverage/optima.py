@@ -26,6 +26,9 @@ MAX_STEPS = 500
 CANDIDATES = 20
 """Number of candidate positions per agent for random initial deployments."""
 
+SINGLES = 3
+"""Number of agents, and of destinations, whose single relocations are tried at last."""
+
 LEVELS = 200
 """Number of cells along each side of the region for bounds of a mixture's density."""
 
@@ -116,32 +119,71 @@ def _candidates(
 
 
 def _relocated(ground: Ground, places: Floats, cost: float) -> tuple[Floats, float]:
-    """Move one agent at a time next to another and settle, while this lowers the cost."""
-    # The candidates to move are the two agents whose removal raises the cost least. Their
-    # destinations are next to the two agents whose duplication lowers it most.
+    """Move agents from where they help least to where one more helps most, and settle.
+
+    Moves are estimated on sample points, tried together, then fewer at a time, then one by one.
+    """
     count = len(places)
     if count < 3:
         return places, cost
-    apart = 0.1 * math.sqrt(ground.area_m2 / count)
     for _ in range(count):
-        missed = np.array([ground.cover(np.delete(places, one, 0)).cost for one in range(count)])
-        helped = np.full(count, np.inf)
-        for one in range(count):
-            helper = places[one] + apart * np.array([0.8, 0.6])
-            if ground.allows(helper[None])[0]:
-                helped[one] = ground.cover(np.concatenate((places, helper[None]))).cost
-        taken, needy = np.argsort(missed)[:2], np.argsort(helped)[:2]
-        found = (places, cost)
-        for gone in taken:
-            for near in needy:
-                if gone != near and np.isfinite(helped[near]):
-                    moved = places.copy()
-                    moved[gone] = places[near] + apart * np.array([0.8, 0.6])
-                    found = min(found, settle(ground, moved), key=lambda one: one[1])
-        if found[1] >= cost * (1.0 - 10.0 * SETTLED):
-            return places, cost
-        places, cost = found
+        moves, singles = _relocations(ground, places)
+        tries = [moves[: len(moves) >> halving] for halving in range(len(moves).bit_length())]
+        for some in (*tries, *([one] for one in singles)):
+            moved = places.copy()
+            for gone, near, pair in some:
+                moved[[gone, near]] = pair
+            found = settle(ground, ground.nearest(moved))
+            if found[1] < cost * (1.0 - 10.0 * SETTLED):
+                places, cost = found
+                break
+        else:
+            break
     return places, cost
+
+
+Relocation = tuple[int, int, Floats]
+"""Agent to move, cell to halve, and the new positions (2, 2) of the agent and the cell's own."""
+
+
+def _relocations(ground: Ground, places: Floats) -> tuple[list[Relocation], list[Relocation]]:
+    """Return moves of different agents that pay, best first, and single moves that may pay.
+
+    Without an agent, its part of the region is as far away as the second nearest agent. A second
+    agent in a cell halves it across its longest extent.
+    """
+    near = ground.two_nearest(places)
+    count, mass = len(places), np.where(near.mass > 0.0, near.mass, 0.0)
+    losses = np.bincount(near.owner, mass * (near.second_m2 - near.first_m2), minlength=count)
+
+    def means(group: NDArray[np.intp], groups: int) -> tuple[Floats, Floats]:
+        """Return masses (groups,) and centroids (groups, 2) of the sample points by group."""
+        total = np.bincount(group, mass, minlength=groups)
+        some = np.where(total > 0.0, total, 1.0)
+        sums = [np.bincount(group, mass * axis, minlength=groups) for axis in near.samples_m.T]
+        return total, np.stack(sums, axis=1) / some[:, None]
+
+    total, centres = means(near.owner, count)
+    x, y = (near.samples_m - centres[near.owner]).T
+    spread = [np.bincount(near.owner, mass * u, minlength=count) for u in (x * x, x * y, y * y)]
+    angle = 0.5 * np.arctan2(2.0 * spread[1], spread[0] - spread[2])[near.owner]
+    upper = x * np.cos(angle) + y * np.sin(angle) > 0.0
+    halves, ends = means(2 * near.owner + upper, 2 * count)
+    halves, ends = halves.reshape(count, 2), ends.reshape(count, 2, 2)
+    apart_m2 = ((ends[:, 0] - ends[:, 1]) ** 2).sum(axis=1)
+    gains = halves.prod(axis=1) / np.where(total > 0.0, total, 1.0) * apart_m2
+    taken, needy = np.argsort(losses).tolist(), np.argsort(-gains).tolist()
+    pairs = ((gone, cell) for gone in taken[:SINGLES] for cell in needy[:SINGLES] if gone != cell)
+    singles = [(gone, cell, ends[cell]) for gone, cell in pairs]
+    moves, used = list[Relocation](), set[int]()
+    left = iter(needy)
+    for gone in taken:
+        cell = next((each for each in left if each not in used and each != gone), None)
+        if cell is None or gone in used or gains[cell] <= losses[gone]:
+            break
+        used |= {gone, cell}
+        moves.append((gone, cell, ends[cell]))
+    return moves, singles
 
 
 def cost_bound(ground: Ground, count: int) -> float:

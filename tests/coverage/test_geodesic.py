@@ -13,6 +13,7 @@ from scattered import scattered
 from planopt import InputError, Obstacle, Workspace
 from planopt.coverage import (
     CallableDensity,
+    ConvexGround,
     ConvexRegion,
     GeodesicGround,
     coverage,
@@ -111,6 +112,23 @@ def test_gradient_by_differences(region: GeodesicGround) -> None:
             assert (up.cost - down.cost) / (2.0 * step) == pytest.approx(
                 cells.gradient[agent, axis], abs=1e-5 * np.abs(cells.gradient).max()
             )
+
+
+def test_two_nearest(region: GeodesicGround, square: ConvexRegion) -> None:
+    """The two least of all distances, with and without obstacles; beyond the range it counts."""
+    agents = free_places(region, 7, np.random.default_rng(12))
+    found = region.two_nearest(agents)
+    every = np.sort(region.distances_m(agents, region.ends_m), axis=0) ** 2
+    np.testing.assert_allclose(found.first_m2, every[0], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(found.second_m2, every[1], rtol=1e-9, atol=1e-9)
+    assert found.mass @ found.first_m2 + region.spread == pytest.approx(region.cover(agents).cost)
+    ground = ConvexGround(square, sensing_range_m=30.0)
+    found = ground.two_nearest(agents)
+    away = np.linalg.norm(found.samples_m[:, None] - agents, axis=2)
+    every = np.minimum(np.sort(away, axis=1), 30.0) ** 2
+    np.testing.assert_allclose(found.first_m2, every[:, 0])
+    np.testing.assert_allclose(found.second_m2, every[:, 1])
+    assert found.mass @ found.first_m2 == pytest.approx(ground.cover(agents).cost, rel=2e-3)
 
 
 @pytest.mark.parametrize("clearance_m", [0.0, 1.5])

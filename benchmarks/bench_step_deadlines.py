@@ -9,7 +9,7 @@ from step_deadlines import STRESS, STRESS_STEPS, Timed, line_of, main, read_log,
 
 from planopt import load
 from planopt.problems.tasks import MOTION
-from planopt.studies.bench.cases import library_names
+from planopt.studies.bench_cases import library_names
 
 
 def test_line_counts_late_steps() -> None:

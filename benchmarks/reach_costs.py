@@ -28,7 +28,7 @@ from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.scene import build_scene
 from planopt.problems.objective import OutageCharge
 from planopt.problems.tasks import MOTION
-from planopt.studies.bench.cases import library_names
+from planopt.studies.bench_cases import library_names
 from planopt.studies.comparison_rows import mean_interval
 
 HEADER = (

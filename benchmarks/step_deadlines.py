@@ -28,7 +28,7 @@ from courier_teams import drawn_problem
 from planopt import NoPlanError, Problem, load, simulate
 from planopt.planning.loop.results import summary_of
 from planopt.problems.tasks import MOTION
-from planopt.studies.bench.cases import library_names
+from planopt.studies.bench_cases import library_names
 
 STRESS_STEPS = 12
 """Steps of a run of a larger scene."""

@@ -133,6 +133,11 @@ class InputError(PlanoptError):
             remedy=remedy if self.remedy is None else self.remedy,
         )
 
+    def under(self, key: str) -> InputError:
+        """Return the error with its key in the table or entry `key`."""
+        below = f"{key}.{self.key}" if self.key else key
+        return InputError(self.message, file=self.file, key=below, row=self.row, remedy=self.remedy)
+
     def remedied(self, remedy: str) -> InputError:
         """Return the error with a remedy, unless it already has one."""
         return self.located(None, remedy)

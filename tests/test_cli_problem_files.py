@@ -12,7 +12,7 @@ from planopt import OutputError, load
 from planopt.cli import main
 from planopt.problems import list_problems, problem_from_dict, problem_to_dict
 from planopt.problems.tasks import MOTION
-from planopt.studies.bench.cases import library_names
+from planopt.studies.bench_cases import library_names
 
 NAMES = library_names(MOTION)
 

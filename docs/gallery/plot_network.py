@@ -29,7 +29,7 @@ from planopt.report import (
     draw_network,
     draw_step_times,
 )
-from planopt.tasks.coverage.task import picture
+from planopt.tasks.coverage import picture
 
 rooms = planopt.simulate(planopt.load("coverage_obstacles"), seed=1)
 rooms_figure = rooms.plot()

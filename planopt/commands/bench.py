@@ -15,9 +15,9 @@ from planopt.errors import InputError
 from planopt.files.writing import replaced_results
 
 if TYPE_CHECKING:
-    from planopt.studies.bench.cases import Row
-    from planopt.studies.bench.folder import Manifest
-    from planopt.studies.bench.references import References
+    from planopt.studies.bench_cases import Row
+    from planopt.studies.bench_folder import Manifest
+    from planopt.studies.bench_references import References
 
 REPORT_FILE, PICTURE_FILE = "report.json", "report.png"
 
@@ -59,8 +59,8 @@ def run(
     json: JsonOption = False,
 ) -> int:
     """Solve all cases, or resume. Exit code 0, or 3 if the check rejects an answer."""
-    from planopt.studies.bench.cases import ERROR, library_cases
-    from planopt.studies.bench.folder import TABLE, run_into
+    from planopt.studies.bench_cases import ERROR, library_cases
+    from planopt.studies.bench_folder import TABLE, run_into
 
     cases = library_cases(
         listed(problems, "--problems", str),
@@ -102,8 +102,8 @@ def report(
     """Print and plot the scores of the planners. Exit code 0."""
     from planopt.files.writing import strict_text, write_text
     from planopt.report import bench_text
-    from planopt.studies.bench.folder import read_manifest, read_rows
-    from planopt.studies.bench.references import best_known, read_references, references_file
+    from planopt.studies.bench_folder import read_manifest, read_rows
+    from planopt.studies.bench_references import best_known, read_references, references_file
 
     manifest, rows = read_manifest(folder), read_rows(folder)
     if not rows:
@@ -135,8 +135,8 @@ def check(
     """Solve the fast subset again. Exit code 0, or 1 if anything is worse than its reference."""
     from time import perf_counter
 
-    from planopt.studies.bench.folder import answers
-    from planopt.studies.bench.references import assessed, fast_cases, read_references
+    from planopt.studies.bench_folder import answers
+    from planopt.studies.bench_references import assessed, fast_cases, read_references
 
     begun = perf_counter()
     known = read_references(references)
@@ -165,8 +165,14 @@ def check(
 
 def report_json(manifest: Manifest, rows: list[Row], known: References) -> dict[str, Any]:
     """Return the JSON object of ``bench report``."""
-    from planopt.studies.bench.references import assessed, best_known
-    from planopt.studies.bench.scores import LIMIT_S, SHIFT_S, scores, time_profile
+    from planopt.studies.bench_references import (
+        LIMIT_S,
+        SHIFT_S,
+        assessed,
+        best_known,
+        scores,
+        time_profile,
+    )
 
     best = best_known(known, rows)
     worse, better = assessed(rows, known, lambda row: "")
@@ -193,7 +199,7 @@ def report_json(manifest: Manifest, rows: list[Row], known: References) -> dict[
 
 def _freeze(rows: list[Row], manifest: Manifest, file: Path, replace: bool, json: bool) -> int:
     """Add rows to a file of references; refuse to change existing ones unless `replace` is set."""
-    from planopt.studies.bench.references import frozen, read_references, write_references
+    from planopt.studies.bench_references import frozen, read_references, write_references
 
     known = read_references(file) if file.exists() else {}
     references, changes = frozen(known, rows, manifest.made_by)

@@ -6,7 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from planopt.commands.log_fit import DEGENERATE, log_format_of, require_option
+from planopt.commands.fit import DEGENERATE, log_format_of, require_option
 from planopt.commands.options import FormatOptions, JsonOption, option, with_options
 from planopt.commands.output import progress, results_folder, show
 from planopt.errors import InputError, OutputError

@@ -8,8 +8,7 @@ from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from planopt.commands.fit import fit_json
-from planopt.commands.log_fit import read_and_fit
+from planopt.commands.fit import fit_json, read_and_fit
 from planopt.commands.options import JsonOption, LogOptions, option, with_options
 from planopt.commands.output import progress, results_folder, show
 from planopt.errors import InputError

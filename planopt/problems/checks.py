@@ -18,7 +18,6 @@ import shapely
 
 from planopt.errors import InputError
 from planopt.keys import LARGEST_COORDINATE_M
-from planopt.objectives.terms.term import Term
 from planopt.parts import calling
 from planopt.problems.channel_setup import (
     ArrayTruth,
@@ -182,29 +181,6 @@ def _check_cells(problem: Problem, cell_m: float) -> None:
         )
 
 
-def _check_spread(problem: Problem, number: int) -> None:
-    """Check that random starts are used only with sums of terms and single integrators."""
-    robot = problem.robots[number]
-    if robot.start_spread_m > 0.0 and (problem.task == "reach" or not robot.moves_freely):
-        raise InputError(
-            f"is {robot.start_spread_m:g}, and starts are drawn only of single integrators, and "
-            "not for the task reach",
-            key=f"robots[{number}].start_spread_m",
-            remedy="leave it out",
-        )
-
-
-def check_bounds(problem: Problem) -> None:
-    """Check that the bounds are not empty."""
-    x_min, y_min, x_max, y_max = problem.workspace.bounds_m
-    if not (x_min < x_max and y_min < y_max):
-        raise InputError(
-            f"is {list(problem.workspace.bounds_m)}, should have x_min < x_max and y_min < y_max",
-            key="world.bounds_m",
-            remedy="[x_min, y_min, x_max, y_max]",
-        )
-
-
 def check_place(
     problem: Problem, index: ObstacleIndex, place: tuple[float, float], key: str
 ) -> None:
@@ -265,63 +241,53 @@ LEAST_STEP_M = 1e-3
 
 def check(problem: Problem) -> None:
     """Raise an `InputError` for the first fault of `problem`."""
-    check_bounds(problem)
+    bounds_m = problem.workspace.bounds_m
+    if not (bounds_m[0] < bounds_m[2] and bounds_m[1] < bounds_m[3]):
+        raise InputError(
+            f"is {list(bounds_m)}, should have x_min < x_max and y_min < y_max",
+            key="world.bounds_m",
+            remedy="[x_min, y_min, x_max, y_max]",
+        )
     index = index_obstacles(problem.workspace)
     for number, robot in enumerate(problem.robots):
-        check_place(problem, index, robot.start_m, f"robots[{number}].start_m")
+        key = f"robots[{number}]"
+        check_place(problem, index, robot.start_m, f"{key}.start_m")
         if robot.goal_m is not None:
-            check_place(problem, index, robot.goal_m, f"robots[{number}].goal_m")
+            check_place(problem, index, robot.goal_m, f"{key}.goal_m")
         check_own_map(problem, number)
         check_stopping(problem, index, number)
-        _check_step(problem, number)
-        _check_spread(problem, number)
+        step_m = robot.speed_max_m_s * problem.planner.step_s
+        if step_m < LEAST_STEP_M:
+            raise InputError(
+                f"is {robot.speed_max_m_s:g}, which makes steps of {step_m:.3g} m, less than "
+                f"{LEAST_STEP_M:g} m",
+                key=f"{key}.speed_max_m_s",
+                remedy="raise it, or planner.step_s",
+            )
+        if robot.start_spread_m > 0.0 and (problem.task == "reach" or not robot.moves_freely):
+            raise InputError(
+                f"is {robot.start_spread_m:g}, and starts are drawn only of single integrators, "
+                "and not for the task reach",
+                key=f"{key}.start_spread_m",
+                remedy="leave it out",
+            )
     check_apart(problem)
     check_channel(problem)
     check_stations(problem)
     check_rule(problem)
     check_size(problem)
     for number, term in enumerate(problem.terms):
-        _check_term(problem, term, f"objective.terms[{number}]")
-
-
-def _check_term(problem: Problem, term: Term, key: str) -> None:
-    """Check that the problem supports an objective term."""
-    try:
-        term.check(problem.term_setting)
-    except InputError as error:
-        raise InputError(
-            error.message,
-            file=error.file,
-            row=error.row,
-            key=f"{key}.{error.key}" if error.key else key,
-            remedy=error.remedy,
-        ) from error
-
-
-def _check_step(problem: Problem, number: int) -> None:
-    """Check that the step length of a robot is not too short."""
-    speed_m_s = problem.robots[number].speed_max_m_s
-    step_m = speed_m_s * problem.planner.step_s
-    if step_m < LEAST_STEP_M:
-        raise InputError(
-            f"is {speed_m_s:g}, which makes steps of {step_m:.3g} m, less than {LEAST_STEP_M:g} m",
-            key=f"robots[{number}].speed_max_m_s",
-            remedy="raise it, or planner.step_s",
-        )
+        try:
+            term.check(problem.term_setting)
+        except InputError as error:
+            raise error.under(f"objective.terms[{number}]") from error
 
 
 ONE_STATION = "leave one entry of stations"
 
 
 def check_stations(problem: Problem) -> None:
-    """Raise an `InputError` if the stations are inconsistent with the rest of the problem."""
-    _check_keys(problem)
-    if len(problem.stations) > 1:
-        _check_own_channels(problem)
-
-
-def _check_keys(problem: Problem) -> None:
-    """Raise `InputError` for keys of a station that require a map or a log."""
+    """Raise `InputError` for keys that require a map or a log, and for equal stations."""
     raster = isinstance(problem.channel.truth, RasterTruth)
     log = problem.channel.measurements
     logged = isinstance(log, LoggedMeasurements)
@@ -341,6 +307,8 @@ def _check_keys(problem: Problem) -> None:
                     key=f"stations[{number}].{key}",
                     remedy="leave it out",
                 )
+    if len(problem.stations) > 1:
+        _check_own_channels(problem)
 
 
 def _check_own_channels(problem: Problem) -> None:

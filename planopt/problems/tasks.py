@@ -25,7 +25,7 @@ MOTION = ("reach", "track", "learn", "map", "connect", "custom")
 
 OWN = {
     **dict.fromkeys(MOTION, "planopt.tasks.motion:TASK"),
-    "coverage": "planopt.tasks.coverage.task:TASK",
+    "coverage": "planopt.tasks.coverage:TASK",
     "pursuit": "planopt.tasks.pursuit:TASK",
     "pursuit_design": "planopt.tasks.pursuit_design:TASK",
 }

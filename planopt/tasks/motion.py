@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from planopt.planning.check.check import CheckResult
-    from planopt.studies.bench.cases import States
+    from planopt.studies.bench_cases import States
 
 RUN_PLANNER, RUN_STEPS = "auto", 20
 """Planner and number of planned steps of the closed loops of the regression suite."""

@@ -29,7 +29,7 @@ from planopt import InputError, Problem, load
 from planopt.channel import LogFormat, Nakagami
 from planopt.problems import LoggedMeasurements, problem_from_dict, problem_to_dict
 from planopt.problems.tasks import MOTION
-from planopt.studies.bench.cases import library_names
+from planopt.studies.bench_cases import library_names
 
 RAYLEIGH = {"kind": "rayleigh"}
 

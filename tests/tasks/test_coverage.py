@@ -18,7 +18,7 @@ from planopt.cli import main
 from planopt.coverage import ABSENT, Motion, packing_reach_m, verify_moves
 from planopt.problems.tasks import problem_from
 from planopt.report import draw_deployment, draw_network
-from planopt.tasks.coverage.task import picture
+from planopt.tasks.coverage import picture
 
 SMALL = """
 [problem]
@@ -316,7 +316,7 @@ def _links_are_drawn(kept, lost):
             reached += grown
             ends = [pair for pair in ends if pair[0] not in grown]
         still = Motion.at_rest(here)
-        alone = verify_moves(shapely.box(0, 0, 200, 150), still, still, content.limits, radio)
+        alone = verify_moves(shapely.box(0, 0, 200, 150), still, still, content.given.limits, radio)
         assert np.array_equal(lonely, here[[fault.agent for fault in alone]])
     assert len(pictures[0].links(29)[1]) == 0 < len(pictures[1].links(29)[1])
     figure = draw_network(pictures[1])

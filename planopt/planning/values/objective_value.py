@@ -96,13 +96,7 @@ def _named(at: StepContext, number: int) -> Generator[None]:
     except InputError as error:
         if error.key is None or error.key.startswith("objective"):
             raise
-        raise InputError(
-            error.message,
-            file=error.file or at.problem.file,
-            row=error.row,
-            key=f"objective.terms[{number}].{error.key}",
-            remedy=error.remedy,
-        ) from error
+        raise error.under(f"objective.terms[{number}]").located(at.problem.file) from error
 
 
 SHARE_IN_DB = 100.0

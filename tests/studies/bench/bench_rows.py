@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from planopt.studies.bench.cases import Row
+from planopt.studies.bench_cases import Row
 
 ROW = Row(
     problem="yard",

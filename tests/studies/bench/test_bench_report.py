@@ -7,8 +7,8 @@ from bench_rows import row
 
 from planopt.commands.bench import report_json
 from planopt.report import bench_text, draw_bench
-from planopt.studies.bench.folder import Manifest
-from planopt.studies.bench.references import best_known, reference_of
+from planopt.studies.bench_folder import Manifest
+from planopt.studies.bench_references import best_known, reference_of
 
 MANIFEST = Manifest(
     program={"planopt": "0", "source": "0123456789abcdef", "casadi": "3"},

@@ -10,8 +10,8 @@ import pytest
 
 import planopt
 from planopt.cli import main
-from planopt.studies.bench.cases import answer, library_cases, start_of
-from planopt.studies.bench.references import read_references, write_references
+from planopt.studies.bench_cases import answer, library_cases, start_of
+from planopt.studies.bench_references import read_references, write_references
 
 TASKS = "pursuit_design,pursuit_static,pursuit_obstacles,coverage_plain"
 
@@ -81,7 +81,7 @@ def test_a_worse_pursuit_is_a_regression(tmp_path: Path, monkeypatch, capsys) ->
         rules = problem.given.pursuit.model_copy(update={"max_steps": 20})
         return replace(problem, given=problem.given.model_copy(update={"pursuit": rules}))
 
-    monkeypatch.setattr("planopt.studies.bench.cases.load", short)
+    monkeypatch.setattr("planopt.studies.bench_cases.load", short)
     assert main(check) == 1
     assert "verdict none, was verified" in capsys.readouterr().out
 

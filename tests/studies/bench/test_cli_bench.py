@@ -20,9 +20,8 @@ from planopt.cli import main
 from planopt.extend import PlannerKind, Rung, Termination, register_planner, unregister_planner
 from planopt.planning.candidates import held
 from planopt.problems.library import find_problem
-from planopt.studies import study
-from planopt.studies.bench import cases
-from planopt.studies.bench.references import read_references, write_references
+from planopt.studies import bench_cases, study
+from planopt.studies.bench_references import read_references, write_references
 from planopt.tasks.motion import MotionTask
 
 CHECK = ["bench", "check", "--problems"]
@@ -92,9 +91,10 @@ def test_again_answers_nothing(folder: Path, answered: list[str], capsys) -> Non
 def test_another_program_is_refused(folder: Path, monkeypatch, capsys) -> None:
     """Rows of two programs could not be compared; the message names both."""
     made = dict(study.program())
-    from planopt.studies.bench import folder as module
 
-    monkeypatch.setattr(module, "program", lambda: tuple({**made, "planopt": "9.9"}.items()))
+    monkeypatch.setattr(
+        "planopt.studies.bench_folder.program", lambda: tuple({**made, "planopt": "9.9"}.items())
+    )
     assert ran(folder) == 2
     error = capsys.readouterr().err
     assert f"another program: planopt {made['planopt']}, this is 9.9" in error
@@ -206,14 +206,14 @@ def test_slightly_worse_closed_loop_is_seen(name: str, monkeypatch, tmp_path, ca
     known = {c: r for c, r in read_references().items() if r.problem == name and r.kind == "run"}
     file = tmp_path / "references.json"
     write_references(known, file)
-    original = cases.problem_of
+    original = bench_cases.problem_of
 
     def slower(case):
         problem = original(case)
         robots = [replace(one, speed_max_m_s=0.97 * one.speed_max_m_s) for one in problem.robots]
         return replace(problem, robots=tuple(robots))
 
-    monkeypatch.setattr(cases, "problem_of", slower)
+    monkeypatch.setattr(bench_cases, "problem_of", slower)
     assert main([*CHECK, name, "--workers", "1", "--references", str(file)]) == 1
     assert f"worse: {name}, run" in capsys.readouterr().out
 

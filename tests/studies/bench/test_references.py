@@ -9,8 +9,8 @@ import pytest
 from bench_rows import row
 
 from planopt import InputError
-from planopt.studies.bench.cases import library_cases, library_names
-from planopt.studies.bench.references import (
+from planopt.studies.bench_cases import library_cases, library_names
+from planopt.studies.bench_references import (
     fast_cases,
     frozen,
     improvement,

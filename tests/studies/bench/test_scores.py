@@ -9,10 +9,10 @@ import pytest
 import scipy.stats
 from bench_rows import row
 
-from planopt.studies.bench.references import best_known, worse_share
-from planopt.studies.bench.scores import (
+from planopt.studies.bench_references import (
     LIMIT_S,
     SHIFT_S,
+    best_known,
     claims,
     is_solved,
     is_wrong,
@@ -20,6 +20,7 @@ from planopt.studies.bench.scores import (
     scores,
     shifted_geometric_mean,
     time_profile,
+    worse_share,
 )
 
 INF, NOT_ASKED = math.inf, math.nan

@@ -25,8 +25,8 @@ from planopt.files.typed_json import decoded, encoded
 from planopt.files.writing import strict_text, write_text
 from planopt.planning import tolerances
 from planopt.problems.load import load
-from planopt.studies.bench.cases import Case, Row, answer, key_of, start_of
-from planopt.studies.bench.references import OBJECTIVE_SHARE
+from planopt.studies.bench_cases import Case, Row, answer, key_of, start_of
+from planopt.studies.bench_references import OBJECTIVE_SHARE
 from planopt.studies.study import FinishedRuns, Study, cpu_name, program, run_key, run_study
 
 MANIFEST, ROWS, TABLE = "bench.json", "rows", "rows.csv"

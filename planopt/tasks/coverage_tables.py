@@ -1,19 +1,35 @@
-"""Problem-file tables of the task coverage."""
+"""Problem-file tables of the task coverage, and the densities and demands that they describe."""
 
 from __future__ import annotations
 
+import math
+from pathlib import Path
 from typing import Annotated, Literal
 
+import numpy as np
 from pydantic import Field, model_validator
 from pydantic_core import PydanticCustomError
 
+from planopt.coverage.assignment import (
+    Demand,
+    accuracy_demand,
+    capped_demand,
+    table_demand,
+    trade_off_demand,
+)
 from planopt.coverage.control.movers import Gains, Partition
+from planopt.coverage.density import Density, GaussianMixture, RasterDensity, UniformDensity
 from planopt.coverage.events import Sensing
+from planopt.coverage.limits import MoveLimits
+from planopt.coverage.localisation import EventSensor
 from planopt.coverage.network import Counting, LinkModel
+from planopt.errors import InputError
 from planopt.keys import SMALLEST, Distance, FileName, Length, Metres, Name, Pair, Quad, Table
 from planopt.problems.schema import ObstacleTable
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
 from planopt.tasks.task import TaskFile
+from planopt.world.raster import checked_raster
+from planopt.world.raster_files import read_raster
 
 PlannerName = Literal["law", "receding"]
 
@@ -391,3 +407,76 @@ class CoverageFile(TaskFile):
     radio: RadioTable | None = None
     control: ControlTable
     planner: PlannerTable = Field(default_factory=PlannerTable)
+
+    @property
+    def limits(self) -> MoveLimits:
+        """Return the motion limits and clearances of the agents."""
+        agents = self.agents
+        return MoveLimits(
+            self.control.time_step_s,
+            math.inf if agents.speed_max_m_s is None else agents.speed_max_m_s,
+            agents.acceleration_max_m_s2,
+            agents.turn_rate_max_rad_s,
+            body_radius_m=agents.body_radius_m,
+            clearance_m=self.world.clearance_m,
+        )
+
+
+def density_of(table: DensityTable, folder: Path) -> Density:
+    """Return the density that a table describes; its file is relative to `folder`."""
+    if isinstance(table, UniformTable):
+        return UniformDensity(table.weight_per_m2)
+    if isinstance(table, GaussiansTable):
+        stds = np.array([each.std_m for each in table.bumps])
+        weights = np.array([each.weight for each in table.bumps])
+        means = np.array([each.mean_m for each in table.bumps])
+        return GaussianMixture(weights, means, stds, table.floor_per_m2)
+    if table.file is not None:
+        return RasterDensity(read_raster(folder / table.file, table.variable))
+    if table.values is None or len({len(row) for row in table.values}) != 1:
+        raise InputError("has neither file nor values of rows of one length", key="density.values")
+    x, y = (np.array(each or [], dtype=np.float64) for each in (table.x_m, table.y_m))
+    return RasterDensity(checked_raster(x, y, np.array(table.values), "density"))
+
+
+def demand_of(
+    table: DemandTable, key: str, sensor: EventSensor, area_m2: float, agents: int
+) -> Demand:
+    """Return the demand that a table describes; raise if the agents cannot meet it."""
+    if isinstance(table, NumberTable):
+        if table.agents > agents:
+            raise InputError(
+                f"requires {table.agents} agents, there are {agents}",
+                key=f"{key}.agents",
+                remedy="give more agents, or require fewer",
+            )
+        return lambda count: min(table.agents, count)
+    if isinstance(table, TableDemandTable):
+        for number, step in enumerate(table.steps):
+            if step.respond > step.at_least:
+                raise InputError(
+                    f"requires {step.respond} of {step.at_least} agents",
+                    key=f"{key}.steps[{number}].respond",
+                    remedy="require at most at_least",
+                )
+        return table_demand({each.at_least: each.respond for each in table.steps})
+    if isinstance(table, CapTable):
+        if table.remaining >= agents:
+            raise InputError(
+                f"keeps {table.remaining} agents from answering, there are {agents}",
+                key=f"{key}.remaining",
+                remedy="give more agents, or keep fewer",
+            )
+        return capped_demand(table.share, table.most, table.remaining)
+    if isinstance(table, AccuracyTable):
+        demand = accuracy_demand(sensor, table.accuracy_m, table.measurements)
+        if demand(10**9) > agents:
+            raise InputError(
+                f"needs {demand(10**9)} agents, there are {agents}",
+                key=f"{key}.accuracy_m",
+                remedy="give more agents, or a larger error",
+            )
+        return demand
+    return trade_off_demand(
+        area_m2, table.localisation_m2, table.coverage_weight, table.localisation_weight
+    )

@@ -13,6 +13,18 @@ import shapely
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from planopt.channel import (
+    ChannelParameters,
+    ChannelPosterior,
+    LogFormat,
+    Measurements,
+    Station,
+    condition,
+    fit_channel,
+    measure,
+    model_truth,
+    read_log,
+)
 from planopt.coverage.assignment import LEAST_ON_RING, Demand
 from planopt.coverage.control.movers import LawMover, Mover, RecedingMover
 from planopt.coverage.control.radio import radio_tree
@@ -20,30 +32,46 @@ from planopt.coverage.density import Density, RasterDensity, checked_mass
 from planopt.coverage.events import Event, Sensing
 from planopt.coverage.geodesic import Ground, geodesic_ground
 from planopt.coverage.ground import ConvexGround
-from planopt.coverage.limits import MoveLimits, RadioLimits, StationMap
+from planopt.coverage.limits import LinkLaw, RadioLimits, StationMap, station_map
 from planopt.coverage.localisation import EventSensor
 from planopt.coverage.simulation import Scene
 from planopt.coverage.voronoi import checked_polygon, convex_region
 from planopt.errors import InputError
 from planopt.problems.schema import obstacle_table, obstacles_of
 from planopt.problems.tasks import TaskProblem
-from planopt.tasks.coverage.parts import (
+from planopt.tasks.coverage_tables import (
+    AgentsTable,
+    CoverageFile,
+    GridTable,
+    PlacesTable,
+    RadioTable,
+    SurveyTable,
+    WorldTable,
     demand_of,
     density_of,
-    has_room,
-    radio_of,
-    starts_of,
-    station_map_of,
 )
-from planopt.tasks.coverage.tables import CoverageFile, PlacesTable, WorldTable
 from planopt.world.raster import Raster
 from planopt.world.workspace import Obstacle
+
+Floats = NDArray[np.float64]
 
 NODES = 1600
 """Approximate number of nodes of a geodesic ground without an explicit spacing."""
 
 SETTLED_SHARE = 0.01
 """Default settling distance as a share of the mean distance between agents."""
+
+CELLS = 8
+"""Number of cells of a simulated channel per decorrelation distance."""
+
+MOST_CELLS = 1_000_000
+"""Maximum number of cells of a simulated channel."""
+
+DRAWN = 400
+"""Number of positions drawn for random starts, in addition to four per agent."""
+
+START_SPARE = 0.1
+"""Least gap between bodies at random starts, as a share of their radius."""
 
 MEMORY_STEPS = 10
 """Default memory of readings, in steps, if events move."""
@@ -59,7 +87,7 @@ class CoverageProblem(TaskProblem):
     density: Density
     station_map: StationMap | None = None  # Estimated links to stations; None for the path loss law
 
-    def starts(self, generator: np.random.Generator) -> NDArray[np.float64]:
+    def starts(self, generator: np.random.Generator) -> Floats:
         """Return validated starting positions (n, 2): free, separated and linked to a station."""
         table, ground, joins = self.given.agents, self.scene.ground, self.scene.joins_s
         body_m, starts = table.body_radius_m, starts_of(table, ground, generator)
@@ -100,21 +128,21 @@ class CoverageProblem(TaskProblem):
         return starts
 
     @property
-    def limits(self) -> MoveLimits:
-        """Return the motion limits and clearances of the agents."""
-        return _limits(self.given)
-
-    @property
     def radio(self) -> RadioLimits | None:
         """Return the radio requirement; None if there is none."""
         table = self.given.radio
-        return None if table is None else radio_of(table, self.station_map)
+        if table is None:
+            return None
+        spread = np.diag([table.k_pl_std_db**2, table.n_pl_std**2])
+        law = LinkLaw(np.array([table.k_pl_db, table.n_pl]), table.deviation_db, spread)
+        stations, to_stations = np.array(table.stations_m), self.station_map or law
+        return RadioLimits(stations, to_stations, law, table.threshold_dbm, table.p_min)
 
     @property
     def mover(self) -> Mover:
         """Return the control law or planner that moves the agents."""
         planner = self.given.planner
-        control, limits = self.given.control, self.limits
+        control, limits = self.given.control, self.given.limits
         if planner.name == "receding":
             return RecedingMover(
                 control.gains, limits, planner.horizon, self.radio, planner.lead_events
@@ -153,8 +181,7 @@ class CoverageProblem(TaskProblem):
 
     def words(self) -> Sequence[str]:
         """Return a text summary of the problem, line by line."""
-        given = self.given
-        limit = given.agents.speed_max_m_s
+        given, limit = self.given, self.given.agents.speed_max_m_s
         speed = "without a speed limit" if limit is None else f"at most {limit:g} m/s"
         counted = given.counting.method
         counted = counted if counted == "known" else f"counted: {counted}"
@@ -212,27 +239,14 @@ def build(given: CoverageFile, folder: Path, file: Path | None) -> CoverageProbl
     return problem
 
 
-def _limits(given: CoverageFile) -> MoveLimits:
-    """Return the motion limits and clearances of the agents."""
-    agents = given.agents
-    return MoveLimits(
-        given.control.time_step_s,
-        math.inf if agents.speed_max_m_s is None else agents.speed_max_m_s,
-        agents.acceleration_max_m_s2,
-        agents.turn_rate_max_rad_s,
-        body_radius_m=agents.body_radius_m,
-        clearance_m=given.world.clearance_m,
-    )
-
-
 def _scene(
     given: CoverageFile,
     ground: Ground,
     events: tuple[Event, ...],
     demands: tuple[Demand, ...],
     sensing: Sensing | None,
-    joins_s: NDArray[np.float64],
-    leaves_s: NDArray[np.float64],
+    joins_s: Floats,
+    leaves_s: Floats,
 ) -> Scene:
     """Return the problem of the network for its simulator."""
     control, rules, body_m = given.control, given.assignment, given.agents.body_radius_m
@@ -261,12 +275,12 @@ def _scene(
         control.duration_s,
         settled_m,
         control.stop_when_settled,
-        2.0 * body_m + _limits(given).longest_stop_m if body_m > 0.0 else None,
+        2.0 * body_m + given.limits.longest_stop_m if body_m > 0.0 else None,
         body_m,
     )
 
 
-def overlapping(places_m: NDArray[np.float64], body_radius_m: float) -> tuple[int, int] | None:
+def overlapping(places_m: Floats, body_radius_m: float) -> tuple[int, int] | None:
     """Return the first pair of agents ``(n, 2)`` whose bodies touch; None without contact."""
     if body_radius_m == 0.0:
         return None
@@ -307,7 +321,7 @@ def _ground(
     return geodesic_ground(outline, shapes, spacing_m, density, keep_m)
 
 
-def _times(given: CoverageFile, agents: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _times(given: CoverageFile, agents: int) -> tuple[Floats, Floats]:
     """Return the times at which agents join and leave, (n,) each."""
     joins, leaves = np.zeros(agents), np.full(agents, np.inf)
     for number, table in enumerate(given.changes):
@@ -368,9 +382,7 @@ def _event(given: CoverageFile, number: int, ground: Ground) -> Event:
     return event
 
 
-def _require_agents(
-    events: Sequence[Event], joins: NDArray[np.float64], leaves: NDArray[np.float64]
-) -> None:
+def _require_agents(events: Sequence[Event], joins: Floats, leaves: Floats) -> None:
     """Raise `InputError` if an event appears when there are fewer agents than events."""
     for number, event in enumerate(events):
         there = sum(each.is_there(event.appears_s) for each in events)
@@ -381,3 +393,118 @@ def _require_agents(
                 key=f"events[{number}].appears_s",
                 remedy="give more agents, or fewer events at a time",
             )
+
+
+def starts_of(table: AgentsTable, ground: Ground, generator: np.random.Generator) -> Floats:
+    """Return the starting positions ``(n, 2)`` of the agents."""
+    start, body_m = table.start, table.body_radius_m
+    if isinstance(start, PlacesTable):
+        return np.array(start.places_m)
+    if isinstance(start, GridTable):
+        x0, y0, x1, y1 = start.within_m
+        x = x0 + (x1 - x0) * (np.arange(start.columns) + 0.5) / start.columns
+        y = y0 + (y1 - y0) * (np.arange(start.rows) + 0.5) / start.rows
+        return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    low, high = ground.hull.corners_m.min(axis=0), ground.hull.corners_m.max(axis=0)
+    if start.within_m is not None:
+        low, high = np.array(start.within_m[:2]), np.array(start.within_m[2:])
+    drawn = low + (high - low) * generator.random((DRAWN + 4 * start.count, 2))
+    found = drawn[has_room(ground, drawn, body_m)]
+    if body_m > 0.0:
+        found = found[_spread(found, (2.0 + START_SPARE) * body_m, start.count)]
+    if len(found) < start.count:
+        raise InputError(
+            f"only {len(found)} of {start.count} agents found a free position",
+            key="agents.start.within_m",
+            remedy="give a larger free area" + (", or smaller bodies" if body_m > 0.0 else ""),
+        )
+    return found[: start.count]
+
+
+def has_room(ground: Ground, places_m: Floats, body_radius_m: float) -> NDArray[np.bool_]:
+    """Return whether bodies at positions ``(k, 2)`` are inside the ground; (k,).
+
+    The clearance is already part of a geodesic ground, but not of a convex one.
+    """
+    inside = ground.allows(places_m)
+    if body_radius_m == 0.0:
+        return inside
+    return inside & (ground.hull.excess_m(places_m) <= 1e-9 - body_radius_m)
+
+
+def _spread(places_m: Floats, apart_m: float, most: int) -> list[int]:
+    """Select at most `most` positions greedily such that all are at least `apart_m` apart."""
+    chosen: list[int] = []
+    for number, place in enumerate(places_m):
+        if len(chosen) == most:
+            break
+        if (((places_m[chosen] - place) ** 2).sum(axis=1) >= apart_m**2).all():
+            chosen.append(number)
+    return chosen
+
+
+def station_map_of(table: RadioTable, ground: Ground, folder: Path) -> StationMap | None:
+    """Return the map estimated from the surveys of a table; None without surveys."""
+    if not table.survey:
+        return None
+    if len(table.survey) != len(table.stations_m):
+        raise InputError(
+            f"has {len(table.survey)} entries for {len(table.stations_m)} stations",
+            key="radio.survey",
+            remedy="give one for each station, in their order",
+        )
+    low, high = ground.hull.corners_m.min(axis=0), ground.hull.corners_m.max(axis=0)
+    bounds = float(low[0]), float(low[1]), float(high[0]), float(high[1])
+    posteriors: list[ChannelPosterior] = []
+    for number, (survey, place) in enumerate(zip(table.survey, table.stations_m, strict=True)):
+        station = Station(place)
+        try:
+            measured = _measured(survey, table, station, ground, bounds, folder)
+            fit = fit_channel(measured, station)
+            posteriors.append(condition(fit.parameters, measured))
+        except InputError as error:
+            raise error.under(f"radio.survey[{number}]") from error
+    return station_map(posteriors, table.threshold_dbm, bounds)
+
+
+def _measured(
+    survey: SurveyTable,
+    radio: RadioTable,
+    station: Station,
+    ground: Ground,
+    bounds: tuple[float, float, float, float],
+    folder: Path,
+) -> Measurements:
+    """Return the measurements of a survey; simulated ones depend on its seed."""
+    if survey.file is not None:
+        return read_log(folder / survey.file, LogFormat(floor_dbm=survey.floor_dbm))
+    if survey.places_m is not None and survey.power_dbm is not None:
+        power, floor = np.array(survey.power_dbm), survey.floor_dbm
+        censored = np.zeros(len(power), dtype=np.bool_) if floor is None else power <= floor
+        return Measurements(np.array(survey.places_m), power, censored)
+    assert survey.count is not None
+    generator = np.random.default_rng(survey.seed)
+    low, high = np.array(bounds[:2]), np.array(bounds[2:])
+    cell_m = survey.decorrelation_m / CELLS
+    if np.prod((high - low) / cell_m) > MOST_CELLS:
+        raise InputError(
+            f"gives more than {MOST_CELLS} cells", key="decorrelation_m", remedy="give a larger one"
+        )
+    parameters = ChannelParameters(
+        radio.k_pl_db,
+        radio.n_pl,
+        survey.shadow_std_db,
+        survey.decorrelation_m,
+        survey.multipath_std_db,
+        station,
+    )
+    truth = model_truth(parameters, bounds, cell_m, survey.floor_dbm, generator)
+    places = low + (high - low) * generator.random((40 * survey.count, 2))
+    free = places[ground.allows(places)][: survey.count]
+    if len(free) < survey.count:
+        raise InputError(
+            f"only {len(free)} of {survey.count} positions are free",
+            key="count",
+            remedy="ask for fewer",
+        )
+    return measure(truth, free)

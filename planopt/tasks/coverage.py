@@ -18,9 +18,8 @@ from planopt.coverage.simulation import ABSENT, NetworkController, NetworkRun, s
 from planopt.coverage.verify import verify_moves
 from planopt.files.tables import Column, Data
 from planopt.files.typed_json import finite
-from planopt.tasks.coverage.build import CoverageProblem, build, overlapping
-from planopt.tasks.coverage.parts import has_room
-from planopt.tasks.coverage.tables import CoverageFile
+from planopt.tasks.coverage_build import CoverageProblem, build, has_room, overlapping
+from planopt.tasks.coverage_tables import CoverageFile
 from planopt.tasks.task import Task, TaskResult
 
 if TYPE_CHECKING:
@@ -144,7 +143,7 @@ def faults(result: TaskResult) -> list[str]:
     """Return the constraint violations that the verifier finds in the moves of a run."""
     run: NetworkRun = result.value
     problem = cast("CoverageProblem", result.problem)
-    world, limits = problem.given.world, problem.limits
+    world, limits = problem.given.world, problem.given.limits
     moving = (run.positions_m, run.velocities_m_s, run.headings_rad)
     if not all(np.isfinite(each).all() for each in moving):
         return [f"{STEPS_FILE}: a position, velocity or heading is not finite"]
@@ -175,7 +174,7 @@ def solve(problem: CoverageProblem, *, seed: int) -> TaskResult:
     generator = np.random.default_rng(seed)
     ground, starts_m = problem.scene.ground, problem.starts(generator)
     found = best_deployment(ground, len(starts_m), STARTS, generator, first_m=starts_m)
-    body_m, bound = problem.limits.body_radius_m, found.lower_bound
+    body_m, bound = problem.given.limits.body_radius_m, found.lower_bound
     cost = ground.cover(found.places_m).cost
     fits = bool(has_room(ground, found.places_m, body_m).all())
     fits &= overlapping(found.places_m, body_m) is None
@@ -292,7 +291,7 @@ def _in_place(
     control = problem.given.control
     here = run.positions_m[:-1]
     in_place = np.linalg.norm(run.targets_m - here, axis=2) <= near_m
-    body_m = problem.limits.body_radius_m
+    body_m = problem.given.limits.body_radius_m
     if body_m == 0.0:
         return in_place
     share = float(control.gains.shares(np.array([True]), control.time_step_s)[0])

@@ -1,1 +1,0 @@
-"""Regression suite of the solvers: every library problem against committed references."""

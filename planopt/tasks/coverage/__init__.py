@@ -1,1 +1,0 @@
-"""Task coverage: a network of agents covers a region and responds to events."""

@@ -45,10 +45,8 @@ from planopt.channel.posterior import Belief as Belief
 from planopt.channel.posterior import ChannelPosterior as ChannelPosterior
 from planopt.channel.posterior import at_time as at_time
 from planopt.channel.posterior import condition as condition
-from planopt.channel.posterior import estimate_theta as estimate_theta
 from planopt.channel.prediction import Prediction as Prediction
 from planopt.channel.sensitivity import mean_squared_error_db2 as mean_squared_error_db2
-from planopt.channel.sensitivity import posterior_derivatives as posterior_derivatives
 from planopt.channel.sensitivity import sensitivity_curves as sensitivity_curves
 from planopt.channel.shadow_fields import conditional_field as conditional_field
 from planopt.channel.shadow_fields import scattered_field_db as scattered_field_db

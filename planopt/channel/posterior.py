@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -368,49 +368,6 @@ def factored_near(posterior: ChannelPosterior, path_m: NDArray[np.float64]) -> C
 def at_time(posterior: ChannelPosterior, now_s: float) -> ChannelPosterior:
     """Return the posterior for predictions at time `now_s`; it shares the factor."""
     return replace(posterior, now_s=require_finite(now_s, "now_s"))
-
-
-Estimator = Literal["ml", "ls"]
-
-
-@dataclass(frozen=True, eq=False)
-class ThetaEstimate:
-    """Estimate of the path loss parameters with its error covariance."""
-
-    theta: NDArray[np.float64]  # (2,) (K_PL in dBm, n_PL)
-    covariance: NDArray[np.float64]  # (2, 2) error covariance for the given xi, beta and omega
-
-
-def estimate_theta(
-    measurements: Measurements | Table, parameters: ChannelParameters, how: Estimator = "ml"
-) -> ThetaEstimate:
-    """Estimate path loss for given xi, beta and omega (equations 1.7 and 1.9).
-
-    Maximum likelihood is generalised least squares. Its error covariance (Gamma' U^-1 Gamma)^-1 is
-    the smallest of all linear unbiased estimates; that of ordinary least squares is
-    (G'G)^-1 G'UG (G'G)^-1. If the measurements do not identify theta, a weak prior around the theta
-    of `parameters` is used (`WEAK_THETA_DEVIATION`).
-
-    Parameters
-    ----------
-    measurements
-        Measurements. Censored ones become Gaussian sites for ``ml`` and are ignored by ``ls``.
-    parameters
-        Parameters of the channel; their theta is only the mean of the weak prior.
-    how
-        ``ml``: generalised least squares. ``ls``: ordinary least squares.
-
-    Raises
-    ------
-    InputError
-        `how` is neither ``ml`` nor ``ls``.
-    """
-    measurements = as_measurements(measurements)
-    if how not in get_args(Estimator):
-        raise InputError(f"{how!r} is no estimator", key="how", remedy="use ml or ls")
-    rule = "estimated" if how == "ml" else "least_squares"
-    posterior = condition(parameters, measurements, theta=rule)
-    return ThetaEstimate(posterior.theta, posterior.theta_covariance)
 
 
 def _append(posterior: ChannelPosterior, more: Measurements, sites: Sites) -> ChannelPosterior:

@@ -1,171 +1,27 @@
-"""Sensitivity of predictions: spatial derivatives, and errors due to wrong parameters.
-
-Derivatives are those of the exact posterior, with the uncertainty of theta. The kernel
-exp(-d / beta) has a cusp at every measured position, where an error is raised because there is no
-derivative (solvers smooth the cusp). Delta^2(q), the mean squared error of the posterior under
-wrong parameters, shows which parameters matter (section II-B and Fig. 1 of [GM11]).
-"""
+"""Errors of predictions due to wrong parameters (section II-B and Fig. 1 of [GM11])."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from planopt.channel.cholesky import lower_factor, solve_upper, whiten
+from planopt.channel.cholesky import lower_factor, whiten
 from planopt.channel.gaussian_sites import MIN_NOISE_VARIANCE_DB2
-from planopt.channel.kriging import kriging_terms
-from planopt.channel.measurement_covariance import ageing, shadow_covariance_db2
+from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.parameters import (
-    MIN_DISTANCE_M,
     ChannelParameters,
-    Station,
     regressors,
     require_places,
 )
-from planopt.channel.posterior import EXACT_LIMIT, ChannelPosterior
+from planopt.channel.posterior import EXACT_LIMIT
 from planopt.errors import InputError
 
 ELEMENTS = 2**17
 """Target number of pairs of a position and a measurement in a block."""
-
-
-@dataclass(frozen=True)
-class PosteriorDerivatives:
-    """Predicted power at n positions with spatial derivatives."""
-
-    mean_db: NDArray[np.float64]  # (n,) as in :func:`planopt.channel.kriging.predict`
-    deviation_db: NDArray[np.float64]
-    mean_gradient: NDArray[np.float64]  # (n, 2) dB/m
-    deviation_gradient: NDArray[np.float64]
-    mean_hessian: NDArray[np.float64]  # (n, 2, 2) dB/m^2, symmetric
-    deviation_hessian: NDArray[np.float64]
-
-
-def posterior_derivatives(
-    posterior: ChannelPosterior, positions_m: ArrayLike
-) -> PosteriorDerivatives:
-    """Return spatial derivatives of mean and standard deviation up to second order (equation 1.8).
-
-    With r = U^-1 (y - Gamma theta), c = U^-1 phi, A = U^-1 Gamma and b = gamma - A' phi:
-
-        mean = gamma' theta + phi' r
-        sigma^2 = xi^2 + omega^2 - phi' c + b' M b
-        d(phi' c) = 2 dphi' c,   d^2(phi' c) = 2 dphi' U^-1 dphi + 2 d^2phi' c
-
-    Parameters
-    ----------
-    posterior
-        Channel conditional on measurements; the sites of censored ones are held fixed.
-    positions_m
-        ``(n, 2)`` positions; path loss is constant within `MIN_DISTANCE_M` of the station.
-
-    Raises
-    ------
-    InputError
-        A position coincides with a measured one, the standard deviation is zero (without multipath,
-        within rounding of a measured position), or positions are not ``(n, 2)`` and finite.
-    """
-    places = require_places(positions_m)
-    terms = kriging_terms(posterior, places)
-    theta, spread = posterior.theta, posterior.theta_covariance
-    lower = posterior.factor
-    residual = posterior.whitened_values - posterior.whitened_regressors @ theta
-    weights = solve_upper(lower, np.column_stack([residual, posterior.whitened_regressors]))
-    mean = terms.data_db + terms.trend @ theta
-    variance = terms.variance_db2 + np.einsum("ni,ij,nj->n", terms.trend, spread, terms.trend)
-    if (variance <= 0.0).any():
-        raise InputError(
-            f"the power at position {int(variance.argmin())} (counted from 0) is known exactly: "
-            "its deviation has no derivative",
-            key="positions_m",
-            remedy="move it away from the measured place",
-        )
-    # Derivatives of the mean and of the variance.
-    gradients = np.empty((2, len(places), 2))
-    hessians = np.empty((2, len(places), 2, 2))
-    block = max(1, ELEMENTS // max(1, len(posterior.measurements)))
-    for start in range(0, len(places), block):
-        part = slice(start, start + block)
-        phi, first, second = _kernel_derivatives(posterior, places[part], start)
-        loss_first, loss_second = _path_loss_derivatives(places[part], posterior.parameters.station)
-        columns = np.concatenate([phi[..., None], first], axis=2)
-        half = whiten(lower, columns.reshape(len(phi), 3 * phi.shape[1])).reshape(columns.shape)
-        solved = solve_upper(lower, half[:, :, 0])
-        gradients[0, part] = theta[1] * loss_first + np.einsum("kni,k->ni", first, weights[:, 0])
-        hessians[0, part] = theta[1] * loss_second + np.einsum("knij,k->nij", second, weights[:, 0])
-        trend_first = -np.einsum("kni,kp->npi", first, weights[:, 1:])
-        trend_first[:, 1] += loss_first
-        trend_second = -np.einsum("knij,kp->npij", second, weights[:, 1:])
-        trend_second[:, 1] += loss_second
-        pull = terms.trend[part] @ spread
-        gradients[1, part] = 2.0 * (
-            np.einsum("np,npi->ni", pull, trend_first) - np.einsum("kni,kn->ni", first, solved)
-        )
-        hessians[1, part] = 2.0 * (
-            np.einsum("npi,pq,nqj->nij", trend_first, spread, trend_first)
-            + np.einsum("np,npij->nij", pull, trend_second)
-            - np.einsum("kni,knj->nij", half[:, :, 1:], half[:, :, 1:])
-            - np.einsum("knij,kn->nij", second, solved)
-        )
-    deviation = np.sqrt(variance)
-    deviation_first = gradients[1] / (2.0 * deviation[:, None])
-    deviation_second = (
-        0.5 * hessians[1] - deviation_first[:, :, None] * deviation_first[:, None, :]
-    ) / deviation[:, None, None]
-    return PosteriorDerivatives(
-        mean, deviation, gradients[0], deviation_first, hessians[0], deviation_second
-    )
-
-
-def _kernel_derivatives(
-    posterior: ChannelPosterior, places_m: NDArray[np.float64], first_index: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the kernel phi (kappa, n) with spatial gradient (.., 2) and Hessian (.., 2, 2)."""
-    # With u the unit vector from the measurement they are -phi u / beta and phi (u u' / beta^2 - (I
-    # - u u') / (beta r)). A position error enlarges r and smooths the cusp.
-    beta = posterior.parameters.decorrelation_m
-    origins = posterior.origins
-    offset = places_m[None] - origins.positions_m[:, None]
-    distance = np.hypot(offset[..., 0], offset[..., 1])
-    if origins.blur_m2 is not None:
-        distance = np.sqrt(distance**2 + origins.blur_m2[:, None])
-    if (distance == 0.0).any():
-        measurement, place = (int(index) for index in np.argwhere(distance == 0.0)[0])
-        raise InputError(
-            f"position {first_index + place} is where measurement {measurement} was taken "
-            "(both counted from 0): the prediction has a cusp there and no derivative",
-            key="positions_m",
-            remedy="move it by any distance, or differentiate the rounded kernel",
-        )
-    phi = posterior.parameters.shadow_std_db**2 * np.exp(-distance / beta)
-    if origins.time_s is not None:
-        phi *= ageing(origins.time_s[:, None], posterior.now_s, posterior.parameters)
-    unit = offset / distance[..., None]
-    along = unit[..., :, None] * unit[..., None, :]
-    first = (-phi / beta)[..., None] * unit
-    second = (phi / beta**2)[..., None, None] * along
-    second -= (phi / (beta * distance))[..., None, None] * (np.eye(2) - along)
-    return phi, first, second
-
-
-def _path_loss_derivatives(
-    places_m: NDArray[np.float64], station: Station
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return gradient (n, 2) and Hessian (n, 2, 2) of -10 log10 d; zero at the minimum distance."""
-    offset = places_m - np.asarray(station.position_m)
-    square = (offset**2).sum(axis=1) + station.height_m**2
-    scale = np.where(
-        square > MIN_DISTANCE_M**2,
-        -10.0 / np.log(10.0) / np.maximum(square, MIN_DISTANCE_M**2),
-        0.0,
-    )
-    along = offset[:, :, None] * offset[:, None, :]
-    along /= np.maximum(square, MIN_DISTANCE_M**2)[:, None, None]
-    return scale[:, None] * offset, scale[:, None, None] * (np.eye(2) - 2.0 * along)
 
 
 PERTURBED = ("k_pl_db", "n_pl", "shadow_variance_db2", "decorrelation_m", "multipath_std_db")

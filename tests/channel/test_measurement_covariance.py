@@ -19,7 +19,6 @@ from planopt.channel import (
     condition,
     conditional_field,
     joint_prediction,
-    posterior_derivatives,
 )
 from planopt.channel.kriging import LocalChannel, predict, predict_nearby
 from planopt.channel.measurement_covariance import (
@@ -30,6 +29,7 @@ from planopt.channel.measurement_covariance import (
     place_origins,
 )
 from planopt.channel.tile_map import TileMap
+from planopt.objectives.stage_power import StagePredictor
 
 PLACES = np.random.default_rng(3).uniform(0.0, 50.0, (40, 2))
 LATER_S = 900.0
@@ -192,18 +192,17 @@ def test_derivatives_are_slopes():
     posterior = at_time(condition(DRIFTING, varied(30, 13)), 640.0)
     uncertain = posterior.measurements.positions_m[1:2] + 1e-3
     places = np.concatenate([PLACES[:5], uncertain])
-    found = posterior_derivatives(posterior, places)
-    for axis in (0, 1):
-        step = np.zeros(2)
-        step[axis] = 1e-4
-        up, down = (posterior_derivatives(posterior, places + s * step) for s in (1.0, -1.0))
-        for name in ("mean", "deviation"):
-            slope = (getattr(up, f"{name}_db") - getattr(down, f"{name}_db")) / 2e-4
-            np.testing.assert_allclose(
-                getattr(found, f"{name}_gradient")[:, axis], slope, atol=1e-6
-            )
-            bend = (getattr(up, f"{name}_gradient") - getattr(down, f"{name}_gradient")) / 2e-4
-            np.testing.assert_allclose(getattr(found, f"{name}_hessian")[:, axis], bend, atol=1e-5)
+    predictor = StagePredictor(LocalChannel.around_each(posterior, places, 30))
+    found = predictor(places)
+    for axis, bends in ((0, [0, 1]), (1, [1, 2])):
+        step = 1e-4 * np.eye(2)[axis]
+        for own, more, less in zip(
+            found, predictor(places + step), predictor(places - step), strict=True
+        ):
+            slope = (more.value - less.value) / 2e-4
+            np.testing.assert_allclose(own.gradient[:, axis], slope, atol=1e-6)
+            bend = (more.gradient - less.gradient) / 2e-4
+            np.testing.assert_allclose(own.hessian[:, bends], bend, atol=1e-5)
 
 
 def test_fields_are_drawn_with_offsets():

@@ -195,8 +195,6 @@ def test_public_calls_take_tables(table: Callable[[dict[str, Any]], Any]) -> Non
     found = planopt.channel.fit_channel_and_station(given, station_method="line")
     again = planopt.channel.fit_channel_and_station(ARRAYS, station_method="line")
     assert found.parameters == again.parameters
-    theta = planopt.channel.estimate_theta(given, parameters)
-    assert theta.theta.tolist() == planopt.channel.estimate_theta(ARRAYS, parameters).theta.tolist()
     quarters = np.arange(40) // 10
     predictors = planopt.channel.predictors_of(lambda some: fit_channel(some, STATION))
     report = planopt.channel.held_out_report(given, quarters, quarters, predictors)
@@ -229,7 +227,6 @@ def test_public_calls_take_lists_of_places() -> None:
             ).delivered_bits.draws
         ),
         lambda p, t: planopt.channel.connected_to_any([posterior], p, level),
-        lambda p, t: planopt.channel.posterior_derivatives(posterior, p),
     ]
     forms = [(lists, times), (tuple(map(tuple, lists)), tuple(times))]
     columns = frame({"x_m": path[:, 0], "y_m": path[:, 1], "t_s": times})

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from simulated_channel import simulated
 
-from planopt import InputError
-from planopt.channel import ChannelParameters, Measurements, Station, condition, estimate_theta
+from planopt.channel import ChannelParameters, Measurements, Station, condition
 from planopt.channel.kriging import kriging_terms
 from planopt.channel.measurement_covariance import shadow_covariance_db2
 from planopt.channel.parameters import regressors
@@ -28,13 +27,13 @@ def test_dense_formulas():
     gamma, covariance = design(measurements)
     weight = np.linalg.inv(covariance)
     spread = np.linalg.inv(gamma.T @ weight @ gamma)
-    ml = estimate_theta(measurements, CHANNEL)
-    np.testing.assert_allclose(ml.covariance, spread, rtol=1e-8)
+    ml = condition(CHANNEL, measurements)
+    np.testing.assert_allclose(ml.theta_covariance, spread, rtol=1e-8)
     np.testing.assert_allclose(ml.theta, spread @ gamma.T @ weight @ measurements.power_dbm)
     normal = np.linalg.inv(gamma.T @ gamma)
-    ls = estimate_theta(measurements, CHANNEL, "ls")
+    ls = condition(CHANNEL, measurements, theta="least_squares")
     middle = gamma.T @ covariance @ gamma
-    np.testing.assert_allclose(ls.covariance, normal @ middle @ normal, rtol=1e-8)
+    np.testing.assert_allclose(ls.theta_covariance, normal @ middle @ normal, rtol=1e-8)
     np.testing.assert_allclose(
         ls.theta, np.linalg.lstsq(gamma, measurements.power_dbm, rcond=None)[0]
     )
@@ -52,7 +51,7 @@ def test_lemma_3_equals_the_batch():
         recursion = np.linalg.inv(np.linalg.inv(before) + information)
         one = Measurements(place[None], np.array([-80.0]), np.zeros(1, bool))
         posterior = posterior.extend(one)
-        batch = estimate_theta(posterior.measurements, CHANNEL).covariance
+        batch = condition(CHANNEL, posterior.measurements).theta_covariance
         np.testing.assert_allclose(recursion, batch, rtol=1e-9)
 
 
@@ -83,9 +82,9 @@ def test_receiver_offsets_do_not_enter_least_squares():
     measurements = simulated(CHANNEL, 6, 30, 200.0)
     mixed = dataclasses.replace(measurements, receiver=np.arange(30) % 2)
     shifted = dataclasses.replace(mixed, power_dbm=mixed.power_dbm + 7.0 * mixed.receiver)
-    first, second = (estimate_theta(m, CHANNEL, "ls") for m in (mixed, shifted))
+    first, second = (condition(CHANNEL, m, theta="least_squares") for m in (mixed, shifted))
     np.testing.assert_allclose(second.theta, first.theta, rtol=1e-9)
-    np.testing.assert_allclose(second.covariance, first.covariance, rtol=1e-9)
+    np.testing.assert_allclose(second.theta_covariance, first.theta_covariance, rtol=1e-9)
 
 
 def test_censored_ones_are_left_out_of_least_squares():
@@ -93,26 +92,19 @@ def test_censored_ones_are_left_out_of_least_squares():
     measurements = simulated(CHANNEL, 7, 30, 200.0)
     flags = np.arange(30) >= 25
     limited = dataclasses.replace(measurements, censored=flags)
-    with_limits = estimate_theta(limited, CHANNEL, "ls")
-    without = estimate_theta(measurements.take(~flags), CHANNEL, "ls")
+    with_limits = condition(CHANNEL, limited, theta="least_squares")
+    without = condition(CHANNEL, measurements.take(~flags), theta="least_squares")
     np.testing.assert_allclose(with_limits.theta, without.theta, rtol=1e-9)
-    np.testing.assert_allclose(with_limits.covariance, without.covariance, rtol=1e-9)
+    np.testing.assert_allclose(with_limits.theta_covariance, without.theta_covariance, rtol=1e-9)
 
 
-@pytest.mark.parametrize("how", ["ml", "ls"])
+@pytest.mark.parametrize("how", ["estimated", "least_squares"])
 def test_unidentified_theta_has_the_weak_prior(how):
     """From one measurement, or none, both are the same finite estimate."""
     for count in (0, 1):
         few = simulated(CHANNEL, 8, 5, 200.0).take(slice(0, count))
-        found = estimate_theta(few, CHANNEL, how)
+        found = condition(CHANNEL, few, theta=how)
         assert np.isfinite(found.theta).all()
         np.testing.assert_allclose(
-            found.covariance, condition(CHANNEL, few).theta_covariance, rtol=1e-12
+            found.theta_covariance, condition(CHANNEL, few).theta_covariance, rtol=1e-12
         )
-
-
-def test_what_cannot_be_asked():
-    """Another estimator."""
-    measurements = simulated(CHANNEL, 9, 10, 200.0)
-    with pytest.raises(InputError, match="no estimator"):
-        estimate_theta(measurements, CHANNEL, "map")

@@ -9,11 +9,11 @@ from path_scene import CHANNEL, PATH, drawn, moved
 from scipy.stats import norm
 
 from planopt import InputError
-from planopt.channel import Station, condition, posterior_derivatives
-from planopt.channel.kriging import predict
+from planopt.channel import Station, condition
+from planopt.channel.kriging import LocalChannel, predict
 from planopt.objectives import TrackingTerm
+from planopt.objectives.stage_power import StagePredictor
 from planopt.objectives.tracking import Tracking
-from planopt.targets.rounding import Derivatives
 from planopt.targets.sensor import Sensor, sensing_derivatives, sensing_information
 
 POSTERIOR = condition(CHANNEL, drawn(15))
@@ -99,16 +99,11 @@ def test_bad_input_is_ours(make):
 
 
 def derivatives(path, threshold=-73.0):
-    """Rewards of all stages at `path`, with the exact posterior's derivatives."""
-    found = posterior_derivatives(POSTERIOR, path)
-    pairs = [0, 0, 1], [0, 1, 1]
-    power = [
-        Derivatives(value, gradient, hessian[:, pairs[0], pairs[1]])
-        for value, gradient, hessian in (
-            (found.mean_db, found.mean_gradient, found.mean_hessian),
-            (found.deviation_db, found.deviation_gradient, found.deviation_hessian),
-        )
-    ]
+    """Rewards of all stages at `path`, with derivatives of the exact posterior."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("planopt.objectives.stage_power.CUSP_ROUNDING", 1e-9)
+        patch.setattr("planopt.objectives.stage_power.MIN_DISTANCE_M", 0.0)
+        power = StagePredictor(LocalChannel.around_each(POSTERIOR, path, 15))(path)
     at = context(threshold=threshold)
     return TERM.derivatives(SimpleNamespace(at=at, places_m=path, stage_power=power))
 

@@ -9,7 +9,7 @@ import pytest
 import shapely
 
 from planopt import InputError, check, load, simulate, solve
-from planopt.channel import condition, estimate_theta
+from planopt.channel import condition
 from planopt.planning.initial_data import prepare, with_drawn_starts
 from planopt.problems import (
     GivenParameters,
@@ -129,9 +129,11 @@ def test_parameters_given_are_not_estimated(fig4):
         return prepare(replace(fig4, channel=replace(fig4.channel, given=given)), 0).belief
 
     half = fitted(replace(given, k_pl_db=None, n_pl=None))
-    estimate = estimate_theta(measured, parameters)
+    estimate = condition(parameters, measured)
     assert half.posterior.theta == pytest.approx(estimate.theta)
-    assert half.fit.standard_errors["n_pl"] == pytest.approx(np.sqrt(estimate.covariance[1, 1]))
+    assert half.fit.standard_errors["n_pl"] == pytest.approx(
+        np.sqrt(estimate.theta_covariance[1, 1])
+    )
     assert half.fit.standard_errors["decorrelation_m"] == 0.0
     with pytest.raises(InputError, match="one of k_pl_db and n_pl"):
         GivenParameters(shadow_std_db=4.0, decorrelation_m=20.0, multipath_std_db=1.0, n_pl=2.0)

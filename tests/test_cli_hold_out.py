@@ -8,7 +8,7 @@ import pytest
 from numpy.typing import NDArray
 
 from planopt.channel import ChannelParameters, Station
-from planopt.channel.measurement_covariance import shadow_covariance_db2
+from planopt.channel.measurements import shadow_covariance_db2
 from planopt.cli import main
 
 PREDICTORS = ["channel", "marginal", "path_loss", "plain_line", "plain_process"]

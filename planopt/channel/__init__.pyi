@@ -35,6 +35,8 @@ from planopt.channel.long_logs import receiver_offsets as receiver_offsets
 from planopt.channel.measurements import Measurements as Measurements
 from planopt.channel.parameter_uncertainty import MarginalPosterior as MarginalPosterior
 from planopt.channel.parameter_uncertainty import marginalise as marginalise
+from planopt.channel.parameter_uncertainty import mean_squared_error_db2 as mean_squared_error_db2
+from planopt.channel.parameter_uncertainty import sensitivity_curves as sensitivity_curves
 from planopt.channel.parameters import ChannelParameters as ChannelParameters
 from planopt.channel.parameters import Station as Station
 from planopt.channel.path_connectivity import FirstPassage as FirstPassage
@@ -46,8 +48,6 @@ from planopt.channel.posterior import ChannelPosterior as ChannelPosterior
 from planopt.channel.posterior import at_time as at_time
 from planopt.channel.posterior import condition as condition
 from planopt.channel.prediction import Prediction as Prediction
-from planopt.channel.sensitivity import mean_squared_error_db2 as mean_squared_error_db2
-from planopt.channel.sensitivity import sensitivity_curves as sensitivity_curves
 from planopt.channel.shadow_fields import conditional_field as conditional_field
 from planopt.channel.shadow_fields import scattered_field_db as scattered_field_db
 from planopt.channel.shadow_fields import shadow_field_db as shadow_field_db

@@ -25,13 +25,13 @@ from numpy.typing import NDArray
 from scipy.special import erfcx, log_ndtr  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.channel.cholesky import log_determinant, lower_factor, one_blas_thread, solve_lower
-from planopt.channel.measurement_covariance import (
+from planopt.channel.measurements import (
+    Measurements,
     covariance_db2,
     measured_origins,
     measured_path_loss_variance_db2,
     own_covariance_db2,
 )
-from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, regressors
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(40)

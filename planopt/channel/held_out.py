@@ -32,8 +32,7 @@ from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.least_squares import examine, least_squares, nearest_distance_m
 from planopt.channel.estimation.reml import thinned
 from planopt.channel.joint import predict_readings
-from planopt.channel.measurement_covariance import pairwise_distance_m
-from planopt.channel.measurements import Measurements, Table, as_measurements
+from planopt.channel.measurements import Measurements, Table, as_measurements, pairwise_distance_m
 from planopt.channel.parameter_uncertainty import marginalise
 from planopt.channel.parameters import Station, mean_model, regressors
 from planopt.channel.posterior import condition

@@ -17,8 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from planopt.channel.cholesky import semidefinite_factor, whiten
 from planopt.channel.gaussian_sites import rounded_variance_db2
 from planopt.channel.kriging import predict_noiseless
-from planopt.channel.measurement_covariance import shadow_covariance_db2
-from planopt.channel.measurements import Measurements
+from planopt.channel.measurements import Measurements, shadow_covariance_db2
 from planopt.channel.parameter_uncertainty import MarginalPosterior, mixture
 from planopt.channel.parameters import (
     leg_lengths_m,

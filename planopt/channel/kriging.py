@@ -19,7 +19,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from planopt.channel.cholesky import inverse, lower_factor, whiten, whitened_by
 from planopt.channel.long_logs import EARLIER_NEIGHBOURS, OffsetsGivenTheta, offsets_given_theta
-from planopt.channel.measurement_covariance import (
+from planopt.channel.measurements import (
+    Measurements,
     Origins,
     ageing,
     covariance_db2,
@@ -31,7 +32,6 @@ from planopt.channel.measurement_covariance import (
     place_origins,
     shadow_covariance_db2,
 )
-from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, regressors, require_count, require_places
 from planopt.channel.prediction import KrigingTerms, Prediction, combine
 

@@ -41,14 +41,14 @@ from planopt.channel.gaussian_sites import (
     rounded_variance_db2,
     truncated_normal,
 )
-from planopt.channel.measurement_covariance import (
+from planopt.channel.measurements import (
     RECEIVER_OFFSET_STD_DB,
+    Measurements,
     Origins,
     measured_origins,
     measured_path_loss_variance_db2,
     own_covariance_db2,
 )
-from planopt.channel.measurements import Measurements
 from planopt.channel.neighbours import (
     BLOCK,
     BLOCK_NEIGHBOURS,

@@ -33,15 +33,18 @@ from planopt.channel.gaussian_sites import (
 )
 from planopt.channel.kriging import nearest_to_path, predict, predict_noiseless
 from planopt.channel.long_logs import VecchiaInformation, neighbour_sites, vecchia_information
-from planopt.channel.measurement_covariance import (
+from planopt.channel.measurements import (
+    Measurements,
     Origins,
+    Table,
+    as_measurements,
     covariance_db2,
+    join,
     measured_origins,
     measured_path_loss_variance_db2,
     own_covariance_db2,
     place_origins,
 )
-from planopt.channel.measurements import Measurements, Table, as_measurements, join
 from planopt.channel.neighbours import PlaceIndex
 from planopt.channel.parameters import ChannelParameters, regressors, require_finite
 from planopt.channel.prediction import Prediction, connection_probability

@@ -23,7 +23,7 @@ from scipy import fft as scipy_fft
 
 from planopt.channel.cholesky import lower_factor, one_blas_thread, solve_lower, solve_upper, whiten
 from planopt.channel.kriging import PREDICTION_ELEMENTS
-from planopt.channel.measurement_covariance import (
+from planopt.channel.measurements import (
     RECEIVER_OFFSET_STD_DB,
     pairwise_distance_m,
     shadow_covariance_db2,

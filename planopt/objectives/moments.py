@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 from planopt.channel.cholesky import unwhiten, whiten
 from planopt.channel.joint import joint_terms
 from planopt.channel.kriging import LocalChannel, LocalGrid
-from planopt.channel.measurement_covariance import decayed_db2, shadow_covariance_db2
+from planopt.channel.measurements import decayed_db2, shadow_covariance_db2
 from planopt.channel.parameters import ChannelParameters, regressors, require_places
 from planopt.channel.posterior import ChannelPosterior, factored_near
 from planopt.channel.prediction import KrigingTerms, Prediction, combine

@@ -24,9 +24,6 @@ from planopt.pursuit.evaders import Foresighted as Foresighted
 from planopt.pursuit.evaders import Static as Static
 from planopt.pursuit.evaders import Wandering as Wandering
 from planopt.pursuit.evaders import Zigzag as Zigzag
-from planopt.pursuit.flooding import late_shares as late_shares
-from planopt.pursuit.flooding import peak_blocks_per_frame as peak_blocks_per_frame
-from planopt.pursuit.flooding import simulate_flooding as simulate_flooding
 from planopt.pursuit.guarantees import Chase as Chase
 from planopt.pursuit.guarantees import capture_guarantees as capture_guarantees
 from planopt.pursuit.guarantees import contraction as contraction
@@ -45,8 +42,11 @@ from planopt.pursuit.service import ServiceBounds as ServiceBounds
 from planopt.pursuit.service import SnapshotRecords as SnapshotRecords
 from planopt.pursuit.service import SnapshotService as SnapshotService
 from planopt.pursuit.service import Track as Track
+from planopt.pursuit.service import late_shares as late_shares
 from planopt.pursuit.service import mote_centres_m as mote_centres_m
+from planopt.pursuit.service import peak_blocks_per_frame as peak_blocks_per_frame
 from planopt.pursuit.service import relative_error as relative_error
+from planopt.pursuit.service import simulate_flooding as simulate_flooding
 from planopt.pursuit.service import snapshot as snapshot
 from planopt.pursuit.simulation import Evader as Evader
 from planopt.pursuit.simulation import Pursuer as Pursuer

@@ -20,13 +20,13 @@ from pydantic import Field
 
 from planopt.errors import InputError, NoPlanError
 from planopt.keys import SMALLEST, Length, Table
-from planopt.pursuit.flooding import peak_blocks_per_frame
 from planopt.pursuit.guarantees import Chase, Guarantee, capture_guarantees, contraction
 from planopt.pursuit.service import (
     HOPS_PER_ROUND,
     MAX_LEVELS,
     SLOTS_PER_FRAME,
     SnapshotService,
+    peak_blocks_per_frame,
     relative_error,
 )
 from planopt.pursuit.theorems import Inequality, Theorem

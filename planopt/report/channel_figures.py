@@ -360,7 +360,7 @@ def draw_sensitivity(
     relative_errors
         Relative errors ``(k,)``.
     curves
-        Result of :func:`planopt.channel.sensitivity.sensitivity_curves`, or averages of several.
+        Result of :func:`planopt.channel.sensitivity_curves`, or averages of several.
 
     Raises
     ------

@@ -32,8 +32,8 @@ from planopt.pursuit.design import (
     sensitivities,
     sharp_design,
 )
-from planopt.pursuit.flooding import MOST_SIMULATED_LEVELS, late_shares
 from planopt.pursuit.guarantees import Chase, Guarantee
+from planopt.pursuit.service import MOST_SIMULATED_LEVELS, late_shares
 from planopt.pursuit.theorems import Inequality, Theorem
 from planopt.tasks.task import Task, TaskFile, TaskResult
 

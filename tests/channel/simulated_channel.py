@@ -3,7 +3,7 @@
 import numpy as np
 
 from planopt.channel import Measurements
-from planopt.channel.measurement_covariance import shadow_covariance_db2
+from planopt.channel.measurements import shadow_covariance_db2
 from planopt.channel.parameters import regressors
 
 

@@ -20,15 +20,15 @@ from planopt.channel import (
     conditional_field,
     joint_prediction,
 )
+from planopt.channel.channel_map import TileMap
 from planopt.channel.kriging import LocalChannel, predict, predict_nearby
-from planopt.channel.measurement_covariance import (
+from planopt.channel.measurements import (
     covariance_db2,
     measured_origins,
     own_covariance_db2,
     own_variance_db2,
     place_origins,
 )
-from planopt.channel.tile_map import TileMap
 from planopt.objectives.stage_power import StagePredictor
 
 PLACES = np.random.default_rng(3).uniform(0.0, 50.0, (40, 2))

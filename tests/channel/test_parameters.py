@@ -10,7 +10,7 @@ from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
 from planopt import InputError
 from planopt.channel import ChannelParameters, Station, scattered_field_db, shadow_field_db
-from planopt.channel.measurement_covariance import pairwise_distance_m, shadow_covariance_db2
+from planopt.channel.measurements import pairwise_distance_m, shadow_covariance_db2
 from planopt.channel.parameters import (
     MIN_DISTANCE_M,
     PRIOR_N_PL,

@@ -8,7 +8,7 @@ from simulated_channel import simulated
 
 from planopt.channel import ChannelParameters, Measurements, Station, condition
 from planopt.channel.kriging import kriging_terms
-from planopt.channel.measurement_covariance import shadow_covariance_db2
+from planopt.channel.measurements import shadow_covariance_db2
 from planopt.channel.parameters import regressors
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((50.0, 50.0), 10.0))

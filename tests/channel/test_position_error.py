@@ -6,7 +6,7 @@ from scipy.stats import norm
 
 from planopt.channel import ChannelParameters, Measurements, Station, condition, fit_channel
 from planopt.channel.kriging import predict
-from planopt.channel.measurement_covariance import (
+from planopt.channel.measurements import (
     BLUR_SHARE,
     path_loss_variance_db2,
     shadow_covariance_db2,

@@ -7,8 +7,7 @@ import pytest
 from scipy.stats import norm
 
 from planopt.channel import ChannelParameters, Measurements, Station, condition
-from planopt.channel.measurement_covariance import shadow_covariance_db2
-from planopt.channel.measurements import join
+from planopt.channel.measurements import join, shadow_covariance_db2
 from planopt.channel.parameters import regressors
 from planopt.channel.posterior import WEAK_THETA_DEVIATION
 

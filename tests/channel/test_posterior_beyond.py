@@ -13,11 +13,11 @@ from planopt.channel import (
     joint_prediction,
     receiver_offsets,
 )
+from planopt.channel.channel_map import TileMap
 from planopt.channel.kriging import LocalChannel, predict
 from planopt.channel.measurements import join
 from planopt.channel.parameters import regressors
 from planopt.channel.posterior import EXACT_LIMIT
-from planopt.channel.tile_map import TileMap
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 6.0, 15.0, 2.0, Station((5.0, -10.0), 12.0))
 PLACES = np.random.default_rng(9).uniform(-110.0, 110.0, (300, 2))

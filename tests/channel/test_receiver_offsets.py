@@ -16,7 +16,7 @@ from planopt.channel import (
     receiver_offsets,
 )
 from planopt.channel import long_logs as module
-from planopt.channel.measurement_covariance import shadow_covariance_db2
+from planopt.channel.measurements import shadow_covariance_db2
 from planopt.channel.parameters import regressors
 
 CHANNEL = ChannelParameters(-20.0, 2.5, 5.0, 15.0, 2.0, Station((50.0, 130.0), 5.0))

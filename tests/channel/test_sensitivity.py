@@ -14,9 +14,9 @@ from planopt.channel import (
     mean_squared_error_db2,
     sensitivity_curves,
 )
-from planopt.channel.measurement_covariance import shadow_covariance_db2
+from planopt.channel.measurements import shadow_covariance_db2
+from planopt.channel.parameter_uncertainty import perturbed
 from planopt.channel.parameters import regressors
-from planopt.channel.sensitivity import perturbed
 
 TRUE = ChannelParameters(-10.0, 2.0, 4.0, 8.0, 1.5, Station((12.0, 9.0), 2.0))
 WRONG = ChannelParameters(-13.0, 2.4, 5.5, 4.0, 2.5, TRUE.station)

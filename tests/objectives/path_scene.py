@@ -4,7 +4,7 @@ import numpy as np
 
 from planopt import Measurements
 from planopt.channel import ChannelParameters, Station
-from planopt.channel.measurement_covariance import shadow_covariance_db2
+from planopt.channel.measurements import shadow_covariance_db2
 from planopt.channel.parameters import regressors
 from planopt.objectives.measuring import MeasuringRule
 

@@ -6,7 +6,7 @@ import pytest
 from scipy.special import erf
 
 from planopt import InputError
-from planopt.objectives.expression import (
+from planopt.objectives.terms.expression import (
     LONGEST_LINE,
     MOST_LINES,
     WIDTHS,

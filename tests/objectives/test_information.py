@@ -19,7 +19,7 @@ from path_scene import (
 from planopt import InputError, Measurements
 from planopt.channel import Station, condition, joint_prediction
 from planopt.channel.kriging import LocalChannel, LocalGrid, kriging_terms, predict
-from planopt.channel.measurement_covariance import shadow_covariance_db2
+from planopt.channel.measurements import shadow_covariance_db2
 from planopt.channel.parameters import regressors
 from planopt.channel.posterior import WEAK_THETA_DEVIATION, extend, factored_near
 from planopt.objectives.information import (

@@ -7,7 +7,7 @@ from path_scene import CHANNEL, PATH, START, drawn
 from planopt.channel import condition, first_passage, joint_prediction, sample_power
 from planopt.channel.kriging import predict
 from planopt.channel.prediction import connection_probability
-from planopt.objectives.until_connected import (
+from planopt.objectives.terms.until_connected import (
     Search,
     charged_distance_m,
     charged_distances_m,

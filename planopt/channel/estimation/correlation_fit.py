@@ -36,7 +36,7 @@ from planopt.channel.estimation.channel_fit import (
     fallback_fit,
     from_correlation,
 )
-from planopt.channel.measurement_covariance import pairwise_distance_m
+from planopt.channel.measurements import pairwise_distance_m
 
 BINS = 100
 """Number of bins over the extent."""

@@ -19,13 +19,13 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.channel.gaussian_sites import rounded_variance_db2
-from planopt.channel.measurement_covariance import (
+from planopt.channel.measurements import (
+    Measurements,
     covariance_db2,
     measured_origins,
     measured_path_loss_variance_db2,
     own_variance_db2,
 )
-from planopt.channel.measurements import Measurements
 from planopt.channel.neighbours import PlaceTree
 from planopt.channel.parameters import ChannelParameters, MeanModel, Station, regressors
 from planopt.errors import InputError

@@ -54,15 +54,15 @@ from planopt.channel.gaussian_sites import (
     rounded_variance_db2,
 )
 from planopt.channel.long_logs import SITE_NEIGHBOURS, IntervalRows, WindowSites, window_sites
-from planopt.channel.measurement_covariance import (
+from planopt.channel.measurements import (
     RECEIVER_OFFSET_STD_DB,
+    Measurements,
     Origins,
     ageing,
     measured_origins,
     measured_path_loss_variance_db2,
     own_distance_m,
 )
-from planopt.channel.measurements import Measurements
 from planopt.channel.neighbours import (
     BLOCK,
     BLOCK_NEIGHBOURS,

@@ -38,12 +38,14 @@ from planopt.channel.estimation.fit import fit_channel
 from planopt.channel.estimation.least_squares import least_squares, require_usable
 from planopt.channel.estimation.reml import MOST_DENSE, minimise_damped, thinned
 from planopt.channel.gaussian_sites import gaussian_sites
-from planopt.channel.measurement_covariance import (
+from planopt.channel.measurements import (
+    Measurements,
+    Table,
+    as_measurements,
     measured_origins,
     measured_path_loss_variance_db2,
     own_covariance_db2,
 )
-from planopt.channel.measurements import Measurements, Table, as_measurements
 from planopt.channel.parameters import (
     MIN_DISTANCE_M,
     PRIOR_N_PL,

@@ -1,32 +1,308 @@
-"""Terms defined by a CasADi expression of the path: ``casadi`` and user-defined kinds."""
+# pyright: basic
+"""Terms defined by a CasADi expression of the path: ``casadi`` and user-defined kinds.
+
+The text of an expression has one Python assignment per line, parsed by an allow-list:
+
+    v0 = mean_db[2, 0]
+    v1 = v0 - -40.0
+    exp(v1) * v1
+
+The last line is the value. Only arithmetic, comparisons and the functions of `FUNCTIONS` are
+accepted, so that the objective of an untrusted file can be evaluated safely. CasADi evaluates and
+differentiates it.
+"""
 
 from __future__ import annotations
 
+import ast
+import operator
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Annotated, Any, ClassVar
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
 from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
-from planopt.objectives.expression import (
-    START,
-    WIDTHS,
-    PathSymbols,
-    expression_derivatives,
-    expression_values,
-    names_in,
-    program_of,
-)
-from planopt.objectives.path_derivatives import PathDerivatives
+from planopt.objectives.path_derivatives import PathDerivatives, by_stages
 from planopt.objectives.stage_power import connectivity_derivatives
 from planopt.objectives.terms.context import NearPath, Paths, TermContext
 from planopt.objectives.terms.term import Term, TermSetting
+from planopt.parts import calling
 from planopt.plain_values import make_plain
 from planopt.targets.rounding import Derivatives
+
+WIDTHS = {"positions_m": 2, "mean_db": 1, "deviation_db": 1, "connectivity": 1, "target_m": 2}
+"""Number of columns of each input with one row per step."""
+
+START = "start_m"
+"""Name of the input with the robot position, one row of two numbers."""
+
+LONGEST_LINE = 200
+"""Maximum number of characters in a line, which bounds its nesting."""
+
+MOST_LINES = 100_000
+"""Maximum of lines times steps: the cost of a line's derivatives grows with the steps."""
+
+CHANNELS: tuple[str, ...] = ("positions_m", "mean_db", "deviation_db", "connectivity")
+"""Inputs that depend on the position at a step."""
+
+OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+    ast.Pow: operator.pow,
+    ast.USub: operator.neg,
+    ast.Lt: operator.lt,
+    ast.LtE: operator.le,
+    ast.Eq: operator.eq,
+    ast.NotEq: operator.ne,
+}
+
+FUNCTIONS: dict[str, tuple[int, Callable[..., Any]]] = {
+    **{name: (2, getattr(ca, name)) for name in ("atan2", "fmin", "fmax", "hypot")},
+    **{f"logic_{name}": (2, getattr(ca, f"logic_{name}")) for name in ("and", "or")},
+    "logic_not": (1, ca.logic_not),
+    "if_else": (3, ca.if_else),
+    **{
+        name: (1, getattr(ca, name))
+        for name in (
+            *("sqrt", "exp", "log", "log1p", "expm1", "sin", "cos", "tan", "asin", "acos"),
+            *("atan", "sinh", "cosh", "tanh", "erf", "fabs", "sign", "floor", "ceil"),
+        )
+    },
+}
+"""Allowed functions by name, with their number of arguments."""
+
+TEXTS = {
+    **{ca.OP_ADD: "{} + {}", ca.OP_SUB: "{} - {}", ca.OP_MUL: "{} * {}", ca.OP_DIV: "{} / {}"},
+    **{ca.OP_POW: "{} ** {}", ca.OP_CONSTPOW: "{} ** {}", ca.OP_SQ: "{0} * {0}"},
+    **{ca.OP_ASSIGN: "{}", ca.OP_NEG: "-{}", ca.OP_INV: "1.0 / {}", ca.OP_TWICE: "2.0 * {}"},
+    **{ca.OP_LT: "{} < {}", ca.OP_LE: "{} <= {}", ca.OP_EQ: "{} == {}", ca.OP_NE: "{} != {}"},
+    **{ca.OP_AND: "logic_and({}, {})", ca.OP_OR: "logic_or({}, {})", ca.OP_NOT: "logic_not({})"},
+    ca.OP_IF_ELSE_ZERO: "if_else({}, {}, 0.0)",
+    **{
+        getattr(ca, f"OP_{name.upper()}"): f"{name}({', '.join(['{}'] * count)})"
+        for name, (count, _) in FUNCTIONS.items()
+        if name != "if_else" and not name.startswith("logic")
+    },
+}
+"""Text template of each CasADi instruction."""
+
+
+@dataclass(frozen=True)
+class PathSymbols:
+    """CasADi symbols available to an expression of N steps."""
+
+    positions_m: Any  # (N, 2) after each step
+    mean_db: Any  # (N, 1) predicted mean power there, dBm
+    deviation_db: Any  # (N, 1) predictive standard deviation of the power, dB
+    connectivity: Any  # (N, 1) P(power >= threshold)
+    target_m: Any  # (N, 2) expected target position; needs a term of kind tracking
+    start_m: Any  # (1, 2) position of the robot
+
+
+def program_of(expression: Any, steps: int) -> str:
+    """Return the program text of a CasADi expression for a path of `steps` steps."""
+    if not isinstance(steps, int | np.integer) or steps < 1:
+        raise InputError(
+            f"is {steps!r}", key="horizon", remedy="give the whole number of steps that are planned"
+        )
+    symbols = {name: ca.SX.sym(name, *shape) for name, shape in _shapes(steps).items()}
+    remedy = f"return a scalar of {', '.join(symbols)}"
+    try:
+        value = _value(expression, symbols, remedy)
+        function = ca.Function("value", list(symbols.values()), [ca.densify(ca.SX(value))])
+    except (RuntimeError, NotImplementedError, TypeError, ValueError) as error:
+        raise InputError(
+            f"the expression is not one of CasADi: {str(error).splitlines()[-1]}",
+            key="expression",
+            remedy=remedy,
+        ) from None
+    if function.size_out(0) != (1, 1):
+        raise InputError(
+            f"the expression has the shape {function.size_out(0)}, not that of a number",
+            key="expression",
+            remedy=remedy,
+        )
+    return "\n".join(
+        _line(function, k, list(symbols), steps) for k in range(function.n_instructions())
+    )
+
+
+def names_in(program: str) -> frozenset[str]:
+    """Return the names of the inputs that `program` reads."""
+    return frozenset(name for name in (*WIDTHS, START) if f"{name}[" in program)
+
+
+def expression_values(
+    program: str, steps: int, inputs: Mapping[str, NDArray[np.float64]]
+) -> NDArray[np.float64]:
+    """Return the values (c,) of c paths for inputs (c, rows, columns); NaN if undefined."""
+    count = max(len(values) for values in inputs.values())
+    if not count:
+        return np.empty(0)
+    buffer, evaluate = _mapped(program, steps, count).buffer()
+    # The buffer references the arrays, so they must live until evaluation.
+    arrays: list[NDArray[np.float64]] = []
+    for number, (name, shape) in enumerate(_shapes(steps).items()):
+        values = np.broadcast_to(inputs.get(name, np.zeros((1, *shape))), (count, *shape))
+        # CasADi matrices are column-major.
+        arrays.append(np.ascontiguousarray(values.transpose(0, 2, 1), dtype=np.float64))
+        buffer.set_arg(number, memoryview(arrays[-1]))  # pyright: ignore[reportArgumentType]
+    found = np.empty(count)
+    buffer.set_res(0, memoryview(found))  # pyright: ignore[reportArgumentType]
+    evaluate()
+    return found
+
+
+def expression_derivatives(
+    program: str, steps: int, inputs: dict[str, Derivatives], known: dict[str, NDArray[np.float64]]
+) -> PathDerivatives:
+    """Return the value of one path with derivatives w.r.t. its positions."""
+    columns = [inputs[name] for name in ("x", "y", *CHANNELS[1:])]
+    shapes = _shapes(steps)
+    values = dict(zip(CHANNELS[1:], (each.value for each in columns[2:]), strict=True))
+    values["positions_m"] = np.stack([each.value for each in columns[:2]], axis=1)
+    arrays = [(values | known).get(name, np.zeros(shape)) for name, shape in shapes.items()]
+    value, gradient, hessian = _differentiated(program, steps)(*arrays)
+    count = len(columns)
+    return by_stages(
+        float(value),
+        np.asarray(gradient).reshape(steps, count),
+        np.asarray(hessian.full()).reshape(steps, count, steps, count),
+        columns,
+    )
+
+
+@lru_cache(maxsize=64)
+def _valued(program: str, steps: int) -> Any:
+    """Return the CasADi function from the inputs to the value."""
+    symbols = {name: ca.SX.sym(name, *shape) for name, shape in _shapes(steps).items()}
+    return ca.Function(
+        "value", list(symbols.values()), [ca.densify(_parsed(program, symbols, steps))]
+    )
+
+
+@lru_cache(maxsize=64)
+def _mapped(program: str, steps: int, count: int) -> Any:
+    """Return the CasADi function from the inputs of `count` paths to their values."""
+    return _valued(program, steps).map(count)
+
+
+@lru_cache(maxsize=64)
+def _differentiated(program: str, steps: int) -> Any:
+    """Return the CasADi function for value, gradient and Hessian w.r.t. `CHANNELS`."""
+    symbols = {name: ca.SX.sym(name, *shape) for name, shape in _shapes(steps).items()}
+    value = _parsed(program, symbols, steps)
+    # Step-major order: all channels of one step are adjacent.
+    channels = ca.vec(ca.horzcat(*(symbols[name] for name in CHANNELS)).T)
+    hessian, gradient = ca.hessian(value, channels)
+    return ca.Function("derivatives", list(symbols.values()), [value, gradient, hessian])
+
+
+def _parsed(program: str, symbols: Mapping[str, Any], steps: int) -> Any:
+    """Parse a program into a CasADi expression."""
+    lines = program.splitlines()
+    names: dict[str, Any] = {}
+    for row, line in enumerate(lines, start=1):
+        try:
+            if len(lines) * steps > MOST_LINES or len(line) > LONGEST_LINE:
+                raise ValueError
+            match ast.parse(line).body:
+                case [ast.Assign([ast.Name(name)], right)] if name not in symbols:
+                    names[name] = _built(right, names, symbols)
+                case [ast.Expr(right)] if row == len(lines):
+                    return _built(right, names, symbols)
+                case _:
+                    raise ValueError
+        except (SyntaxError, ValueError, KeyError, TypeError, RecursionError, MemoryError):
+            raise InputError(
+                f"line {row} of {len(lines)} ({line[:60]}) is not one of an expression of "
+                f"{steps} steps",
+                key="program",
+                remedy="write programs by planopt.extend.casadi_term",
+            ) from None
+    raise InputError("has no value in its last line", key="program")
+
+
+def _built(node: ast.AST, names: Mapping[str, Any], symbols: Mapping[str, Any]) -> Any:
+    """Return the CasADi expression of an allowed node; raise KeyError or ValueError otherwise."""
+    match node:
+        case ast.Constant(int() | float() as number) if not isinstance(number, bool):
+            return ca.SX(float(number))
+        case ast.Name(name):
+            return names[name]
+        case ast.Subscript(
+            ast.Name(name), ast.Tuple([ast.Constant(int() as row), ast.Constant(int() as column)])
+        ):
+            if row >= symbols[name].size1() or column >= symbols[name].size2():
+                raise ValueError
+            return symbols[name][row, column]
+        case ast.UnaryOp(sign, one):
+            return OPERATORS[type(sign)](_built(one, names, symbols))
+        case ast.BinOp(one, sign, other) | ast.Compare(one, [sign], [other]):
+            sides = (_built(each, names, symbols) for each in (one, other))
+            return OPERATORS[type(sign)](*sides)
+        case ast.Call(ast.Name(name), arguments, []):
+            count, apply = FUNCTIONS[name]
+            if len(arguments) != count:
+                raise ValueError
+            return apply(*(_built(each, names, symbols) for each in arguments))
+        case _:
+            raise ValueError
+
+
+def _shapes(steps: int) -> dict[str, tuple[int, int]]:
+    return {name: (steps, width) for name, width in WIDTHS.items()} | {START: (1, 2)}
+
+
+def _value(expression: Any, symbols: dict[str, Any], remedy: str) -> Any:
+    if not isinstance(expression, ca.Function):
+        if not callable(expression):
+            raise InputError(
+                f"is a {type(expression).__name__}, nothing that can be called",
+                key="expression",
+                remedy=f"give a function of path, for instance lambda path: ...; {remedy}",
+            )
+        with calling(expression, "", remedy=remedy):
+            return expression(PathSymbols(**symbols))
+    names = expression.name_in()
+    unknown = [name for name in names if name not in symbols]
+    if unknown or expression.n_out() != 1:
+        raise InputError(
+            f"has the inputs {names} and {expression.n_out()} outputs",
+            key="expression",
+            remedy=f"name inputs as in {', '.join(symbols)}, and give one output",
+        )
+    return expression.expand()(*(symbols[name] for name in names))
+
+
+def _line(function: Any, k: int, names: list[str], steps: int) -> str:
+    """Return the program line of instruction k of an SX function."""
+    code = function.instruction_id(k)
+    reads, writes = function.instruction_input(k), function.instruction_output(k)
+    if code == ca.OP_OUTPUT:
+        return f"v{reads[0]}"
+    if code == ca.OP_INPUT:
+        name = names[reads[0]]
+        rows = _shapes(steps)[name][0]
+        return f"v{writes[0]} = {name}[{reads[1] % rows}, {reads[1] // rows}]"
+    if code == ca.OP_CONST:
+        # Python has no infinity literal; an overflowing number stands for it.
+        return f"v{writes[0]} = {function.instruction_constant(k)!r}".replace("inf", "1e999")
+    if code not in TEXTS:
+        raise InputError(
+            f"operation {code} of the expression cannot be saved",
+            key="expression",
+            remedy=f"use + - * / **, comparisons and {', '.join(FUNCTIONS)}",
+        )
+    return f"v{writes[0]} = {TEXTS[code].format(*(f'v{each}' for each in reads))}"
 
 
 @dataclass(frozen=True)
@@ -150,7 +426,7 @@ def casadi_term(expression: Any, horizon: int, weight: float = 1.0) -> CasadiTer
     Parameters
     ----------
     expression
-        Function from :class:`planopt.objectives.expression.PathSymbols` (``positions_m``,
+        Function from :class:`planopt.objectives.terms.expression.PathSymbols` (``positions_m``,
         ``mean_db``, ``deviation_db``, ``connectivity``, ``target_m``, ``start_m``) to a scalar
         CasADi expression, twice differentiable; or a `casadi.Function` with inputs of these names
         and shapes and one output.

@@ -12,9 +12,9 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.channel_map import TileMap
 from planopt.channel.connectivity_law import ConnectivityLaw
 from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
-from planopt.channel.tile_map import TileMap
 from planopt.objectives.reach import outage_share
 from planopt.planning.proof.context import search_prediction
 from planopt.planning.tolerances import MARGIN_PAD_DB

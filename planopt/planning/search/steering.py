@@ -4,7 +4,7 @@ To learn the channel, a robot is steered to the workspace cell q* that maximises
 J_CH = max{0, sigma^2 - sigma_TH^2} psi(d); d is the length of the shortest path to the cell.
 
 To connect, a robot is steered to the probe position z with the shortest expected search length
-R(z), in metres (:func:`planopt.objectives.until_connected.search_length_m`).
+R(z), in metres (:func:`planopt.objectives.terms.until_connected.search_length_m`).
 
 To reach a goal, a robot is steered along a path that leaves coverage only where every path does,
 for the shortest possible distance. The path turns at obstacles and at coverage holes.
@@ -18,9 +18,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.channel_map import TileMap
 from planopt.channel.neighbours import PlaceTree
 from planopt.channel.prediction import connection_probability
-from planopt.channel.tile_map import TileMap
 from planopt.objectives.measuring import OPEN_SPACINGS
 from planopt.objectives.terms.measured import MappingTerm
 from planopt.objectives.terms.term import Term

@@ -11,7 +11,7 @@ from simulated_channel import simulated
 from planopt import InputError
 from planopt.channel import ChannelParameters, Measurements, Station
 from planopt.channel.estimation.least_squares import coefficient_covariance, examine, least_squares
-from planopt.channel.measurement_covariance import shadow_covariance_db2
+from planopt.channel.measurements import shadow_covariance_db2
 from planopt.channel.parameters import mean_model
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 1e-3, 1.0, 4.0, Station((50.0, 50.0), 10.0))

@@ -16,7 +16,7 @@ from planopt.channel.estimation.likelihood import (
     likelihood_data,
     profiled_log_likelihood,
 )
-from planopt.channel.measurement_covariance import measured_path_loss_variance_db2
+from planopt.channel.measurements import measured_path_loss_variance_db2
 from planopt.channel.neighbours import BLOCK, BLOCK_NEIGHBOURS
 from planopt.channel.parameters import mean_model
 

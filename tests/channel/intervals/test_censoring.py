@@ -12,7 +12,7 @@ from planopt.channel.gaussian_sites import (
     gaussian_sites,
     needs_site,
 )
-from planopt.channel.measurement_covariance import shadow_covariance_db2
+from planopt.channel.measurements import shadow_covariance_db2
 from planopt.channel.parameters import regressors
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((0.0, 0.0), 10.0))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from planopt.channel import ChannelParameters, Measurements, Station, condition
-from planopt.channel.tile_map import TileMap
+from planopt.channel.channel_map import TileMap
 
 PARAMETERS = ChannelParameters(-40.0, 3.0, 4.0, 20.0, 1.13, Station((5.0, -10.0), 12.0))
 X = np.arange(33) * 3.0

@@ -5,7 +5,7 @@ import pytest
 
 from planopt.channel import ChannelParameters, Measurements, Station
 from planopt.channel.long_logs import vecchia_information
-from planopt.channel.measurement_covariance import (
+from planopt.channel.measurements import (
     RECEIVER_OFFSET_STD_DB,
     measured_origins,
     own_covariance_db2,

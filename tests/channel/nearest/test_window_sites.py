@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal, norm
 from planopt.channel import ChannelParameters, Measurements, Station
 from planopt.channel.gaussian_sites import gaussian_sites, intervals
 from planopt.channel.long_logs import SITE_NEIGHBOURS, IntervalRows, neighbour_sites, window_sites
-from planopt.channel.measurement_covariance import (
+from planopt.channel.measurements import (
     measured_origins,
     own_covariance_db2,
 )

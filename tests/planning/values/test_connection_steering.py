@@ -13,7 +13,7 @@ from terms_scene import CONNECT, context_of, scorer_of, terms_problem
 from planopt import Measurements
 from planopt.channel import condition
 from planopt.channel.kriging import predict
-from planopt.objectives.until_connected import (
+from planopt.objectives.terms.until_connected import (
     charged_distance_m,
     search_length_m,
 )

@@ -15,7 +15,7 @@ from terms_scene import (
 
 from planopt.channel import joint_prediction
 from planopt.channel.cholesky import semidefinite_factor
-from planopt.objectives.until_connected import counted_legs_m
+from planopt.objectives.terms.until_connected import counted_legs_m
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.values.context import StepContext
 from planopt.planning.values.objective_value import ObjectiveValue

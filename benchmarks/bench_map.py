@@ -9,12 +9,12 @@ from time import perf_counter
 import numpy as np
 import pytest
 from conftest import Table
-from planopt.channel.measurement_covariance import shadow_covariance_db2
-from planopt.channel.tile_map import TileMap
 from pytest_benchmark.fixture import BenchmarkFixture
 
 from planopt import Measurements
 from planopt.channel import ChannelParameters, ChannelPosterior, Prediction, Station, condition
+from planopt.channel.channel_map import TileMap
+from planopt.channel.measurements import shadow_covariance_db2
 from planopt.channel.parameters import regressors
 from planopt.channel.posterior import extend
 from planopt.world import cell_centres_m

@@ -26,12 +26,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError, listed
+from planopt.files.npz import npz_names, read_npz
 from planopt.files.reading import (
     csv_rows,
     foreign_reader,
-    npz_names,
     read_bytes,
-    read_npz,
     require_array_size,
 )
 from planopt.files.writing import write_whole

@@ -12,7 +12,7 @@ from planopt.channel import (
     Station,
     condition,
     fit_channel,
-    measurement_covariance,
+    measurements,
     receiver_offsets,
 )
 from planopt.channel import long_logs as module
@@ -56,7 +56,7 @@ def explicit_columns(data, parameters):
 @pytest.fixture
 def wide(monkeypatch):
     """A prior of the offsets that is nearly flat."""
-    monkeypatch.setattr(measurement_covariance, "RECEIVER_OFFSET_STD_DB", 3000.0)
+    monkeypatch.setattr(measurements, "RECEIVER_OFFSET_STD_DB", 3000.0)
     monkeypatch.setattr(module, "RECEIVER_OFFSET_STD_DB", 3000.0)
 
 

@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 64_700,
-    "lines of code": 46_100,
+    "lines": 65_900,
+    "lines of code": 47_200,
     "files": 285,
-    "functions": 3_430,
+    "functions": 3_500,
     "docstring lines": 8_600,
-    "lines of tests": 46_300,
+    "lines of tests": 47_000,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

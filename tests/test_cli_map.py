@@ -6,9 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import planopt
 from planopt.channel import Station, condition, fit_channel, read_log
 from planopt.cli import main
+from planopt.problems.library import library_folder
 from planopt.world import read_raster
+from planopt.world.nav2_masks import NAV2_FILES
 
 CONTRACT = {"mean_db", "deviation_db", "connectivity"}
 
@@ -134,3 +137,48 @@ def test_map_of_the_reference_receiver(log: Path, capsys) -> None:
     fits = [json.loads(line)["fit"] for line in capsys.readouterr().out.splitlines()]
     assert fits[0]["receiver_offsets"][0]["offset_db"] == pytest.approx(9.0, abs=2.0)
     assert means[1] - means[0] == pytest.approx(4.5, abs=1.0)
+
+
+def test_masks_of_a_log(log, tmp_path, capsys):
+    """Masks without a map file; shares are those of the map."""
+    masks = tmp_path / "masks"
+    arguments = ["map", str(log), "--station", "0,0", "--threshold", "-70", "--cell", "2"]
+    assert main([*arguments, "--nav2", str(masks), "--p-min", "0.6", "--json"]) in FITTED
+    data = json.loads(capsys.readouterr().out)
+    assert data["file"] is None and data["nav2"]["p_min"] == 0.6
+    assert main([*arguments, "--out", str(tmp_path / "m.npz"), "--json"]) in FITTED
+    capsys.readouterr()
+    with np.load(tmp_path / "m.npz") as saved:
+        chance = saved["connectivity"]
+    assert data["nav2"]["keepout_share"] == np.mean(chance < 0.1)
+    assert data["nav2"]["contact_share"] == np.mean(chance >= 0.6)
+    assert {path.name for path in masks.iterdir()} == set(NAV2_FILES)
+
+
+def test_masks_of_a_problem(tmp_path, capsys):
+    """The best of both stations over the bounds; options of logs do not belong to it."""
+    file = str(library_folder() / "two_station_courier.toml")
+    assert main(["map", file, "--nav2", str(tmp_path), "--cell", "20", "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    problem = planopt.load(file)
+    assert len(data["fits"]) == 2 and data["nav2"]["p_min"] == problem.constraints.p_min
+    x_min, _, x_max, _ = problem.workspace.bounds_m
+    assert data["x_m"][0] == x_min + 10.0 and x_max - 20.0 < data["x_m"][1] < x_max + 20.0
+    assert main(["map", file, "--nav2", str(tmp_path), "--station", "0,0"]) == 2
+    assert "--station: is for logs" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ([], "give --out FILE or --nav2 DIR"),
+        (["--nav2", "masks", "--p-min", "90"], "p_min: is 90.0 (give a probability, 0 to 1)"),
+        (["--nav2", "masks", "--keepout-below", "-1"], "keepout_below"),
+    ],
+)
+def test_masks_that_are_none(more, words, log, tmp_path, capsys, monkeypatch):
+    """The option is named, and nothing is left behind."""
+    monkeypatch.chdir(tmp_path)
+    assert main(["map", str(log), "--station", "0,0", *more]) == 2
+    assert words in capsys.readouterr().err
+    assert not (tmp_path / "masks").exists()

@@ -2,6 +2,7 @@
 
 from planopt.channel.channel_map import PosteriorMap as PosteriorMap
 from planopt.channel.channel_map import posterior_map as posterior_map
+from planopt.channel.channel_map import serving_map as serving_map
 from planopt.channel.connectivity_law import connected_to_any as connected_to_any
 from planopt.channel.estimation.channel_fit import ChannelFit as ChannelFit
 from planopt.channel.estimation.fit import fit_channel as fit_channel

@@ -9,7 +9,8 @@ with several receivers, whose offsets change with every measurement.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from importlib import import_module
 from typing import Any, cast
 
@@ -17,6 +18,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.cholesky import one_blas_thread
+from planopt.channel.connectivity_law import (
+    above_thresholds_db,
+    any_probability,
+    serving_power_dbm,
+)
 from planopt.channel.kriging import LocalChannel, kriging_terms, predict_nearby
 from planopt.channel.long_logs import offsets_given_theta
 from planopt.channel.measurements import (
@@ -27,7 +33,7 @@ from planopt.channel.measurements import (
 )
 from planopt.channel.parameters import regressors
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.prediction import KrigingTerms, combine, connection_probability
+from planopt.channel.prediction import KrigingTerms, Prediction, combine, connection_probability
 from planopt.errors import InputError
 from planopt.parts import part_of
 from planopt.short_repr import short_repr
@@ -416,6 +422,54 @@ def posterior_map(
         Raster(x, y, connected, "probability of connection", "1"),
         threshold_dbm,
         "exact" if exact else f"neighbours:{NEIGHBOURS}",
+    )
+
+
+def serving_map(
+    posteriors: Sequence[ChannelPosterior],
+    bounds_m: Bounds,
+    cell_m: float,
+    thresholds_dbm: Sequence[float],
+) -> PosteriorMap:
+    """Predict the power of the best server and P(connected to any station) on a grid.
+
+    Mean and standard deviation are those of the station with the largest margin above its
+    threshold, as a power for the first threshold.
+
+    Parameters
+    ----------
+    posteriors, thresholds_dbm
+        Posterior and threshold of each station, at least one.
+    bounds_m, cell_m
+        Bounds and cell side, as for :func:`posterior_map`.
+
+    Raises
+    ------
+    InputError
+        Errors of :func:`posterior_map`.
+    """
+    maps = [
+        posterior_map(posterior, bounds_m, cell_m, threshold)
+        for posterior, threshold in zip(posteriors, thresholds_dbm, strict=True)
+    ]
+    first = maps[0]
+    if len(maps) == 1:
+        return first
+    shape = first.mean_db.values.shape
+    predictions = [
+        Prediction(each.mean_db.values.ravel(), each.deviation_db.values.ravel()) for each in maps
+    ]
+    above, deviation = above_thresholds_db(predictions, thresholds_dbm)
+    server: NDArray[np.intp] = above.argmax(axis=0)
+    own = deviation[server, np.arange(server.size)]
+    serving = serving_power_dbm(np.stack([each.mean_db for each in predictions]), thresholds_dbm)
+    connected = any_probability(predictions, thresholds_dbm)
+    return PosteriorMap(
+        replace(first.mean_db, values=serving.reshape(shape)),
+        replace(first.deviation_db, values=own.reshape(shape)),
+        replace(first.connectivity, values=connected.reshape(shape)),
+        first.threshold_dbm,
+        first.posterior,
     )
 
 

@@ -64,6 +64,10 @@ def read_and_fit(options: LogOptions) -> LogFit:
     require_loss(options.loss, chosen, "--loss")
     loss = cast("Loss", options.loss)
     log_format = log_format_of(options)
+    if options.station is None:
+        raise InputError(
+            "is missing", key="--station", remedy="give X,Y in metres, or unknown to locate it"
+        )
     site = parse_station(options.station, log_format.origin_deg)
     search = _station_method(options.station_method, station_is_given=site is not None)
     forgetting_s = _forgetting_s(options)

@@ -1,31 +1,60 @@
-"""``planopt map``: radio map on a grid, from a power log."""
+"""``planopt map``: radio map on a grid and masks for Nav2, from a power log or a problem."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Generator
+from collections.abc import Callable, Generator, Sequence
+from dataclasses import dataclass
 from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from planopt.commands.fit import fit_json, read_and_fit
+from planopt.commands.fit import DEGENERATE, fit_json, read_and_fit
 from planopt.commands.options import JsonOption, LogOptions, option, with_options
 from planopt.commands.output import progress, results_folder, show
 from planopt.errors import InputError
 from planopt.files.writing import replaced_results
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from planopt.channel.channel_map import Bounds, PosteriorMap
     from planopt.channel.measurements import Measurements
+    from planopt.world.nav2_masks import MaskLimits
 
 VARIABLES = ("mean_db", "deviation_db", "connectivity")
 """Variables of a map."""
 
 
+@dataclass(frozen=True, eq=False)
+class _Mapped:
+    """Map of a log or of a problem, and what it is made from."""
+
+    maps: PosteriorMap
+    fits: Sequence[dict[str, Any]]  # JSON of each station's fit
+    exit_code: int
+    draw: Callable[[], Figure]
+    p_min: float | None = None  # That of the problem
+
+
 @with_options(LogOptions)
 def map_log(
     options: LogOptions,
-    out: Annotated[Path, option("--out", "FILE", "Ends in .csv, .npz, .nc or .tif.")],
+    out: Annotated[Path | None, option("--out", "FILE", "Ends in .csv, .npz, .nc or .tif.")] = None,
+    nav2: Annotated[
+        Path | None, option("--nav2", "DIR", "Folder for the filter masks of Nav2.")
+    ] = None,
+    keepout_below: Annotated[
+        float, option("--keepout-below", "P", "Keepout mask: forbid cells below this P(connected).")
+    ] = 0.1,
+    p_min: Annotated[
+        float | None,
+        option(
+            "--p-min",
+            "P",
+            "Contact mask: contact from this P(connected) on; default: 0.9.",
+        ),
+    ] = None,
     cell: Annotated[
         float | None, option("--cell", "M", "Cell side in metres; default: 200 cells.")
     ] = None,
@@ -46,41 +75,142 @@ def map_log(
     ] = None,
     json: JsonOption = False,
 ) -> int:
-    """Write a radio map of a log: power, its standard deviation, probability of connection.
+    """Write a radio map of a log or a problem: power, its standard deviation, P(connected).
 
-    The map is for the first receiver in the log, at the time of the latest measurement.
+    The map of a log is for its first receiver, at the time of the latest measurement. That of a
+    problem file (.toml) shows the best of its stations over its bounds. --nav2 writes three filter
+    masks: keepout, weighted and contact.
     """
-    from planopt.channel.channel_map import default_cell_m, measured_bounds_m, posterior_map
     from planopt.channel.cholesky import one_blas_thread
-    from planopt.channel.posterior import condition
+    from planopt.world.nav2_masks import MaskLimits, write_masks
     from planopt.world.raster_files import check_raster_output, write_rasters
 
-    check_raster_output(out)
+    if out is None and nav2 is None:
+        raise InputError(
+            "there is nothing to write", key="--out", remedy="give --out FILE or --nav2 DIR"
+        )
+    if out is not None:
+        check_raster_output(out)
+    MaskLimits(keepout_below, 0.9 if p_min is None else p_min)
     box = None if bounds is None else parse_bounds(bounds)
-    with _writable(out, picture):
+    with _writable(out, picture), results_folder(nav2):
         with progress("mapping"), one_blas_thread():
-            fitted = read_and_fit(options)
-            measurements, found = fitted.measurements, fitted.found
-            box = measured_bounds_m(measurements) if box is None else box
-            maps = posterior_map(
-                condition(found.parameters, measurements),
-                box,
-                default_cell_m(box) if cell is None else cell,
-                _threshold_dbm(threshold, options.floor, measurements),
-            )
+            is_problem = options.log.suffix == ".toml"
+            make = _problem_map if is_problem else _log_map
+            found = make(options, box, cell, threshold)
+        maps = found.maps
         with _together(out, picture) as (new_out, new_picture):
-            write_rasters(new_out, {name: getattr(maps, name) for name in VARIABLES})
+            if new_out is not None:
+                write_rasters(new_out, {name: getattr(maps, name) for name in VARIABLES})
             if new_picture is not None:
-                from planopt.report import draw_posterior_map, save_figure
+                from planopt.report import save_figure
 
-                title = f"{options.log.name}: {len(measurements)} measurements, {found.method} fit"
                 with progress("drawing"):
-                    station = found.parameters.station
-                    figure = draw_posterior_map(maps, measurements, station, title)
-                    save_figure(figure, new_picture)
-    data = {**map_json(maps, out, picture), "fit": fit_json(fitted)}
-    show(json, data, _in_words(data))
-    return fitted.exit_code
+                    save_figure(found.draw(), new_picture)
+        own = 0.9 if found.p_min is None else found.p_min
+        limits = MaskLimits(keepout_below, own if p_min is None else p_min)
+        if nav2 is not None:
+            write_masks(nav2, maps.connectivity, limits)
+    data = map_json(maps, out, picture)
+    data["nav2"] = None if nav2 is None else _masks_json(nav2, maps, limits)
+    data |= {"fit": found.fits[0]} if len(found.fits) == 1 else {"fits": list(found.fits)}
+    show(json, data, _in_words(data, found.fits))
+    return found.exit_code
+
+
+def _log_map(
+    options: LogOptions, bounds: Bounds | None, cell: float | None, threshold: float | None
+) -> _Mapped:
+    """Fit the channel to a log and map it."""
+    from planopt.channel.channel_map import default_cell_m, measured_bounds_m, posterior_map
+    from planopt.channel.posterior import condition
+
+    fitted = read_and_fit(options)
+    measurements, found = fitted.measurements, fitted.found
+    box = measured_bounds_m(measurements) if bounds is None else bounds
+    maps = posterior_map(
+        condition(found.parameters, measurements),
+        box,
+        default_cell_m(box) if cell is None else cell,
+        _threshold_dbm(threshold, options.floor, measurements),
+    )
+
+    def draw() -> Figure:
+        from planopt.report import draw_posterior_map
+
+        title = f"{options.log.name}: {len(measurements)} measurements, {found.method} fit"
+        return draw_posterior_map(maps, measurements, found.parameters.station, title)
+
+    return _Mapped(maps, [fit_json(fitted)], fitted.exit_code, draw)
+
+
+def _problem_map(
+    options: LogOptions, bounds: Bounds | None, cell: float | None, threshold: float | None
+) -> _Mapped:
+    """Learn the channels of a problem's stations and map the best of them."""
+    from planopt.channel.channel_map import default_cell_m, serving_map
+    from planopt.planning.initial_data import initial_belief
+    from planopt.problems.load import load_motion
+
+    _require_no_log_options(options)
+    problem = load_motion(options.log)
+    belief = initial_belief(problem)
+    box = problem.workspace.bounds_m if bounds is None else bounds
+    thresholds = [
+        station.threshold_dbm if threshold is None else threshold for station in problem.stations
+    ]
+    maps = serving_map(
+        belief.posteriors, box, default_cell_m(box) if cell is None else cell, thresholds
+    )
+    learnt = [each.fit for each in (belief, *belief.further)]
+    fits = [
+        {
+            "station": station.name,
+            "method": fit.method,
+            "status": fit.status,
+            "measurements": fit.measurements,
+            "censored": fit.censored,
+            "warnings": list(fit.warnings),
+        }
+        for station, fit in zip(problem.stations, learnt, strict=True)
+    ]
+
+    def draw() -> Figure:
+        from planopt.report import draw_belief
+
+        return draw_belief(problem, belief)
+
+    is_degenerate = any(fit.status == "degenerate" for fit in learnt)
+    p_min = problem.constraints.p_min or None
+    return _Mapped(maps, fits, DEGENERATE if is_degenerate else 0, draw, p_min)
+
+
+def _require_no_log_options(options: LogOptions) -> None:
+    """Raise an error for an option of logs beside a problem file, which has its own."""
+    plain = LogOptions(log=options.log)
+    given = [name for name, value in vars(options).items() if value != getattr(plain, name)]
+    if given:
+        raise InputError(
+            f"is for logs, and {options.log.name} is a problem file",
+            key=f"--{given[0].replace('_', '-')}",
+            remedy="leave it out; the problem file has keys for it in channel.measurements",
+        )
+
+
+def _masks_json(folder: Path, maps: PosteriorMap, limits: MaskLimits) -> dict[str, Any]:
+    """Return the JSON object of the masks: their limits and shares of filtered cells."""
+    from planopt.world.nav2_masks import MASKS, mask_values
+
+    values = mask_values(maps.connectivity.values, limits)
+    return {
+        "folder": str(folder),
+        "masks": [f"{name}.yaml" for name in MASKS],
+        "keepout_below": limits.keepout_below,
+        "p_min": limits.contact_from,
+        "keepout_share": float((values["keepout"] > 0).mean()),
+        "mean_weight": float(values["weighted"].mean()),
+        "contact_share": float((values["contact"] > 0).mean()),
+    }
 
 
 def parse_bounds(text: str) -> Bounds:
@@ -94,11 +224,11 @@ def parse_bounds(text: str) -> Bounds:
     return x_min, y_min, x_max, y_max
 
 
-def map_json(maps: PosteriorMap, out: Path, picture: Path | None) -> dict[str, Any]:
+def map_json(maps: PosteriorMap, out: Path | None, picture: Path | None) -> dict[str, Any]:
     """Return the JSON object of ``planopt map`` that describes the map."""
     raster = maps.mean_db
     return {
-        "file": str(out),
+        "file": None if out is None else str(out),
         "picture": None if picture is None else str(picture),
         "variables": list(VARIABLES),
         "shape": list(raster.values.shape),
@@ -121,17 +251,17 @@ def _threshold_dbm(
 
 
 @contextlib.contextmanager
-def _writable(out: Path, picture: Path | None) -> Generator[None]:
-    """Check that both files are writable before any computation."""
+def _writable(*files: Path | None) -> Generator[None]:
+    """Check that all files are writable before any computation."""
     with contextlib.ExitStack() as stack:
-        for file in (out, picture):
+        for file in files:
             if file is not None:
                 stack.enter_context(results_folder(file.parent))
         yield
 
 
 @contextlib.contextmanager
-def _together(out: Path, picture: Path | None) -> Generator[tuple[Path, Path | None]]:
+def _together(out: Path | None, picture: Path | None) -> Generator[tuple[Path | None, Path | None]]:
     """Yield temporary names of map and figure; on exit, move both into place."""
     files = [file for file in (out, picture) if file is not None]
     with contextlib.ExitStack() as stack:
@@ -139,25 +269,42 @@ def _together(out: Path, picture: Path | None) -> Generator[tuple[Path, Path | N
         for folder in dict.fromkeys(file.parent for file in files):
             names = tuple(escape(file.name) for file in files if file.parent == folder)
             staged[folder] = stack.enter_context(replaced_results(folder, names))
-        yield (
-            staged[out.parent] / out.name,
-            None if picture is None else staged[picture.parent] / picture.name,
-        )
+
+        def new(file: Path | None) -> Path | None:
+            return None if file is None else staged[file.parent] / file.name
+
+        yield new(out), new(picture)
 
 
-def _in_words(data: dict[str, Any]) -> str:
+def _in_words(data: dict[str, Any], fits: Sequence[dict[str, Any]]) -> str:
     rows, columns = data["shape"]
     (x_min, x_max), (y_min, y_max) = data["x_m"], data["y_m"]
-    fit = data["fit"]
+    named = "map" if data["file"] is None else data["file"]
     lines = [
-        f"{data['file']}: {rows} x {columns} cells of {data['cell_m']:g} m, "
-        f"x {x_min:g} to {x_max:g}, y {y_min:g} to {y_max:g}",
-        f"  from {fit['measurements']} measurements, {fit['censored']} of them upper limits "
-        f"({fit['method']}: {fit['status']}; {data['posterior']})",
-        f"  {100.0 * data['connected_share']:.1f} % of the cells have P(power at least "
-        f"{data['threshold_dbm']:g} dBm) of 0.5 or more",
-        *(f"  {warning}" for warning in fit["warnings"]),
+        f"{named}: {rows} x {columns} cells of {data['cell_m']:g} m, "
+        f"x {x_min:g} to {x_max:g}, y {y_min:g} to {y_max:g}"
     ]
+    for fit in fits:
+        station = f"{fit['station']}: " if isinstance(fit["station"], str) else ""
+        lines.append(
+            f"  {station}from {fit['measurements']} measurements, {fit['censored']} of them upper "
+            f"limits ({fit['method']}: {fit['status']}; {data['posterior']})"
+        )
+    lines.append(
+        f"  {100.0 * data['connected_share']:.1f} % of the cells have P(power at least "
+        f"{data['threshold_dbm']:g} dBm) of 0.5 or more"
+    )
+    lines += [f"  {warning}" for fit in fits for warning in fit["warnings"]]
     if data["picture"] is not None:
         lines.append(f"  picture: {data['picture']}")
+    if data["nav2"] is not None:
+        masks = data["nav2"]
+        lines += [
+            f"{masks['folder']}: Nav2 masks {', '.join(masks['masks'])}; parameters "
+            "nav2_filters.yaml",
+            f"  keepout forbids {masks['keepout_share']:.1%} of the cells (P below "
+            f"{masks['keepout_below']:g}); contact is predicted in {masks['contact_share']:.1%} "
+            f"(P of {masks['p_min']:g} or more)",
+            f"  next: ros2 launch {masks['folder']}/nav2_filters.launch.py",
+        ]
     return "\n".join(lines)

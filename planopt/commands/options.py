@@ -115,15 +115,17 @@ class FormatOptions:
 class LogOptions(FormatOptions):
     """Options of the commands that fit the channel to a power log."""
 
-    log: Annotated[Path, typer.Argument(metavar="LOG.csv", help="A power log with a header.")]
+    log: Annotated[
+        Path, typer.Argument(metavar="LOG", help="A power log; for map also a problem file.")
+    ]
     station: Annotated[
-        str,
+        str | None,
         option(
             "--station",
             "X,Y[,HEIGHT]|unknown",
             "Position of the base station in metres; with --origin LAT,LON[,HEIGHT].",
         ),
-    ]
+    ] = None
     method: Annotated[
         str, option("--method", "NAME", "Estimator: lemma1, capped, convex, nls or reml.")
     ] = "reml"

@@ -514,6 +514,13 @@ def learn_stations(problem: Problem, measurements: Sequence[Measurements]) -> Be
     return replace(beliefs[0], further=tuple(beliefs[1:]))
 
 
+def initial_belief(problem: Problem, seed: int = 0) -> Belief:
+    """Return the belief before the first step; a ground truth is drawn only to be measured."""
+    if isinstance(problem.channel.measurements, LoggedMeasurements):
+        problem = replace(problem, channel=replace(problem.channel, truth=None))
+    return learn_stations(problem, draw_initial_data(problem, seed).measurements)
+
+
 @dataclass(frozen=True)
 class Prepared:
     """Ground truth by station and initial belief for one seed."""

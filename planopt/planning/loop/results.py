@@ -94,6 +94,49 @@ class Result(ABC):
         saved = import_module("planopt.planning.files.saved")
         saved.save_result(self, path_of("folder", folder, A_FOLDER))
 
+    def to_nav2(
+        self,
+        folder: Path | str,
+        *,
+        keepout_below: float = 0.1,
+        p_min: float | None = None,
+        cell_m: float | None = None,
+        robot: int = 0,
+    ) -> None:
+        """Write filter masks for Nav2 from the channel estimate, at the end for a run.
+
+        The masks are ``keepout``, ``weighted`` (100 (1 - P)) and ``contact``, with P the
+        probability of connection to any station.
+
+        Parameters
+        ----------
+        folder
+            Folder, created if missing; masks in it are replaced.
+        keepout_below
+            Probability of connection below which a cell is forbidden by ``keepout``.
+        p_min
+            Probability from which ``contact`` predicts contact; default: that of the problem.
+        cell_m
+            Cell side in metres; default: 200 cells along the longer side.
+        robot
+            Number of the robot whose estimate is used.
+
+        Raises
+        ------
+        InputError
+            A limit is not a probability, or the cells are too small.
+        OutputError
+            The folder cannot be written.
+        """
+        masks = import_module("planopt.planning.files.nav2")
+        limits = masks.limits_of(self.problem, keepout_below, p_min)
+        belief = self._belief_of(robot)
+        masks.save_masks(self.problem, belief, path_of("folder", folder, A_FOLDER), limits, cell_m)
+
+    @abstractmethod
+    def _belief_of(self, robot: int) -> Belief:
+        """Return the channel estimate of a robot."""
+
     def to_dataframe(self) -> Any:
         """Return a pandas DataFrame with one row per position of each robot, the start first.
 
@@ -157,6 +200,9 @@ class Solution(Result):
         horizon = len(self.plans[0].t_s) - 1
         head = f"solution of {self.problem.name}, horizon {horizon}, seed {self.seed}"
         return _listed(head, lines, most=LINES - 1)
+
+    def _belief_of(self, robot: int) -> Belief:
+        return self.belief
 
     @property
     def plan(self) -> Plan:
@@ -236,6 +282,15 @@ class Run(Result):
         head = f"run of {self.problem.name}, horizon {horizon}, seed {self.seed}"
         metrics = ", ".join(f"{name} {value:.4g}" for name, value in shown)
         return "\n".join([_listed(head, lines, most=LINES - 3), wrapped(f"  {metrics}", 2)])
+
+    def _belief_of(self, robot: int) -> Belief:
+        if not 0 <= robot < len(self.beliefs):
+            raise InputError(
+                f"is {robot}, and there are {len(self.beliefs)} robots",
+                key="robot",
+                remedy="give a number from 0 on",
+            )
+        return self.beliefs[robot]
 
     @property
     def run(self) -> RobotRun:

@@ -14,6 +14,7 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
+import refusals
 
 TESTS = Path(__file__).parent
 ALWAYS = ("golden", "test_public.py", "test_imports.py")
@@ -22,15 +23,23 @@ BEGUN = pytest.StashKey[float]()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the option."""
+    """Add the options."""
     parser.addoption("--quick", type=float, metavar="SECONDS", help="only what has changed")
+    parser.addoption("--write-messages", action="store_true", help="rewrite error_messages.json")
 
 
 def pytest_configure(config: pytest.Config) -> None:
     """Start the clock, and find what has changed."""
+    refusals.writing = config.getoption("--write-messages")
     if config.getoption("--quick") is not None:
         config.stash[BEGUN] = time.monotonic()
         config.stash[CHANGED] = changed_tests()
+
+
+def pytest_unconfigure(config: pytest.Config) -> None:
+    """Write the error messages of this session."""
+    if refusals.writing:
+        refusals.write_table()
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused_command
 
 from planopt import OutputError, load
 from planopt.cli import main
@@ -41,14 +42,12 @@ def test_nothing_is_overwritten(tmp_path: Path, capsys) -> None:
     (tmp_path / "data" / "munich_buildings.json").write_text("mine")
     third = tmp_path / "third.toml"
     capsys.readouterr()
-    assert main(["init", str(third), "--from", "munich_hard"]) == 2
-    assert "munich_buildings.json: is there already" in capsys.readouterr().err
+    refused_command(capsys, "init", third, "--from", "munich_hard")
     assert not third.exists()
     assert (tmp_path / "data" / "munich_buildings.json").read_text() == "mine"
     courier.write_text("mine")
-    assert main(["init", str(courier)]) == 2
+    refused_command(capsys, "init", courier)
     assert courier.read_text() == "mine"
-    capsys.readouterr()
 
 
 def test_init_that_fails_leaves_nothing(tmp_path: Path, capsys, monkeypatch) -> None:
@@ -58,24 +57,18 @@ def test_init_that_fails_leaves_nothing(tmp_path: Path, capsys, monkeypatch) -> 
         raise OutputError(f"{path}: cannot be written: No space left on device")
 
     monkeypatch.setattr("planopt.files.writing.write_whole", full)
-    assert main(["init", str(tmp_path / "new" / "p.toml"), "--from", "munich_courier"]) == 2
-    assert "No space left" in capsys.readouterr().err
+    refused_command(capsys, "init", tmp_path / "new" / "p.toml", "--from", "munich_courier")
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["p.toml", "--from", "nowhere"], "key --from: no library problem is called 'nowhere'"),
-        (["p.toml", "--from", "../open_field"], "key --from"),
-        (["p.json"], "p.json: is no name of a problem file (end it in .toml)"),
-    ],
+    "arguments",
+    [["p.toml", "--from", "nowhere"], ["p.toml", "--from", "../open_field"], ["p.json"]],
 )
-def test_what_cannot_begin(arguments: list[str], words: str, tmp_path: Path, capsys) -> None:
+def test_what_cannot_begin(arguments: list[str], tmp_path: Path, capsys) -> None:
     """One line, and no file."""
     name, *more = arguments
-    assert main(["init", str(tmp_path / name), *more]) == 2
-    assert words in capsys.readouterr().err
+    refused_command(capsys, "init", tmp_path / name, *more)
     assert not list(tmp_path.iterdir())
 
 
@@ -102,5 +95,5 @@ def test_validate_reads_what_the_problem_names(tmp_path: Path, capsys) -> None:
     assert told["valid"] is True and told["measurements"] == 300
     np.savez(tmp_path / "data" / "munich_mast45m.npz", x_m=np.arange(3.0))
     assert main(["show", str(file)]) == 0
-    assert main(["validate", str(file)]) == 2
-    assert "munich_mast45m.npz" in capsys.readouterr().err
+    capsys.readouterr()
+    refused_command(capsys, "validate", file)

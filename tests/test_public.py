@@ -6,6 +6,7 @@ import sys
 from types import ModuleType
 
 import pytest
+from refusals import refused
 
 import planopt
 
@@ -70,10 +71,10 @@ def test_problems_of_every_task_are_asked_alike() -> None:
     assert isinstance(pursuit, planopt.problems.TaskProblem)
     assert len(repr(pursuit).splitlines()) <= 5
     assert repr(planopt.simulate(pursuit)).startswith("pursuit_static: captured")
-    with pytest.raises(planopt.InputError, match=r"no solve for.*use simulate"):
+    with refused():
         planopt.solve(pursuit)
-    with pytest.raises(planopt.InputError, match="cost_to_go: is not for the task pursuit"):
+    with refused():
         planopt.simulate(pursuit, cost_to_go="geodesic")
     for other in ("pursuit_static", None, planopt.Problem):
-        with pytest.raises(planopt.InputError, match="load or make a Problem"):
+        with refused():
             planopt.simulate(other)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import planopt
 from planopt import Run, Solution
@@ -93,7 +94,7 @@ def test_one_robot_and_several_answer_to_the_same_names(results: dict[str, Any])
     one, team = results["verified"], results["south"]
     assert isinstance(one, Solution) and isinstance(team, Solution)
     assert one.plans == (one.plan,)
-    with pytest.raises(planopt.InputError, match="use plans"):
+    with refused():
         _ = team.plan
     alone = replace(team, plans=team.plans[:1])
     assert alone.plan is team.plans[0]
@@ -101,6 +102,6 @@ def test_one_robot_and_several_answer_to_the_same_names(results: dict[str, Any])
     assert isinstance(run, Run) and isinstance(teams, Run)
     assert run.runs == (run.run,)
     assert run.verified_rate == run.run.verified_rate
-    with pytest.raises(planopt.InputError, match="use runs"):
+    with refused():
         _ = teams.run
     assert replace(teams, runs=teams.runs[:1]).run is teams.runs[0]

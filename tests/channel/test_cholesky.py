@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from refusals import refused
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from planopt import InputError
 from planopt.channel.cholesky import (
     inverse,
     log_determinant,
@@ -54,7 +54,7 @@ def test_regular_matrix_gives_the_cholesky_factor():
 @pytest.mark.parametrize("covariance", [[[1.0, 2.0], [2.0, 1.0]], [[-1.0]], [[0.0, 1], [1, 0.0]]])
 def test_not_a_covariance(covariance):
     """Matrices with a negative eigenvalue are refused."""
-    with pytest.raises(InputError, match="not a covariance"):
+    with refused():
         semidefinite_factor(np.array(covariance))
 
 

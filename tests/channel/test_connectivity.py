@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.stats import norm
 
-from planopt import InputError
 from planopt.channel import ChannelParameters, Measurements, Station, condition
 from planopt.channel.prediction import bound_margin_db, connection_probability
 
@@ -53,9 +53,9 @@ MEASURED = Measurements(
 def test_no_such_places(places, exact_limit):
     """Neither NaN nor an error of NumPy's comes of them."""
     posterior = condition(CHANNEL, MEASURED, exact_limit=exact_limit)
-    with pytest.raises(InputError, match="positions_m"):
+    with refused():
         posterior.predict(np.asarray(places))
-    with pytest.raises(InputError, match="positions_m"):
+    with refused():
         posterior.connectivity(np.asarray(places), -80.0)
 
 
@@ -63,5 +63,5 @@ def test_no_places_and_no_threshold():
     """Nowhere is fine, a threshold of NaN is not."""
     posterior = condition(CHANNEL, MEASURED)
     assert posterior.predict(np.zeros((0, 2))).mean_db.shape == (0,)
-    with pytest.raises(InputError, match="threshold_dbm"):
+    with refused():
         posterior.connectivity(np.array([[1.0, 2.0]]), float("nan"))

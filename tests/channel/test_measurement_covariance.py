@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import refused
 from varied_measurements import (
     DRIFTING,
     STEADY,
@@ -13,7 +14,6 @@ from varied_measurements import (
     varied,
 )
 
-from planopt import InputError
 from planopt.channel import (
     at_time,
     condition,
@@ -128,7 +128,7 @@ def test_age_ends_in_path_loss_alone():
     assert (late.deviation_db**2 >= 4.0**2 + 1.5**2 - 1e-9).all()
     early = posterior.predict(PLACES)
     assert (early.deviation_db <= late.deviation_db + 1e-9).all()
-    with pytest.raises(InputError, match="now_s"):
+    with refused():
         at_time(posterior, np.nan)
 
 
@@ -219,6 +219,6 @@ def test_fields_are_drawn_with_offsets():
     error = latent / np.sqrt(1500.0)
     assert (np.abs(draws.mean(axis=0) - expected.mean_db) < 4.0 * error).all()
     np.testing.assert_allclose(draws.std(axis=0), latent, rtol=0.08)
-    for refused in (condition(DRIFTING, data), condition(STEADY, varied(30, 14))):
-        with pytest.raises(InputError, match="sample_power"):
-            conditional_field(refused, (0.0, 0.0, 10.0, 10.0), 1.0, generator)
+    for unusable in (condition(DRIFTING, data), condition(STEADY, varied(30, 14))):
+        with refused():
+            conditional_field(unusable, (0.0, 0.0, 10.0, 10.0), 1.0, generator)

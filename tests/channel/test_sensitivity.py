@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from refusals import refused
 
 from planopt import InputError
 from planopt.channel import (
@@ -90,5 +91,5 @@ def test_bad_perturbation(name, error):
 
 def test_too_many_measurements_are_refused():
     """Before memory is asked for: 60,000 would take 29 GB a matrix."""
-    with pytest.raises(InputError, match="60,000 are more than"):
+    with refused():
         mean_squared_error_db2(TRUE, TRUE, np.zeros((60_000, 2)), PLACES)

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import shapely
+from refusals import refused
 from scattered import scattered
 
-from planopt import InputError
 from planopt.coverage import (
     ConvexGround,
     ConvexRegion,
@@ -120,5 +120,5 @@ def test_distances_keep_the_clearance(walled: GeodesicGround) -> None:
 
 def test_steps_that_overshoot_are_refused() -> None:
     """A gain of more than one over the step would pass the target."""
-    with pytest.raises(InputError, match="overshoot"):
+    with refused():
         law_moves(np.zeros((1, 2)), np.ones((1, 2)), np.array([True]), Gains(2.0, 1.0), 0.6)

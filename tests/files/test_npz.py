@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
-from planopt import InputError
 from planopt.files import npz
 from planopt.files.npz import npz_names, read_npz
 
@@ -59,33 +59,24 @@ def test_sound_arrays_are_those_of_numpy(save, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("content", "words"),
+    "content",
     [
-        (
-            with_header("{'descr': '<f8', 'fortran_order': False, 'shape': (1000000, 1000000)}\n"),
-            "declares 1000000 x 1000000 values",
-        ),
-        (
-            with_header("{'descr': '<f8', 'fortran_order': False, 'shape': (3, 2)}\n", b"12345"),
-            "not an npz that can be read",
-        ),
-        (npy(np.arange(3.0)) + b"more", "another size than its header says"),
-        (
-            with_header("{'descr': '<U99999999', 'fortran_order': False, 'shape': (1,)}\n"),
-            "not an npz that can be read",
-        ),
-        (with_header("{'descr': '<f8', 'fortran_order': False, 'shape': (-3,)}\n"), "declares -3"),
-        (with_header("(" * 5000), "not an npz that can be read"),
-        (with_header("'\\d'\n"), "not an npz that can be read"),
-        (b"\x93NUMPY\x07\x00", "not an npz that can be read"),
-        (b"", "not an npz that can be read"),
-        (b"hello", "not an npz that can be read"),
+        with_header("{'descr': '<f8', 'fortran_order': False, 'shape': (1000000, 1000000)}\n"),
+        with_header("{'descr': '<f8', 'fortran_order': False, 'shape': (3, 2)}\n", b"12345"),
+        npy(np.arange(3.0)) + b"more",
+        with_header("{'descr': '<U99999999', 'fortran_order': False, 'shape': (1,)}\n"),
+        with_header("{'descr': '<f8', 'fortran_order': False, 'shape': (-3,)}\n"),
+        with_header("(" * 5000),
+        with_header("'\\d'\n"),
+        b"\x93NUMPY\x07\x00",
+        b"",
+        b"hello",
     ],
 )
-def test_members_that_are_no_sound_array(content: bytes, words: str, tmp_path: Path) -> None:
+def test_members_that_are_no_sound_array(content: bytes, tmp_path: Path) -> None:
     """The array is named, and nothing is allocated for what a header declares."""
     path = archive(tmp_path / "a.npz", {"gain": content})
-    with pytest.raises(InputError, match=f"a.npz, key gain: .*{words}"):
+    with refused():
         read_npz(path)
 
 
@@ -93,7 +84,7 @@ def test_objects_are_never_unpickled(tmp_path: Path) -> None:
     """A pickle may run any code."""
     path = tmp_path / "a.npz"
     np.savez(path, gain=np.array([{}], dtype=object))
-    with pytest.raises(InputError, match="key gain: holds Python objects"):
+    with refused():
         read_npz(path)
 
 
@@ -106,7 +97,7 @@ def test_a_zip_bomb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert path.stat().st_size < sum(sizes.values()) / 100
     monkeypatch.setattr(npz, "LARGEST_BINARY_BYTES", sizes["a.npy"] + sizes["c.npy"])
     assert list(read_npz(path, ("a", "c"))) == ["a", "c"]
-    with pytest.raises(InputError, match=r"declares arrays of 2 MB, more than the limit of 1 MB"):
+    with refused():
         read_npz(path)
 
 
@@ -126,10 +117,10 @@ def test_archives_that_are_damaged(tmp_path: Path) -> None:
     }
     for content in spoilt.values():
         path.write_bytes(content)
-        with pytest.raises(InputError, match=r"a\.npz"):
+        with refused():
             read_npz(path)
     path.write_bytes(b"PK\x03\x04" + 10_001 * b"PK\x01\x02")
-    with pytest.raises(InputError, match="more than 10000 arrays"):
+    with refused():
         read_npz(path)
 
 
@@ -144,5 +135,5 @@ def test_texts_of_numbers_that_are_no_characters(code: int, order: str, tmp_path
         if sound:
             assert str(read_npz(path)["fit_status"]) == "A\U0010ffff"
             continue
-        with pytest.raises(InputError, match=r"key fit_status: has texts with characters"):
+        with refused():
             read_npz(path)

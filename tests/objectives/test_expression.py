@@ -3,9 +3,9 @@
 import casadi as ca
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.special import erf
 
-from planopt import InputError
 from planopt.objectives.terms.expression import (
     LONGEST_LINE,
     MOST_LINES,
@@ -129,7 +129,7 @@ def test_no_value_is_said_without_a_warning():
 )
 def test_what_is_no_scalar_of_the_symbols_is_refused(expression):
     """With an error of ours."""
-    with pytest.raises(InputError, match="expression"):
+    with refused():
         program_of(expression, STEPS)
 
 
@@ -178,7 +178,7 @@ def test_what_is_no_scalar_of_the_symbols_is_refused(expression):
 )
 def test_other_text_is_refused(program):
     """Each of them, by the line that is wrong."""
-    with pytest.raises(InputError, match=r"line \d+ of|no value"):
+    with refused():
         expression_values(program, STEPS, given())
 
 

@@ -15,6 +15,7 @@ from path_scene import (
     partly_open,
     power_at,
 )
+from refusals import refused
 
 from planopt import InputError, Measurements
 from planopt.channel import Station, condition, joint_prediction
@@ -195,9 +196,9 @@ def test_moving_the_scene_changes_nothing_and_units_only_what_they_must(name, mi
 def test_without_multipath_information_is_refused():
     """And a path that comes twice to a place."""
     dry = condition(dataclasses.replace(CHANNEL, multipath_std_db=0.0), NOTHING, theta="known")
-    with pytest.raises(InputError, match="infinite"):
+    with refused():
         exact("information", dry)
-    with pytest.raises(InputError, match="twice"):
+    with refused():
         covariance_factor(posterior_moments(dry, PATH[[0, 0]]).covariance)
 
 

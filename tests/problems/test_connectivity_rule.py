@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import pytest
+from refusals import refused
 from terms_scene import TABLES, TRACKING
 
-from planopt import ConnectivityRule, InputError
+from planopt import ConnectivityRule
 from planopt.problems import problem_from_dict, problem_to_dict
 from planopt.problems.problem import problem_from_tables
 
@@ -102,7 +103,7 @@ def test_every_dynamics_is_welcome(tmp_path):
 def test_robots_that_cannot_stop_apart_are_refused(tmp_path, first):
     """Wherever the fast one stands in the file, it is named."""
     robots = [heavy(5.0, 8.0, 2.0, 0.0), WHEELS]
-    with pytest.raises(InputError, match=r"leads within 3 m of r") as caught:
+    with refused() as caught:
         loaded(tmp_path, *(robots if first else robots[::-1]), separation_m=3.1)
     assert caught.value.key == f"robots[{0 if first else 1}].start_velocity_m_s"
     loaded(tmp_path, *robots, separation_m=3.0)
@@ -112,5 +113,5 @@ def test_robots_that_cannot_stop_apart_are_refused(tmp_path, first):
 def test_both_may_move(tmp_path):
     """Two that follow each other stop apart; two that meet do not."""
     loaded(tmp_path, heavy(5.0, 8.0, 1.5, 0.0), heavy(9.0, 8.0, 1.5, 0.0), separation_m=3.5)
-    with pytest.raises(InputError, match="less than the separation"):
+    with refused():
         loaded(tmp_path, heavy(5.0, 8.0, 1.5, 0.0), heavy(9.0, 8.0, -0.5, 0.0), separation_m=3.0)

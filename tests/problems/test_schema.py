@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import pytest
+from refusals import refused
 from small_tables import (
     DROP,
     HEAVY,
@@ -19,7 +20,6 @@ from small_tables import (
     set_keys,
 )
 
-from planopt import InputError
 from planopt.objectives import (
     CasadiTerm,
     LearningTerm,
@@ -73,11 +73,11 @@ def test_stations_are_up_to_twenty_with_names_of_their_own(tables: Tables, built
         tables["stations"] = [station | {"name": f"s{number}"} for number in range(count)]
         if count == 20:
             assert len(built(tables).stations) == 20
-    with pytest.raises(InputError, match="should have at most 20 items") as caught:
+    with refused() as caught:
         built(tables)
     assert caught.value.key == "stations"
     tables["stations"] = [station, station]
-    with pytest.raises(InputError, match=r"as that of stations\[0\] is") as caught:
+    with refused() as caught:
         built(tables)
     assert caught.value.key == "stations[1].name"
     assert caught.value.remedy is not None
@@ -85,7 +85,7 @@ def test_stations_are_up_to_twenty_with_names_of_their_own(tables: Tables, built
 
 def test_data_that_is_no_table_has_no_key(built: Build) -> None:
     """A list instead of tables is an error of the whole file."""
-    with pytest.raises(InputError, match="should be a table") as caught:
+    with refused() as caught:
         built([1, 2])
     assert caught.value.key is None
 

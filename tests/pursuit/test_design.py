@@ -5,6 +5,7 @@ from dataclasses import replace
 import cvxpy as cp
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.optimize import minimize_scalar
 
 from planopt.pursuit import (
@@ -78,7 +79,7 @@ def test_example_by_hand():
     assert (best.bits_per_axis, best.binding) == (6, ("lemma",))
     assert best.cost_w == pytest.approx(24.2876, abs=5e-5)
     for c in (1, 2):
-        with pytest.raises(NoDesignError, match=r"a \+ margin below 1"):
+        with refused(NoDesignError):
             cheapest_design(fixed(TASK, c))
 
 
@@ -181,8 +182,7 @@ def test_slow_rounds(task):
 def test_energy_by_grid(idle_w, bits):
     """With idling motes too: no slot of a grid needs less."""
     task = fixed(
-        replace(TASK, network=radio(idle_w=idle_w), margin=0.005, first_distance_m=30.0),
-        bits,
+        replace(TASK, network=radio(idle_w=idle_w), margin=0.005, first_distance_m=30.0), bits
     )
     found = least_energy_design(task)
     least_s, most_s = NETWORK.least_slot_s(bits), widest_s(task, bits)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 import shapely
+from refusals import refused
 
-from planopt import InputError, Obstacle, Workspace
+from planopt import Obstacle, Workspace
 from planopt.pursuit import (
     EVADER_SHARE,
     Chase,
@@ -78,7 +79,7 @@ def test_no_detour_is_longer(polygons):
 def test_too_many_corners():
     """Paths would lead through obstacles: refused, with the number."""
     posts = [shapely.box(x, y, x + 1, y + 1) for x in range(2, 58, 4) for y in range(2, 58, 4)]
-    with pytest.raises(InputError, match="corners once grown, more than 600"):
+    with refused():
         arena(*posts)
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import refused
 
-from planopt import InputError
 from planopt.pursuit import (
     ServiceBounds,
     SnapshotService,
@@ -18,11 +18,7 @@ from planopt.pursuit import (
 )
 
 
-@given(
-    frames=st.integers(-500, 5000),
-    hops=st.integers(3, 6),
-    divisor=st.integers(1, 4),
-)
+@given(frames=st.integers(-500, 5000), hops=st.integers(3, 6), divisor=st.integers(1, 4))
 def test_last_round_in_whole_numbers(frames, hops, divisor):
     """The last round of every level that has ended, counted in frames."""
     service = SnapshotService(5, 2.0, 0.1, 2, hops, divisor)
@@ -61,9 +57,9 @@ def test_report_is_the_centre_of_the_sub_cell():
 
 def test_bad_bounds():
     """Bounds are finite and not negative."""
-    with pytest.raises(InputError, match="age_s_m"):
+    with refused():
         ServiceBounds(-1.0, 0.1)
-    with pytest.raises(InputError, match="period_s_m"):
+    with refused():
         ServiceBounds(1.0, 0.1, period_s_m=float("inf"))
 
 
@@ -164,7 +160,7 @@ def test_bounds_hold_for_all_motes(service, share):
 
 def test_object_off_the_grid():
     """An object that left the grid is refused."""
-    with pytest.raises(InputError, match="left the grid"):
+    with refused():
         snapshot(SERVICES[0], Track(np.zeros(1), np.array([[-0.1, 3.0]])), 1.0)
 
 

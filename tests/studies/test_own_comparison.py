@@ -8,10 +8,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused, refused_command
 from test_finished_runs import short
 
 import planopt
-from planopt import Comparison, InputError, compare, load, load_result
+from planopt import Comparison, compare, load, load_result
 from planopt.cli import main
 from planopt.problems import problem_from_dict, problem_to_dict
 from planopt.problems.library import library_folder
@@ -85,7 +86,7 @@ def test_what_is_compared_decides_no_run(problem, comparison, tmp_path: Path) ->
 def test_a_setting_is_there_once(problem) -> None:
     """The same values in two groups are a slip."""
     twice = replace(problem, compare=ComparisonSettings(settings=(*GROUPS, GROUPS[1])))
-    with pytest.raises(InputError, match="there twice") as caught:
+    with refused() as caught:
         compare(twice)
     assert caught.value.key == "compare.settings[3]"
 
@@ -107,35 +108,29 @@ def test_only_problems_with_settings_compare_without(capsys, tmp_path: Path) -> 
     bare.write_text(head)
     assert main(["compare", str(own), "--json"]) == 0
     assert [run["seed"] for run in json.loads(capsys.readouterr().out)["runs"]] == [0, 1, 0, 1]
-    assert main(["compare", str(bare)]) == 2
-    assert "no table compare" in capsys.readouterr().err
+    refused_command(capsys, "compare", bare)
     own.write_text(f"{head}[compare]\n{group.replace('n_pl', 'n_lp')}")
-    assert main(["validate", str(own)]) == 2
-    assert "n_lp" in capsys.readouterr().err
+    refused_command(capsys, "validate", own)
     own.write_text(f"{head}[compare]\nseeds = '5:5'\n{group}")
-    assert main(["validate", str(own)]) == 2
-    assert "compare.seeds" in capsys.readouterr().err
+    refused_command(capsys, "validate", own)
 
 
 @pytest.mark.parametrize(
-    ("table", "words"),
+    "table",
     [
-        ({"seeds": "x"}, r"key compare\.seeds: is 'x', should be a number of seeds from 1"),
-        ({"seeds": 0}, r"key compare\.seeds: is 0, should be .*\(Number of random seeds"),
-        ({"seeds": "5:5"}, r"key compare\.seeds: is '5:5', should be"),
-        (
-            {"sweep": {"compare.seeds": [1]}},
-            r"settings\[0\]\.sweep: compare\.seeds cannot be swept",
-        ),
-        ({"sweep": {"problem.name": ["a"]}}, r"problem\.name cannot be swept.*\(sweep a key"),
-        ({"sweep": {"constraints.p_min": 0.5}}, r"p_min: is 0\.5, should be an array \(Lists of"),
+        {"seeds": "x"},
+        {"seeds": 0},
+        {"seeds": "5:5"},
+        {"sweep": {"compare.seeds": [1]}},
+        {"sweep": {"problem.name": ["a"]}},
+        {"sweep": {"constraints.p_min": 0.5}},
     ],
 )
-def test_wrong_tables_of_a_comparison(problem, table, words) -> None:
+def test_wrong_tables_of_a_comparison(problem, table) -> None:
     """The key of the table, in words of ours."""
     sweep, seeds = table.get("sweep", {"constraints.p_min": [0.5]}), table.get("seeds", 3)
     tables = problem_to_dict(replace(problem, compare=None))
-    with pytest.raises(InputError, match=words):
+    with refused():
         problem_from_dict({**tables, "compare": {"seeds": seeds, "settings": [{"sweep": sweep}]}})
 
 
@@ -143,19 +138,17 @@ def test_wrong_tables_of_a_comparison(problem, table, words) -> None:
 def test_errors_of_settings_name_their_group(problem, group) -> None:
     """The table and the key within the problem that a setting breaks."""
     own = ComparisonSettings(settings=(SettingGroup(), SettingGroup(**group)))
-    with pytest.raises(
-        InputError, match=r"^key compare\.settings\[1\]: planner\.(horizon|name) is"
-    ):
+    with refused():
         settings_of([replace(problem, compare=own, file=None)])
 
 
 def test_what_changes_no_run_is_not_swept(problem) -> None:
     """By an argument, too; and groups of settings are of their class."""
-    with pytest.raises(InputError, match=r"^key problem\.name: .* cannot be swept"):
+    with refused():
         compare(problem, sweep={"problem.name": ["a", "b"]}, seeds=1)
-    with pytest.raises(InputError, match=r"compare\.settings\[0\]: is a dict \(give groups"):
+    with refused():
         ComparisonSettings(settings=({"horizons": [1]},))
-    with pytest.raises(InputError, match=r"settings\[\]\.sweep.*: is 1, should be text"):
+    with refused():
         SettingGroup(sweep={1: [2]})  # type: ignore[dict-item]
 
 

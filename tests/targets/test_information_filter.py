@@ -5,6 +5,7 @@ from datetime import datetime, timedelta
 import numpy as np
 import pytest
 from filterpy.kalman import KalmanFilter
+from refusals import refused
 
 from planopt import InputError
 from planopt.targets.information_filter import (
@@ -117,7 +118,7 @@ def test_a_lost_packet_is_not_read():
         update(state, torn, noise[0], arrived).vector,
         update(state, measured[0], noise[0], arrived).vector,
     )
-    with pytest.raises(InputError, match="finite"):
+    with refused():
         update(state, torn, noise[0], np.ones(3, dtype=bool))
 
 
@@ -127,7 +128,7 @@ def test_from_nothing_it_is_least_squares():
     measured, noise, _ = packets(4, 1.0)
     arrived = np.array([[1, 0, 0], [0, 0, 0], [0, 1, 1], [1, 0, 0]], dtype=bool)
     state = InformationState(np.zeros(4), np.zeros((4, 4)))
-    with pytest.raises(InputError, match="nothing is known"):
+    with refused():
         _ = state.mean
     rows, values, weights = [], [], []
     for k in range(4):

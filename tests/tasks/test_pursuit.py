@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import planopt
-from planopt import InputError, NoPlanError
+from planopt import NoPlanError
 from planopt.problems.library import library_folder
 
 NAMES = ("pursuit_static", "pursuit_fleeing", "pursuit_obstacles", "pursuit_several")
@@ -112,7 +113,7 @@ def test_radius_under_the_floor(written, run):
         "floor below the capture radius: " in found["reason"]
         and "< 12 m fails by" in found["reason"]
     )
-    with pytest.raises(NoPlanError, match="floor below"):
+    with refused(NoPlanError):
         planopt.simulate(planopt.load(file))
     free = planopt.load(written("pursuit_fleeing", small, ('guarantee = "snapshots"', "")))
     assert not planopt.simulate(free).data["guarantee"]["theorems"]["snapshots"]["capture"]["holds"]
@@ -151,8 +152,7 @@ def test_guarantees_round_obstacles(written, tmp_path, run):
 def test_who_escapes(written, run):
     """Given up: exit code 4, and how near it came."""
     code, found = run(
-        "simulate",
-        written("pursuit_fleeing", ("step_s = 0.2", "step_s = 0.2\nmax_steps = 9")),
+        "simulate", written("pursuit_fleeing", ("step_s = 0.2", "step_s = 0.2\nmax_steps = 9"))
     )
     assert code == 4 and found["outcome"] == "step_limit" and found["capture_time_s"] is None
     assert "not caught in 9 steps, nearest" in found["reason"]
@@ -178,5 +178,5 @@ def test_compare(written, tmp_path, run):
     assert rows[2]["paired_ratio"] == pytest.approx(np.exp(np.mean(logs)))
     for words in (("--planners", "nlp"), ("--costs-to-go", "geodesic")):
         assert run("compare", file, "--horizons", "1", *words)[0] == 2
-    with pytest.raises(InputError, match="horizon"):
+    with refused():
         planopt.simulate(planopt.load(file), planner="receding", horizon=0)

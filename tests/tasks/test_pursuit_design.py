@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 
 import planopt
-from planopt import InputError, NoPlanError
+from planopt import NoPlanError
 from planopt.problems.library import library_folder
 from planopt.problems.load import with_changes
 
@@ -101,7 +102,7 @@ def test_requirements_out_of_reach(changes, words, written, run):
     file = written(TEXT, **changes)
     code, data = run("solve", file)
     assert code == 4 and words in data["message"] and data["inequality"]["margin"] < 0.0
-    with pytest.raises(NoPlanError, match=words):
+    with refused(NoPlanError):
         planopt.solve(planopt.load(file))
 
 
@@ -144,16 +145,13 @@ def test_library_problem(tmp_path, run):
     assert data["capture_time_s"] <= 300.0
     assert (tmp_path / "design.png").stat().st_size > 10_000
     assert run("show", "pursuit_design")[1]["design"]["margin"] == 0.01
-    assert run("validate", "pursuit_design") == (
-        0,
-        {"problem": "pursuit_design", "valid": True},
-    )
+    assert run("validate", "pursuit_design") == (0, {"problem": "pursuit_design", "valid": True})
     assert "network" in run("schema", "--task", "pursuit_design")[1]["properties"]
     assert run("schema", "--task", "nothing")[0] == 2
     assert run("simulate", "pursuit_design")[0] == 2
-    with pytest.raises(InputError, match="there is no simulate for"):
+    with refused():
         planopt.simulate(planopt.load("pursuit_design"))
-    with pytest.raises(InputError, match="horizon: is not for the task pursuit_design"):
+    with refused():
         planopt.solve(planopt.load("pursuit_design"), horizon=3)
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from refusals import refused
 from test_coverage import SMALL
 from test_pursuit_design import PLAIN
 
@@ -145,27 +146,27 @@ def test_results_are_read_back(saved: Path) -> None:
     if back.tables:
         frame = back.to_dataframe()
         assert list(frame) == next(csv.reader((saved / "steps.csv").read_text().splitlines()))
-    with pytest.raises(planopt.InputError, match="solve or simulate again"):
+    with refused():
         back.plot()
 
 
 @pytest.mark.parametrize(
-    ("file", "change", "words"),
+    ("file", "change"),
     [
-        ("steps.csv", lambda text: text[: len(text) // 2], "steps.csv"),
-        ("steps.csv", lambda text: text.replace("0.2,", "nan,", 1), "not a finite number"),
-        ("steps.csv", lambda text: text.replace("x_m", "z_m", 1), "the header is not"),
-        ("records.csv", None, "no such file"),
-        ("run.json", lambda text: text[:-20], "run.json"),
+        ("steps.csv", lambda text: text[: len(text) // 2]),
+        ("steps.csv", lambda text: text.replace("0.2,", "nan,", 1)),
+        ("steps.csv", lambda text: text.replace("x_m", "z_m", 1)),
+        ("records.csv", None),
+        ("run.json", lambda text: text[:-20]),
     ],
 )
-def test_damaged_folders(file: str, change: Any, words: str, tmp_path: Path) -> None:
+def test_damaged_folders(file: str, change: Any, tmp_path: Path) -> None:
     """They are bad input, with their file."""
     planopt.simulate(planopt.load("pursuit_fleeing")).save(tmp_path)
     text = (tmp_path / file).read_text()
     (tmp_path / file).unlink()
     if change is not None:
         (tmp_path / file).write_text(change(text))
-    with pytest.raises(planopt.InputError, match=words) as caught:
+    with refused() as caught:
         planopt.check(tmp_path)
     assert caught.value.file is not None

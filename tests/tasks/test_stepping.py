@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from refusals import refused
 from test_coverage import SMALL
 
 import planopt
@@ -43,13 +44,13 @@ def test_an_agent_that_was_pushed_returns(tmp_path):
     action = network.step(pushed, quiet)
     moved_m = np.linalg.norm(action.motion.places_m - pushed, axis=1)
     assert (moved_m <= 2.0 + 1e-9).all() and moved_m[3] > 0.1
-    for arguments, words in (
-        (([[1.0, 1.0]], quiet), "positions_m: has shape"),
-        ((pushed - 50.0, quiet), "outside the region"),
-        ((pushed,), "readings: are left out"),
-        ((pushed, [[np.nan] * 12]), "readings: has shape"),
+    for arguments in (
+        ([[1.0, 1.0]], quiet),
+        (pushed - 50.0, quiet),
+        (pushed,),
+        (pushed, [[np.nan] * 12]),
     ):
-        with pytest.raises(planopt.InputError, match=words):
+        with refused():
             network.step(*arguments)
 
 
@@ -81,9 +82,9 @@ def test_reports_may_be_a_table():
     np.testing.assert_array_equal(pursuers.step([here], {}).aims_m, [here])
     record = planopt.problems.Record(0.0, np.array([50.0, 60.0]), 5.0)
     np.testing.assert_array_equal(pursuers.step([here], {(0, 0): record}).aims_m, [[50.0, 60.0]])
-    with pytest.raises(planopt.InputError, match="2 states for 1 pursuers"):
+    with refused():
         pursuers.step([here, here], {})
-    with pytest.raises(planopt.InputError, match="the pursuit is over"):
+    with refused():
         pursuers.step([here], {}, [0])
-    with pytest.raises(planopt.InputError, match="has no steps to plan"):
+    with refused():
         planopt.Planner(planopt.load("pursuit_design"))

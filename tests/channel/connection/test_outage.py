@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from refusals import refused
 from scipy.stats import binomtest
 from simulated_channel import simulated
 
-from planopt import InputError
 from planopt.channel import (
     ChannelParameters,
     Measurements,
@@ -111,18 +111,18 @@ def test_deadline_cuts():
 
 
 @pytest.mark.parametrize(
-    ("changes", "named"),
+    "changes",
     [
-        ({"positions_m": PATH[:1]}, "positions_m"),
-        ({"times_s": TIMES[:-1]}, "times_s"),
-        ({"times_s": TIMES[::-1]}, "times_s"),
-        ({"times_s": np.where(TIMES > 5.0, np.nan, TIMES)}, "times_s"),
-        ({"threshold_dbm": np.nan}, "threshold_dbm"),
-        ({"count": 1}, "count"),
-        ({"count": 0}, "count"),
+        {"positions_m": PATH[:1]},
+        {"times_s": TIMES[:-1]},
+        {"times_s": TIMES[::-1]},
+        {"times_s": np.where(TIMES > 5.0, np.nan, TIMES)},
+        {"threshold_dbm": np.nan},
+        {"count": 1},
+        {"count": 0},
     ],
 )
-def test_bad_arguments(changes, named):
+def test_bad_arguments(changes):
     """The argument is named."""
     arguments = {
         "positions_m": PATH,
@@ -131,14 +131,14 @@ def test_bad_arguments(changes, named):
         "count": 10,
         "generator": rng(),
     }
-    with pytest.raises(InputError, match=named):
+    with refused():
         longest_outage(independent()[0], **{**arguments, **changes})
 
 
 @pytest.mark.parametrize("deadline", [-1.0, 9.5, np.nan])
 def test_deadline_off_the_path(deadline):
     """What happens after the path's end is not guessed."""
-    with pytest.raises(InputError, match="deadline_s"):
+    with refused():
         delivered_data(independent()[0], PATH, TIMES, THRESHOLD, Traffic(1.0), deadline, 10, rng())
 
 
@@ -177,18 +177,12 @@ def test_fluid_against_small_steps(traffic):
 
 
 @pytest.mark.parametrize(
-    ("numbers", "named"),
-    [
-        ((0.0,), "link_bps"),
-        ((1.0, -1.0), "waiting_bits"),
-        ((1.0, 0.0, -1.0), "source_bps"),
-        ((1.0, 5.0, 0.0, 4.0), "waiting_bits"),
-        ((1.0, 0.0, 0.0, np.nan), "waiting_bits"),
-    ],
+    "numbers",
+    [(0.0,), (1.0, -1.0), (1.0, 0.0, -1.0), (1.0, 5.0, 0.0, 4.0), (1.0, 0.0, 0.0, np.nan)],
 )
-def test_bad_traffic(numbers, named):
+def test_bad_traffic(numbers):
     """Rates and sizes out of range."""
-    with pytest.raises(InputError, match=named):
+    with refused():
         Traffic(*numbers)
 
 
@@ -221,5 +215,5 @@ def test_exceedance_is_scipys(limit):
 @pytest.mark.parametrize("draws", [np.zeros(1), np.zeros((3, 2))])
 def test_no_distribution(draws):
     """At least two draws of one number."""
-    with pytest.raises(InputError, match="at least 2"):
+    with refused():
         SampledDistribution(draws)

@@ -5,10 +5,10 @@ import math
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.optimize import curve_fit, linprog, minimize
 from simulated_channel import simulated
 
-from planopt import InputError
 from planopt.channel import ChannelParameters, Station, fit_channel
 from planopt.channel.estimation.channel_fit import covariance_bounds
 from planopt.channel.estimation.correlation_fit import (
@@ -222,9 +222,9 @@ def test_losses_that_cannot_be_had():
     measurements = simulated(
         ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((50.0, 50.0))), 0, 30, 300.0
     )
-    with pytest.raises(InputError, match="no loss"):
+    with refused():
         fit_channel(measurements, Station((50.0, 50.0)), "convex", loss="cauchy")
-    with pytest.raises(InputError, match="no choice of loss"):
+    with refused():
         fit_channel(measurements, Station((50.0, 50.0)), "reml", loss="huber")
 
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 from simulated_channel import simulated, subset
 
-from planopt import InputError
 from planopt.channel import (
     ChannelParameters,
     LogFormat,
@@ -185,9 +185,7 @@ def test_no_two_lags_to_fit():
     fits = [
         fit_channel(
             Measurements(
-                positions,
-                -70.0 + np.random.default_rng(seed).standard_normal(6),
-                np.zeros(6, bool),
+                positions, -70.0 + np.random.default_rng(seed).standard_normal(6), np.zeros(6, bool)
             ),
             CHANNEL.station,
             "capped",
@@ -206,9 +204,9 @@ def test_places_hardly_apart_are_one_place(extent_m, method):
     if extent_m < 1e-100:
         places -= 40.0
     told = Measurements(places, rng.normal(-70.0, 3.0, 40), np.zeros(40, bool))
-    with pytest.raises(InputError, match="in one place"):
+    with refused():
         fit_channel(told, Station((50.0, 50.0)), method)
-    with pytest.raises(InputError, match="lemma1, capped, convex, nls, reml"):
+    with refused():
         fit_channel(told, Station((50.0, 50.0)), "magic")
 
 

@@ -4,11 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.optimize import minimize
 from scipy.stats import norm
 from simulated_channel import simulated
 
-from planopt import InputError
 from planopt.channel import ChannelParameters, Measurements, Station
 from planopt.channel.estimation.least_squares import coefficient_covariance, examine, least_squares
 from planopt.channel.measurements import shadow_covariance_db2
@@ -61,9 +61,7 @@ def test_coefficient_covariance_is_the_sandwich():
         dense = shadow_covariance_db2(positions, positions, channel)
         dense += (4.0 + step**2 / 12.0) * np.eye(700)
         np.testing.assert_allclose(
-            coefficient_covariance(model, given, channel),
-            outer @ dense @ outer.T,
-            rtol=1e-6,
+            coefficient_covariance(model, given, channel), outer @ dense @ outer.T, rtol=1e-6
         )
 
 
@@ -106,14 +104,14 @@ def at(positions, censored=None):
 
 def test_nothing_measured():
     """No measurements at all is bad input."""
-    with pytest.raises(InputError, match="no measurements"):
+    with refused():
         examine(at([]), ORIGIN)
 
 
 def test_a_measurement_at_the_station_is_named():
     """The error carries the index of the measurement; a height makes it usable."""
     measurements = at([[1, 0], [2, 0], [0, 0], [5, 5]])
-    with pytest.raises(InputError, match="log of zero distance") as caught:
+    with refused() as caught:
         examine(measurements, ORIGIN)
     assert caught.value.row == 2
     examine(measurements, Station((0.0, 0.0), 3.0))

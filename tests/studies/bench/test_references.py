@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 from bench_rows import row
+from refusals import refused
 
 from planopt import InputError
 from planopt.studies.bench_cases import library_cases, library_names
@@ -141,11 +142,7 @@ def test_damaged_files(tmp_path: Path) -> None:
     line = file.read_text().splitlines()[2]
     twice = file.read_text().replace(line, f"{line},\n{line}")
     write_references({row().case: replace(REFERENCE, cpu_s=-1.0)}, file)
-    for text, words in (
-        *((text, r"references\.json") for text in ("", "[]", '{"references": [{}]}')),
-        (file.read_text(), "a number that cannot be"),
-        (twice, "a case twice"),
-    ):
+    for text in ("", "[]", '{"references": [{}]}', file.read_text(), twice):
         file.write_text(text)
-        with pytest.raises(InputError, match=words):
+        with refused():
             read_references(file)

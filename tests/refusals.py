@@ -1,0 +1,96 @@
+"""Error messages of planopt: the table ``error_messages.json`` contains each expected text once.
+
+A test states only that something is refused: ``with refused(): load(path)``. The table lists the
+tests of each message. To change messages, run the tests with ``--write-messages`` (not in parallel)
+and review the difference of the table.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from planopt import InputError
+from planopt.cli import main
+
+TESTS = Path(__file__).parent
+FILE = TESTS / "error_messages.json"
+VARIABLE = (
+    (r"/[^\s'\"]*?/pytest-\d+/(popen-gw\d+/)?[^/\s:,;'\")]+", "TMP"),
+    (rf"{re.escape(str(TESTS.parent))}/", ""),
+    (r"(?<=\.py, line )\d+", "N"),
+    (r"(?<=[a-z]Error: ).*?(?= \([a-z][^()]*\)$|$)", "..."),
+    (r"(?<=CasADi: )\.\.\..*|(?<=table: )Unable to.*", "..."),
+    (r"0x[0-9a-f]{6,}", "0x..."),
+    (r"(?<=\d\.\d{3})\d{6,}", ""),
+    (r"(?<=\(known: connect_rooftop, )[^)]*", "..."),
+)
+"""Parts of messages that differ between runs, versions of libraries, or sets of problems."""
+
+recorded: dict[str, str] = {}
+"""Messages of this session by test and number within the test."""
+
+writing = False
+"""The messages of this session replace those of the table."""
+
+
+def read_table() -> dict[str, str]:
+    """Return the expected messages by test."""
+    table = json.loads(FILE.read_text(encoding="utf-8"))
+    return {test: message for message, tests in table.items() for test in tests}
+
+
+def write_table() -> None:
+    """Replace the messages of the tests that ran."""
+    ran = {re.split(r"[\[ ]", test)[0] for test in recorded}
+    kept = {k: v for k, v in expected.items() if re.split(r"[\[ ]", k)[0] not in ran}
+    table: dict[str, list[str]] = {}
+    for test, message in sorted({**kept, **recorded}.items()):
+        table.setdefault(message, []).append(test)
+    lines = (
+        f"{json.dumps(message, ensure_ascii=False)}: {json.dumps(tests, ensure_ascii=False)}"
+        for message, tests in sorted(table.items())
+    )
+    FILE.write_text("{\n" + ",\n".join(lines) + "\n}\n", encoding="utf-8")
+
+
+expected = read_table()
+
+
+@contextmanager
+def refused(kind: type[Exception] = InputError) -> Iterator[pytest.ExceptionInfo[Any]]:
+    """Expect an error with the message of the table."""
+    with pytest.raises(kind) as caught:
+        yield caught
+    expect_message(str(caught.value))
+
+
+def expect_message(text: str) -> None:
+    """Compare a message with the table."""
+    for pattern, replacement in VARIABLE:
+        text = re.sub(pattern, replacement, text)
+    test = os.environ["PYTEST_CURRENT_TEST"].removesuffix(" (call)").removeprefix("tests/")[:300]
+    count = next(i for i in range(1, 1000) if f"{test} {i}" not in recorded)
+    recorded[f"{test} {count}"] = text.strip()
+    if not writing:
+        assert text.strip() == expected.get(f"{test} {count}")
+
+
+def refused_command(capsys: pytest.CaptureFixture[str], *arguments: object) -> None:
+    """Expect exit code 2, nothing else on stdout, and the line of the table on stderr."""
+    assert main([str(argument) for argument in arguments]) == 2
+    printed = capsys.readouterr()
+    if "--json" in arguments:
+        assert f"planopt: {json.loads(printed.out)['error']}\n" == printed.err
+    else:
+        assert printed.out == ""
+    assert printed.err.startswith("planopt: ") and printed.err.count("\n") == 1
+    assert printed.err.strip().isprintable() and len(printed.err) < 1500
+    expect_message(printed.err)

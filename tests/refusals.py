@@ -29,6 +29,7 @@ VARIABLE = (
     (r"(?<=[a-z]Error: ).*?(?= \([a-z][^()]*\)$|$)", "..."),
     (r"(?<=CasADi: )\.\.\..*|(?<=table: )Unable to.*", "..."),
     (r"0x[0-9a-f]{6,}", "0x..."),
+    (r"line \d+ column \d+ \(char \d+\)", "line N"),
     (r"(?<=\d\.\d{3})\d{6,}", ""),
     (r"(?<=\(known: connect_rooftop, )[^)]*", "..."),
 )
@@ -47,10 +48,22 @@ def read_table() -> dict[str, str]:
     return {test: message for message, tests in table.items() for test in tests}
 
 
+def function_of(test: str) -> tuple[Path, str]:
+    """Return the file and the function of a test in the table."""
+    file, _, name = test.partition("::")
+    return TESTS / file, re.split(r"[\[ ]", name)[0]
+
+
+def exists(test: str) -> bool:
+    """Return whether a test of the table is there."""
+    file, name = function_of(test)
+    return file.exists() and f"\ndef {name}(" in file.read_text(encoding="utf-8")
+
+
 def write_table() -> None:
-    """Replace the messages of the tests that ran."""
-    ran = {re.split(r"[\[ ]", test)[0] for test in recorded}
-    kept = {k: v for k, v in expected.items() if re.split(r"[\[ ]", k)[0] not in ran}
+    """Replace the messages of the tests that ran, and drop those of tests that are gone."""
+    ran = {function_of(test) for test in recorded}
+    kept = {k: v for k, v in expected.items() if function_of(k) not in ran and exists(k)}
     table: dict[str, list[str]] = {}
     for test, message in sorted({**kept, **recorded}.items()):
         table.setdefault(message, []).append(test)

@@ -3,6 +3,7 @@
 import pickle
 
 import pytest
+import refusals
 
 from planopt import InputError, NoPlanError, OutputError
 from planopt.errors import listed, printable
@@ -47,3 +48,8 @@ def test_lists_of_names() -> None:
     assert listed(["a", "b"]) == "a, b"
     assert listed(str(i) for i in range(3000)) == ", ".join(map(str, range(12))) + " and 2988 more"
     assert len(listed(["n" * 10_000] * 3)) < 200
+
+
+def test_the_table_of_messages_has_no_other_tests() -> None:
+    """Entries of tests that were removed go with them."""
+    assert [test for test in refusals.expected if not refusals.exists(test)] == []

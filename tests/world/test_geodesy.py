@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from refusals import refused
 
-from planopt import InputError
 from planopt.world.geodesy import FARTHEST_M, east_north_m, longitude_latitude_deg, parse_origin
 
 ORIGINS = [(48.1374, 11.5755), (0.0, 0.0), (-33.9, 151.2), (78.2, -179.9)]
@@ -57,5 +57,5 @@ def test_the_inverse(origin: tuple[float, float]) -> None:
 @pytest.mark.parametrize("text", ["", "48", "48,11,5", "a,b", "nan,0", "90,0", "0,181", "inf,0"])
 def test_origins_that_are_none(text: str) -> None:
     """Neither is the pole one: it has no east."""
-    with pytest.raises(InputError, match="key --origin"):
+    with refused():
         parse_origin(text)

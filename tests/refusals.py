@@ -29,12 +29,12 @@ VARIABLE = (
     (r"(?<=[a-z]Error: ).*?(?= \([a-z][^()]*\)$|$)", "..."),
     (r"(?<=CasADi: )\.\.\..*|(?<=table: )Unable to.*", "..."),
     (r"0x[0-9a-f]{6,}", "0x..."),
-    (r" '(corridor|sending)',| or (corridor|sending)", ""),
+    (r"(?<=,) '(corridor|sending)',| or (corridor|sending)", ""),
     (r"line \d+ column \d+ \(char \d+\)", "line N"),
     (r"(?<=\d\.\d{3})\d{6,}", ""),
     (r"(?<=\(known: connect_rooftop, )[^)]*", "..."),
 )
-"""Parts of messages that differ between runs, versions of libraries, or sets of problems and terms."""
+"""Parts of messages that depend on the run, on versions, or on registered terms and problems."""
 
 recorded: dict[str, str] = {}
 """Messages of this session by test and number within the test."""

@@ -12,6 +12,9 @@ only if S >= t_1. S is not normal. It is represented by the normal law with the 
 S >= t_1 and the same margin, i.e. the same power exceeded with probability p_min. The margin is the
 amount by which all thresholds may rise until the chance constraint is active.
 
+Multipath is constant at a position, so that a reading within `SAME_PLACE_M` is the power that a
+later packet meets: it replaces the prediction there, with standard deviation zero.
+
 Station i connects with probability Phi(z_i). For independent stations
 
     P(any) = 1 - prod (1 - Phi(z_i)) = Phi(z)
@@ -35,8 +38,9 @@ from scipy.special import (  # pyright: ignore[reportUnknownVariableType]
 )
 
 from planopt.channel.gaussian_sites import MIN_NOISE_VARIANCE_DB2
-from planopt.channel.joint import sample_power
+from planopt.channel.joint import JointPrediction, joint_prediction
 from planopt.channel.kriging import predict
+from planopt.channel.measurements import SAME_PLACE_M
 from planopt.channel.parameter_uncertainty import MarginalPosterior, mixture
 from planopt.channel.parameters import require_finite, require_places
 from planopt.channel.posterior import ChannelPosterior, factored_near
@@ -195,6 +199,58 @@ def any_margin_db(
     return margin
 
 
+@dataclass(frozen=True, eq=False)
+class KnownPower:
+    """Positions at which readings show whether the power reaches the threshold."""
+
+    rows: NDArray[np.intp]  # (k,) indices of the positions
+    # (k,) bounds of the power; equal for an exact reading, minus infinity for a censored one
+    least_dbm: NDArray[np.float64]
+    most_dbm: NDArray[np.float64]
+
+    def replace_in(self, power: Prediction) -> Prediction:
+        """Return the prediction clipped to the bounds, without uncertainty, at these rows."""
+        if not len(self.rows):
+            return power
+        mean, deviation = power.mean_db.copy(), power.deviation_db.copy()
+        mean[self.rows] = np.clip(mean[self.rows], self.least_dbm, self.most_dbm)
+        deviation[self.rows] = 0.0
+        return Prediction(mean, deviation)
+
+
+def known_power(
+    station: ChannelPosterior, positions_m: NDArray[np.float64], threshold_dbm: float
+) -> KnownPower:
+    """Return the known power at positions (n, 2) (equation 3.12).
+
+    Readings at one position on both sides of the threshold leave the connection unknown.
+    """
+    places, read = station.index.within(positions_m, SAME_PLACE_M)
+    least, most = _power_bounds_dbm(station, read)
+    rows, first = np.unique(places, return_index=True)
+    if len(rows):
+        least, most = np.minimum.reduceat(least, first), np.maximum.reduceat(most, first)
+    known = (least >= threshold_dbm) | (most < threshold_dbm)
+    return KnownPower(rows[known], least[known], most[known])
+
+
+def _power_bounds_dbm(
+    station: ChannelPosterior, read: NDArray[np.intp] | slice
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the bounds of the power at the positions of readings, for all times.
+
+    Rounding and censoring widen them. A reading of a time-varying channel, with a position error or
+    with a receiver's offset has no bounds.
+    """
+    measured = station.measurements
+    power, half = measured.power_dbm[read], 0.5 * measured.resolution_db[read]
+    free = (measured.receiver[read] != 0) | (measured.position_std_m[read] > 0.0)
+    free |= math.isfinite(station.parameters.forgetting_s)
+    censored = measured.censored[read]
+    least = np.where(free | censored, -np.inf, power - half)
+    return least, np.where(free, np.inf, np.where(censored, power, power + half))
+
+
 Predictor = Callable[[ChannelPosterior, NDArray[np.float64]], Prediction]
 """Function that predicts a station's power at positions (n, 2)."""
 
@@ -211,16 +267,55 @@ class ConnectivityLaw:
         """Return the normal law of the serving power from each station's predicted power."""
         return serving_prediction(powers, self.thresholds_dbm, self.p_min)
 
-    def power(self, positions_m: NDArray[np.float64], predict: Predictor = predict) -> Prediction:
-        """Return the normal law of the serving power at positions (n, 2)."""
+    def known(self, positions_m: NDArray[np.float64]) -> list[KnownPower]:
+        """Return the known power of each station at positions (n, 2)."""
+        return [
+            known_power(station, positions_m, threshold)
+            for station, threshold in zip(self.posteriors, self.thresholds_dbm, strict=True)
+        ]
+
+    def is_connected(self, positions_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return which positions (n, 2) are known to be connected to any station; ``(n,)``."""
+        found = np.zeros(len(positions_m), dtype=np.bool_)
+        for known, threshold in zip(self.known(positions_m), self.thresholds_dbm, strict=True):
+            found[known.rows[known.least_dbm >= threshold]] = True
+        return found
+
+    @property
+    def connected_m(self) -> NDArray[np.float64]:
+        """Positions (k, 2) of readings that reach the threshold of their station."""
+        found: list[NDArray[np.float64]] = []
+        for station, threshold in zip(self.posteriors, self.thresholds_dbm, strict=True):
+            least, _ = _power_bounds_dbm(station, slice(None))
+            found.append(station.measurements.positions_m[least >= threshold])
+        return np.vstack(found)
+
+    def each_power(
+        self, positions_m: NDArray[np.float64], predict: Predictor = predict
+    ) -> list[Prediction]:
+        """Return the power of each station at positions (n, 2), known or predicted."""
+        return [
+            known.replace_in(predict(station, positions_m))
+            for known, station in zip(self.known(positions_m), self.posteriors, strict=True)
+        ]
+
+    def predicted(
+        self, positions_m: NDArray[np.float64], predict: Predictor = predict
+    ) -> Prediction:
+        """Return the law of :meth:`power` with unknown multipath everywhere, a smooth function."""
         return self.combined([predict(station, positions_m) for station in self.posteriors])
+
+    def power(self, positions_m: NDArray[np.float64], predict: Predictor = predict) -> Prediction:
+        """Return the normal law of the serving power at positions (n, 2), known or predicted."""
+        if len(self.posteriors) == 1:
+            return self.known(positions_m)[0].replace_in(self.predicted(positions_m, predict))
+        return self.combined(self.each_power(positions_m, predict))
 
     def probability(
         self, positions_m: NDArray[np.float64], slack_db: float = 0.0
     ) -> NDArray[np.float64]:
         """Return P(connected) at positions (n, 2), all thresholds `slack_db` lower; ``(n,)``."""
-        each = [predict(station, positions_m) for station in self.posteriors]
-        return any_probability(each, self.thresholds_dbm, slack_db)
+        return any_probability(self.each_power(positions_m), self.thresholds_dbm, slack_db)
 
     def margin_db(
         self, positions_m: NDArray[np.float64], predict: Predictor = predict
@@ -231,12 +326,26 @@ class ConnectivityLaw:
             power.mean_db, power.deviation_db, self.thresholds_dbm[0], self.p_min
         )
 
+    def along(self, path_m: NDArray[np.float64]) -> list[JointPrediction]:
+        """Return the joint law of each station's power along a path (N, 2), known or predicted.
+
+        If there are too many measurements for a factorisation, the nearest ones are used.
+        """
+        found: list[JointPrediction] = []
+        for known, station in zip(self.known(path_m), self.posteriors, strict=True):
+            joint = joint_prediction(factored_near(station, path_m), path_m)
+            covariance = joint.covariance_db2
+            covariance[known.rows], covariance[:, known.rows] = 0.0, 0.0
+            power = known.replace_in(Prediction(joint.mean_db, joint.deviation_db))
+            found.append(JointPrediction(power.mean_db, covariance))
+        return found
+
     def sample(self, path_m: NDArray[np.float64], count: int, seed: int) -> NDArray[np.float64]:
         """Return samples ``(count, N)`` of the serving power along a path, a seed per station."""
-        drawn: list[NDArray[np.float64]] = []
-        for number, station in enumerate(self.posteriors):
-            generator = np.random.default_rng([seed, number] if number else seed)
-            drawn.append(sample_power(factored_near(station, path_m), path_m, count, generator))
+        drawn = [
+            joint.sample(count, np.random.default_rng([seed, number] if number else seed))
+            for number, joint in enumerate(self.along(path_m))
+        ]
         return serving_power_dbm(np.stack(drawn), self.thresholds_dbm)
 
 
@@ -250,7 +359,9 @@ class UncertainParameters(ConnectivityLaw):
 
     marginal: MarginalPosterior
 
-    def power(self, positions_m: NDArray[np.float64], predict: Predictor = predict) -> Prediction:
+    def predicted(
+        self, positions_m: NDArray[np.float64], predict: Predictor = predict
+    ) -> Prediction:
         """Return the normal law that represents the mixture; `predict` is not used."""
         weights = self.marginal.weights
         parts = [component.predict(positions_m) for component in self.marginal.components]
@@ -262,7 +373,10 @@ class UncertainParameters(ConnectivityLaw):
         self, positions_m: NDArray[np.float64], slack_db: float = 0.0
     ) -> NDArray[np.float64]:
         """Return P(connected) from the mixture, all thresholds `slack_db` lower; ``(n,)``."""
-        return self.marginal.connectivity(positions_m, self.thresholds_dbm[0] - slack_db)
+        threshold, (known,) = self.thresholds_dbm[0] - slack_db, self.known(positions_m)
+        found = self.marginal.connectivity(positions_m, threshold)
+        found[known.rows] = known.least_dbm >= threshold
+        return found
 
 
 MOST_ROUNDS = 60

@@ -73,6 +73,12 @@ class JointPrediction:
         """Standard deviation at each position, ``(h,)``."""
         return np.sqrt(np.diag(self.covariance_db2))
 
+    def sample(self, count: int, generator: np.random.Generator) -> NDArray[np.float64]:
+        """Draw powers ``(count, h)`` in dBm."""
+        lower = semidefinite_factor(self.covariance_db2)
+        draws = generator.standard_normal((require_count(count, "count"), len(self)))
+        return self.mean_db + draws @ lower.T
+
 
 def joint_prediction(
     posterior: ChannelPosterior, positions_m: ArrayLike, *, latent: bool = False
@@ -159,10 +165,7 @@ def sample_power(
     InputError
         `positions_m` is not a path, or `count` is below one.
     """
-    prediction = joint_prediction(posterior, positions_m, latent=latent)
-    lower = semidefinite_factor(prediction.covariance_db2)
-    draws = generator.standard_normal((require_count(count, "count"), len(prediction)))
-    return prediction.mean_db + draws @ lower.T
+    return joint_prediction(posterior, positions_m, latent=latent).sample(count, generator)
 
 
 def predict_readings(

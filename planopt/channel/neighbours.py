@@ -12,6 +12,7 @@ all before. Windows depend on positions, not on the order of rows, except for ti
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -57,6 +58,10 @@ class PlaceTree:
         shape = len(centres_m), count
         return np.asarray(indices, dtype=np.intp).reshape(shape), distances.reshape(shape)
 
+    def within(self, centre_m: NDArray[np.float64], reach_m: float) -> list[int]:
+        """Return indices of the positions within `reach_m` of a position (2,)."""
+        return list(self._tree.query_ball_point(centre_m, reach_m))
+
 
 @dataclass(frozen=True, eq=False)
 class PlaceIndex:
@@ -72,7 +77,7 @@ class PlaceIndex:
 
     def grown(self, positions_m: NDArray[np.float64]) -> PlaceIndex:
         """Return the index extended to `positions_m` (n, 2), which begin with those of this one."""
-        treed = 0 if self.tree is None else len(self.tree)
+        treed = self._treed
         keep = len(positions_m) - treed <= max(MOST_UNTREED, UNTREED_SHARE * treed)
         return PlaceIndex(positions_m, self.tree if keep else PlaceTree(positions_m))
 
@@ -87,7 +92,7 @@ class PlaceIndex:
         if count >= total:
             everyone = np.broadcast_to(np.arange(total), (len(centres_m), total))
             return everyone, np.full(len(centres_m), np.inf)
-        treed = 0 if self.tree is None else len(self.tree)
+        treed = self._treed
         late = np.arange(treed, total)
         difference = centres_m[:, None] - self.positions_m[None, treed:]
         squared_m2 = difference[..., 0] ** 2 + difference[..., 1] ** 2
@@ -107,6 +112,31 @@ class PlaceIndex:
         # Partitioning puts the farthest neighbour into the last column.
         farthest = np.take_along_axis(squared_m2, chosen[:, -1:], axis=1)[:, 0]
         return np.take_along_axis(indices, chosen, axis=1), farthest
+
+    def within(
+        self, centres_m: NDArray[np.float64], reach_m: float
+    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Return index pairs of centres (k, 2), ascending, and positions within `reach_m`."""
+        pairs: list[tuple[int, int]] = []
+        for first, tree in (0, self.tree), (self._treed, self._late_tree):
+            if tree is not None:
+                near, _ = tree.nearest(centres_m, 1, reach_m)
+                for centre in np.flatnonzero(near[:, 0] < len(tree)).tolist():
+                    rows = tree.within(centres_m[centre], reach_m)
+                    pairs += [(centre, first + row) for row in rows]
+        centres, rows = np.array(sorted(pairs), dtype=np.intp).reshape(-1, 2).T
+        return centres, rows
+
+    @property
+    def _treed(self) -> int:
+        """Number of positions in the tree."""
+        return 0 if self.tree is None else len(self.tree)
+
+    @cached_property
+    def _late_tree(self) -> PlaceTree | None:
+        """Tree of the positions that are not in the main tree; None if there are none."""
+        late = self.positions_m[self._treed :]
+        return PlaceTree(late) if len(late) else None
 
 
 @dataclass(frozen=True, eq=False)

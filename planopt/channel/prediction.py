@@ -68,8 +68,12 @@ def bound_margin_db(
     threshold_dbm: float,
     p_min: float,
 ) -> NDArray[np.float64]:
-    """Return the margin ``mean - z_p deviation - threshold`` in dB (equation 3.2)."""
-    return mean_db - bound_quantile(p_min) * deviation_db - threshold_dbm
+    """Return the margin ``mean - z_p deviation - threshold`` in dB (equation 3.2).
+
+    It is infinite for a `p_min` of 0, also for a known power.
+    """
+    kept_db = bound_quantile(p_min) * (deviation_db if p_min > 0.0 else 1.0)
+    return mean_db - kept_db - threshold_dbm
 
 
 def connection_probability(

@@ -1,4 +1,4 @@
-"""Measuring positions of a path, and positions whose connection is known.
+"""Measuring positions of a path.
 
 A robot measures at the end of a step, unless an earlier measurement is closer than the spacing:
 multipath is known there already, and another reading adds no information. The same holds between
@@ -12,16 +12,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.measurements import SAME_PLACE_M
 from planopt.channel.neighbours import PlaceTree
 from planopt.channel.posterior import ChannelPosterior
-
-SAME_PLACE_M = 1e-6
-"""Distance in metres below which two positions count as one, whatever the spacing."""
 
 SPACING_TOLERANCE_M = 1e-5
 """Tolerance of the spacing in metres. Planned steps are slightly shorter than the step length, and
@@ -259,61 +256,3 @@ def _nearest(
         return nothing, np.zeros(nothing.shape, dtype=np.intp)
     index, distance = PlaceTree(known_m).nearest(places_m, there, within_m)
     return distance, np.minimum(index, len(known_m) - 1)
-
-
-@dataclass(frozen=True, eq=False)
-class KnownLinks:
-    """Positions known to be connected or not.
-
-    Multipath is static: a robot that was connected at a position will be connected there again.
-    Positions within the measurement spacing of a failed probe count as not connected, because a
-    robot does not probe where it would not measure.
-    """
-
-    connected_m: NDArray[np.float64]  # (n, 2)
-    lost_m: NDArray[np.float64]  # (m, 2)
-    spacing_m: float  # Radius around a position without connection
-
-    def chances(
-        self, places_m: NDArray[np.float64], predicted: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return the probability of connection; unobserved positions keep `predicted`."""
-        # Shapes: places_m (..., 2); predicted (...).
-        flat, found = places_m.reshape(-1, 2), predicted.reshape(-1).copy()
-        for tree, within_m, chance in self._trees:
-            _, away = tree.nearest(flat, 1, within_m)
-            found[np.isfinite(away[:, 0])] = chance
-        return found.reshape(predicted.shape)
-
-    @cached_property
-    def _trees(self) -> list[tuple[PlaceTree, float, float]]:
-        """Known positions with radius and probability; later entries override earlier ones."""
-        known = (self.lost_m, self.spacing_m, 0.0), (self.connected_m, SAME_PLACE_M, 1.0)
-        return [
-            (PlaceTree(places), reach, chance) for places, reach, chance in known if len(places)
-        ]
-
-
-def known_links(
-    stations: Sequence[ChannelPosterior],
-    thresholds_dbm: Sequence[float],
-    missed_m: NDArray[np.float64],  # (k, 2) positions at which steps ended without connection
-    here_m: NDArray[np.float64],  # (2,) position of the robot
-    is_connected: bool | None,
-    spacing_m: float,
-) -> KnownLinks:
-    """Return the positions whose connection is known from measurements and the run so far."""
-    up: list[NDArray[np.float64]] = []
-    down = [missed_m]
-    for station, threshold in zip(stations, thresholds_dbm, strict=True):
-        measured = station.measurements
-        places = measured.positions_m
-        # A censored power is only an upper limit.
-        arrives = (measured.power_dbm >= threshold) & ~measured.censored
-        up.append(places[arrives])
-        if len(stations) == 1:
-            # With several stations, another one may serve this position.
-            down.append(places[measured.power_dbm < threshold])
-    if is_connected is not None:
-        (up if is_connected else down).append(here_m[None])
-    return KnownLinks(np.vstack(up), np.vstack(down), max(spacing_m, SAME_PLACE_M))

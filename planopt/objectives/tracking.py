@@ -25,8 +25,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.measurements import SAME_PLACE_M
 from planopt.channel.parameters import require_finite, require_places
-from planopt.objectives.measuring import SAME_PLACE_M
 from planopt.plain_values import require_weights
 from planopt.targets.information_filter import TargetModel, covariance_of, require_covariance
 from planopt.targets.sensor import Sensor, sensing_information

@@ -107,7 +107,7 @@ def as_ranked(context: StepContext, paths_m: NDArray[np.float64]) -> NDArray[np.
 
 def end_deviation(context: StepContext, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the standard deviation of predicted power at the ends of paths (c, N, 2); ``(c,)``."""
-    return context.power(paths_m[:, -1]).deviation_db
+    return context.predicted(paths_m[:, -1]).deviation_db
 
 
 class OneStepPlanner:

@@ -187,7 +187,7 @@ def lacks(
     """
     if not len(point.slack_db) or not np.isfinite(point.path_m).all():
         return False
-    power = context.power(point.path_m)
+    power = context.predicted(point.path_m)
     if rows.weight is not None:
         missing = _slack_of_sum(rows, power) > MARGIN_TOLERANCE_DB
         return bool(point.slack_db[0] <= GIVEN_UP_DB and missing)
@@ -214,7 +214,7 @@ def moved(
 
 
 def _with_total(task: PathTask, context: StepContext, rows: RuleRows) -> PathTask:
-    power = context.power(task.path_m)
+    power = context.predicted(task.path_m)
     task = replace(task, total_per_db=_per_db(rows, power))
     wanted, local = _wanted_total(task, context, rows)
     short_db = (rows.total - rows.sum_of(power)) / task.total_per_db
@@ -249,7 +249,7 @@ def _wanted(
 
     The requirement includes the local model's error at the guess.
     """
-    local, exact = margins_at(task, task.path_m), rows.margins_db(context.power(task.path_m))
+    local, exact = margins_at(task, task.path_m), rows.margins_db(context.predicted(task.path_m))
     return LOCAL_PAD_DB + local - exact, local, exact
 
 
@@ -266,7 +266,7 @@ def _wanted_total(task: PathTask, context: StepContext, rows: RuleRows) -> tuple
     total = task.evaluate(task.path_m).total
     if total is None:
         raise AssertionError("a bounded sum is there")
-    off = total.value - rows.sum_of(context.power(task.path_m))
+    off = total.value - rows.sum_of(context.predicted(task.path_m))
     return rows.total + off + LOCAL_PAD_DB * task.total_per_db, total.value
 
 

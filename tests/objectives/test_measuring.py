@@ -7,10 +7,10 @@ import pytest
 from path_scene import CHANNEL, drawn, partly_open
 
 from planopt.channel import condition
+from planopt.channel.measurements import SAME_PLACE_M
 from planopt.objectives.measuring import (
     CLOSED_SPACINGS,
     OPEN_SPACINGS,
-    SAME_PLACE_M,
     SPACING_TOLERANCE_M,
     MeasuringRule,
 )

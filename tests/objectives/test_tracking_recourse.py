@@ -9,9 +9,6 @@ import pytest
 from dense_filter import MEASURES, dense_costs
 from terms_scene import TRACKING, context_of, terms_problem
 
-from planopt import Measurements
-from planopt.channel import ChannelParameters, Station, condition
-from planopt.objectives.measuring import KnownLinks, known_links
 from planopt.objectives.tracking import (
     DISCOUNT,
     FilteredTracking,
@@ -121,31 +118,6 @@ def test_the_best_retreat_within_reach_is_taken_at_every_step():
                 if np.linalg.norm(place - stop) <= LONGEST_M * (k - arrival):
                     expected[number, k] = max(expected[number, k], each[k])
     np.testing.assert_array_equal(retreats.best(stops, arrivals), expected)
-
-
-def test_links_are_known_where_the_robot_has_been():
-    """Connected at the place itself; lost within the spacing; else as predicted."""
-    links = KnownLinks(np.array([[1.0, 1.0]]), np.array([[1.3, 1.0], [5.0, 5.0]]), 0.6)
-    places = np.array([[[1.0, 1.0], [1.0, 1.01]], [[5.5, 5.0], [5.7, 5.0]]])
-    found = links.chances(places, np.full((2, 2), 0.3))
-    np.testing.assert_array_equal(found, [[1.0, 0.0], [0.0, 0.3]])
-    nothing = replace(links, connected_m=np.zeros((0, 2)), lost_m=np.zeros((0, 2)))
-    np.testing.assert_array_equal(
-        nothing.chances(places, np.full((2, 2), 0.3)), np.full((2, 2), 0.3)
-    )
-
-
-def test_censored_powers_are_no_connection():
-    """A power below the receiver's sensitivity may be anything below."""
-    places = np.array([[0.0, 0.0], [5.0, 0.0], [0.0, 5.0]])
-    measured = Measurements(places, np.array([-50.0, -70.0, -95.0]), np.array([False, True, True]))
-    parameters = ChannelParameters(-30.0, 2.0, 4.0, 10.0, 1.0, Station((0.0, 0.0)))
-    station = condition(parameters, measured, theta="known")
-    found = known_links([station], [-80.0], np.zeros((0, 2)), np.array([9.0, 9.0]), None, 0.6)
-    np.testing.assert_array_equal(found.connected_m, places[:1])
-    np.testing.assert_array_equal(found.lost_m, places[2:])
-    here = known_links([station], [-80.0], np.zeros((0, 2)), np.array([9.0, 9.0]), False, 0.6)
-    np.testing.assert_array_equal(here.lost_m, [places[2], [9.0, 9.0]])
 
 
 def test_the_terminal_weight_is_of_one_step():

@@ -220,7 +220,10 @@ def straight_path(problem: Problem, step_m: float = 1.9) -> np.ndarray:
 
 
 def kriged(belief: Belief, positions_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and deviation at places (n, 2) by equation 1.6 written out: theta known, n_PL 0."""
+    """Mean and deviation at places (n, 2) by equation 1.6 written out: theta known, n_PL 0.
+
+    A measured place has its reading, without deviation.
+    """
     parameters, measured = belief.posterior.parameters, belief.posterior.measurements
 
     def covariance(a: np.ndarray, b: np.ndarray) -> np.ndarray:
@@ -233,7 +236,11 @@ def kriged(belief: Belief, positions_m: np.ndarray) -> tuple[np.ndarray, np.ndar
     weights = np.linalg.solve(known, across)
     mean = parameters.k_pl_db + weights.T @ (measured.power_dbm - parameters.k_pl_db)
     variance = parameters.shadow_std_db**2 + noise - (across * weights).sum(0)
-    return mean, np.sqrt(variance)
+    same = (measured.positions_m[:, None] == positions_m).all(axis=2)
+    read = np.where(same, measured.power_dbm[:, None], -np.inf).max(axis=0, initial=-np.inf)
+    return np.where(same.any(axis=0), read, mean), np.where(
+        same.any(axis=0), 0.0, np.sqrt(variance)
+    )
 
 
 def search_of(

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from planopt.channel.kriging import LocalChannel, LocalGrid
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, connection_probability
-from planopt.objectives.measuring import Gates, KnownLinks, MeasuringRule
+from planopt.objectives.measuring import Gates, MeasuringRule
 from planopt.objectives.moments import LocalPaths, Moments, Region
 from planopt.objectives.path_derivatives import LocalPath, PathDerivatives
 from planopt.objectives.stage_power import StagePower
@@ -160,8 +160,8 @@ class TermContext(Protocol):
         ...
 
     @property
-    def links(self) -> KnownLinks:
-        """Positions whose connection is known."""
+    def connected_m(self) -> NDArray[np.float64]:
+        """``(k, 2)`` positions known to be connected."""
         ...
 
     @property
@@ -175,7 +175,11 @@ class TermContext(Protocol):
         ...
 
     def power(self, places_m: NDArray[np.float64]) -> Prediction:
-        """Return the predicted serving power at positions (n, 2)."""
+        """Return the serving power at positions (n, 2), known where measured, else predicted."""
+        ...
+
+    def predicted(self, places_m: NDArray[np.float64]) -> Prediction:
+        """Return the predicted serving power at positions (n, 2), with unknown multipath."""
         ...
 
     def combined(self, powers: Sequence[Prediction]) -> Prediction:
@@ -184,6 +188,12 @@ class TermContext(Protocol):
 
     def chance(self, place_m: NDArray[np.float64]) -> float:
         """Return the probability of connection at a position (2,), including known links."""
+        ...
+
+    def probed(
+        self, places_m: NDArray[np.float64], predicted: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the probabilities of connection (...) of probes at positions (..., 2)."""
         ...
 
     def once(self, key: Hashable, make: Callable[[], Made]) -> Made:

@@ -366,8 +366,8 @@ class CasadiTerm(Term):
 
     def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
         """Return the value of the expression for one path."""
-        power = at.power(path_m)
-        chance = connection_probability(power.mean_db, power.deviation_db, at.thresholds_dbm[0])
+        power, known = at.predicted(path_m), at.power(path_m)
+        chance = connection_probability(known.mean_db, known.deviation_db, at.thresholds_dbm[0])
         inputs = self.known(at, len(path_m)) | {
             "positions_m": path_m,
             "mean_db": power.mean_db[:, None],

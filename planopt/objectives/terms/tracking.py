@@ -180,9 +180,8 @@ class TrackingTerm(Term):
         settings, retreats, others, idle = at.once(
             (TrackingTerm, "probes", self), lambda: self._probing(at)
         )
-        known = at.links.chances(paths_m, chance)
         costs = recourse_costs if settings.held is None else delayed_costs
-        return idle - costs(paths_m, known, retreats, others, settings)
+        return idle - costs(paths_m, at.probed(paths_m, chance), retreats, others, settings)
 
     def _probing(
         self, at: TermContext
@@ -191,10 +190,10 @@ class TrackingTerm(Term):
         own = self._filtered(at)
         target_m = own.tracking.target_m
         places = np.vstack([target_m, *at.others_m])
-        arrives = at.links.chances(places, _chance(at, places))
+        arrives = at.probed(places, _chance(at, places))
         ends = np.cumsum([len(target_m), *map(len, at.others_m)])
         at_target, *along = np.split(arrives, ends[:-1])
-        retreats = retreats_of(at.links.connected_m, at_target, own, at.step_length_m)
+        retreats = retreats_of(at.connected_m, at_target, own, at.step_length_m)
         others = np.zeros(len(target_m))
         for path, chance in zip(at.others_m, along, strict=True):
             at_last = np.minimum(np.arange(len(target_m)), len(path) - 1)

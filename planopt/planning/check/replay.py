@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.ground_truth import Truth
-from planopt.channel.measurements import Measurements
+from planopt.channel.measurements import SAME_PLACE_M, Measurements
 from planopt.channel.posterior import Belief, condition
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.errors import InputError
@@ -103,10 +103,6 @@ def _comparable(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
                 "precision_mean": (values / variance).tolist()
             }
     return lists
-
-
-SAME_PLACE_M = 1e-6
-"""Maximum distance between a saved measurement and the position of its step."""
 
 
 @dataclass(frozen=True, eq=False)

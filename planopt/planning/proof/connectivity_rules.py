@@ -14,9 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv  # pyright: ignore[reportUnknownVariableType]
 
-from planopt.channel.joint import JointPrediction, joint_prediction
+from planopt.channel.joint import JointPrediction
 from planopt.channel.path_connectivity import JointConnectivity, joint_connectivity
-from planopt.channel.posterior import ChannelPosterior, factored_near
 from planopt.errors import InputError
 from planopt.planning.certificate import RuleResult
 from planopt.planning.plan import History, data_of_steps_mbit
@@ -181,14 +180,6 @@ INTEGRATED_STEPS = 60
 """Maximum number of steps for the integral; beyond it, an analytic lower bound is used."""
 
 
-def path_prediction(posterior: ChannelPosterior, path_m: NDArray[np.float64]) -> JointPrediction:
-    """Return the joint prediction (equation 1.12) along a path (N, 2).
-
-    If there are too many measurements for a factorisation, the nearest ones are used.
-    """
-    return joint_prediction(factored_near(posterior, path_m), path_m)
-
-
 @dataclass(frozen=True)
 class Joint(Rule):
     """Rule that the probability of connection at all steps is >= p_min (equation 5.2)."""
@@ -218,7 +209,7 @@ class Joint(Rule):
         problem, path_m = case.problem, case.positions_m[1:]
         threshold, p_min = problem.stations[0].threshold_dbm, problem.constraints.p_min
         if len(case.context.posteriors) == 1:
-            prediction = path_prediction(case.context.posterior, path_m)
+            (prediction,) = case.context.law.along(path_m)
             return lambda slack_db: joint_result(prediction, threshold - slack_db, p_min)
         return drawn_by_slack(self, case, lambda connected: np.all(connected, axis=1))
 

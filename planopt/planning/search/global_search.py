@@ -383,7 +383,7 @@ class GlobalSearch:
             soon = soon[1 : below[0]] if below.size else soon[1:]
         else:
             path = road_map.nodes_m[nodes]
-            margin = step_rows(context, path).margins_db(context.power(path))
+            margin = step_rows(context, path).margins_db(context.predicted(path))
             soon = soon[1:]
         return GlobalStart(
             nodes=nodes,

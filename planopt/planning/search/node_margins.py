@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.channel_map import TileMap
 from planopt.channel.connectivity_law import ConnectivityLaw
+from planopt.channel.measurements import SAME_PLACE_M
 from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
 from planopt.objectives.reach import outage_share
 from planopt.planning.proof.context import search_prediction
@@ -151,7 +152,8 @@ class NodeField:
             context.law,
             (float(low[0]), float(low[1]), float(high[0]), float(high[1])),
         )
-        self.mean_db, self.deviation_db = self._map.mean_db, self._map.deviation_db
+        # Copies, because corrections do not change the stations' own predictions.
+        self.mean_db, self.deviation_db = self._map.mean_db.copy(), self._map.deviation_db.copy()
         lattice = self._lattice
         first = np.ceil((low - lattice.origin_m) / lattice.spacing_m)
         last = np.floor((high - lattice.origin_m) / lattice.spacing_m)
@@ -161,6 +163,19 @@ class NodeField:
         self.window = rows, columns
         self._exact[:] = False
         self._context = context
+        self.correct(self._measured_nodes(context))
+
+    def _measured_nodes(self, context: StepContext) -> NDArray[np.intp]:
+        """Return the free nodes (n, 2) of the window, as (iy, ix), that were measured."""
+        lattice, (rows, columns) = self._lattice, self.window
+        places = np.vstack([own.measurements.positions_m for own in context.stations])
+        nodes = np.rint((places - lattice.origin_m) / lattice.spacing_m).astype(np.intp)[:, ::-1]
+        first, last = (rows.start, columns.start), (rows.stop, columns.stop)
+        inside = ((nodes >= first) & (nodes < np.minimum(last, lattice.shape))).all(axis=1)
+        nodes, places = nodes[inside], places[inside]
+        same = np.abs(self.places_m(nodes) - places).max(axis=1, initial=0.0) <= SAME_PLACE_M
+        free = lattice.free[nodes[:, 0], nodes[:, 1]]
+        return np.unique(nodes[same & free], axis=0)
 
     def places_m(self, nodes: NDArray[np.intp]) -> NDArray[np.float64]:
         """Return the positions of `nodes` (n, 2), given as (iy, ix)."""
@@ -173,7 +188,7 @@ class NodeField:
         last = np.array([columns.stop, rows.stop]) - 1
         nodes = np.rint((places_m - lattice.origin_m) / lattice.spacing_m).astype(np.intp)
         column, row = np.clip(nodes, first, np.minimum(last, np.array(lattice.shape[::-1]) - 1)).T
-        return Prediction(self.mean_db[row, column], self.deviation_db[row, column])
+        return Prediction(self._map.mean_db[row, column], self._map.deviation_db[row, column])
 
     def correct(self, nodes: NDArray[np.intp]) -> bool:
         """Predict `nodes` (n, 2) more accurately; return whether any was uncorrected before."""
@@ -191,5 +206,5 @@ class NodeField:
 
     @property
     def stations(self) -> list[TileMap]:
-        """Return each station's own predictions; with several stations they are uncorrected."""
+        """Return each station's own, uncorrected predictions."""
         return self._map.stations

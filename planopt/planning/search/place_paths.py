@@ -130,7 +130,7 @@ class ProbedPlaces:
 
     def _places(self, context: StepContext) -> NDArray[np.float64]:
         """Return the robot's position, positions on circles, and reachable connected positions."""
-        here, known = context.position_m, context.links.connected_m
+        here, known = context.position_m, context.connected_m
         circles = here + self._offsets_m
         reach_m = self._problem.planner.horizon * self._longest_m
         known = known[np.linalg.norm(known - here, axis=1) <= reach_m]

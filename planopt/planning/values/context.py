@@ -20,9 +20,10 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.channel.measurements import SAME_PLACE_M
 from planopt.channel.posterior import ChannelPosterior, with_expected
 from planopt.channel.prediction import Prediction, connection_probability
-from planopt.objectives.measuring import SAME_PLACE_M, KnownLinks, MeasuringRule, known_links
+from planopt.objectives.measuring import MeasuringRule
 from planopt.objectives.moments import Region
 from planopt.objectives.terms.term import Structure
 from planopt.objectives.tracking import Held
@@ -208,6 +209,12 @@ class StepContext(VerifierContext):
         both = np.array([self._power[key] for key in keys]).reshape(-1, 2)
         return Prediction(both[:, 0], both[:, 1])
 
+    def predicted(self, places_m: NDArray[np.float64]) -> Prediction:
+        """Return :meth:`power` with unknown multipath everywhere, as solvers model it."""
+        if any(len(known.rows) for known in self.law.known(places_m)):
+            return self.law.predicted(places_m, search_power)
+        return self.power(places_m)
+
     def soon(self, places_m: NDArray[np.float64]) -> None:
         """Schedule `places_m` (n, 2) for joint prediction with the next new positions (faster)."""
         for place in np.asarray(places_m, dtype=np.float64):
@@ -254,44 +261,67 @@ class StepContext(VerifierContext):
     def probing(self) -> MeasuringRule:
         """Return the rule that decides which positions are probed for connection.
 
-        Positions are excluded near measurements without connection, where multipath is known, near
-        the robot, unless its last step was connected, and near earlier failures that were not
+        The robot's position is excluded unless the last step was connected.
+        """
+        return self._probing if self.history.steps else self._untried(self.position_m[None])
+
+    @cached_property
+    def _probing(self) -> MeasuringRule:
+        """Rule of :attr:`probing` in which the start of a run is not known to be disconnected."""
+        lost = self.history.outage_steps > 0
+        return self._untried(self.position_m[None] if lost else np.zeros((0, 2)))
+
+    def _untried(self, here_m: NDArray[np.float64]) -> MeasuringRule:
+        """Return the rule that excludes positions near lost packets and near `here_m` (k, 2).
+
+        Lost packets are measurements below the threshold, and earlier failures that were not
         measured because a measurement with connection was close by.
         """
-        history = self.history
-        lost = history.steps == 0 or history.outage_steps > 0
-        here = self.position_m[None] if lost else np.zeros((0, 2))
         known = [
-            np.vstack([own.positions_m[own.power_dbm < radio.threshold_dbm], here])
-            for own, radio in zip(
+            np.vstack([own.positions_m[own.power_dbm < threshold], here_m])
+            for own, threshold in zip(
                 (station.measurements for station in self.stations),
-                self.problem.stations,
+                self.thresholds_dbm,
                 strict=True,
             )
         ]
         spacing = max(self.problem.channel.measure_spacing_m, SAME_PLACE_M)
         rule = MeasuringRule(spacing, tuple(known))
-        unmeasured = history.missed_m[rule.is_open(history.missed_m)]
+        missed = self.history.missed_m
+        unmeasured = missed[rule.is_open(missed)]
         if not len(unmeasured):
             return rule
         return MeasuringRule(spacing, tuple(np.vstack([places, unmeasured]) for places in known))
 
-    @cached_property
-    def links(self) -> KnownLinks:
-        """Positions at which the robot knows its connection state."""
-        history = self.history
-        return known_links(
-            self.stations,
-            self.thresholds_dbm,
-            history.missed_m,
-            self.position_m,
-            history.outage_steps == 0 if history.steps else None,
-            self.problem.channel.measure_spacing_m,
-        )
+    def probed(
+        self, places_m: NDArray[np.float64], predicted: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the probabilities of connection (...) of probes at positions (..., 2).
+
+        Known connections have probability one. Other positions that a robot would not probe have
+        probability zero, and the rest their `predicted` probability (...).
+        """
+        flat = places_m.reshape(-1, 2)
+        found = np.where(self._probing.is_open(flat), predicted.reshape(-1), 0.0)
+        connected = self.law.is_connected(flat)
+        away = np.abs(flat - self._connected_here_m[:, None]).max(axis=2)
+        connected |= (away <= SAME_PLACE_M).any(axis=0)
+        return np.where(connected, 1.0, found).reshape(predicted.shape)
+
+    @property
+    def connected_m(self) -> NDArray[np.float64]:
+        """Positions (k, 2) known to be connected."""
+        return np.vstack([self.law.connected_m, self._connected_here_m])
+
+    @property
+    def _connected_here_m(self) -> NDArray[np.float64]:
+        """The robot's position if its last packet arrived, (1, 2); otherwise empty, (0, 2)."""
+        arrived = self.history.steps > 0 and self.history.outage_steps == 0
+        return self.position_m[None] if arrived else np.zeros((0, 2))
 
     def chance(self, place_m: NDArray[np.float64]) -> float:
         """Return the connection probability at a position (2,), predicted individually."""
-        power = self.combined([search_power(each, place_m[None]) for each in self.stations])
+        power = search_prediction(self.law, place_m[None])
         threshold = self.problem.stations[0].threshold_dbm
         return float(connection_probability(power.mean_db, power.deviation_db, threshold)[0])
 

@@ -82,7 +82,7 @@ def rule_rows(context: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
     legs = np.linalg.norm(np.diff(np.vstack([context.position_m, path_m]), axis=0), axis=1)
     rule, p_min, count = rule_of(problem, legs), problem.constraints.p_min, len(path_m)
     threshold = problem.stations[0].threshold_dbm
-    power = context.power(path_m)
+    power = context.predicted(path_m)
     if rule.holds_steps:
         keeps = margins_asked_db(problem, power) >= 0.0
         asked = rule.held(keeps, history) & problem.constraints.asks_connection
@@ -141,7 +141,7 @@ def rows_again(
     if not rule.correlates(context.problem.constraints.p_min) or rows.weight is None:
         return None
     allowed, found = 1.0 - result.asked, 1.0 - result.achieved
-    power, most = context.power(path_m), float(rows.weight.sum())
+    power, most = context.predicted(path_m), float(rows.weight.sum())
     is_held = most - rows.sum_of(power) >= USED_SHARE * (most - rows.total)
     kept = not result.is_missed or result.slack_db > 0.0
     if kept and (found >= USED_UP_SHARE * allowed or not is_held):
@@ -170,7 +170,7 @@ def step_rows(context: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
     rows = rule_rows(context, path_m)
     if rows.weight is None:
         return rows
-    power = context.power(path_m)
+    power = context.predicted(path_m)
     chance = connection_probability(power.mean_db, power.deviation_db, rows.threshold_dbm)
     spare = (rows.sum_of(power) - rows.total) / max(float(rows.weight.sum()), 1e-9)
     level = chance - spare

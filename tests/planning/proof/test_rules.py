@@ -13,14 +13,13 @@ from scipy.special import ndtr
 from scipy.stats import binomtest
 
 from planopt import Verdict
-from planopt.channel import joint_connectivity, sample_power
+from planopt.channel import joint_connectivity, joint_prediction, sample_power
 from planopt.planning.plan import History, data_of_steps_mbit, history_of
 from planopt.planning.proof.connectivity_rules import (
     ACCURACY,
     SEED,
     joint_result,
     longest_run,
-    path_prediction,
     share_at_least,
 )
 from planopt.planning.proof.rule import rule_of
@@ -100,7 +99,7 @@ def test_joint_is_the_share_of_sampled_channels_that_connect_throughout():
 def test_joint_counts_less_its_error():
     """The integral's error is taken off, so that the bound is one."""
     problem = hand_made("joint", p_min=0.5)
-    prediction = path_prediction(belief_of(problem, faint).posterior, ALONG[1:])
+    prediction = joint_prediction(belief_of(problem, faint).posterior, ALONG[1:])
     found = joint_connectivity(prediction, THRESHOLD_DBM, np.random.default_rng(SEED), ACCURACY)
     result = joint_result(prediction, THRESHOLD_DBM, 0.5)
     assert found.exact.error > 0.0

@@ -102,11 +102,14 @@ def raised(problem: Problem, by_db: float) -> Problem:
 
 
 def any_of(problem: Problem, belief: Belief, path: np.ndarray) -> np.ndarray:
-    """P(any) along a path, by each station's own posterior."""
+    """P(any) along a path, by each station's own posterior, or by its reading at the place."""
     missed = np.ones(len(path))
     for posterior, radio in zip(belief.posteriors, problem.stations, strict=True):
-        power = posterior.predict(path)
-        missed *= ndtr((radio.threshold_dbm - power.mean_db) / power.deviation_db)
+        power, read = posterior.predict(path), posterior.measurements
+        each = ndtr((radio.threshold_dbm - power.mean_db) / power.deviation_db)
+        for place, dbm in zip(read.positions_m, read.power_dbm, strict=True):
+            each[(path == place).all(axis=1)] = float(dbm < radio.threshold_dbm)
+        missed *= each
     return 1.0 - missed
 
 

@@ -9,6 +9,7 @@ import pytest
 from terms_scene import TRACKING, context_of, scorer_of, terms_problem
 
 from planopt import Verdict
+from planopt.channel import Measurements
 from planopt.planning.planners import planner_for
 from planopt.planning.search import place_paths
 from planopt.planning.search.node_margins import NodeField
@@ -58,9 +59,12 @@ def test_known_connection_draws_the_robot(step):
     problem, context, _, ground = step
     here = context.position_m
     beside = here + np.array([1.1 * problem.step_length_m, 0.0])
-    links = replace(context.links, connected_m=beside[None], lost_m=np.zeros((0, 2)))
-    known = replace(context, target_m=np.tile(beside + (1.0, 0.0), (6, 1)))
-    object.__setattr__(known, "links", links)
+    reading = Measurements(beside[None], np.array([context.thresholds_dbm[0] + 1.0]))
+    known = replace(
+        context,
+        posteriors=(context.posterior.extend(reading),),
+        target_m=np.tile(beside + (1.0, 0.0), (6, 1)),
+    )
     ends = [way[-1] for way in found_ways(problem, known, ground)]
     np.testing.assert_array_equal(ends[0], beside)
 

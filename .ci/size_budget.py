@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 65_900,
-    "lines of code": 47_200,
-    "files": 285,
-    "functions": 3_500,
-    "docstring lines": 8_600,
-    "lines of tests": 47_000,
+    "lines": 67_300,
+    "lines of code": 48_200,
+    "files": 292,
+    "functions": 3_550,
+    "docstring lines": 8_740,
+    "lines of tests": 47_400,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

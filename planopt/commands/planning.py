@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from planopt.commands.options import AnimationOption, JsonOption, PlanningOptions, with_options
+from planopt.commands.options import (
+    AnimationOption,
+    JsonOption,
+    PlanningOptions,
+    option,
+    with_options,
+)
 from planopt.commands.output import drawing, progress, results_folder, say, show
 from planopt.errors import InputError, NoPlanError
 
@@ -15,10 +22,16 @@ if TYPE_CHECKING:
     from planopt.tasks.task import Action, Task
 
 
+ProveOption = Annotated[
+    float | None,
+    option("--prove", "SECONDS", "Also prove a bound on the objective, within this time."),
+]
+
+
 @with_options(PlanningOptions)
-def solve(options: PlanningOptions) -> int:
+def solve(options: PlanningOptions, prove: ProveOption = None) -> int:
     """Compute one plan from the start. Exit code 0 verified, 3 not verified, 4 no plan."""
-    return _perform("solve", options)
+    return _perform("solve", options, prove_s=prove)
 
 
 @with_options(PlanningOptions)
@@ -27,7 +40,12 @@ def simulate(options: PlanningOptions, animation: AnimationOption = False) -> in
     return _perform("simulate", options, animation)
 
 
-def _perform(action: Action, options: PlanningOptions, animation: bool = False) -> int:
+def _perform(
+    action: Action,
+    options: PlanningOptions,
+    animation: bool = False,
+    prove_s: float | None = None,
+) -> int:
     """Solve or simulate the problem, save, print and plot the result, and return the exit code."""
     from planopt.problems.load import load
     from planopt.problems.tasks import task_of
@@ -54,6 +72,12 @@ def _perform(action: Action, options: PlanningOptions, animation: bool = False) 
             say(line)
 
     settings: dict[str, Any] = {}
+    if prove_s is not None:
+        solver = task.function("solve")
+        if solver is not None and "prove_s" in signature(solver).parameters:
+            settings["prove_s"] = prove_s
+        else:
+            say(f"{problem.name}: --prove proves no bound for the task {problem.task}")
     if action == "simulate" and task.says_ahead and not options.json:
         settings["on_start"] = say_ahead
     report: Any

@@ -1,5 +1,6 @@
 """Public names for parts of one's own; each is imported from its module when it is first used."""
 
+from planopt.bounds.bound import Bound as Bound
 from planopt.files.tables import Column as Column
 from planopt.keys import Table as Table
 from planopt.objectives.terms.expression import OwnTerm as OwnTerm

@@ -43,7 +43,9 @@ TOLERANCES = {
 }
 """Tolerances of keys and columns other than `EXACT`."""
 
-ACCEPTED = frozenset(("iterations", "rung", "solve_s", "step_s", "termination", "wall_s"))
+ACCEPTED = frozenset(
+    ("bound_wall_s", "iterations", "rung", "solve_s", "step_s", "termination", "wall_s")
+)
 """Wall times, iteration counts, fallbacks and solver states, which cannot be recomputed."""
 
 TAKEN = frozenset(

@@ -10,6 +10,10 @@ metres, either everywhere or only if P is below p_min.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -45,6 +49,29 @@ def charged_length_m(lengths_m: NDArray[np.float64], share: NDArray[np.float64])
     """Return the length of a path (n + 1 positions) that the outage price applies to."""
     # Shapes: lengths_m (n,); share (n + 1,).
     return float(0.5 * lengths_m @ (share[:-1] + share[1:]))
+
+
+PIECE_M = 0.5
+"""Longest piece of the quadrature of a route's cost."""
+
+GAUSS = np.polynomial.legendre.leggauss(4)
+
+
+def integrated_cost_m(
+    metre_cost: Callable[[NDArray[np.float64]], NDArray[np.float64]], places_m: NDArray[np.float64]
+) -> float:
+    """Return the integral of the cost of a metre along a polyline (n, 2), by quadrature."""
+    lengths = np.linalg.norm(np.diff(places_m, axis=0), axis=1)
+    at, weights = 0.5 * (GAUSS[0] + 1.0), 0.5 * GAUSS[1]
+    points, shares = [np.zeros((0, 2))], [np.zeros(0)]
+    for (begin, end), length in zip(pairwise(places_m), lengths.tolist(), strict=True):
+        if length == 0.0:
+            continue
+        count = math.ceil(length / PIECE_M)
+        along = np.add.outer(np.arange(count, dtype=np.float64), at).ravel() / count
+        points.append(begin + along[:, None] * (end - begin))
+        shares.append(np.tile(weights * length / count, count))
+    return float(metre_cost(np.concatenate(points)) @ np.concatenate(shares))
 
 
 def path_cost_s(

@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.bounds.bound import Bound
 from planopt.planning.certificate import Certificate, Hole
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, DYNAMICS_TOLERANCE_M
 from planopt.problems.problem import Problem
@@ -133,6 +134,9 @@ class Plan:
         ``(r, 2)`` route found from the last position to the goal.
     holes
         Stretches of path and route to a goal that violate p_min.
+    bound
+        Proven bound on the objective; None unless a proof was required. A proof also smooths
+        `route_m`, whose cost then is the cost-to-go in `objective`.
     """
 
     robot: str
@@ -159,6 +163,7 @@ class Plan:
     drive: Drive | None = None
     route_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
     holes: tuple[Hole, ...] = ()
+    bound: Bound | None = None
 
     __repr__ = short_repr
 

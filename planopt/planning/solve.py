@@ -38,6 +38,9 @@ from planopt.short_repr import wrapped
 from planopt.world.clearance import containing_obstacle, index_obstacles
 from planopt.world.workspace import Obstacle
 
+LONGEST_PROOF_S = 1e6
+"""Largest time limit of a proof."""
+
 
 @one_blas_thread()
 def solve(
@@ -48,6 +51,7 @@ def solve(
     cost_to_go: str | None = None,
     seed: int = 0,
     measurements: UserMeasurements | None = None,
+    prove_s: float | None = None,
 ) -> Solution:
     """Plan for each robot from its start; the arguments are those of :func:`planopt.solve`.
 
@@ -57,7 +61,20 @@ def solve(
     problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
     # Detect an unreachable goal before reading the channel files.
     scenes = build_scenes(problem)
-    return solve_on(problem, prepare(problem, seed, given).belief, seed, scenes)
+    solution = solve_on(problem, prepare(problem, seed, given).belief, seed, scenes)
+    if prove_s is None:
+        return solution
+    if not 0.0 < prove_s <= LONGEST_PROOF_S:
+        raise InputError(
+            f"is {prove_s!r}",
+            key="prove_s",
+            remedy=f"give seconds above 0, at most {LONGEST_PROOF_S:,.0f}",
+        )
+    # Imported here, because solvers are imported where they are used.
+    from planopt.planning.prove import proven_plans
+
+    plans = proven_plans(solution.problem, solution.belief, solution.plans, prove_s)
+    return replace(solution, plans=plans)
 
 
 def solve_on(

@@ -20,6 +20,7 @@ from planopt.report.tables import reliability_lines
 from planopt.short_repr import shown_number
 
 if TYPE_CHECKING:
+    from planopt.bounds.bound import Bound
     from planopt.planning.loop.results import Run, Solution
     from planopt.planning.plan import Plan
 
@@ -44,8 +45,10 @@ def solution_in_words(solution: Solution) -> list[str]:
     if len(plans) > 1:
         total = sum(plan.objective for plan in plans)
         lines.append(f"  {_value(problem, total)}, the total of {len(plans)} plans")
+        lines += [f"  {line}" for line in bound_in_words(problem, solution.bound)]
     for number, plan in enumerate(plans):
         lines += [f"  {line}" for line in plan_in_words(problem_of_robot(problem, number), plan)]
+        lines += [f"    {line}" for line in bound_in_words(problem, plan.bound)]
         own = [one for one in solution.explanation if one.robot == plan.robot]
         # The coverage holes are already listed.
         lines += [f"  {one.why if isinstance(one, Crossing) else one}" for one in own]
@@ -78,6 +81,22 @@ def plan_in_words(problem: Problem, plan: Plan) -> list[str]:
         words = goal_in_words(problem, plan.holes)
         words += holes_in_words(problem, plan.holes, "the route to the goal crosses")
         lines += [f"  {line}" for line in words]
+    return lines
+
+
+def bound_in_words(problem: Problem, bound: Bound | None) -> list[str]:
+    """Return a proven bound, or why there is none, as lines of text."""
+    if bound is None:
+        return []
+    if bound.value is None:
+        return [f"no bound is proven: {bound.reason}"]
+    proven, cost = f"no plan exceeds {shown_number(bound.value)}", shown_number(bound.cost)
+    if problem.sense == "min":
+        proven = f"no plan costs less than {shown_number(bound.value, ' s')}"
+        cost = f"plan and route cost {shown_number(bound.cost, ' s')}"
+    lines = [f"proven: {proven}; {cost}, gap {bound.gap:.2%} ({bound.method})"]
+    if bound.relaxed:
+        lines.append(f"the bound ignores {', '.join(bound.relaxed)}: it holds, and is looser")
     return lines
 
 

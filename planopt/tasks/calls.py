@@ -33,6 +33,7 @@ def solve(
     cost_to_go: str | None = ...,
     seed: int = ...,
     measurements: UserMeasurements | None = ...,
+    prove_s: float | None = ...,
 ) -> Solution: ...
 def solve(
     problem: Problem | TaskProblem,
@@ -42,6 +43,7 @@ def solve(
     cost_to_go: str | None = None,
     seed: int = 0,
     measurements: UserMeasurements | None = None,
+    prove_s: float | None = None,
 ) -> Solution | TaskResult:
     """Plan once from the initial state: `horizon` steps for each robot, or a design or deployment.
 
@@ -60,6 +62,9 @@ def solve(
         Initial measurements that replace those of the problem: :class:`planopt.Measurements` or a
         table (dictionary or DataFrame) with ``x_m``, ``y_m`` in metres and ``power_dbm``; for
         several stations a sequence with one entry per station.
+    prove_s
+        Wall time in seconds for a proven bound on the objective of each plan, shared by the robots
+        (:class:`planopt.extend.Bound`); None without proof.
 
     Returns
     -------
@@ -88,6 +93,7 @@ def solve(
         planner=planner,
         cost_to_go=cost_to_go,
         measurements=measurements,
+        prove_s=prove_s,
     )
 
 

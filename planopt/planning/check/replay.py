@@ -34,6 +34,7 @@ from planopt.planning.loop.log import Outcome
 from planopt.planning.loop.metrics import COSTS
 from planopt.planning.loop.results import Run, Solution
 from planopt.planning.plan import Pivot, Plan, Rung, Verdict
+from planopt.planning.proof.bounds import verified_bound
 from planopt.planning.proof.context import VerifierContext, search_prediction, verifier_context
 from planopt.planning.proof.searches import GoalGrid
 from planopt.planning.proof.verify import verify
@@ -227,7 +228,7 @@ def _planning(saved: Saved) -> Planning:
                 if counts_others(own):
                     driven_m = places_of_others(at.driven_m, number)
                     aim = replace(aim, pending=replace(aim.pending, driven_m=driven_m))
-                plans.append(_verified_again(under, region, aim, by_robot[number][step]))
+                plans.append(_verified_again(under, region, aim, by_robot[number][step], len(owns)))
                 aims.append(aim)
                 grids[number] = under.laid_grid
             return plans, aims
@@ -274,6 +275,7 @@ def _verified_again(
     region: Region | None,  # None for runs to a goal
     aim: Aim,
     saved: SavedPlan,
+    robots: int,
 ) -> Plan:
     """Return a saved plan with all quantities recomputed from its trajectory."""
     problem, record, drive, path_m = context.problem, saved.record, saved.drive, saved.path_m.copy()
@@ -295,7 +297,7 @@ def _verified_again(
         places = np.vstack([path_m, route_m])
         ahead = search_prediction(context.law, places)
         holes = holes_on(problem, ahead, places)
-    return Plan(
+    plan = Plan(
         robot=problem.robots[0].name,
         t_s=problem.planner.step_s * np.arange(len(path_m), dtype=np.float64),
         positions_m=path_m,
@@ -320,6 +322,10 @@ def _verified_again(
         route_m=route_m,
         holes=holes,
     )
+    if not isinstance(record, RobotPlan) or record.bound_cost is None:
+        return plan
+    bound = verified_bound(problem, context.posteriors, plan, saved.potential, robots)
+    return replace(plan, bound=bound)
 
 
 def _reach_cost(context: VerifierContext, saved: SavedPlan, power: Prediction) -> float:

@@ -152,6 +152,11 @@ class Residual(Record):
     kkt_residual: NotNegative | None
 
 
+def _of_bound(name: str, missing: object = OMITTED) -> Source:
+    """Return a source of an attribute of the bound of a plan or solution."""
+    return Source(lambda of: missing if of.bound is None else getattr(of.bound, name))
+
+
 class RobotPlan(Trajectory):
     """One robot's plan in ``plan.json``."""
 
@@ -166,6 +171,13 @@ class RobotPlan(Trajectory):
     message: Computed
     route: Annotated[Places | None, Source(lambda plan: xy(plan.route_m))] = None
     holes: Annotated[Computed, Source(lambda plan: _holes(plan.holes))]
+    bound: Annotated[Computed, _of_bound("value")]
+    gap: Annotated[Computed, _of_bound("gap")]
+    bound_method: Annotated[Computed, _of_bound("method")]
+    bound_cost: Annotated[float | None, _of_bound("cost")] = None
+    bound_relaxed: Annotated[Computed, _of_bound("relaxed")]
+    bound_reason: Annotated[Computed, _of_bound("reason")]
+    bound_wall_s: Annotated[Computed, _of_bound("wall_s")]
 
     @property
     def residual(self) -> float | None:
@@ -250,14 +262,16 @@ Explanation = Annotated[tuple[Relaxation, ...], BeforeValidator(_RELAXATIONS.val
 
 
 class PlanRecord(Question):
-    """A solved problem; ``bound`` and ``gap`` are null because no bound is proven."""
+    """A solved problem; ``bound`` and ``gap`` are null unless a bound was proven."""
 
     termination: Annotated[Computed, _worst("termination")]
     verdict: Computed
     sense: Annotated[Computed, Source(lambda solution: solution.problem.sense)]
     objective: Annotated[Computed, _total("objective")]
-    bound: Annotated[Computed, Source(lambda _: None)]
-    gap: Annotated[Computed, Source(lambda _: None)]
+    bound: Annotated[Computed, _of_bound("value", None)]
+    gap: Annotated[Computed, _of_bound("gap", None)]
+    bound_method: Annotated[Computed, _of_bound("method", None)]
+    bound_cost: Annotated[Computed, _of_bound("cost", None)]
     wall_s: Annotated[Computed, _total("wall_s")]
     solve_s: Annotated[Computed, _total("solve_s")]
     iterations: Annotated[Computed, _total("iterations")]

@@ -15,6 +15,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.bounds.bound import Potential
 from planopt.errors import InputError
 from planopt.files.compare import DIGEST, digest
 from planopt.files.reading import read_text
@@ -31,6 +32,7 @@ from planopt.planning.files.belief_file import (
     read_belief,
     write,
 )
+from planopt.planning.files.bound_file import BOUND_FILE, bound_arrays, read_potentials
 from planopt.planning.files.result_json import (
     NoPlanRecord,
     PlanRecord,
@@ -61,7 +63,7 @@ PLAN_FILE, RUN_FILE = "plan.json", "run.json"
 
 PLAN_OR_RUN = (
     *(PLAN_FILE, RUN_FILE, STEPS_FILE, BELIEF_FILE, "belief_*.npz", TARGET_FILE),
-    *(KNOWLEDGE_FILE, "plan.png", "run.png", "run.gif", "series.png", "belief.png"),
+    *(BOUND_FILE, KNOWLEDGE_FILE, "plan.png", "run.png", "run.gif", "series.png", "belief.png"),
 )
 """Files of a plan or run, including figures; a folder contains either a plan or a run."""
 
@@ -87,17 +89,20 @@ class Contents:
     data: dict[str, Any]
     tables: dict[str, tuple[Sequence[Column], Data]]  # By file name
     beliefs: dict[str, Arrays]
+    bounds: Arrays = field(default_factory=dict[str, NDArray[Any]])  # Certificates of bounds
 
 
 def contents(result: Solution | Run) -> Contents:
     """Return the file contents of a solution, or of a run with one belief per robot."""
+    bounds: Arrays = {}
     if isinstance(result, Run):
         name, data = RUN_FILE, {**run_json(result), "plans": released_plans_json(result)}
         beliefs = dict(zip(belief_files(result.problem), beliefs_of_run(result), strict=True))
     else:
         name, data = PLAN_FILE, solution_json(result)
         beliefs = {BELIEF_FILE: belief_of_plan(result.belief)}
-    return Contents(name, {"format": FORMAT, **data}, tables_of(result), beliefs)
+        bounds = bound_arrays(result.plans)
+    return Contents(name, {"format": FORMAT, **data}, tables_of(result), beliefs, bounds)
 
 
 def save_result(result: Solution | Run, folder: Path) -> None:
@@ -106,6 +111,8 @@ def save_result(result: Solution | Run, folder: Path) -> None:
     with replaced_results(folder, PLAN_OR_RUN) as new:
         for name, arrays in files.beliefs.items():
             write(new / name, arrays)
+        if files.bounds:
+            write(new / BOUND_FILE, files.bounds)
         write_tables(new, files.tables)
         write_result(files.data, result.problem, new / files.name)
 
@@ -130,6 +137,7 @@ class SavedPlan:
     path_m: NDArray[np.float64]  # (N + 1, 2)
     drive: Drive | None
     motion: TimedMotion  # Motion along the path, and braking after it
+    potential: Potential | None = None  # Certificate of its bound
 
     @property
     def pivot(self) -> Pivot | None:
@@ -231,9 +239,15 @@ def saved_from(file: Path, data: Mapping[str, Any]) -> Saved:
         raise _damaged(file, key, message)
     if len({len(each) for each in made}) > 1:
         raise _damaged(file, key, f"{[len(each) for each in made]} plans of the robots")
+    potentials = (None,) * len(made)
+    if isinstance(record, PlanRecord):
+        potentials = read_potentials(file.parent / BOUND_FILE, len(made))
     plans = tuple(
-        tuple(_plan(file, where, problem, number, one) for where, one in each)
-        for number, each in enumerate(made)
+        tuple(
+            replace(_plan(file, where, problem, number, one), potential=potential)
+            for where, one in each
+        )
+        for number, (each, potential) in enumerate(zip(made, potentials, strict=True))
     )
     beliefs = tuple(read_belief(file.parent / name, len(problem.stations)) for name in names)
     read = {name: read_table(file.parent / name, each) for name, each in columns.items()}

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.bounds.bound import Bound, total_bound
 from planopt.channel.ground_truth import Truth
 from planopt.channel.posterior import Belief
 from planopt.errors import A_FOLDER, InputError, path_of
@@ -213,6 +214,12 @@ class Solution(Result):
     def verdict(self) -> Verdict:
         """Return the worst verdict of all plans."""
         return max((plan.verdict for plan in self.plans), key=list(Verdict).index)
+
+    @property
+    def bound(self) -> Bound | None:
+        """Return the bound on the sum of all objectives; None unless a proof was required."""
+        bounds = [plan.bound for plan in self.plans if plan.bound is not None]
+        return total_bound(bounds, self.problem.sense) if bounds else None
 
     @property
     def exit_code(self) -> int:

@@ -1,0 +1,1 @@
+"""Certified bounds: how far from the optimum a plan can be."""

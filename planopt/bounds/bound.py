@@ -1,0 +1,95 @@
+"""Proven bound on the objective of a problem, with its certificate."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.short_repr import short_repr
+
+
+@dataclass(frozen=True, eq=False)
+class Potential:
+    """Function V on a mesh, quadratic on each triangle: the certificate of a bound."""
+
+    nodes_m: NDArray[np.float64]  # (n, 2); node 0 is the start
+    corners: NDArray[np.intp]  # (t, 3) ascending nodes of all triangles
+    at_nodes: NDArray[np.float64]  # (n,)
+    at_sides: NDArray[
+        np.float64
+    ]  # (s,) at the middles of all sides, in ascending order of their nodes
+
+
+@dataclass(frozen=True)
+class Bound:
+    """Proven bound on the objective of one robot, or of all robots together.
+
+    No plan has a better objective than `value`, whatever the planner. A minimised objective has a
+    lower bound.
+
+    Attributes
+    ----------
+    value
+        Bound in the unit of the objective; None if none is proven.
+    cost
+        Objective of the solution that is compared with the bound, with the outage integrated along
+        plan and route (equation 6.13).
+    method
+        Name of the method, with its size; None if there is no bound.
+    reason
+        Reason why there is no bound; empty if there is one.
+    relaxed
+        Constraints that the bound ignores. It holds with them, and is looser.
+    wall_s
+        Time until the bound was found.
+    certificate
+        Data from which ``planopt check`` verifies the bound without a solver; None if not needed.
+
+    Examples
+    --------
+    >>> import planopt
+    >>> plan = planopt.solve(planopt.load("open_field"), prove_s=2.0).plan
+    >>> plan.bound.value < plan.bound.cost and plan.bound.gap < 0.05
+    True
+    """
+
+    value: float | None
+    cost: float
+    method: str | None = None
+    reason: str = ""
+    relaxed: tuple[str, ...] = ()
+    wall_s: float = 0.0
+    certificate: Potential | None = None
+
+    __repr__ = short_repr
+
+    @property
+    def gap(self) -> float | None:
+        """Return the relative gap ``|cost - value| / |cost|``; None without a bound."""
+        if self.value is None:
+            return None
+        return 0.0 if self.cost == self.value else abs(self.cost - self.value) / abs(self.cost)
+
+
+def total_bound(bounds: Sequence[Bound], sense: Literal["min", "max"]) -> Bound:
+    """Return the bound on the sum of the objectives of robots; none if one robot has none."""
+    cost = sum(bound.cost for bound in bounds)
+    if len(bounds) == 1:
+        return bounds[0]
+    missing = [bound.reason for bound in bounds if bound.value is None]
+    value = None if missing else sum(bound.value or 0.0 for bound in bounds)
+    methods = dict.fromkeys(bound.method for bound in bounds if bound.method)
+    relaxed = dict.fromkeys(words for bound in bounds for words in bound.relaxed)
+    side = "lower" if sense == "min" else "upper"
+    return Bound(
+        value,
+        cost,
+        None if missing else f"sum of the robots' {side} bounds: {'; '.join(methods)}",
+        missing[0] if missing else "",
+        tuple(relaxed),
+        sum(bound.wall_s for bound in bounds),
+    )

@@ -1,0 +1,195 @@
+"""Delaunay meshes of the free space whose sides contain the borders of obstacles."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy.spatial import Delaunay
+
+Array = NDArray[np.float64]
+
+FIRST_NODES = 500
+"""Nodes of the first mesh, obstacles not counted."""
+
+DEPTH_SHARE = 3e-4
+"""Mesh borders lie so far inside obstacles, in diagonals of the workspace; this leaves room to
+simplify them."""
+
+DEPTHS_M = (1e-3, 0.3)
+"""Smallest and largest such depth; thin obstacles have a smaller one."""
+
+SNAP_M = 1e-7
+"""Nodes within this distance of the border of the workspace are moved onto it."""
+
+MAX_SPLITS = 40
+"""Rounds of splitting borders; a border that is still no side of a triangle loosens the bound."""
+
+AREA_TOLERANCE = 1e-9
+"""Relative tolerance of the area of a mesh, for rounding."""
+
+
+@dataclass
+class Mesh:
+    """Triangulation of the workspace, whose nodes are added one after the other."""
+
+    nodes_m: Array  # (n, 2); node 0 is the start
+    borders: NDArray[np.intp]  # (m, 2) nodes at the ends of the parts of borders
+    # By the numbers of a triangle's nodes: least costs at its corners, and that at its centre
+    known: dict[tuple[int, ...], tuple[float, float, float, float]] = field(
+        default_factory=dict[tuple[int, ...], tuple[float, float, float, float]]
+    )
+
+    def triangles(self) -> NDArray[np.intp]:
+        """Split borders until they are sides; return ascending node numbers (t, 3)."""
+        corners = np.empty((0, 3), dtype=np.intp)
+        for _ in range(MAX_SPLITS):
+            corners = np.sort(np.asarray(Delaunay(self.nodes_m).simplices, dtype=np.intp), axis=1)
+            sides = np.unique(sides_of(corners) @ (len(self.nodes_m), 1))
+            missing = ~np.isin(np.sort(self.borders, axis=1) @ (len(self.nodes_m), 1), sides)
+            if not missing.any():
+                break
+            self.split(missing)
+        return corners
+
+    def split(self, chosen: NDArray[np.bool_]) -> None:
+        """Halve the chosen parts of borders."""
+        ends = self.borders[chosen]
+        middle = len(self.nodes_m) + np.arange(len(ends))
+        self.nodes_m = np.vstack([self.nodes_m, self.nodes_m[ends].mean(axis=1)])
+        halves = [np.column_stack([ends[:, 0], middle]), np.column_stack([middle, ends[:, 1]])]
+        self.borders = np.vstack([self.borders[~chosen], *halves])
+
+    def refine(self, chosen: NDArray[np.intp]) -> int:
+        """Halve the sides of the chosen triangles (k, 3); return the number of new nodes."""
+        sides = np.unique(sides_of(chosen), axis=0)
+        keys = sides @ (len(self.nodes_m), 1)
+        borders = np.sort(self.borders, axis=1) @ (len(self.nodes_m), 1)
+        inner, on_border = ~np.isin(keys, borders), np.isin(borders, keys)
+        middles = self.nodes_m[sides[inner]].mean(axis=1)
+        self.split(on_border)
+        self.nodes_m = np.vstack([self.nodes_m, middles])
+        return len(middles) + int(on_border.sum())
+
+
+def sides_of(corners: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the sides of triangles (t, 3) by the numbers of their ends; (3 t, 2)."""
+    return np.vstack([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [0, 2]]])
+
+
+def first_mesh(
+    bounds_m: tuple[float, float, float, float],
+    blocked: Sequence[shapely.Polygon],
+    start_m: Array,
+    goal_m: Array,
+    goal_radius_m: float,
+) -> Mesh:
+    """Return a mesh of the start, a grid, and the borders of workspace, obstacles and goal."""
+    x0, y0, x1, y1 = bounds_m
+    spacing = np.sqrt((x1 - x0) * (y1 - y0) / FIRST_NODES)
+    columns, rows = (max(2, round(side / spacing) + 1) for side in (x1 - x0, y1 - y0))
+    grid = np.stack(np.meshgrid(np.linspace(x0, x1, columns), np.linspace(y0, y1, rows)), axis=-1)
+    angle = np.linspace(0.0, 2.0 * np.pi, 24, endpoint=False)
+    circle = np.column_stack([np.cos(angle), np.sin(angle)])
+    circle = goal_m + 1.01 * goal_radius_m / np.cos(np.pi / 24) * circle
+    loose = np.vstack([grid.reshape(-1, 2), circle])
+    loose = loose[((loose >= (x0, y0)) & (loose <= (x1, y1))).all(axis=1)]
+    depth = float(np.clip(DEPTH_SHARE * np.hypot(x1 - x0, y1 - y0), *DEPTHS_M))
+    inner = shapely.get_parts([inside_of(polygon, depth) for polygon in blocked])
+    near, _ = shapely.STRtree(inner).query(
+        shapely.points(loose), predicate="dwithin", distance=0.2 * spacing
+    )
+    corner = np.isin(loose, [x0, x1])[:, 0] & np.isin(loose, [y0, y1])[:, 1]
+    dropped = np.isin(np.arange(len(loose)), near) & ~corner
+    nodes = [start_m[None], loose[~dropped]]
+    borders: list[NDArray[np.intp]] = []
+    count = sum(map(len, nodes))
+    region = shapely.box(*bounds_m)
+    for polygon in shapely.get_parts(shapely.intersection(inner, region)):
+        if not isinstance(polygon, shapely.Polygon):
+            continue
+        for ring in (polygon.exterior, *polygon.interiors):
+            dense: Any = shapely.segmentize(ring, spacing)  # pyright: ignore
+            corners: Array = shapely.get_coordinates(dense)[:-1]  # pyright: ignore
+            own = count + np.arange(len(corners))
+            borders.append(np.column_stack([own, np.roll(own, -1)]))
+            nodes.append(corners)
+            count += len(corners)
+    merged, first, number = np.unique(
+        np.round(np.vstack(nodes), 9), axis=0, return_index=True, return_inverse=True
+    )
+    for axis, (low, high) in enumerate(((x0, x1), (y0, y1))):
+        for value in (low, high):
+            merged[np.abs(merged[:, axis] - value) < SNAP_M, axis] = value
+    merged[number.ravel()[0]] = start_m
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    ends = rank[number.ravel()[np.vstack(borders)]] if borders else np.empty((0, 2), dtype=np.intp)
+    ends = np.unique(np.sort(ends[ends[:, 0] != ends[:, 1]], axis=1), axis=0)
+    return Mesh(merged[order], ends)
+
+
+def inside_of(polygon: shapely.Polygon, depth_m: float) -> shapely.Geometry:
+    """Return a simpler area inside a polygon, at most about twice the depth smaller."""
+    while depth_m > DEPTHS_M[0]:
+        simple = polygon.buffer(-depth_m).simplify(0.9 * depth_m)
+        if simple.area > 0.8 * polygon.area and polygon.covers(simple):
+            return simple
+        depth_m *= 0.25
+    return polygon.buffer(-DEPTHS_M[0])
+
+
+def covers_bounds(
+    nodes_m: Array, corners: NDArray[np.intp], bounds_m: tuple[float, float, float, float]
+) -> bool:
+    """Return whether triangles (t, 3) tile the workspace and share their sides.
+
+    Every side belongs to two triangles or lies on the border, and the areas add up to that of the
+    workspace. A continuous function on such a mesh is defined by its values at the nodes.
+    """
+    x0, y0, x1, y1 = bounds_m
+    if not (nodes_m >= (x0, y0)).all() or not (nodes_m <= (x1, y1)).all():
+        return False
+    sides, number = np.unique(sides_of(np.sort(corners, axis=1)), axis=0, return_counts=True)
+    if (number > 2).any():
+        return False
+    ends = nodes_m[sides[number == 1]]
+    on_border = np.zeros(len(ends), dtype=bool)
+    for axis, values in ((0, (x0, x1)), (1, (y0, y1))):
+        for value in values:
+            on_border |= (ends[:, :, axis] == value).all(axis=1)
+    area = np.abs(doubled_areas(nodes_m, corners)).sum() / 2.0
+    whole = (x1 - x0) * (y1 - y0)
+    return bool(on_border.all()) and abs(area - whole) <= AREA_TOLERANCE * whole
+
+
+def doubled_areas(nodes_m: Array, corners: NDArray[np.intp]) -> Array:
+    """Return twice the signed areas of triangles (t, 3)."""
+    a, b, c = (nodes_m[corners[:, i]] for i in range(3))
+    return (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
+
+
+def enclosing_discs(corners_m: Array) -> tuple[Array, Array]:
+    """Return discs that hold triangles (t, 3, 2): about the longest side, or the circumcircle."""
+    a, b, c = corners_m[:, 0], corners_m[:, 1], corners_m[:, 2]
+    lengths = np.linalg.norm(np.stack([b - c, c - a, a - b], axis=1), axis=2)
+    longest = lengths.argmax(axis=1)
+    rows = np.arange(len(a))
+    middles = np.stack([b + c, c + a, a + b], axis=1) / 2.0
+    centre = middles[rows, longest]
+    radius = lengths[rows, longest] / 2.0
+    outside = np.linalg.norm(corners_m[rows, longest] - centre, axis=1) > radius
+    u, v = b - a, c - a
+    double = 2.0 * (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
+    uu, vv = (u**2).sum(axis=1), (v**2).sum(axis=1)
+    across = np.column_stack([v[:, 1] * uu - u[:, 1] * vv, u[:, 0] * vv - v[:, 0] * uu])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        about = a + across / double[:, None]
+    centre = np.where(outside[:, None], about, centre)
+    radius = np.linalg.norm(corners_m - centre[:, None], axis=2).max(axis=1)
+    return centre, radius * (1.0 + 1e-9)

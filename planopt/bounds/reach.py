@@ -1,0 +1,98 @@
+"""Route problems of planning problems: metre costs and free space of one robot's objective.
+
+A bound is stated only where every plan of the robot costs at least the cheapest route of the route
+problem. Constraints that would only raise the cost are ignored; they are named.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from planopt.bounds.route import RouteProblem
+from planopt.channel.posterior import ChannelPosterior
+from planopt.objectives.reach import cost_rate_s_m
+from planopt.problems.problem import Problem
+from planopt.robots.models import DoubleIntegrator, SingleIntegrator, Unicycle
+
+LEAST_FADING_DB = 0.05
+"""Smallest standard deviation of multipath fading for which probabilities are enclosed."""
+
+SAG_SHARE = 1.001
+"""Factor on the sag of a step, for the verifier's tolerance of inputs."""
+
+
+def why_unbounded(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> str:
+    """Return why no bound is proven for the first robot of a problem; empty if one can be."""
+    if problem.task != "reach":
+        return f"no bound is implemented for the task {problem.task}"
+    rule, stations = problem.constraints.rule, len(problem.stations)
+    if rule.parameter_uncertainty != "path_loss":
+        return "no bound is implemented for constraints.parameter_uncertainty = all"
+    if rule.slack_max_db and stations > 1:
+        return "no bound is implemented for slack_max_db with several stations"
+    if any((posterior.measurements.receiver != 0).any() for posterior in posteriors):
+        return "no bound is implemented for several receivers"
+    if any(not posterior.has_factor for posterior in posteriors):
+        return f"no bound is implemented beyond {posteriors[0].exact_limit:,} measurements"
+    if any(posterior.parameters.multipath_std_db < LEAST_FADING_DB for posterior in posteriors):
+        return f"no bound is implemented for multipath fading below {LEAST_FADING_DB:g} dB"
+    if longest_sag_m(problem) is None:
+        return "no bound is implemented for user-defined dynamics"
+    return ""
+
+
+def relaxed_constraints(problem: Problem, robots: int) -> tuple[str, ...]:
+    """Return the constraints that the bound of a robot ignores, in words."""
+    rule = problem.constraints.rule
+    found: list[str] = []
+    if problem.constraints.asks_connection and not rule.is_plain:
+        name = "p_min at each step" if rule.by_step else f"the rule {rule.connectivity}"
+        found.append(f"{name} (outage is only priced)")
+    if problem.workspace.moving:
+        found.append("moving obstacles")
+    if problem.workspace.timed:
+        found.append("obstacles that appear or disappear")
+    if not problem.robots[0].moves_freely:
+        found.append("inertia and turning")
+    if robots > 1:
+        found.append("the separation of robots")
+    return tuple(found)
+
+
+def longest_sag_m(problem: Problem) -> float | None:
+    """Return how far a step may be from its chord, in metres; None if unknown (equation 6.16)."""
+    dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
+    if type(dynamics) is SingleIntegrator:
+        return 0.0
+    if type(dynamics) is DoubleIntegrator:
+        return SAG_SHARE * dynamics.acceleration_max_m_s2 * step_s**2 / 8.0
+    if type(dynamics) is Unicycle and -dynamics.speed_min_m_s <= dynamics.speed_max_m_s:
+        return SAG_SHARE * dynamics.speed_max_m_s * dynamics.turn_rate_max_rad_s * step_s**2 / 8.0
+    return None
+
+
+def route_problem(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> RouteProblem:
+    """Return the route problem of the first robot of a problem."""
+    reach, constraints = problem.reach, problem.constraints
+    slack_db = constraints.rule.slack_max_db or 0.0
+    # Beyond the horizon a geodesic cost-to-go does not charge outage.
+    price = reach.outage_price if reach.cost_to_go == "connected" else 0.0
+    return RouteProblem(
+        bounds_m=problem.workspace.bounds_m,
+        obstacles=[obstacle.polygon for obstacle in problem.workspace.lasting],
+        clearance_m=constraints.clearance_m - (longest_sag_m(problem) or 0.0),
+        start_m=np.asarray(problem.robots[0].start_m, dtype=np.float64),
+        goal_m=np.asarray(problem.goal_m, dtype=np.float64),
+        goal_radius_m=constraints.goal_radius_m,
+        price=price,
+        free_above=2.0 if reach.charges_everywhere else constraints.p_min,
+        posteriors=posteriors,
+        thresholds_dbm=[station.threshold_dbm - slack_db for station in problem.stations],
+    )
+
+
+def rate_s_m(problem: Problem) -> float:
+    """Return the least cost per metre in s/m (equation 4.16)."""
+    return cost_rate_s_m(problem.reach.effort_weight_s2_m2, problem.robots[0].speed_max_m_s)

@@ -1,0 +1,426 @@
+"""Lower bounds on the cost of every route to a goal, by duality.
+
+A metre at x costs ``w(x) = 1 + price (1 - P(x))`` metres. Every function V with ``|grad V| <= w``
+in the free space and ``V <= 0`` at the goal proves that every route costs at least V(start):
+integrate the gradient along it (theorem 6.14). V is quadratic on the triangles of a
+mesh and continuous, so that its gradient is linear on each, and ``|grad V|`` is convex. With w
+replaced by a certified linear lower bound, the three corners of a triangle suffice. The best V
+solves a second-order cone programme. It is divided by its largest violation, so that the bound
+holds whatever the solver's tolerance. The mesh is refined where the flow that is dual to V is
+strong.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from time import monotonic
+from typing import Any, cast
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse import csgraph
+
+from planopt.bounds.bound import Potential
+from planopt.bounds.enclosure import ROUNDING, PowerEnclosure
+from planopt.bounds.mesh import (
+    Mesh,
+    covers_bounds,
+    doubled_areas,
+    enclosing_discs,
+    first_mesh,
+    sides_of,
+)
+from planopt.channel.posterior import ChannelPosterior
+from planopt.world.shortest_paths import INNER_SHARE
+
+Array = NDArray[np.float64]
+
+FIRST_TRIANGLES = 3_000
+"""The corridor of good routes is refined up to so many triangles before the first solve."""
+
+GROWTH = 1.8
+"""Ratio of the numbers of triangles of two solves."""
+
+MAX_TRIANGLES = 60_000
+"""Largest mesh; a solve takes about a minute."""
+
+LOOSE_SHARE = 0.01
+"""Triangles in the corridor are refined if their cost is certified less exactly than this."""
+
+CORRIDOR_SHARE = 1.15
+"""Ratio of the longest path through the corridor to the shortest path."""
+
+FLOW_WEIGHT = 0.005
+"""Expected relative gain of halving a triangle whose cost is certified exactly."""
+
+SCORE_SHARE = 0.95
+"""Share of the possible gain in the triangles that are refined."""
+
+FRAME_SHARE = 0.02
+"""Width of the blocked frame around the workspace, in diagonals of it."""
+
+CLEARANCE_TOLERANCE_M = 1e-5
+"""Obstacles are grown by this much less than the clearance, for the verifier's tolerance."""
+
+SOLVER_TOLERANCE = 1e-3
+"""Relative gap of the solver; it costs tightness only."""
+
+EPSILON = 32.0 * np.finfo(float).eps
+"""Relative rounding error of a gradient."""
+
+
+@dataclass(frozen=True)
+class RouteProblem:
+    """Cost of a route, and the free space."""
+
+    bounds_m: tuple[float, float, float, float]
+    obstacles: Sequence[shapely.Polygon]
+    clearance_m: float  # Negative if routes may cut through obstacles by as much
+    start_m: Array  # (2,)
+    goal_m: Array  # (2,)
+    goal_radius_m: float
+    price: float  # Of a metre out of contact, in metres
+    free_above: float  # Probability from which on outage is not charged; above 1 if it always is
+    posteriors: Sequence[ChannelPosterior]  # One for each station
+    thresholds_dbm: Sequence[float]
+
+
+@dataclass(frozen=True)
+class RouteBound:
+    """A certified lower bound on the cost of every route."""
+
+    value_m: float
+    triangles: int  # In the free space
+    seconds: float
+    potential: Potential | None  # None for the straight-line distance
+
+
+def route_bounds(problem: RouteProblem, seconds: float) -> Iterator[RouteBound]:
+    """Improve a lower bound until the time is over; each value is certified.
+
+    Parameters
+    ----------
+    problem
+        The route.
+    seconds
+        Wall time. The last solve is interrupted, and its iterate certifies a bound as well.
+    """
+    begun = monotonic()
+    straight = float(np.linalg.norm(problem.goal_m - problem.start_m)) - problem.goal_radius_m
+    best = RouteBound(max(0.0, straight) * (1.0 - ROUNDING), 0, 0.0, None)
+    yield best
+    blocked = blocked_areas(problem)
+    if not blocked.reaches_goal:
+        return
+    mesh = first_mesh(
+        *(problem.bounds_m, blocked.parts, problem.start_m, problem.goal_m, problem.goal_radius_m)
+    )
+    powers = [PowerEnclosure(posterior) for posterior in problem.posteriors]
+    wanted = 0
+    while True:
+        corners = mesh.triangles()
+        is_open = blocked.is_open(mesh.nodes_m, corners)
+        inner = corners[is_open]
+        cost, middle = _known_costs(problem, powers, mesh, inner)
+        loose = 1.0 - cost.mean(axis=1) / middle
+        wanted = wanted or max(FIRST_TRIANGLES, round(1.5 * len(inner)))
+        if best.potential is None and len(inner) < wanted and monotonic() - begun < 0.4 * seconds:
+            chosen = inner[_corridor(problem, mesh.nodes_m, inner, middle) & (loose > LOOSE_SHARE)]
+            largest = _largest(mesh.nodes_m, chosen, wanted - len(inner))
+            if mesh.refine(largest) > 0.02 * len(inner):
+                continue
+        left = seconds - (monotonic() - begun)
+        if best.potential is not None and left <= 0.0:
+            return
+        solved = monotonic()
+        at_goal = _touches_goal(problem, mesh.nodes_m, inner)
+        potential, flow = _best_potential(
+            mesh.nodes_m, corners, is_open, cost, at_goal, max(left, 0.1)
+        )
+        value = _certified_value(potential, is_open, cost, at_goal)
+        covered = covers_bounds(mesh.nodes_m, corners, problem.bounds_m)
+        elapsed = monotonic() - begun
+        if covered and value > best.value_m:
+            best = RouteBound(value, len(inner), elapsed, potential)
+            yield best
+        solved = monotonic() - solved
+        left = seconds - elapsed
+        # A solve takes time about proportional to the triangles to the power of 1.3.
+        growth = min(GROWTH, (0.8 * max(left, 0.0) / solved) ** (1.0 / 1.3))
+        room = min(growth * len(inner), MAX_TRIANGLES) - len(inner)
+        if room < 0.02 * len(inner):
+            return
+        gain = (flow[:, None] * (middle[:, None] * (1.0 + FLOW_WEIGHT) - cost)).sum(axis=1)
+        mesh.refine(inner[_refined(inner, gain, loose, round(room / 3.0), len(mesh.nodes_m))])
+
+
+def _refined(
+    corners: NDArray[np.intp], gain: Array, loose: Array, count: int, nodes: int
+) -> NDArray[np.intp]:
+    """Return at most `count` triangles with the largest gains, and loose ones next to them."""
+    order = np.argsort(-gain)
+    reached = np.cumsum(gain[order]) < SCORE_SHARE * float(gain.sum())
+    enough = int(np.count_nonzero(reached)) + 1
+    strong = order[: min(enough, max(1, count))]
+    near = np.zeros(nodes, dtype=bool)
+    near[corners[strong]] = True
+    beside = near[corners].any(axis=1) & (loose > LOOSE_SHARE)
+    beside[strong] = False
+    others = np.flatnonzero(beside)
+    others = others[np.argsort(-loose[others])]
+    return np.concatenate([strong, others[: max(0, count - len(strong))]])
+
+
+def verified_value(problem: RouteProblem, potential: Potential) -> float:
+    """Return the bound that a potential proves, in metres; 0 if it proves none.
+
+    The costs of all triangles are certified again; no solver is called.
+    """
+    nodes_m, corners = potential.nodes_m, potential.corners
+    arrays = (nodes_m, potential.at_nodes, potential.at_sides)
+    is_whole = (
+        all(np.isfinite(array).all() for array in arrays)
+        and corners.min(initial=0) >= 0
+        and corners.max(initial=0) < len(nodes_m)
+        and (np.diff(corners, axis=1) > 0).all()
+        and len(potential.at_nodes) == len(nodes_m)
+        and len(potential.at_sides) == len(np.unique(sides_of(corners), axis=0))
+        and np.array_equal(nodes_m[0], problem.start_m)
+        and covers_bounds(nodes_m, corners, problem.bounds_m)
+    )
+    blocked = blocked_areas(problem)
+    if not is_whole or not blocked.reaches_goal:
+        return 0.0
+    is_open = blocked.is_open(nodes_m, corners)
+    powers = [PowerEnclosure(posterior) for posterior in problem.posteriors]
+    cost, _ = metre_costs(problem, powers, nodes_m[corners[is_open]])
+    at_goal = _touches_goal(problem, nodes_m, corners[is_open])
+    return _certified_value(potential, is_open, cost, at_goal)
+
+
+@dataclass(frozen=True, eq=False)
+class BlockedAreas:
+    """Areas that no route enters: grown obstacles, and free space apart from the start."""
+
+    parts: Sequence[shapely.Polygon]
+    tree: shapely.STRtree
+    reaches_goal: bool  # Whether the start's part of the free space touches the goal
+
+    def is_open(self, nodes_m: Array, corners: NDArray[np.intp]) -> NDArray[np.bool_]:
+        """Return which triangles (t, 3) are not inside a blocked area; (t,)."""
+        inside, _ = self.tree.query(shapely.polygons(nodes_m[corners]), predicate="covered_by")
+        is_open = np.ones(len(corners), dtype=bool)
+        is_open[inside] = False
+        return is_open
+
+
+def blocked_areas(problem: RouteProblem) -> BlockedAreas:
+    """Return the areas that no route enters."""
+    by_m = problem.clearance_m
+    if by_m > 0.0:
+        # GEOS grows polygons by up to a hundredth too much. Contact is a collision in any case.
+        by_m = max(0.0, by_m * INNER_SHARE - CLEARANCE_TOLERANCE_M)
+    grown = shapely.union_all([polygon.buffer(by_m) for polygon in problem.obstacles])
+    box = shapely.box(*problem.bounds_m)
+    free = shapely.get_parts(box.difference(grown))
+    goal = shapely.Point(problem.goal_m).buffer(_outer_radius_m(problem), quad_segs=64)
+    own = [part for part in free if part.intersects(shapely.Point(problem.start_m))]
+    # The frame joins obstacles at the border, so that nothing passes between them and the border.
+    x0, y0, x1, y1 = problem.bounds_m
+    width = FRAME_SHARE * float(np.hypot(x1 - x0, y1 - y0))
+    frame = shapely.box(x0 - width, y0 - width, x1 + width, y1 + width)
+    parts = [
+        part
+        for part in shapely.get_parts(frame.difference(shapely.union_all(own)))
+        if isinstance(part, shapely.Polygon)
+    ]
+    reaches = any(part.intersects(goal) for part in own)
+    return BlockedAreas(parts, shapely.STRtree(parts), reaches)
+
+
+def _outer_radius_m(problem: RouteProblem) -> float:
+    """Return the radius of a polygon with 256 corners about the goal's disc."""
+    return problem.goal_radius_m / float(np.cos(np.pi / 256)) + CLEARANCE_TOLERANCE_M
+
+
+def _touches_goal(
+    problem: RouteProblem, nodes_m: Array, corners: NDArray[np.intp]
+) -> NDArray[np.bool_]:
+    """Return which triangles touch the goal's disc; (t,)."""
+    goal = shapely.Point(problem.goal_m).buffer(_outer_radius_m(problem), quad_segs=64)
+    shapely.prepare(goal)
+    return np.asarray(shapely.intersects(goal, shapely.polygons(nodes_m[corners])), dtype=bool)
+
+
+def _corridor(
+    problem: RouteProblem, nodes_m: Array, corners: NDArray[np.intp], middle: Array
+) -> NDArray[np.bool_]:
+    """Return which triangles good routes may cross, by shortest paths over their sides; (t,)."""
+    sides, first = np.unique(sides_of(corners), axis=0, return_index=True)
+    length = np.linalg.norm(np.diff(nodes_m[sides], axis=1)[:, 0], axis=1)
+    length *= np.tile(middle, 3)[first]
+    graph = sparse.coo_array((length, tuple(sides.T)), shape=(len(nodes_m),) * 2).tocsr()
+    goal = int(np.linalg.norm(nodes_m - problem.goal_m, axis=1).argmin())
+    search = csgraph.dijkstra  # pyright: ignore
+    towards = cast("Array", search(graph, directed=False, indices=[0, goal]))
+    through: Array = towards.sum(axis=0)
+    return through[corners].min(axis=1) <= CORRIDOR_SHARE * towards[0, goal]
+
+
+def _largest(nodes_m: Array, corners: NDArray[np.intp], room: int) -> NDArray[np.intp]:
+    """Return the largest of these triangles (k, 3), as many as `room` more permit."""
+    area = np.abs(doubled_areas(nodes_m, corners))
+    return corners[np.argsort(-area)[: max(1, room // 3)]]
+
+
+def _known_costs(
+    problem: RouteProblem,
+    powers: Sequence[PowerEnclosure],
+    mesh: Mesh,
+    corners: NDArray[np.intp],
+) -> tuple[Array, Array]:
+    """Return :func:`metre_costs` of triangles (t, 3), computed once for each triangle."""
+    keys = [tuple(row) for row in corners.tolist()]
+    new = [k for k, key in enumerate(keys) if key not in mesh.known]
+    if new:
+        least, middle = metre_costs(problem, powers, mesh.nodes_m[corners[new]])
+        for k, row, centre in zip(new, least.tolist(), middle.tolist(), strict=True):
+            mesh.known[keys[k]] = (*row, centre)
+    found = np.array([mesh.known[key] for key in keys])
+    return found[:, :3], found[:, 3]
+
+
+def metre_costs(
+    problem: RouteProblem, powers: Sequence[PowerEnclosure], corners_m: Array
+) -> tuple[Array, Array]:
+    """Return certified metre costs at corners of triangles (t, 3), and those at centres (t,).
+
+    The cost at every point of a triangle (t, 3, 2) is at least the linear interpolation.
+    """
+    count = len(corners_m)
+    if problem.price == 0.0:
+        return np.ones((count, 3)), np.ones(count)
+    centre, radius = enclosing_discs(corners_m)
+    offset = corners_m - centre[:, None]
+    silent, at_centre = np.ones((count, 3)), np.ones(count)
+    for power, threshold in zip(powers, problem.thresholds_dbm, strict=True):
+        model = power.over(centre, radius)
+        bound = model.probability_above(threshold)
+        own = 1.0 - bound.value[:, None] - np.einsum("ncd,nd->nc", offset, bound.slope)
+        silent = _product_below(silent, np.where(own.min(axis=1)[:, None] < 0.0, 0.0, own))
+        at_centre *= 1.0 - model.probability(threshold)
+    silent[~(1.0 - silent.min(axis=1) < problem.free_above)] = 0.0
+    at_centre[1.0 - at_centre >= problem.free_above] = 0.0
+    # An undefined enclosure, of a triangle without area, certifies nothing.
+    silent = np.nan_to_num(silent, nan=0.0, posinf=0.0, neginf=0.0)
+    return 1.0 + problem.price * silent, 1.0 + problem.price * at_centre
+
+
+def _product_below(one: Array, other: Array) -> Array:
+    """Corners of a linear lower bound on the product of two linear functions >= 0; (t, 3) each.
+
+    On a triangle the product of linear functions exceeds its linear interpolation by at least the
+    sum of the negative products of their differences along the sides, each at most a quarter.
+    """
+    product = one * other
+    following = [1, 2, 0]
+    across = (one - one[:, following]) * (other - other[:, following])
+    return np.maximum(product - 0.25 * np.maximum(across, 0.0).sum(axis=1)[:, None], 0.0)
+
+
+def _best_potential(
+    nodes_m: Array,
+    corners: NDArray[np.intp],
+    is_open: NDArray[np.bool_],
+    cost: Array,
+    at_goal: NDArray[np.bool_],
+    limit_s: float,
+) -> tuple[Potential, Array]:
+    """Return the potential with the largest value at the start, and the dual flow (t,)."""
+    import clarabel
+
+    # The module has no type information.
+    solvers: Any = clarabel
+    unknown, slope_x, slope_y = _slopes(nodes_m, corners)
+    sides = int(unknown.max()) + 1 - len(nodes_m)
+    unknown, slope_x, slope_y = unknown[is_open], slope_x[is_open], slope_y[is_open]
+    free = np.setdiff1d(unknown, unknown[at_goal])
+    number = np.full(len(nodes_m) + sides, -1)
+    number[free] = np.arange(len(free))
+    count = 3 * len(unknown)
+    potential = np.zeros(len(number))
+    flow = np.zeros(len(unknown))
+    if number[0] >= 0:
+        # One cone (w, dV/dx, dV/dy) for each corner of each triangle.
+        row = np.repeat(np.arange(count), 6)
+        column = number[np.repeat(unknown, 3, axis=0)].ravel()
+        kept = column >= 0
+        row, column = row[kept], column[kept]
+        values = np.concatenate([-slope_x.reshape(-1)[kept], -slope_y.reshape(-1)[kept]])
+        places = (np.concatenate([3 * row + 1, 3 * row + 2]), np.tile(column, 2))
+        matrix = sparse.csc_matrix((values, places), shape=(3 * count, len(free)))
+        limits = np.zeros(3 * count)
+        limits[::3] = cost.ravel()
+        aim = np.zeros(len(free))
+        aim[number[0]] = -1.0
+        settings = solvers.DefaultSettings()
+        settings.verbose = False
+        settings.time_limit = limit_s
+        settings.tol_gap_rel = settings.tol_gap_abs = settings.tol_feas = SOLVER_TOLERANCE
+        cones: list[Any] = [solvers.SecondOrderConeT(3)] * count
+        nothing = sparse.csc_matrix((len(free), len(free)))
+        solver = solvers.DefaultSolver(nothing, aim, matrix, limits, cones, settings)
+        solution = solver.solve()
+        potential[free] = np.nan_to_num(np.asarray(solution.x), posinf=0.0, neginf=0.0)
+        flow = np.nan_to_num(np.asarray(solution.z)[::3]).clip(0.0).reshape(-1, 3).sum(axis=1)
+    at_nodes, at_sides = potential[: len(nodes_m)], potential[len(nodes_m) :]
+    return Potential(nodes_m, corners, at_nodes, at_sides), flow
+
+
+def _certified_value(
+    potential: Potential, is_open: NDArray[np.bool_], cost: Array, at_goal: NDArray[np.bool_]
+) -> float:
+    """Return the bound that a potential proves with costs (t, 3) at the corners; 0 if none."""
+    unknown, *slopes = _slopes(potential.nodes_m, potential.corners)
+    values = np.concatenate([potential.at_nodes, potential.at_sides])[unknown[is_open]]
+    with np.errstate(all="ignore"):
+        parts = [
+            np.abs(np.einsum("tcu,tu->tc", part, values))
+            + EPSILON * np.einsum("tcu,tu->tc", np.abs(part), np.abs(values))
+            for part in (slope[is_open] for slope in slopes)
+        ]
+        worst = float((np.hypot(*parts) / cost).max())
+    # V is at most its largest Bernstein coefficient: corners, and those of the sides.
+    ends = values[at_goal][:, [[1, 2], [0, 2], [0, 1]]].sum(axis=2)
+    sides = 2.0 * values[at_goal][:, 3:] - 0.5 * ends
+    top = float(np.maximum(values[at_goal][:, :3].max(), sides.max()))
+    value = (float(potential.at_nodes[0]) - top) / max(1.0, worst) * (1.0 - ROUNDING)
+    return value if np.isfinite(value) and np.isfinite(worst) else 0.0
+
+
+def _slopes(nodes_m: Array, corners: NDArray[np.intp]) -> tuple[NDArray[np.intp], Array, Array]:
+    """Return the unknowns of each triangle and their shares of the gradient of V at its corners.
+
+    The unknowns (t, 6) are the values at corners, then those at the middles of the sides opposite
+    to them; the slopes (t, 3, 6) have a row for each corner.
+    """
+    a, b, c = (nodes_m[corners[:, i]] for i in range(3))
+    double = doubled_areas(nodes_m, corners)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        sides = np.stack([b - c, c - a, a - b], axis=1) / double[:, None, None]
+    hat = (sides[:, :, 1], -sides[:, :, 0])  # Gradients of the barycentric coordinates
+    share = np.zeros((3, 6, 3))  # Corner, unknown, barycentric coordinate
+    for i in range(3):
+        for j in range(3):
+            share[i, j, j] = 3.0 if i == j else -1.0
+            p, q = (j + 1) % 3, (j + 2) % 3
+            share[i, 3 + j, p] = 4.0 if i == q else 0.0
+            share[i, 3 + j, q] = 4.0 if i == p else 0.0
+    slopes = [np.einsum("iuj,tj->tiu", share, part) for part in hat]
+    opposite = corners[:, [[1, 2], [0, 2], [0, 1]]].reshape(-1, 2)
+    _, number = np.unique(opposite[:, 0] * len(nodes_m) + opposite[:, 1], return_inverse=True)
+    unknown = np.column_stack([corners, len(nodes_m) + number.reshape(-1, 3)])
+    return unknown, slopes[0], slopes[1]

@@ -1,0 +1,99 @@
+"""Verification of a proven bound, and the cost that is compared with it.
+
+The bound holds for the cost with the outage integrated along the route (equation 6.13).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.bounds.bound import Bound, Potential
+from planopt.bounds.reach import rate_s_m, relaxed_constraints, route_problem, why_unbounded
+from planopt.bounds.route import route_bounds, verified_value
+from planopt.channel.posterior import ChannelPosterior
+from planopt.objectives.reach import integrated_cost_m, outage_share, path_cost_s
+from planopt.planning.plan import Plan
+from planopt.planning.proof.context import connectivity_law
+from planopt.problems.problem import Problem
+
+
+def bound_of(
+    problem: Problem,
+    posteriors: Sequence[ChannelPosterior],
+    plan: Plan,
+    value_m: float,
+    potential: Potential | None,
+    robots: int,
+) -> Bound:
+    """Return the bound on the first robot's objective from one on the cost of its route."""
+    triangles = 0 if potential is None else len(potential.corners)
+    method = f"potential on {triangles} triangles" if triangles else "distance to the goal"
+    return Bound(
+        rate_s_m(problem) * value_m,
+        integrated_cost_s(problem, posteriors, plan),
+        method,
+        relaxed=relaxed_constraints(problem, robots),
+        certificate=potential,
+    )
+
+
+def verified_bound(
+    problem: Problem,
+    posteriors: Sequence[ChannelPosterior],
+    plan: Plan,
+    potential: Potential | None,
+    robots: int,
+) -> Bound:
+    """Return the bound that a saved potential proves for the plan of the first robot."""
+    reason = why_unbounded(problem, posteriors)
+    if reason:
+        return Bound(None, plan.objective, reason=reason)
+    route = route_problem(problem, posteriors)
+    if potential is None:
+        value_m = next(iter(route_bounds(route, 0.0))).value_m
+    else:
+        value_m = verified_value(route, potential)
+    return bound_of(problem, posteriors, plan, value_m, potential, robots)
+
+
+def metre_cost_of(
+    problem: Problem, posteriors: Sequence[ChannelPosterior]
+) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+    """Return the function from positions (n, 2) to the cost of a metre there (equation 4.17)."""
+    law, reach = connectivity_law(problem, posteriors), problem.reach
+    slack_db = problem.constraints.rule.slack_max_db or 0.0
+
+    def metre_cost(places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        chance = law.probability(places_m, slack_db)
+        below = chance < problem.constraints.p_min
+        return 1.0 + reach.outage_price * outage_share(chance, below, reach.charges_everywhere)
+
+    return metre_cost
+
+
+def integrated_cost_s(
+    problem: Problem, posteriors: Sequence[ChannelPosterior], plan: Plan
+) -> float:
+    """Return the objective of a plan with the outage integrated along its steps.
+
+    The objective of a robot with dynamics keeps its charge of the mean of both ends of a step.
+    """
+    if plan.drive is not None or plan.pivot is None:
+        return plan.objective
+    places, pivot = plan.positions_m, plan.pivot
+    metre_cost = metre_cost_of(problem, posteriors)
+    lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
+    outage_m = integrated_cost_m(metre_cost, places) - float(lengths.sum())
+    own_s = path_cost_s(
+        places,
+        np.asarray(problem.goal_m),
+        problem.constraints.goal_radius_m,
+        problem.planner.step_s,
+        problem.reach.effort_weight_s2_m2,
+    )
+    to_pivot = float(np.linalg.norm(places[-1] - pivot.position_m))
+    ahead_m = outage_m + pivot.metre_cost * to_pivot + pivot.cost_m
+    return own_s + rate_s_m(problem) * ahead_m

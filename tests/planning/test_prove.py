@@ -1,0 +1,167 @@
+"""Proven bounds of plans: their keys, their proof again from files, and what they never claim."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+
+import planopt
+from planopt import Problem, Solution
+
+SECONDS = 6.0
+
+
+def field(**changes: object) -> Problem:
+    """A field of 40 m with a wall, a station and measurements at random positions."""
+    parts = {
+        "robots": planopt.Robot(start_m=(5.0, 5.0), goal_m=(35.0, 6.0), speed_max_m_s=2.0),
+        "stations": planopt.BaseStation(
+            position_m=(8.0, 25.0), transmit_power_dbm=10.0, threshold_dbm=-52.0
+        ),
+        "workspace": planopt.Workspace(
+            (0.0, 0.0, 40.0, 30.0), [planopt.Obstacle("wall", shapely.box(18, 0, 21, 20))]
+        ),
+        "constraints": planopt.Constraints(p_min=0.7, clearance_m=0.5, goal_radius_m=0.5),
+        "planner": planopt.PlannerSettings(step_s=1.0, horizon=5),
+    }
+    return Problem(**{**parts, **changes})
+
+
+def readings(seed: int = 0, count: int = 40) -> planopt.Measurements:
+    """Powers at random positions: path loss, and shadowing of 4 dB."""
+    generator = np.random.default_rng(seed)
+    positions = generator.uniform((0.0, 0.0), (40.0, 30.0), (count, 2))
+    power = 10.0 - 25.0 * np.log10(np.hypot(*(positions - (8.0, 25.0)).T) + 1.0)
+    return planopt.Measurements(positions, power - 20.0 + generator.normal(0.0, 4.0, count))
+
+
+@pytest.fixture(scope="module")
+def solution() -> Solution:
+    """The open field, proven in a few seconds."""
+    return planopt.solve(planopt.load("open_field"), prove_s=SECONDS)
+
+
+def saved(solution: Solution, folder: Path) -> dict[str, object]:
+    """Save a solution, and return its JSON object."""
+    solution.save(folder)
+    return json.loads((folder / "plan.json").read_text())
+
+
+def test_plan_and_bound_are_close(solution: Solution) -> None:
+    """The bound is below the cost, the gap at most 10 %, and the route no longer than before."""
+    bound, plain = solution.plan.bound, planopt.solve(planopt.load("open_field")).plan
+    assert plain.bound is None and bound is not None and bound.value is not None
+    assert bound.value <= bound.cost <= plain.objective
+    assert bound.gap == pytest.approx(1.0 - bound.value / bound.cost)
+    assert bound.gap <= 0.1
+    assert solution.plan.objective == pytest.approx(bound.cost, rel=2e-3)
+    assert (solution.plan.positions_m == plain.positions_m).all()
+
+
+def test_the_bound_is_saved_and_proven_again(solution: Solution, tmp_path: Path) -> None:
+    """The keys of robot and answer agree; ``check`` accepts them without the solver."""
+    data = saved(solution, tmp_path)
+    bound = solution.bound
+    assert bound is not None
+    [robot] = data["robots"]
+    for key in ("bound", "gap", "bound_method"):
+        assert data[key] == robot[key]
+    assert data["bound"] == bound.value and data["gap"] == bound.gap
+    assert planopt.check(tmp_path).verdict is planopt.Verdict.VERIFIED
+    again = planopt.load_result(tmp_path)
+    assert isinstance(again, Solution) and again.bound is not None
+    assert again.bound.value == pytest.approx(bound.value, rel=1e-9)
+
+
+@pytest.mark.parametrize("factor", [1.001, 1.1, 0.5])
+def test_a_changed_bound_is_rejected(solution: Solution, tmp_path: Path, factor: float) -> None:
+    """A bound that its certificate does not prove is an objection."""
+    data = saved(solution, tmp_path)
+    data["bound"] *= factor
+    data["robots"][0]["bound"] *= factor
+    (tmp_path / "plan.json").write_text(json.dumps(data))
+    found = planopt.check(tmp_path)
+    assert found.verdict is planopt.Verdict.VIOLATED
+    assert any("bound" in reason for reason in found.reasons)
+
+
+def test_a_steeper_potential_proves_no_more(solution: Solution, tmp_path: Path) -> None:
+    """Random changes of the certificate never prove more than the cost of the plan."""
+    generator = np.random.default_rng(0)
+    bound = solution.plan.bound
+    assert bound is not None and bound.certificate is not None
+    compared = 0
+    for scale in (1e-3, 1e-1, 10.0):
+        for name in ("at_nodes", "at_sides", "nodes_m"):
+            values = getattr(bound.certificate, name)
+            noise = generator.normal(0.0, scale, values.shape)
+            potential = replace(bound.certificate, **{name: values + noise})
+            plan = replace(solution.plan, bound=replace(bound, certificate=potential))
+            folder = tmp_path / f"{name}_{scale}"
+            replace(solution, plans=(plan,)).save(folder)
+            again = planopt.load_result(folder)
+            assert isinstance(again, Solution) and again.bound is not None
+            assert again.bound.value <= bound.value + 1e-9
+            compared += 1
+    print(f"{compared} comparisons")
+    assert compared == 9
+
+
+@pytest.mark.parametrize(
+    ("constraints", "words"),
+    [
+        ({"parameter_uncertainty": "all"}, "parameter_uncertainty"),
+        ({"slack_max_db": 0.0}, None),
+        ({"slack_max_db": 3.0}, None),
+        ({"connectivity": "joint"}, None),
+    ],
+)
+def test_rules_have_a_bound_or_a_reason(constraints: dict[str, object], words: str | None) -> None:
+    """A hard limit is relaxed, and said to be; without a bound there is a reason."""
+    rule = planopt.ConnectivityRule(**constraints)
+    limits = planopt.Constraints(p_min=0.05, clearance_m=0.5, goal_radius_m=0.5, rule=rule)
+    problem = field(constraints=limits)
+    plan = planopt.solve(problem, measurements=readings(), prove_s=0.5).plan
+    assert plan.bound is not None
+    if words is not None:
+        assert plan.bound.value is None and plan.bound.gap is None
+        assert words in plan.bound.reason
+    else:
+        assert plan.bound.value is not None and plan.bound.value <= plan.bound.cost
+        assert plan.bound.relaxed
+
+
+def test_objectives_without_a_bound_say_so() -> None:
+    """A mapping objective has no bound yet: the value is null, with a reason."""
+    plan = planopt.solve(planopt.load("fig5"), prove_s=0.5).plan
+    assert plan.bound is not None and plan.bound.value is None
+    assert "the task" in plan.bound.reason
+
+
+def test_bounds_of_a_team_add_up() -> None:
+    """Each robot has its own bound; the answer has their sum, and names the separation."""
+    robots = [
+        planopt.Robot(name="a", start_m=(5.0, 5.0), goal_m=(14.0, 25.0), speed_max_m_s=2.0),
+        planopt.Robot(name="b", start_m=(30.0, 5.0), goal_m=(30.0, 25.0), speed_max_m_s=2.0),
+    ]
+    limits = planopt.Constraints(p_min=0.1, clearance_m=0.5, goal_radius_m=0.5, separation_m=1.0)
+    solution = planopt.solve(
+        field(robots=robots, constraints=limits), measurements=readings(), prove_s=1.0
+    )
+    bounds = [plan.bound for plan in solution.plans]
+    assert solution.bound is not None
+    assert solution.bound.value == pytest.approx(sum(bound.value for bound in bounds))
+    assert solution.bound.cost == pytest.approx(sum(bound.cost for bound in bounds))
+    assert any("separation" in words for words in solution.bound.relaxed)
+
+
+@pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan"), float("inf")])
+def test_a_proof_needs_a_time(seconds: float) -> None:
+    """Zero, negative and infinite times are rejected by name."""
+    with pytest.raises(planopt.InputError, match="prove_s"):
+        planopt.solve(planopt.load("open_field"), prove_s=seconds)

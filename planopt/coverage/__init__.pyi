@@ -34,6 +34,7 @@ from planopt.coverage.density import GaussianMixture as GaussianMixture
 from planopt.coverage.density import RasterDensity as RasterDensity
 from planopt.coverage.density import UniformDensity as UniformDensity
 from planopt.coverage.density import checked_mass as checked_mass
+from planopt.coverage.deploy import Deployer as Deployer
 from planopt.coverage.events import Event as Event
 from planopt.coverage.events import Sensing as Sensing
 from planopt.coverage.events import packed_places as packed_places

@@ -118,7 +118,7 @@ class GeodesicGround:
         if len(self.corners_m):
             reach, _ = _to_corners(self, agents)
             one, other = np.argsort(reach, axis=0)[:2]
-            away = np.where(one == owner[:, None], other, one)
+            away = np.asarray(np.where(one == owner[:, None], other, one), dtype=np.intp)
             legs = _last_legs(self, nodes, self.corner_sees)
             second = (reach[away, np.arange(len(self.corners_m))] + legs).min(axis=1)
         for agent in _nearest(KDTree(agents), nodes, min(len(agents), NEAREST)).T:

@@ -20,6 +20,9 @@ LEAP = 1.7
 SETTLED = 1e-6
 """Relative decrease of the cost in a step below which a deployment is settled."""
 
+STARTS = 10
+"""Number of initial deployments; the first one is that of the problem."""
+
 MAX_STEPS = 500
 """Maximum number of steps from one initial deployment."""
 
@@ -158,7 +161,7 @@ def _relocations(ground: Ground, places: Floats) -> tuple[list[Relocation], list
 
     def means(group: NDArray[np.intp], groups: int) -> tuple[Floats, Floats]:
         """Return masses (groups,) and centroids (groups, 2) of the sample points by group."""
-        total = np.bincount(group, mass, minlength=groups)
+        total = np.asarray(np.bincount(group, mass, minlength=groups), dtype=np.float64)
         some = np.where(total > 0.0, total, 1.0)
         sums = [np.bincount(group, mass * axis, minlength=groups) for axis in near.samples_m.T]
         return total, np.stack(sums, axis=1) / some[:, None]

@@ -21,7 +21,8 @@ from planopt.coverage.assignment import (
     fair_shares,
     propagate_flags,
 )
-from planopt.coverage.control.movers import Gains, Mover, Partition, coverage_aims
+from planopt.coverage.control.movers import Gains, Mover, Partition, RecedingMover, coverage_aims
+from planopt.coverage.deploy import Deployer
 from planopt.coverage.events import Event, Sensing, Watch, event_places, signals, watched
 from planopt.coverage.geodesic import Ground
 from planopt.coverage.ground import neighbour_network
@@ -180,6 +181,8 @@ class NetworkController:
         # Membership mask (n,) and event estimates (k, 2) at the last assignment
         self._assigned_for: tuple[Mask, Floats] | None = None
         self._tally: Tally | None = None
+        deploys = isinstance(mover, RecedingMover) and mover.deploys
+        self._deployer = Deployer(scene.ground, generator) if deploys else None
         self.motion = Motion.at_rest(starts_m.astype(np.float64))
 
     def step(
@@ -374,6 +377,11 @@ class NetworkController:
         if scene.partition == "coverage_only" and responds.any():
             cost = coverage_aims(scene.ground, agents, np.zeros_like(responds)).cost
         targets, own, drifts = here_m.copy(), aims.targets_m.copy(), np.zeros_like(here_m)
+        covers = ~responds
+        if self._deployer is not None and covers.any():
+            ends = self._deployer.places_m(who[covers], agents[covers])
+            share = min(scene.gains.coverage_per_s * scene.time_step_s, 1.0)
+            own[covers] = scene.ground.steered(agents[covers], ends, share)
         share = min(scene.gains.event_per_s * scene.time_step_s, 1.0)
         for number, watch in enumerate(self._watches):
             team = states[who] == number

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from planopt.coverage.assignment import NONE
 from planopt.coverage.limits import Motion, packing_reach_m
-from planopt.coverage.optima import best_deployment
+from planopt.coverage.optima import STARTS, best_deployment
 from planopt.coverage.simulation import ABSENT, NetworkController, NetworkRun, simulate_network
 from planopt.coverage.verify import verify_moves
 from planopt.files.tables import Column, Data
@@ -74,9 +74,6 @@ ON_TARGET_M = 1e-9
 
 COST_SHARE = 1e-6
 """Relative rounding tolerance by which the lower bound may exceed the coverage cost."""
-
-STARTS = 10
-"""Number of initial deployments of ``solve``; the first one is that of the problem."""
 
 
 def agent_name(number: int) -> str:

@@ -143,9 +143,10 @@ class CoverageProblem(TaskProblem):
         """Return the control law or planner that moves the agents."""
         planner = self.given.planner
         control, limits = self.given.control, self.given.limits
-        if planner.name == "receding":
+        if planner.name != "law":
+            deploys = planner.name == "deploy"
             return RecedingMover(
-                control.gains, limits, planner.horizon, self.radio, planner.lead_events
+                control.gains, limits, planner.horizon, self.radio, planner.lead_events, deploys
             )
         bodies = limits.body_radius_m > 0.0
         inert = limits.acceleration_m_s2 is not None or limits.turn_rate_rad_s is not None
@@ -154,7 +155,7 @@ class CoverageProblem(TaskProblem):
                 "is law, which keeps no "
                 + ("limits of acceleration or turn rate" if inert else "bodies apart"),
                 key="planner.name",
-                remedy="use receding",
+                remedy="use receding or deploy",
             )
         return LawMover(control.gains, control.time_step_s, self.given.agents.speed_max_m_s)
 

@@ -31,7 +31,7 @@ from planopt.tasks.task import TaskFile
 from planopt.world.raster import checked_raster
 from planopt.world.raster_files import read_raster
 
-PlannerName = Literal["law", "receding"]
+PlannerName = Literal["law", "receding", "deploy"]
 
 
 class UniformTable(Table):
@@ -382,7 +382,8 @@ class PlannerTable(Table):
     """Table ``[planner]``: control law or planner of the agents."""
 
     name: PlannerName = "law"
-    """Planner: law (control laws with clipped speed) or receding (receding horizon)."""
+    """Planner: law (control laws with clipped speed), receding (receding horizon), or deploy
+    (receding horizon to the deployment that solve finds)."""
     horizon: int = Field(default=1, ge=MIN_HORIZON, le=MAX_HORIZON)
     """Horizon in steps."""
     lead_events: bool = False

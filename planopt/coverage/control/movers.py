@@ -309,6 +309,7 @@ class RecedingMover:
     horizon: int
     radio: RadioLimits | None = None  # Required links to base stations
     lead: bool = False  # Whether plans predict moving targets; otherwise targets are held constant
+    deploys: bool = False  # Whether covering agents drive to a deployment of low cost
 
     def __call__(
         self,

@@ -1,0 +1,45 @@
+"""Target positions that drive a network to a low-cost deployment.
+
+The control laws descend to the nearest local optimum of the coverage cost. A deployer searches a
+deployment of lower cost first, assigns its positions to the covering agents by least total squared
+path length, and keeps them until agents join, leave, respond to an event or return.
+"""
+
+from __future__ import annotations
+
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment  # pyright: ignore[reportUnknownVariableType]
+
+from planopt.coverage.geodesic import Ground
+from planopt.coverage.optima import STARTS, best_deployment
+
+Floats = NDArray[np.float64]
+Numbers = NDArray[np.intp]
+
+
+class Deployer:
+    """Positions assigned to the covering agents of a network."""
+
+    def __init__(self, ground: Ground, generator: np.random.Generator) -> None:
+        self._ground, self._generator = ground, generator
+        self._agents: Numbers = np.zeros(0, dtype=np.intp)  # Covering agents, ascending
+        self._places = np.zeros((0, 2))  # Their positions
+
+    def places_m(self, agents: Numbers, here_m: Floats) -> Floats:
+        """Return the positions (k, 2) of covering agents with ascending numbers (k,)."""
+        if not np.array_equal(agents, self._agents):
+            # A changed network settles from the positions it had, and from newcomers' own.
+            first = here_m.copy()
+            stays = np.isin(agents, self._agents)
+            first[stays] = self._places[np.isin(self._agents, agents)]
+            starts = 1 if stays.any() else STARTS
+            found = best_deployment(
+                self._ground, len(agents), starts, self._generator, first_m=first
+            )
+            away_m = self._ground.distances_m(here_m, found.places_m)
+            _, order = cast("tuple[Numbers, Numbers]", linear_sum_assignment(away_m**2))
+            self._agents, self._places = agents, found.places_m[order]
+        return self._places

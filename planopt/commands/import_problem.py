@@ -48,6 +48,10 @@ def import_problem(
             "Position of a transmitter, with --origin LAT,LON[,HEIGHT]; others are located.",
         ),
     ] = None,
+    stations: Annotated[
+        Path | None,
+        option("--stations", "FILE", "Table of names and positions of transmitters."),
+    ] = None,
     threshold: Annotated[
         float | None, option("--threshold", "DBM", "Connected from here on; default: assumed.")
     ] = None,
@@ -85,6 +89,7 @@ def import_problem(
                     start=start,
                     goal=goal,
                     stations=tuple(station or ()),
+                    stations_file=stations,
                     transmitters=tuple(transmitter or ()),
                     threshold_dbm=threshold,
                     p_min=p_min,

@@ -21,10 +21,12 @@ from planopt.channel.channel_map import default_cell_m, measured_bounds_m
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.fit import fit_channel, floor_pile_dbm
 from planopt.channel.estimation.station_fit import MIN_UNCENSORED, fit_channel_and_station
+from planopt.channel.logs.column_names import alias
 from planopt.channel.logs.log_format import LogFormat, parse_station
 from planopt.channel.logs.log_table import LogTable
 from planopt.channel.logs.power_log import PowerLog, labels_of, measurements_of, rows_of
-from planopt.channel.logs.readers import alias, columns_of, read_table, readings_of
+from planopt.channel.logs.readers import columns_of, read_table, readings_of
+from planopt.channel.logs.stations import read_stations
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import Station
 from planopt.errors import InputError, listed
@@ -72,6 +74,7 @@ class DraftSettings:
     start: str  # X,Y in metres or LAT,LON in degrees
     goal: str
     stations: tuple[str, ...] = ()  # POSITION, or NAME=POSITION of a transmitter
+    stations_file: Path | None = None  # Table of names and positions of transmitters
     transmitters: tuple[str, ...] = ()  # Transmitters that become stations; empty: detected
     threshold_dbm: float | None = None
     p_min: float = 0.9
@@ -189,7 +192,7 @@ def draft_problem(
     pooled = np.concatenate([each.measurements.positions_m for each in powers.values()])
     for each in powers.values():
         notes.warn(*log_warnings(each))
-    positions = _given_stations(settings.stations, labels, log_format.origin_deg)
+    positions = _given_stations(settings, labels, log_format.origin_deg)
     stations = [
         _station(label, each.measurements, positions.get(label), number, notes)
         for number, (label, each) in enumerate(powers.items())
@@ -247,7 +250,7 @@ def _read(
             remedy="name it with --columns x=NAME,y=NAME,power=NAME",
         )
     unit = "degrees" if columns.in_degrees else "metres"
-    who = "" if columns.reader is None else f"{columns.reader.name} log: "
+    who = "" if columns.reader_name is None else f"log of {columns.reader_name}: "
     delimiter = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
     notes.assume(
         f"{who}columns {columns.x}, {columns.y} ({unit}) and {columns.power}, separated by "
@@ -355,11 +358,13 @@ def _with_details(log_format: LogFormat, logs: Sequence[PowerLog], notes: _Notes
 
 
 def _given_stations(
-    texts: Sequence[str], labels: Sequence[str], origin_deg: Origin | None
+    settings: DraftSettings, labels: Sequence[str], origin_deg: Origin | None
 ) -> dict[str, Station]:
-    """Return the given positions of transmitters by label."""
+    """Return the given positions of transmitters by label; single ones override the file."""
     found: dict[str, Station] = {}
-    for text in texts:
+    if settings.stations_file is not None:
+        found = read_stations(settings.stations_file, labels, origin_deg)
+    for text in settings.stations:
         label, equals, position = text.rpartition("=")
         if not equals:
             if len(labels) != 1:

@@ -88,7 +88,7 @@ class LogTable:
     file: Path | None  # None for a table in Python
     names: tuple[str, ...]
     rows: Sequence[tuple[int, Sequence[str]]]  # Line number and cells
-    header_line: int = 1
+    header_line: int | None = 1
     delimiter: str = ","
 
     def index(self, name: str) -> int:

@@ -18,7 +18,12 @@ from planopt.channel.logs.log_format import DEFAULT_FORMAT, GroupColumn, LogForm
 from planopt.channel.logs.log_table import Cell, LogTable
 from planopt.channel.logs.readers import LogColumns, columns_of, read_table, readings_of
 from planopt.channel.logs.times import times_s
-from planopt.channel.measurements import LARGEST_POWER_DBM, LEAST_POWER_DBM, Measurements
+from planopt.channel.measurements import (
+    LARGEST_POWER_DBM,
+    LEAST_POWER_DBM,
+    Frame,
+    Measurements,
+)
 from planopt.errors import InputError, listed
 from planopt.keys import LARGEST_COORDINATE_M
 from planopt.world.geodesy import (
@@ -55,14 +60,41 @@ class PowerLog:
     power_unit: str
 
 
-def read_log(path: Path | str, log_format: LogFormat = DEFAULT_FORMAT) -> Measurements:
-    """Read the measurements of a power log; see :class:`LogFormat` for the options."""
-    return read_power_log(path, log_format).measurements
+Source = Path | str | Frame
+"""A log file, or a data frame."""
 
 
-def read_power_log(path: Path | str, log_format: LogFormat = DEFAULT_FORMAT) -> PowerLog:
+def read_log(source: Source, log_format: LogFormat = DEFAULT_FORMAT) -> Measurements:
+    """Read the measurements of a power log.
+
+    Parameters
+    ----------
+    source
+        File: text with a header, SQLite (``.db``, ``.sqlite``) or Parquet; or a DataFrame of
+        pandas or polars, or a GeoDataFrame of points.
+    log_format
+        Columns, units, origin and row filter.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, a column is missing, a cell has no number, or a value is out of
+        range; the error names line and column.
+
+    Examples
+    --------
+    >>> import planopt
+    >>> table = {"x_m": [0.0, 5.0], "y_m": [1.0, 2.0], "rssi": [-60, -64]}
+    >>> import pandas
+    >>> len(planopt.channel.read_log(pandas.DataFrame(table)))
+    2
+    """
+    return read_power_log(source, log_format).measurements
+
+
+def read_power_log(source: Source, log_format: LogFormat = DEFAULT_FORMAT) -> PowerLog:
     """Read the measurements and the receiver labels of a power log."""
-    table, columns = _selected(Path(path), log_format)
+    table, columns = _selected(source, log_format)
     return measurements_of(table, columns, log_format)
 
 
@@ -199,9 +231,9 @@ def read_groups(
     return np.array(found, dtype=np.intp)
 
 
-def _selected(path: Path, log_format: LogFormat) -> tuple[LogTable, LogColumns]:
+def _selected(source: Source, log_format: LogFormat) -> tuple[LogTable, LogColumns]:
     """Return the rows of a log that pass the format's filter, and its columns."""
-    table = read_table(path)
+    table = read_table(source)
     columns = columns_of(table, log_format)
     for name in (columns.x, columns.y, columns.power):
         table.index(name)
@@ -209,7 +241,7 @@ def _selected(path: Path, log_format: LogFormat) -> tuple[LogTable, LogColumns]:
     if not readings.rows:
         raise InputError(
             "the file has a header but no rows",
-            file=path,
+            file=table.file,
             remedy="give a log with at least one measurement",
         )
     return rows_of(readings, log_format), columns

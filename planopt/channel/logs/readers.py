@@ -6,27 +6,61 @@ other entry that it needs. A package adds readers by the entry-point group ``pla
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from planopt.channel.logs.binary_tables import (
+    Ranked,
+    read_parquet,
+    read_sqlite,
+    table_of_frame,
+)
+from planopt.channel.logs.column_names import alias
 from planopt.channel.logs.log_format import LogFormat
 from planopt.channel.logs.log_table import LogTable, fold, read_delimited
+from planopt.channel.measurements import Frame
 from planopt.errors import InputError
 from planopt.parts import Registry
 
 PROGRAMS = "planopt.channel.logs.programs"
 
-READERS = Registry("a log reader", "reader", {}, "planopt.log_readers")
+READERS = Registry(
+    "a log reader",
+    "reader",
+    {
+        "wigle": f"{PROGRAMS}.wigle:WIGLE",
+        "cellmapper": f"{PROGRAMS}.cellmapper:CELLMAPPER",
+        "network_survey_gsm": f"{PROGRAMS}.network_survey:GSM",
+        "network_survey_umts": f"{PROGRAMS}.network_survey:UMTS",
+        "network_survey_lte": f"{PROGRAMS}.network_survey:LTE",
+        "network_survey_nr": f"{PROGRAMS}.network_survey:NR",
+        "network_survey_wifi": f"{PROGRAMS}.network_survey:WIFI",
+        "network_survey_bluetooth": f"{PROGRAMS}.network_survey:BLUETOOTH",
+        # The first of two equally long signatures counts.
+        "meshtastic": f"{PROGRAMS}.meshtastic:RSSI",
+        "meshtastic_snr": f"{PROGRAMS}.meshtastic:SNR",
+        "wifi_logger": f"{PROGRAMS}.wifi_logger:WIFI_LOGGER",
+    },
+    "planopt.log_readers",
+)
 """Readers of the logs of known programs."""
+
+KINDS: dict[str, Callable[[Path, Ranked], LogTable]] = {
+    **dict.fromkeys((".db", ".sqlite", ".sqlite3", ".db3"), read_sqlite),
+    **dict.fromkeys((".parquet", ".pq"), read_parquet),
+}
+"""Readers of binary files by file extension; all others are text."""
 
 
 @dataclass(frozen=True)
 class LogReader:
-    """Declaration of the logs that a program writes."""
+    """Declaration of the logs that a program writes.
 
-    name: str
-    summary: str  # One sentence for the documentation
+    Rows without a position or a power are no readings, nor are positions at 0, 0 degrees.
+    """
+
+    summary: str  # For the documentation
     signature: tuple[str, ...]  # Columns that identify the program
     x: str  # Column of x in metres, or of the longitude
     y: str  # Column of y in metres, or of the latitude
@@ -36,7 +70,7 @@ class LogReader:
     time: str | None = None
     accuracy: str | None = None
     preamble: str | None = None  # Start of lines above the header
-    is_reading: Callable[[dict[str, str]], bool] | None = None  # Whether a row has a position
+    no_power: tuple[str, ...] = ()  # Texts that mean no reading
     remark: str | None = None  # Warning about what the log does not contain
 
 
@@ -51,54 +85,50 @@ class LogColumns:
     transmitter: str | None
     time: str | None
     accuracy: str | None
+    reader_name: str | None
     reader: LogReader | None
 
-
-ALIASES = {
-    role: tuple(names.split())
-    for role, names in {
-        "longitude": "lon lng long longitude gpslon gpslongitude lond londeg longitudedeg rxlong "
-        "rxlon currentlongitude laenge laengengrad",
-        "latitude": "lat latitude gpslat gpslatitude latd latdeg latitudedeg rxlat currentlatitude "
-        "breite breitengrad",
-        "x": "xm x posx positionx east eastm easting mapx odomx posex posepositionx xposition "
-        "localx",
-        "y": "ym y posy positiony north northm northing mapy odomy posey posepositiony yposition "
-        "localy",
-        "power": "powerdbm power rssidbm rssi rsrpdbm rsrp signaldbm signal signallevel "
-        "signalstrength signalstrengthdbm dbm rxpower rxpowerdbm rxlev rss rssdbm receivedpower "
-        "rxrssi level powermw strength",
-        "transmitter": "bssid ap mac tx txid transmitter transmitterid anchor beacon gateway "
-        "gatewayid accesspoint cellid cell cid pci ssid station node from source",
-        "time": "ts t time timestamp times datetime zeit date unixtime devicetime firstseen stamp",
-    }.items()
-}
-"""Known names of columns by role, in lower case letters and digits, in order of preference."""
 
 DEGREES = ("longitude", "latitude")
 
 
-def read_table(path: Path) -> LogTable:
-    """Read the table of a log file with the reader of its kind of file."""
-    return read_delimited(path, [each.preamble for each in known_readers() if each.preamble])
+def read_table(source: Path | str | Frame) -> LogTable:
+    """Read the table of a log: a file by its extension, or a data frame."""
+    if not isinstance(source, Path | str):
+        return table_of_frame(source)
+    path = Path(source)
+    read = KINDS.get(path.suffix.lower())
+    if read is not None:
+        return read(path, _likeness)
+    preambles = [each.preamble for each in known_readers().values() if each.preamble]
+    return read_delimited(path, preambles)
 
 
-def known_readers() -> Iterator[LogReader]:
-    """Yield the declarations of all known programs."""
-    return (READERS.find(name) for name in READERS.names())
+def known_readers() -> dict[str, LogReader]:
+    """Return the declarations of all known programs by name."""
+    return {name: READERS.find(name) for name in READERS.names()}
+
+
+def _likeness(names: Sequence[str]) -> int:
+    """Return how much columns are like those of a log: most if a program is known."""
+    table = LogTable(None, tuple(names), ())
+    known = [len(each.signature) for each in known_readers().values() if _is_of(table, each)]
+    roles = [("x", "y"), ("longitude", "latitude")]
+    placed = any(all(alias(table, role) for role in pair) for pair in roles)
+    return 10 * max(known, default=0) + int(placed and alias(table, "power") is not None)
 
 
 def columns_of(table: LogTable, log_format: LogFormat) -> LogColumns:
     """Return the columns of a log: those of the format, else of a known program, else by name."""
-    reader = _reader_of(table, log_format)
-    has = set(table.names)
+    name, reader = _reader_of(table, log_format) or (None, None)
     x, y, power = log_format.columns
     if reader is not None:
-        x, y, power = x or reader.x, y or reader.y, power or reader.power
+        own = (_named(table, each) for each in (reader.x, reader.y, reader.power))
+        x, y, power = (given or each for given, each in zip((x, y, power), own, strict=True))
     # A program's optional columns may be missing in older versions.
     time, accuracy, transmitter = (
-        name if name in has else None
-        for name in (
+        None if each is None or fold(each) not in table.folded else table.folded[fold(each)]
+        for each in (
             (None, None, None)
             if reader is None
             else (reader.time, reader.accuracy, reader.transmitter)
@@ -126,6 +156,7 @@ def columns_of(table: LogTable, log_format: LogFormat) -> LogColumns:
         transmitter or alias(table, "transmitter"),
         log_format.time_column or time,
         log_format.accuracy_column or accuracy,
+        name,
         reader,
     )
 
@@ -144,29 +175,41 @@ def _position_columns(
     return in_degrees, x or found[0] or "x_m", y or found[1] or "y_m"
 
 
-def alias(table: LogTable, role: str) -> str | None:
-    """Return the column of a role by its name; None if there is none."""
-    found = next((each for each in ALIASES[role] if each in table.folded), None)
-    return None if found is None else table.folded[found]
+def _named(table: LogTable, name: str) -> str:
+    """Return the table's own spelling of a column's name."""
+    return table.folded.get(fold(name), name)
 
 
-def _reader_of(table: LogTable, log_format: LogFormat) -> LogReader | None:
-    """Return the program that wrote a log; None if it is unknown."""
-    if log_format.reader is not None:
-        return READERS.find(log_format.reader)
+def _is_of(table: LogTable, reader: LogReader) -> bool:
+    """Return whether a table has the columns that identify a program."""
     has = {fold(name) for name in table.names}
-    fitting = [each for each in known_readers() if {fold(name) for name in each.signature} <= has]
-    return max(fitting, key=lambda each: len(each.signature), default=None)
+    return {fold(name) for name in reader.signature} <= has
+
+
+def _reader_of(table: LogTable, log_format: LogFormat) -> tuple[str, LogReader] | None:
+    """Return name and declaration of the program that wrote a log; None if it is unknown."""
+    if log_format.reader is not None:
+        return log_format.reader, READERS.find(log_format.reader)
+    fitting = [item for item in known_readers().items() if _is_of(table, item[1])]
+    return max(fitting, key=lambda item: len(item[1].signature), default=None)
 
 
 def readings_of(table: LogTable, columns: LogColumns) -> LogTable:
-    """Return the rows that are readings of a known program; those without a position are not."""
+    """Return the rows that are readings; only known programs write others."""
     reader = columns.reader
-    if reader is None or reader.is_reading is None:
+    if reader is None:
         return table
+    x, y, power = (table.index(name) for name in (columns.x, columns.y, columns.power))
     kept = [
         (line, cells)
         for line, cells in table.rows
-        if reader.is_reading(dict(zip(table.names, cells, strict=True)))
+        if all(cells[at].strip() for at in (x, y, power))
+        and cells[power].strip() not in reader.no_power
+        and not (columns.in_degrees and _is_zero(cells[x]) and _is_zero(cells[y]))
     ]
     return replace(table, rows=kept)
+
+
+def _is_zero(text: str) -> bool:
+    """Return whether a cell is zero, as programs write before the first position."""
+    return not text.strip().strip("+-0.,")

@@ -21,9 +21,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.prediction import CONFIDENCE, binomial_interval
 from planopt.errors import InputError
 
@@ -53,9 +53,7 @@ class GroupedRatio:
         return GroupedRatio(math.sqrt(self.value), math.sqrt(self.low), math.sqrt(self.high))
 
 
-def grouped_ratio(
-    numerators: NDArray[np.float64], denominators: NDArray[np.float64]
-) -> GroupedRatio:
+def grouped_ratio(numerators: Floats, denominators: Floats) -> GroupedRatio:
     """Return the ratio of the sums of two quantities over groups.
 
     Parameters
@@ -81,7 +79,7 @@ def grouped_ratio(
     return GroupedRatio(ratio, max(ratio - half, 0.0), ratio + half)
 
 
-def _ratio_error(numerators: NDArray[np.float64], denominators: NDArray[np.float64]) -> float:
+def _ratio_error(numerators: Floats, denominators: Floats) -> float:
     """Return the linearised standard error of a ratio of sums over groups."""
     groups, total = len(numerators), float(denominators.sum())
     apart = numerators - float(numerators.sum()) / total * denominators
@@ -118,9 +116,9 @@ class ReliabilityBin:
 
 
 def reliability(
-    predicted: NDArray[np.float64],  # (n,)
-    realised: NDArray[np.bool_],  # (n,)
-    group_of: NDArray[np.intp],  # (n,)
+    predicted: Floats,  # (n,)
+    realised: Mask,  # (n,)
+    group_of: Indices,  # (n,)
 ) -> tuple[ReliabilityBin, ...]:
     """Return the reliability table of predicted probabilities and realised connections."""
     if not predicted.shape == realised.shape == group_of.shape:
@@ -151,8 +149,8 @@ def reliability(
 
 
 def share_interval(
-    connected: NDArray[np.float64],  # (g,)
-    sizes: NDArray[np.float64],  # (g,)
+    connected: Floats,  # (g,)
+    sizes: Floats,  # (g,)
 ) -> tuple[float, float]:
     """Return Korn and Graubard's 95 % interval of the share of connected outcomes."""
     groups, count = len(sizes), float(sizes.sum())

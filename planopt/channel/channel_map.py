@@ -15,14 +15,10 @@ from importlib import import_module
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.cholesky import one_blas_thread
-from planopt.channel.connectivity_law import (
-    above_thresholds_db,
-    any_probability,
-    serving_power_dbm,
-)
+from planopt.channel.connectivity_law import above_thresholds_db, any_probability, serving_power_dbm
 from planopt.channel.kriging import LocalChannel, kriging_terms, predict_nearby
 from planopt.channel.long_logs import offsets_given_theta
 from planopt.channel.measurements import (
@@ -52,16 +48,11 @@ class TileMap:
     # Memory is about ``8 neighbours (neighbours + tile**2)`` bytes per tile.
 
     def __init__(
-        self,
-        x_m: NDArray[np.float64],
-        y_m: NDArray[np.float64],
-        needed: NDArray[np.bool_],
-        tile: int = 5,
-        neighbours: int = 32,
+        self, x_m: Floats, y_m: Floats, needed: Mask, tile: int = 5, neighbours: int = 32
     ) -> None:
         self._neighbours = neighbours
-        self.mean_db: NDArray[np.float64] = np.full(needed.shape, np.nan)
-        self.deviation_db: NDArray[np.float64] = np.full(needed.shape, np.nan)
+        self.mean_db: Floats = np.full(needed.shape, np.nan)
+        self.deviation_db: Floats = np.full(needed.shape, np.nan)
         rows, columns = np.nonzero(needed)
         across = -(-needed.shape[1] // tile)
         kept, tile_of_node = np.unique(
@@ -81,12 +72,12 @@ class TileMap:
         # One contiguous plane per term, because combining them dominates an idle refresh.
         planes = np.full((4, len(kept), tile * tile), np.nan)
         self._terms = KrigingTerms(planes[0], np.moveaxis(planes[1:3], 0, -1), planes[3])
-        self._reach_m2: NDArray[np.float64] = np.full(len(kept), np.inf)
-        self._dirty: NDArray[np.bool_] = np.ones(len(kept), dtype=bool)
-        self._replacements: NDArray[np.intp] = np.zeros(len(kept), dtype=np.intp)
-        self._indices: NDArray[np.intp] = np.zeros((0, 0), dtype=np.intp)
-        self._precision: NDArray[np.float64] = np.zeros((0, 0, 0))
-        self._across: NDArray[np.float64] = np.zeros((0, 0, 0))
+        self._reach_m2: Floats = np.full(len(kept), np.inf)
+        self._dirty: Mask = np.ones(len(kept), dtype=bool)
+        self._replacements: Indices = np.zeros(len(kept), dtype=np.intp)
+        self._indices: Indices = np.zeros((0, 0), dtype=np.intp)
+        self._precision: Floats = np.zeros((0, 0, 0))
+        self._across: Floats = np.zeros((0, 0, 0))
         # The posterior of the last refresh.
         self._last: ChannelPosterior | None = None
 
@@ -121,15 +112,13 @@ class TileMap:
         return len(stale) + len(replaceable)
 
     @property
-    def trend(self) -> NDArray[np.float64]:
+    def trend(self) -> Floats:
         """Derivative varphi of the mean with respect to theta at every node, ``(ny, nx, 2)``."""
         trend = np.full((self.mean_db.size, 2), np.nan)
         trend[self._lattice_index] = self._terms.trend.reshape(-1, 2)[self._tile_index]
         return trend.reshape(*self.mean_db.shape, 2)
 
-    def _mark(
-        self, posterior: ChannelPosterior, wanted: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    def _mark(self, posterior: ChannelPosterior, wanted: Mask) -> tuple[Indices, Indices]:
         """Return the tiles where one new measurement replaces one neighbour, and its index."""
         # All other affected tiles are marked dirty.
         measured, last = posterior.measurements, self._last
@@ -164,14 +153,14 @@ class TileMap:
         tiles = np.flatnonzero(replaceable)
         return tiles, newcomer[tiles]
 
-    def _put(self, tiles: NDArray[np.intp], terms: KrigingTerms) -> None:
+    def _put(self, tiles: Indices, terms: KrigingTerms) -> None:
         """Store the terms of `tiles`; arrays may have any leading shape."""
         shape = len(tiles), self._places_m.shape[1]
         self._terms.data_db[tiles] = terms.data_db.reshape(shape)
         self._terms.trend[tiles] = terms.trend.reshape(*shape, 2)
         self._terms.variance_db2[tiles] = terms.variance_db2.reshape(shape)
 
-    def _build(self, posterior: ChannelPosterior, stale: NDArray[np.intp]) -> None:
+    def _build(self, posterior: ChannelPosterior, stale: Indices) -> None:
         """Compute the tiles `stale` from their nearest measurements."""
         if not len(self._indices):
             count, places, size = *self._places_m.shape[:2], self._neighbours
@@ -195,8 +184,8 @@ class TileMap:
     def _replace(
         self,
         posterior: ChannelPosterior,
-        tiles: NDArray[np.intp],  # (k,)
-        newcomers: NDArray[np.intp],  # (k,)
+        tiles: Indices,  # (k,)
+        newcomers: Indices,  # (k,)
     ) -> None:
         """Replace the farthest neighbour of each tile by a new measurement."""
         # Removing measurement j from P = U^-1 subtracts w w' with w = P e_j / sqrt(P_jj). Adding
@@ -243,10 +232,10 @@ class TileMap:
 
     def _add_direction(
         self,
-        tiles: NDArray[np.intp],
-        across: NDArray[np.float64],
-        direction: NDArray[np.float64],  # (k, m)
-        columns: NDArray[np.float64],
+        tiles: Indices,
+        across: Floats,
+        direction: Floats,  # (k, m)
+        columns: Floats,
         sign: float,
     ) -> None:
         """Update the kriging terms for a rank-one change `sign` v v' of P, v = `direction`."""
@@ -257,7 +246,7 @@ class TileMap:
         self._terms.variance_db2[tiles] -= sign * seen**2
 
 
-def _columns(posterior: ChannelPosterior, indices: NDArray[np.intp]) -> NDArray[np.float64]:
+def _columns(posterior: ChannelPosterior, indices: Indices) -> Floats:
     """Return values and Gamma of the measurements `indices` (k, m); ``(k, m, 3)``."""
     columns = np.empty((*indices.shape, 3))
     columns[..., 0] = posterior.values_db[indices]
@@ -460,7 +449,7 @@ def serving_map(
         Prediction(each.mean_db.values.ravel(), each.deviation_db.values.ravel()) for each in maps
     ]
     above, deviation = above_thresholds_db(predictions, thresholds_dbm)
-    server: NDArray[np.intp] = above.argmax(axis=0)
+    server: Indices = above.argmax(axis=0)
     own = deviation[server, np.arange(server.size)]
     serving = serving_power_dbm(np.stack([each.mean_db for each in predictions]), thresholds_dbm)
     connected = any_probability(predictions, thresholds_dbm)

@@ -16,10 +16,10 @@ import numpy as np
 
 # NumPy's and SciPy's BLAS must be loaded before the controller searches for them.
 import scipy.linalg  # noqa: F401  # pyright: ignore[reportUnusedImport]
-from numpy.typing import NDArray
 from scipy.linalg import get_blas_funcs, get_lapack_funcs, solve_triangular
 from threadpoolctl import ThreadpoolController
 
+from planopt.arrays import Floats
 from planopt.errors import InputError
 
 # Looked up by name, because a type checker cannot see into the compiled module.
@@ -36,25 +36,23 @@ PUT_ROWS = 64
 """Number of rows of a factor copied at once, which avoids copying the unused half."""
 
 
-def lower_factor(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def lower_factor(matrix: Floats) -> Floats:
     """Return lower triangular L with L L' = `matrix`, symmetric and positive definite; (n, n)."""
     return np.tril(_half_factor(matrix, overwrite=False))
 
 
-def whitened_by(matrix: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+def whitened_by(matrix: Floats, right: Floats) -> Floats:
     """Return L^-1 `right` (n, m), L the factor of `matrix`, which is overwritten."""
     return factor_and_whitened(matrix, right)[1]
 
 
-def factor_and_whitened(
-    matrix: NDArray[np.float64], right: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def factor_and_whitened(matrix: Floats, right: Floats) -> tuple[Floats, Floats]:
     """Return L (n, n), undefined above the diagonal, and L^-1 `right`; `matrix` is overwritten."""
     factor = _half_factor(matrix, overwrite=True)
     return factor, solve_lower(factor, right)
 
 
-def put_lower_factor(into: NDArray[np.float64], matrix: NDArray[np.float64]) -> None:
+def put_lower_factor(into: Floats, matrix: Floats) -> None:
     """Write the factor of `matrix`, which is overwritten, into the zero matrix `into` (n, n)."""
     factor = _half_factor(matrix, overwrite=True)
     for start in range(0, len(into), PUT_ROWS):
@@ -63,7 +61,7 @@ def put_lower_factor(into: NDArray[np.float64], matrix: NDArray[np.float64]) -> 
         into[rows, rows] = np.tril(factor[rows, rows])
 
 
-def _half_factor(matrix: NDArray[np.float64], overwrite: bool) -> NDArray[np.float64]:
+def _half_factor(matrix: Floats, overwrite: bool) -> Floats:
     """Return L in C order, undefined above the diagonal."""
     # LAPACK gets the transpose, because copying to Fortran order and clearing the other half would
     # take as long as the factorisation at 512 rows.
@@ -73,7 +71,7 @@ def _half_factor(matrix: NDArray[np.float64], overwrite: bool) -> NDArray[np.flo
     return factor.T
 
 
-def solve_lower(lower: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+def solve_lower(lower: Floats, right: Floats) -> Floats:
     """Return L^-1 `right`, for `right` (n,) or (n, m)."""
     # SciPy's wrapper costs more than solving a small system. A factor in C order is passed as its
     # transpose to avoid a copy.
@@ -84,7 +82,7 @@ def solve_lower(lower: NDArray[np.float64], right: NDArray[np.float64]) -> NDArr
     return SOLVE_LOWER(lower.T, right, lower=0, trans=1)[0]
 
 
-def lower_inverse(lower: NDArray[np.float64]) -> NDArray[np.float64]:
+def lower_inverse(lower: Floats) -> Floats:
     """Return L^-1, lower triangular, in Fortran order; (n, n)."""
     inverted, info = INVERT_LOWER(lower, lower=1)
     if info != 0:
@@ -92,9 +90,7 @@ def lower_inverse(lower: NDArray[np.float64]) -> NDArray[np.float64]:
     return inverted
 
 
-def factor_and_inverse(
-    matrix: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def factor_and_inverse(matrix: Floats) -> tuple[Floats, Floats]:
     """Return the diagonal of L (n,) and L^-1 (n, n); fast for a few hundred rows."""
     lower, info = FACTOR(matrix.T, lower=True, clean=True)
     if info != 0:
@@ -102,7 +98,7 @@ def factor_and_inverse(
     return np.diag(lower), _halved_inverse(lower)
 
 
-def _halved_inverse(lower: NDArray[np.float64]) -> NDArray[np.float64]:
+def _halved_inverse(lower: Floats) -> Floats:
     if len(lower) <= INVERTED_ROWS:
         return lower_inverse(lower)
     half = len(lower) // 2
@@ -113,12 +109,12 @@ def _halved_inverse(lower: NDArray[np.float64]) -> NDArray[np.float64]:
     return inverted
 
 
-def solve_upper(lower: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+def solve_upper(lower: Floats, right: Floats) -> Floats:
     """Return L'^-1 `right`, for `right` (n,) or (n, m)."""
     return solve_triangular(lower, right, lower=True, trans=1, check_finite=False)
 
 
-def half_inverse(matrix: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+def half_inverse(matrix: Floats) -> tuple[float, Floats]:
     """Return log |matrix| and the upper half of its inverse; `matrix` is overwritten."""
     lower, info = FACTOR(matrix.T, lower=True, clean=True, overwrite_a=True)
     if info != 0:
@@ -128,14 +124,12 @@ def half_inverse(matrix: NDArray[np.float64]) -> tuple[float, NDArray[np.float64
     return determinant, half.T
 
 
-def symmetric_product(
-    half: NDArray[np.float64], columns: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def symmetric_product(half: Floats, columns: Floats) -> Floats:
     """Return the product of a symmetric matrix with upper half `half` and `columns` (n, m)."""
     return SYMMETRIC(1.0, half.T, columns, lower=1)
 
 
-def inverse(lower: NDArray[np.float64]) -> NDArray[np.float64]:
+def inverse(lower: Floats) -> Floats:
     """Return (L L')^-1, symmetric; (n, n)."""
     if not len(lower):
         # LAPACK prints a warning for an empty matrix.
@@ -144,7 +138,7 @@ def inverse(lower: NDArray[np.float64]) -> NDArray[np.float64]:
     return half + np.tril(half, -1).T
 
 
-def log_determinant(lower: NDArray[np.float64]) -> float:
+def log_determinant(lower: Floats) -> float:
     """Return log |L L'|."""
     return 2.0 * float(np.log(np.diag(lower)).sum())
 
@@ -154,7 +148,7 @@ DETERMINED = 1e-10
 value."""
 
 
-def semidefinite_factor(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+def semidefinite_factor(covariance: Floats) -> Floats:
     """Return lower triangular L with L L' = `covariance`; columns of determined values are zero."""
     try:
         return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
@@ -191,7 +185,7 @@ SOLVE_BLOCK = 136
 """Number of rows solved at once; powers of two cause cache conflicts."""
 
 
-def unwhiten(lower: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:
+def unwhiten(lower: Floats, columns: Floats) -> Floats:
     """Return L'^-1 `columns` (n, m), computed by blocks as in :func:`whiten`."""
     solved = np.array(columns, dtype=np.float64)
     for start in range((len(lower) - 1) // SOLVE_BLOCK * SOLVE_BLOCK, -1, -SOLVE_BLOCK):
@@ -201,7 +195,7 @@ def unwhiten(lower: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArra
     return solved
 
 
-def whiten(lower: NDArray[np.float64], columns: NDArray[np.float64]) -> NDArray[np.float64]:
+def whiten(lower: Floats, columns: Floats) -> Floats:
     """Return L^-1 `columns` (n, m) by blocks, because LAPACK would copy a view of a buffer."""
     solved = np.array(columns, dtype=np.float64)
     for start in range(0, len(lower), SOLVE_BLOCK):

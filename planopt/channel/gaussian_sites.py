@@ -21,9 +21,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import erfcx, log_ndtr  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.arrays import Floats, Mask
 from planopt.channel.cholesky import log_determinant, lower_factor, one_blas_thread, solve_lower
 from planopt.channel.measurements import (
     Measurements,
@@ -50,12 +50,12 @@ fourth power of the end and is 1e-10 here."""
 class TruncatedNormal:
     """Moments of standard normal variables truncated to intervals."""
 
-    log_probability: NDArray[np.float64]  # (m,) log-probability of the interval
-    mean: NDArray[np.float64]  # (m,)
-    variance: NDArray[np.float64]  # (m,)
+    log_probability: Floats  # (m,) log-probability of the interval
+    mean: Floats  # (m,)
+    variance: Floats  # (m,)
 
 
-def truncated_normal(upper: NDArray[np.float64], width: NDArray[np.float64]) -> TruncatedNormal:
+def truncated_normal(upper: Floats, width: Floats) -> TruncatedNormal:
     """Return the moments of standard normal variables given ``upper - width <= x <= upper``."""
     # Shapes: upper (m,); width (m,).
     if np.isinf(width).all() and (upper > LEAST_CLOSED_FORM).all():
@@ -77,7 +77,7 @@ def truncated_normal(upper: NDArray[np.float64], width: NDArray[np.float64]) -> 
     density /= mass[:, None]
     beyond = np.einsum("ij,ij->i", density, step)
     step -= beyond[:, None]
-    mean: NDArray[np.float64] = begin + beyond
+    mean: Floats = begin + beyond
     return TruncatedNormal(
         np.log(mass * length) - 0.5 * highest**2 - 0.5 * np.log(2.0 * np.pi),
         np.where(mirrored, -mean, mean),
@@ -85,7 +85,7 @@ def truncated_normal(upper: NDArray[np.float64], width: NDArray[np.float64]) -> 
     )
 
 
-def _half_line(upper: NDArray[np.float64]) -> TruncatedNormal:
+def _half_line(upper: Floats) -> TruncatedNormal:
     """Return moments given ``x <= upper``: mean -h, variance 1 - h (upper + h), h the hazard."""
     hazard = np.sqrt(2.0 / np.pi) / np.asarray(erfcx(-np.sqrt(0.5) * upper), dtype=np.float64)
     return TruncatedNormal(
@@ -117,17 +117,17 @@ is 0.6 and 0.17."""
 class Sites:
     """Gaussian measurements: value = path loss + shadowing + independent noise."""
 
-    values_db: NDArray[np.float64]  # (n,) dBm
+    values_db: Floats  # (n,) dBm
     # (n,) noise variance, positive; at most `MAX_SITE_VARIANCE_DB2` if censored
-    noise_variance_db2: NDArray[np.float64]
+    noise_variance_db2: Floats
 
 
 @dataclass(frozen=True)
 class Intervals:
     """Intervals that contain the powers with multipath."""
 
-    upper_db: NDArray[np.float64]  # (m,) upper ends
-    width_db: NDArray[np.float64]  # (m,) infinite for censored measurements
+    upper_db: Floats  # (m,) upper ends
+    width_db: Floats  # (m,) infinite for censored measurements
 
 
 @dataclass(frozen=True)
@@ -137,17 +137,15 @@ class LatentPrior:
     # f = mean + columns @ delta + u with u ~ N(0, covariance). delta, the path loss given other
     # measurements, has a density proportional to exp(score' delta - delta' information delta / 2).
 
-    mean_db: NDArray[np.float64]  # (m,)
-    covariance_db2: NDArray[np.float64]  # (m, m)
-    columns: NDArray[np.float64]  # (m, p); p = 0 for a known mean
+    mean_db: Floats  # (m,)
+    covariance_db2: Floats  # (m, m)
+    columns: Floats  # (m, p); p = 0 for a known mean
     # (p, p); may be zero (flat prior) if intervals of finite width determine delta
-    information: NDArray[np.float64]
-    score: NDArray[np.float64]  # (p,)
+    information: Floats
+    score: Floats  # (p,)
 
     @staticmethod
-    def known_mean(
-        mean_db: NDArray[np.float64], covariance_db2: NDArray[np.float64]
-    ) -> LatentPrior:
+    def known_mean(mean_db: Floats, covariance_db2: Floats) -> LatentPrior:
         """Return the prior N(mean, covariance)."""
         nothing = np.zeros((len(mean_db), 0))
         return LatentPrior(mean_db, covariance_db2, nothing, np.zeros((0, 0)), np.zeros(0))
@@ -171,10 +169,10 @@ class LatentPrior:
 class IntervalSites:
     """EP's approximation of the prior times the probability of the intervals."""
 
-    mean_db: NDArray[np.float64]  # (m,) prior mean, the origin of the sites
+    mean_db: Floats  # (m,) prior mean, the origin of the sites
     # (m,) natural parameters: exp(-precision (f - mean)^2 / 2 + shift (f - mean))
-    precision: NDArray[np.float64]
-    shift: NDArray[np.float64]
+    precision: Floats
+    shift: Floats
     log_evidence: float  # EP's log of the product's integral over f and delta
     evidence_slope: float  # d log_evidence / d omega^2, with sites fixed
 
@@ -184,27 +182,27 @@ class IntervalSites:
         return Sites(self.mean_db + self.shift / precision, 1.0 / precision)
 
 
-def rounded_variance_db2(resolution_db: NDArray[np.float64]) -> NDArray[np.float64]:
+def rounded_variance_db2(resolution_db: Floats) -> Floats:
     """Return the variance r^2 / 12 of rounding to steps of r (Sheppard's correction)."""
     return resolution_db**2 / 12.0
 
 
 def first_sites(
-    limit_db: NDArray[np.float64],  # (m,) upper ends of the intervals, relative to the mean
-    width_db: NDArray[np.float64],  # (m,)
+    limit_db: Floats,  # (m,) upper ends of the intervals, relative to the mean
+    width_db: Floats,  # (m,)
     noise_variance_db2: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats]:
     """Return initial precisions and shifts (m,): interval midpoints; no information for limits."""
     precision = 1.0 / (noise_variance_db2 + rounded_variance_db2(width_db))
     return precision, precision * (limit_db - 0.5 * np.where(np.isinf(width_db), 0.0, width_db))
 
 
 def matched_sites(
-    mean_db: NDArray[np.float64],  # (m,) means of the cavities
-    variance_db2: NDArray[np.float64],  # (m,) variances of the cavities
+    mean_db: Floats,  # (m,) means of the cavities
+    variance_db2: Floats,  # (m,) variances of the cavities
     inside: TruncatedNormal,
     noise_variance_db2: float,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats]:
     """Return precisions and shifts (m,) of sites that match cavities times interval likelihoods."""
     # The precision is (1 - s^2) / (omega^2 + s^2 v), v the cavity's variance and s^2 the truncated
     # variance relative to omega^2 + v. This form has no cancellation in narrow intervals.
@@ -252,22 +250,17 @@ def interval_sites(
 class _Sweep:
     """Sites, the sites that match their cavities, and the maximum difference between them."""
 
-    precision: NDArray[np.float64]
-    shift: NDArray[np.float64]
-    matched_precision: NDArray[np.float64]
-    matched_shift: NDArray[np.float64]
+    precision: Floats
+    shift: Floats
+    matched_precision: Floats
+    matched_shift: Floats
     log_evidence: float
     evidence_slope: float
     error: float
 
 
 def _swept(
-    prior: LatentPrior,
-    precision: NDArray[np.float64],
-    shift: NDArray[np.float64],
-    limit: NDArray[np.float64],
-    width: NDArray[np.float64],
-    noise: float,
+    prior: LatentPrior, precision: Floats, shift: Floats, limit: Floats, width: Floats, noise: float
 ) -> _Sweep:
     """Return one EP sweep: match each site to the moments of its cavity times its likelihood."""
     variance, mean, log_integral = _conditioned(prior, precision, shift)
@@ -298,8 +291,8 @@ def _swept(
 
 
 def _conditioned(
-    prior: LatentPrior, precision: NDArray[np.float64], shift: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    prior: LatentPrior, precision: Floats, shift: Floats
+) -> tuple[Floats, Floats, float]:
     """Return variances and means of f - mean given the sites, and the log of the integral."""
     # Conditions on the sites by factorising I + S^1/2 covariance S^1/2, S the precisions.
     root = np.sqrt(precision)
@@ -324,7 +317,7 @@ def _conditioned(
     return np.maximum(variance, 1e-12), mean, log_integral
 
 
-def needs_site(measurements: Measurements, noise_variance_db2: float) -> NDArray[np.bool_]:
+def needs_site(measurements: Measurements, noise_variance_db2: float) -> Mask:
     """Return which measurements need a site: censored, or too coarse for Sheppard's correction."""
     # `noise_variance_db2` is omega^2; the result is a mask ``(n,)``.
     finest = FINE_STEP * np.sqrt(noise_variance_db2)

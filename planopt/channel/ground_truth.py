@@ -14,13 +14,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import (  # pyright: ignore[reportUnknownVariableType]
     gammaln,
     psi,
     zeta,  # pyright: ignore[reportUnknownVariableType]
 )
 
+from planopt.arrays import Floats
 from planopt.channel.measurements import MAX_POWER_DB, Measurements
 from planopt.channel.parameters import ChannelParameters, regressors, require_places
 from planopt.channel.posterior import ChannelPosterior
@@ -227,7 +228,7 @@ def _with_std(std_db: Callable[[float], float], least: float, wanted_db: float) 
 
 def multipath_field_db(
     shape: tuple[int, ...], multipath: Multipath, generator: np.random.Generator
-) -> NDArray[np.float64]:
+) -> Floats:
     """Draw independent fading in dB, with mean zero and standard deviation ``multipath.std_db``."""
     if isinstance(multipath, Lognormal):
         return multipath.std_db * generator.standard_normal(shape)
@@ -258,7 +259,7 @@ class Truth:
 
     raster: Raster
     floor_dbm: float | None
-    mean_dbm: NDArray[np.float64]
+    mean_dbm: Floats
 
     __repr__ = short_repr
 
@@ -358,9 +359,9 @@ def _faded(
 
 
 def power_truth(
-    x_m: NDArray[np.float64],
-    y_m: NDArray[np.float64],
-    power_dbm: NDArray[np.float64],  # (ny, nx), NaN where there is no signal
+    x_m: Floats,
+    y_m: Floats,
+    power_dbm: Floats,  # (ny, nx), NaN where there is no signal
     floor_dbm: float | None = None,
 ) -> Truth:
     """Return the ground truth from a grid of received power, with or without small-scale fading."""
@@ -382,13 +383,13 @@ def power_truth(
     return Truth(Raster(raster.x_m, raster.y_m, power), floor_dbm, power)
 
 
-def true_power_dbm(truth: Truth, positions_m: ArrayLike) -> NDArray[np.float64]:
+def true_power_dbm(truth: Truth, positions_m: ArrayLike) -> Floats:
     """Return the received power at `positions_m` (n, 2), at least the floor; ``(n,)`` dBm."""
     iy, ix = nearest_cells(truth.raster, require_places(positions_m, at_least=0))
     return truth.raster.values[iy, ix]
 
 
-def mean_power_dbm(truth: Truth, positions_m: ArrayLike) -> NDArray[np.float64]:
+def mean_power_dbm(truth: Truth, positions_m: ArrayLike) -> Floats:
     """Return the power without small-scale fading at `positions_m` (n, 2); ``(n,)`` dBm."""
     iy, ix = nearest_cells(truth.raster, require_places(positions_m, at_least=0))
     return truth.mean_dbm[iy, ix]

@@ -24,8 +24,8 @@ from functools import partial
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.calibration import GroupedRatio, ReliabilityBin, grouped_ratio, reliability
 from planopt.channel.cholesky import log_determinant, lower_factor, one_blas_thread, solve_lower
 from planopt.channel.estimation.channel_fit import ChannelFit
@@ -168,16 +168,14 @@ def _uncensored(measurements: Measurements) -> Measurements:
     return placed.take(np.flatnonzero(~placed.censored))
 
 
-def _correlation(
-    distance_m: NDArray[np.float64], length_m: float, noise: float
-) -> NDArray[np.float64]:
+def _correlation(distance_m: Floats, length_m: float, noise: float) -> Floats:
     """Return the correlation of powers (n, n); `noise` is the noise share of their variance."""
     correlation = (1.0 - noise) * np.exp(-distance_m / length_m)
     np.fill_diagonal(correlation, 1.0)
     return correlation
 
 
-def _most_likely(positions_m: NDArray[np.float64], centred_db: NDArray[np.float64]) -> Point:
+def _most_likely(positions_m: Floats, centred_db: Floats) -> Point:
     """Return the most likely length scale and noise share by a grid search with one refinement."""
     distance_m = pairwise_distance_m(positions_m, positions_m)
 
@@ -228,7 +226,7 @@ class HeldOutScore:
     rmse_db: GroupedRatio
     of_path_loss: GroupedRatio
     coverage: dict[float, GroupedRatio]
-    pit_share: NDArray[np.float64]
+    pit_share: Floats
     reliability: tuple[ReliabilityBin, ...]
 
 
@@ -263,8 +261,8 @@ class HeldOutReport:
 @one_blas_thread()
 def held_out_report(
     measurements: Measurements | Table,
-    groups: NDArray[np.intp],
-    fold_of: NDArray[np.intp],
+    groups: Indices,
+    fold_of: Indices,
     learn: Callable[[Measurements], Mapping[str, Predictor]],
     threshold_dbm: float | None = None,
 ) -> HeldOutReport:
@@ -301,7 +299,7 @@ def held_out_report(
     # A censored power with a limit above the threshold has an unknown outcome.
     known = ~data.censored | (data.power_dbm < threshold)
 
-    def squares(prediction: Prediction) -> NDArray[np.float64]:
+    def squares(prediction: Prediction) -> Floats:
         error = np.where(data.censored, 0.0, data.power_dbm - prediction.mean_db)
         return _summed(error**2, group_of)
 
@@ -335,20 +333,18 @@ def held_out_report(
     )
 
 
-def _summed(
-    values: NDArray[np.float64] | NDArray[np.bool_] | float, group_of: NDArray[np.intp]
-) -> NDArray[np.float64]:
+def _summed(values: Floats | Mask | float, group_of: Indices) -> Floats:
     """Return the sum of values (n,) within each group."""
     weights = np.broadcast_to(values, group_of.shape)
     return np.bincount(group_of, weights=weights).astype(np.float64)
 
 
 def part_between(
-    pit: NDArray[np.float64],  # (n,) PIT of each power, or of a censored power's limit
-    censored: NDArray[np.bool_],  # (n,)
+    pit: Floats,  # (n,) PIT of each power, or of a censored power's limit
+    censored: Mask,  # (n,)
     low: float,
     high: float,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the share of each PIT within [low, high), (n,); 1 belongs to the last interval."""
     inside = (pit >= low) & ((pit < high) | (high >= 1.0))
     below = np.clip(pit, low, high) - low
@@ -359,7 +355,7 @@ def part_between(
 
 def held_out_predictions(
     measurements: Measurements,
-    fold_of: NDArray[np.intp],  # (n,)
+    fold_of: Indices,  # (n,)
     learn: Callable[[Measurements], Mapping[str, Predictor]],
 ) -> dict[str, Prediction]:
     """Predict every measurement by predictors learnt without its fold."""
@@ -383,7 +379,7 @@ def held_out_predictions(
     return found
 
 
-def deal(groups: NDArray[np.intp], folds: int, generator: np.random.Generator) -> NDArray[np.intp]:
+def deal(groups: Indices, folds: int, generator: np.random.Generator) -> Indices:
     """Assign whole groups to folds at random; return the fold of each measurement, ``(n,)``.
 
     Parameters

@@ -12,8 +12,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from planopt.arrays import Floats, Mask
 from planopt.channel.cholesky import semidefinite_factor, whiten
 from planopt.channel.gaussian_sites import rounded_variance_db2
 from planopt.channel.kriging import predict_noiseless
@@ -49,8 +50,8 @@ class JointPrediction:
         There is no position, shapes differ, or a number is not finite.
     """
 
-    mean_db: NDArray[np.float64]
-    covariance_db2: NDArray[np.float64]
+    mean_db: Floats
+    covariance_db2: Floats
 
     __repr__ = short_repr
 
@@ -69,11 +70,11 @@ class JointPrediction:
         return len(self.mean_db)
 
     @property
-    def deviation_db(self) -> NDArray[np.float64]:
+    def deviation_db(self) -> Floats:
         """Standard deviation at each position, ``(h,)``."""
         return np.sqrt(np.diag(self.covariance_db2))
 
-    def sample(self, count: int, generator: np.random.Generator) -> NDArray[np.float64]:
+    def sample(self, count: int, generator: np.random.Generator) -> Floats:
         """Draw powers ``(count, h)`` in dBm."""
         lower = semidefinite_factor(self.covariance_db2)
         draws = generator.standard_normal((require_count(count, "count"), len(self)))
@@ -117,12 +118,12 @@ def joint_prediction(
 class JointTerms:
     """Terms of a joint prediction that do not depend on theta."""
 
-    data_db: NDArray[np.float64]  # (h,) Phi' U^-1 Y
-    trend: NDArray[np.float64]  # (h, 2) B
-    latent_db2: NDArray[np.float64]  # (h, h) S without multipath
+    data_db: Floats  # (h,) Phi' U^-1 Y
+    trend: Floats  # (h, 2) B
+    latent_db2: Floats  # (h, h) S without multipath
 
 
-def joint_terms(posterior: ChannelPosterior, places_m: NDArray[np.float64]) -> JointTerms:
+def joint_terms(posterior: ChannelPosterior, places_m: Floats) -> JointTerms:
     """Return the terms of a joint prediction at positions (h, 2)."""
     parameters = posterior.parameters
     across = whiten(posterior.factor, posterior.covariance_with_db2(places_m))
@@ -144,7 +145,7 @@ def sample_power(
     generator: np.random.Generator,
     *,
     latent: bool = False,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Draw powers at `positions_m` from the posterior, in dBm; ``(count, h)``.
 
     Parameters
@@ -215,7 +216,7 @@ class SampledDistribution:
         ``(count,)`` draws in the order drawn, at least 2.
     """
 
-    draws: NDArray[np.float64]
+    draws: Floats
 
     __repr__ = short_repr
 
@@ -430,9 +431,9 @@ def delivered_data(
 
 
 def longest_runs(
-    leg_sizes: NDArray[np.float64],  # (h - 1,)
-    connected: NDArray[np.bool_],  # (count, h)
-) -> NDArray[np.float64]:
+    leg_sizes: Floats,  # (h - 1,)
+    connected: Mask,  # (count, h)
+) -> Floats:
     """Return the largest sum of `leg_sizes` over consecutive disconnected legs; ``(count,)``."""
     current = np.zeros(len(connected))
     longest = np.zeros(len(connected))
@@ -443,10 +444,10 @@ def longest_runs(
 
 
 def sent_and_lost(
-    durations_s: NDArray[np.float64],  # (h - 1,)
-    connected: NDArray[np.bool_],  # (count, h)
+    durations_s: Floats,  # (h - 1,)
+    connected: Mask,  # (count, h)
     traffic: Traffic,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats, Floats]:
     """Return the bits delivered, lost, and left in the buffer; each ``(count,)``."""
     # This is exact for a fluid: rates are constant on a leg, so its buffer level is monotonic.
     waiting = np.full(len(connected), traffic.waiting_bits)
@@ -461,9 +462,7 @@ def sent_and_lost(
     return delivered, lost, waiting
 
 
-def _path(
-    positions_m: ArrayLike, times_s: ArrayLike
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _path(positions_m: ArrayLike, times_s: ArrayLike) -> tuple[Floats, Floats]:
     """Return validated positions and times."""
     places = require_places(positions_m, 2)
     times = np.asarray(times_s, dtype=np.float64)
@@ -482,11 +481,11 @@ def _path(
 
 def _connected(
     posterior: ChannelPosterior,
-    places_m: NDArray[np.float64],
+    places_m: Floats,
     threshold_dbm: float,
     count: int,
     generator: np.random.Generator,
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Draw connection states at positions (h, 2); ``(count, h)``."""
     threshold = require_finite(threshold_dbm, "threshold_dbm")
     return sample_power(posterior, places_m, count, generator) >= threshold

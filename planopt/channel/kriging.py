@@ -15,8 +15,9 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from planopt.arrays import Floats, Indices
 from planopt.channel.cholesky import inverse, lower_factor, whiten, whitened_by
 from planopt.channel.long_logs import EARLIER_NEIGHBOURS, OffsetsGivenTheta, offsets_given_theta
 from planopt.channel.measurements import (
@@ -47,7 +48,7 @@ LEAST_BLOCK = 256
 def predict(
     posterior: ChannelPosterior,
     positions_m: ArrayLike,  # (n, 2); memory is bounded for any n
-    position_std_m: NDArray[np.float64] | None = None,  # (n,)
+    position_std_m: Floats | None = None,  # (n,)
 ) -> Prediction:
     """Predict mean and standard deviation of the power that would be measured (equation 1.8).
 
@@ -61,8 +62,8 @@ def predict(
 
 def kriging_terms(
     posterior: ChannelPosterior,
-    positions_m: NDArray[np.float64],  # (n, 2)
-    position_std_m: NDArray[np.float64] | None = None,  # (n,)
+    positions_m: Floats,  # (n, 2)
+    position_std_m: Floats | None = None,  # (n,)
 ) -> KrigingTerms:
     """Return the terms of a prediction that do not depend on theta."""
     if not posterior.has_factor:
@@ -142,17 +143,17 @@ class LocalChannel:
     parameters: ChannelParameters
     origins: Origins  # (..., m) of the measurements, without receivers' offsets
     now_s: float  # Time of the prediction
-    covariance_db2: NDArray[np.float64]  # (..., m, m) U_mm without offsets
-    columns: NDArray[np.float64]  # (..., m, 3) [y, Gamma] less the receivers' mean offsets
-    received: NDArray[np.float64]  # (..., m, R) receiver indicators Z
+    covariance_db2: Floats  # (..., m, m) U_mm without offsets
+    columns: Floats  # (..., m, 3) [y, Gamma] less the receivers' mean offsets
+    received: Floats  # (..., m, R) receiver indicators Z
     offsets: OffsetsGivenTheta
-    theta: NDArray[np.float64]  # (2,) (K_PL, n_PL)
-    theta_covariance: NDArray[np.float64]  # (2, 2) M
+    theta: Floats  # (2,) (K_PL, n_PL)
+    theta_covariance: Floats  # (2, 2) M
 
     @staticmethod
     def of(
         posterior: ChannelPosterior,
-        used: NDArray[np.intp],  # (..., m) indices of the measurements
+        used: Indices,  # (..., m) indices of the measurements
         offsets: OffsetsGivenTheta | None = None,
     ) -> LocalChannel:
         """Return the channel conditional on the measurements `used`."""
@@ -180,32 +181,28 @@ class LocalChannel:
         )
 
     @staticmethod
-    def around(
-        posterior: ChannelPosterior, positions_m: NDArray[np.float64], count: int
-    ) -> LocalChannel:
+    def around(posterior: ChannelPosterior, positions_m: Floats, count: int) -> LocalChannel:
         """Return the channel conditional on the `count` measurements nearest to a path (h, 2)."""
         return LocalChannel.of(posterior, nearest_to_path(posterior, positions_m, count))
 
     @staticmethod
-    def around_each(
-        posterior: ChannelPosterior, centres_m: NDArray[np.float64], count: int
-    ) -> LocalChannel:
+    def around_each(posterior: ChannelPosterior, centres_m: Floats, count: int) -> LocalChannel:
         """Return k channels, each from the `count` measurements nearest to a centre (k, 2)."""
         return LocalChannel.of(posterior, posterior.index.nearest(centres_m, count)[0])
 
     @property
-    def positions_m(self) -> NDArray[np.float64]:
+    def positions_m(self) -> Floats:
         """Positions of the measurements, ``(..., m, 2)``."""
         return self.origins.positions_m
 
     @cached_property
-    def added_m2(self) -> NDArray[np.float64]:
+    def added_m2(self) -> Floats:
         """Blur that the kernel adds to the squared distance of each measurement, ``(..., m)``."""
         blur = self.origins.blur_m2
         return np.zeros(self.columns.shape[:-1]) if blur is None else blur
 
     @cached_property
-    def inverse(self) -> NDArray[np.float64]:
+    def inverse(self) -> Floats:
         """Inverse U_mm^-1 with the offsets' uncertainty, without age factors; ``(..., m, m)``."""
         # It is P - P Z V Z' P, P the inverse for known offsets and V their covariance given theta.
         if self.covariance_db2.ndim == 2:
@@ -218,49 +215,49 @@ class LocalChannel:
         return found - projected @ self.offsets.covariance_db2 @ projected.swapaxes(-1, -2)
 
     @cached_property
-    def _weighted(self) -> NDArray[np.float64]:
+    def _weighted(self) -> Floats:
         """Product U_mm^-1 [y, Gamma_m] for known offsets, without age factors; ``(..., m, 3)``."""
         if not len(self.offsets.receivers):
             return self.inverse @ self.columns
         return np.asarray(np.linalg.solve(self.covariance_db2, self.columns), dtype=np.float64)
 
     @cached_property
-    def _aged(self) -> NDArray[np.float64] | None:
+    def _aged(self) -> Floats | None:
         """Age factor of each measurement, ``(..., m)``; None for a static channel."""
         times = self.origins.time_s
         return None if times is None else ageing(times, self.now_s, self.parameters)
 
     @cached_property
-    def precision(self) -> NDArray[np.float64]:
+    def precision(self) -> Floats:
         """Inverse U_mm^-1 with age factors, ``(..., m, m)``."""
         aged = self._aged
         return self.inverse if aged is None else self.inverse * aged[..., None] * aged[..., None, :]
 
     @cached_property
-    def weights(self) -> NDArray[np.float64]:
+    def weights(self) -> Floats:
         """Kriging weights U_mm^-1 y with age factors, ``(..., m)``."""
         weights = self._weighted[..., 0]
         return np.ascontiguousarray(weights if self._aged is None else self._aged * weights)
 
     @cached_property
-    def trend(self) -> NDArray[np.float64]:
+    def trend(self) -> Floats:
         """Product U_mm^-1 Gamma_m with age factors, ``(..., m, 2)``."""
         trend = self._weighted[..., 1:]
         return np.ascontiguousarray(trend if self._aged is None else self._aged[..., None] * trend)
 
     def rows_db2(
         self,
-        places_m: NDArray[np.float64],  # (..., p, 2)
-        position_std_m: NDArray[np.float64] | None = None,  # (..., p)
-    ) -> NDArray[np.float64]:
+        places_m: Floats,  # (..., p, 2)
+        position_std_m: Floats | None = None,  # (..., p)
+    ) -> Floats:
         """Return covariances of positions with the measurements, with age; ``(..., p, m)``."""
         places = place_origins(places_m, self.now_s, self.parameters, position_std_m)
         return covariance_db2(places, self.origins, self.parameters)
 
     def terms(
         self,
-        places_m: NDArray[np.float64],  # (..., p, 2)
-        rows_db2: NDArray[np.float64] | None = None,  # (..., p, m) from `rows_db2`, if computed
+        places_m: Floats,  # (..., p, 2)
+        rows_db2: Floats | None = None,  # (..., p, m) from `rows_db2`, if computed
     ) -> KrigingTerms:
         """Return kriging terms at positions from each set of measurements."""
         rows = self.rows_db2(places_m) if rows_db2 is None else rows_db2
@@ -282,14 +279,12 @@ class LocalChannel:
         variance = np.maximum(latent, 0.0) + self.parameters.multipath_std_db**2
         return KrigingTerms(projected[..., 0], trend, variance)
 
-    def predict(self, places_m: NDArray[np.float64]) -> Prediction:
+    def predict(self, places_m: Floats) -> Prediction:
         """Predict at positions (..., p, 2)."""
         return combine(self.terms(places_m), self.theta, self.theta_covariance)
 
 
-def nearest_to_path(
-    posterior: ChannelPosterior, path_m: NDArray[np.float64], count: int
-) -> NDArray[np.intp]:
+def nearest_to_path(posterior: ChannelPosterior, path_m: Floats, count: int) -> Indices:
     """Return indices of the `count` measurements nearest to a path (h, 2), or of all."""
     # They are the nearest to each position, then the second nearest, and so on, so that every
     # position is represented.
@@ -307,15 +302,13 @@ def nearest_to_path(
 class LocalGrid:
     """Grid positions with precomputed kriging terms of one local channel."""
 
-    positions_m: NDArray[np.float64]  # (g, 2)
-    root_weight: NDArray[np.float64]  # (g,) square roots of the weights
-    solved: NDArray[np.float64]  # (m, g) U_mm^-1 Phi_g
-    trend: NDArray[np.float64]  # (g, 2) varphi(g)'
+    positions_m: Floats  # (g, 2)
+    root_weight: Floats  # (g,) square roots of the weights
+    solved: Floats  # (m, g) U_mm^-1 Phi_g
+    trend: Floats  # (g, 2) varphi(g)'
 
     @staticmethod
-    def of(
-        channel: LocalChannel, grid_m: NDArray[np.float64], weight: NDArray[np.float64]
-    ) -> LocalGrid:
+    def of(channel: LocalChannel, grid_m: Floats, weight: Floats) -> LocalGrid:
         """Precompute the terms of `grid_m` (g, 2) with weights (g,) >= 0."""
         phi = shadow_covariance_db2(
             channel.positions_m, grid_m, channel.parameters, channel.added_m2[:, None]
@@ -328,9 +321,7 @@ class LocalGrid:
         )
 
 
-def predict_nearby(
-    posterior: ChannelPosterior, positions_m: NDArray[np.float64], count: int
-) -> Prediction:
+def predict_nearby(posterior: ChannelPosterior, positions_m: Floats, count: int) -> Prediction:
     """Predict at `positions_m` (n, 2) from at least the `count` nearest measurements each."""
     terms = nearby_terms(posterior, positions_m, count)
     return combine(terms, posterior.theta, posterior.theta_covariance)
@@ -338,9 +329,9 @@ def predict_nearby(
 
 def nearby_terms(
     posterior: ChannelPosterior,
-    positions_m: NDArray[np.float64],
+    positions_m: Floats,
     count: int,
-    position_std_m: NDArray[np.float64] | None = None,  # (n,) of position errors
+    position_std_m: Floats | None = None,  # (n,) of position errors
 ) -> KrigingTerms:
     """Return the terms of :func:`predict_nearby` that do not depend on theta."""
     offsets = offsets_given_theta(posterior)
@@ -360,8 +351,8 @@ def nearby_terms(
 
 
 def _groups(
-    posterior: ChannelPosterior, positions_m: NDArray[np.float64], count: int
-) -> Iterator[tuple[NDArray[np.intp], NDArray[np.intp]]]:
+    posterior: ChannelPosterior, positions_m: Floats, count: int
+) -> Iterator[tuple[Indices, Indices]]:
     """Yield groups of positions with the union of the measurements nearest to each."""
     pending = [np.arange(len(positions_m))] if len(positions_m) else []
     while pending:

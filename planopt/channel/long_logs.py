@@ -26,8 +26,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices
 from planopt.channel.cholesky import factor_and_inverse, factor_and_whitened, lower_inverse, whiten
 from planopt.channel.gaussian_sites import (
     MAX_SITE_VARIANCE_DB2,
@@ -72,17 +72,17 @@ EARLIER_NEIGHBOURS = 64
 class VecchiaInformation:
     """Vecchia's approximation of the information on theta and the receiver offsets."""
 
-    receivers: NDArray[np.intp]  # (R,) receiver numbers, ascending, without 0
+    receivers: Indices  # (R,) receiver numbers, ascending, without 0
     # (3 + R, 3 + R) C' U0^-1 C with C = [y - Gamma theta_0, Gamma, Z], theta_0 from the
     # parameters, Z the receiver indicators and U0 the covariance without offsets
-    products: NDArray[np.float64]
+    products: Floats
 
-    def path_loss_products(self) -> NDArray[np.float64]:
+    def path_loss_products(self) -> Floats:
         """Return the products (3, 3) of [y - Gamma theta_0, Gamma] with offsets integrated out."""
         crossed = self.products[:3, 3:]
         return self.products[:3, :3] - crossed @ self.offset_covariance_db2() @ crossed.T
 
-    def offset_covariance_db2(self) -> NDArray[np.float64]:
+    def offset_covariance_db2(self) -> Floats:
         """Return the covariance of the offsets given theta, (I / s^2 + Z' U0^-1 Z)^-1; (R, R)."""
         prior = np.eye(len(self.receivers)) / RECEIVER_OFFSET_STD_DB**2
         return np.asarray(np.linalg.inv(self.products[3:, 3:] + prior), dtype=np.float64)
@@ -91,8 +91,8 @@ class VecchiaInformation:
 def vecchia_information(
     parameters: ChannelParameters,
     measurements: Measurements,  # n
-    values_db: NDArray[np.float64],  # (n,) with sites for intervals
-    noise_variance_db2: NDArray[np.float64],  # (n,) with sites for intervals
+    values_db: Floats,  # (n,) with sites for intervals
+    noise_variance_db2: Floats,  # (n,) with sites for intervals
     before: tuple[VecchiaInformation, PlaceIndex] | None = None,  # Sums over the first ones
 ) -> VecchiaInformation:
     """Return the information from `measurements`, added to that of the first ones in `before`."""
@@ -140,12 +140,12 @@ class OffsetsGivenTheta:
     """Distribution of the offsets of R receivers given all measurements and theta."""
 
     # (R,) receiver numbers, ascending, without 0; empty if every measurement is from receiver 0
-    receivers: NDArray[np.intp]
+    receivers: Indices
     # (R, 3) s^2 Z' U^-1 [y, Gamma]: the mean is the first column minus the others times theta
-    means_db: NDArray[np.float64]
-    covariance_db2: NDArray[np.float64]  # (R, R) s^2 I - s^4 Z' U^-1 Z
+    means_db: Floats
+    covariance_db2: Floats  # (R, R) s^2 I - s^4 Z' U^-1 Z
 
-    def indicators(self, receiver: NDArray[np.intp]) -> NDArray[np.float64]:
+    def indicators(self, receiver: Indices) -> Floats:
         """Return the indicators Z of measurements from receivers (...); ``(..., R)``."""
         return (receiver[..., None] == self.receivers).astype(np.float64)
 
@@ -209,30 +209,30 @@ measurements. It takes about ten sweeps."""
 class IntervalRows:
     """Interval measurements (m among n) with the windows in which their sites are matched."""
 
-    rows: NDArray[np.intp]  # (m,) indices, ascending
+    rows: Indices  # (m,) indices, ascending
     known: Intervals
-    displaced_db2: NDArray[np.float64]  # (m,) variance of path loss due to position errors
+    displaced_db2: Floats  # (m,) variance of path loss due to position errors
     windows: tuple[Window, ...]  # One for each block with interval measurements
     # Distances within each window, position errors included; None to compute them once
-    distances_m: tuple[NDArray[np.float64], ...] | None = None
+    distances_m: tuple[Floats, ...] | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class WindowSites:
     """Gaussian sites of m measurements."""
 
-    mean_db: NDArray[np.float64]  # (m,) origin of the sites
+    mean_db: Floats  # (m,) origin of the sites
     # (m,) natural parameters as in :class:`planopt.channel.gaussian_sites.IntervalSites`; the
     # precision is at least 1 / `MAX_SITE_VARIANCE_DB2`
-    precision: NDArray[np.float64]
-    shift: NDArray[np.float64]
+    precision: Floats
+    shift: Floats
     # Log of the factor that converts the density of the measurements, with sites in place of the
     # intervals, into the probability of the intervals
     log_factor: float
     slope: float  # Derivative of `log_factor` with respect to omega^2, with sites fixed
 
     @property
-    def values_db(self) -> NDArray[np.float64]:
+    def values_db(self) -> Floats:
         """Values of the sites as measurements, ``(m,)``."""
         return self.mean_db + self.shift / self.precision
 
@@ -240,9 +240,9 @@ class WindowSites:
 def window_sites(
     parameters: ChannelParameters,
     origins: Origins,
-    gaussian: tuple[NDArray[np.float64], NDArray[np.float64]],  # (n,) values, noise variances
+    gaussian: tuple[Floats, Floats],  # (n,) values, noise variances
     intervals: IntervalRows,
-    mean_db: NDArray[np.float64],  # (n,) mean power
+    mean_db: Floats,  # (n,) mean power
     start: WindowSites | None,
     tolerance: float,
 ) -> WindowSites:
@@ -317,11 +317,11 @@ def window_sites(
 
 
 def _cavities(
-    covariance: NDArray[np.float64],  # (h + own, h + own), overwritten
-    centred_db: NDArray[np.float64],
+    covariance: Floats,  # (h + own, h + own), overwritten
+    centred_db: Floats,
     own: int,
-    rows: NDArray[np.intp],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    rows: Indices,
+) -> tuple[Floats, Floats]:
     """Return leave-one-out means and variances of `rows` of the block (the last `own` rows)."""
     lower, whitened = factor_and_whitened(covariance, centred_db)
     near = len(lower) - own

@@ -34,6 +34,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.parameters import MAX_COORDINATE_M, ChannelParameters, Station
 from planopt.errors import InputError, listed
 from planopt.short_repr import short_repr
@@ -100,13 +101,13 @@ class Measurements:
         negative.
     """
 
-    positions_m: NDArray[np.float64]
-    power_dbm: NDArray[np.float64]
-    censored: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
-    resolution_db: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    position_std_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    time_s: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    receiver: NDArray[np.intp] = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
+    positions_m: Floats
+    power_dbm: Floats
+    censored: Mask = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    resolution_db: Floats = field(default_factory=lambda: np.zeros(0))
+    position_std_m: Floats = field(default_factory=lambda: np.zeros(0))
+    time_s: Floats = field(default_factory=lambda: np.zeros(0))
+    receiver: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp))
 
     __repr__ = short_repr
 
@@ -153,7 +154,7 @@ class Measurements:
     def __len__(self) -> int:
         return len(self.power_dbm)
 
-    def take(self, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> Measurements:
+    def take(self, rows: Indices | Mask | slice) -> Measurements:
         """Return the measurements of `rows`: indices, a mask or a slice."""
         return Measurements(*(getattr(self, part.name)[rows] for part in fields(self)))
 
@@ -259,9 +260,7 @@ ROWS_AT_ONCE = 64
 matrix is skipped, and temporary arrays stay in cache."""
 
 
-def pairwise_distance_m(
-    a: NDArray[np.float64], b: NDArray[np.float64], blur_m2: NDArray[np.float64] | None = None
-) -> NDArray[np.float64]:
+def pairwise_distance_m(a: Floats, b: Floats, blur_m2: Floats | None = None) -> Floats:
     """Return distances between every row of `a` (..., n, 2) and `b` (..., m, 2); (..., n, m)."""
     # `blur_m2` (position errors) is broadcast and added to the squares. Differences are squared
     # without expanding, so that coordinates near 3e6 keep their precision.
@@ -276,11 +275,8 @@ def pairwise_distance_m(
 
 
 def shadow_covariance_db2(
-    a: NDArray[np.float64],
-    b: NDArray[np.float64],
-    parameters: ChannelParameters,
-    blur_m2: NDArray[np.float64] | None = None,
-) -> NDArray[np.float64]:
+    a: Floats, b: Floats, parameters: ChannelParameters, blur_m2: Floats | None = None
+) -> Floats:
     """Return the covariance of shadowing; arguments and shapes as in `pairwise_distance_m`."""
     return decayed_db2(pairwise_distance_m(a, b, blur_m2), parameters)
 
@@ -295,11 +291,11 @@ def decayed_db2(distance_m: NDArray[Real], parameters: ChannelParameters) -> NDA
 
 
 def path_loss_variance_db2(
-    positions_m: NDArray[np.float64],  # (..., 2)
-    position_std_m: NDArray[np.float64],  # (...) sigma
+    positions_m: Floats,  # (..., 2)
+    position_std_m: Floats,  # (...) sigma
     station: Station,
     n_pl: float,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the variance of path loss at positions with errors; (...) in dB^2."""
     # ``(10 n_PL / ln 10)^2 sigma^2 (rho^2 + sigma^2) / (rho^2 + h^2 + 2 sigma^2)^2`` with rho the
     # horizontal distance to the station and h its height. It is the variance of the squared
@@ -316,7 +312,7 @@ def path_loss_variance_db2(
 
 def measured_path_loss_variance_db2(
     measurements: Measurements, parameters: ChannelParameters
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the variance of path loss from the measurements' position errors; ``(n,)`` in dB^2."""
     return path_loss_variance_db2(
         measurements.positions_m, measurements.position_std_m, parameters.station, parameters.n_pl
@@ -327,14 +323,14 @@ def measured_path_loss_variance_db2(
 class Origins:
     """Positions, times and receivers of measured or predicted powers."""
 
-    positions_m: NDArray[np.float64]  # (..., n, 2)
+    positions_m: Floats  # (..., n, 2)
     # (..., n) increase of squared distances due to position errors; None without errors
-    blur_m2: NDArray[np.float64] | None = None
+    blur_m2: Floats | None = None
     # (..., n), or (1,) for all; None for a static channel
-    time_s: NDArray[np.float64] | None = None
-    receiver: NDArray[np.intp] | None = None  # (..., n); None if all are 0
+    time_s: Floats | None = None
+    receiver: Indices | None = None  # (..., n); None if all are 0
 
-    def at(self, rows: NDArray[np.intp] | slice) -> Origins:
+    def at(self, rows: Indices | slice) -> Origins:
         """Return the origins of `rows`; indices (k, m) give k batches of m."""
         return Origins(
             self.positions_m[rows],
@@ -360,10 +356,10 @@ def measured_origins(measurements: Measurements, parameters: ChannelParameters) 
 
 
 def place_origins(
-    positions_m: NDArray[np.float64],  # (..., n, 2)
+    positions_m: Floats,  # (..., n, 2)
     now_s: float,
     parameters: ChannelParameters,
-    position_std_m: NDArray[np.float64] | None = None,  # (..., n) of position errors
+    position_std_m: Floats | None = None,  # (..., n) of position errors
 ) -> Origins:
     """Return the origins of predictions at the time `now_s`."""
     return Origins(
@@ -373,9 +369,7 @@ def place_origins(
     )
 
 
-def covariance_db2(
-    first: Origins, second: Origins, parameters: ChannelParameters
-) -> NDArray[np.float64]:
+def covariance_db2(first: Origins, second: Origins, parameters: ChannelParameters) -> Floats:
     """Return the covariance of powers at `first` (..., n) and `second` (..., m); (..., n, m)."""
     blur_m2 = _blur_m2(first, second)
     distance_m = pairwise_distance_m(first.positions_m, second.positions_m, blur_m2)
@@ -383,8 +377,8 @@ def covariance_db2(
 
 
 def covariance_over_db2(
-    distance_m: NDArray[np.float64], first: Origins, second: Origins, parameters: ChannelParameters
-) -> NDArray[np.float64]:
+    distance_m: Floats, first: Origins, second: Origins, parameters: ChannelParameters
+) -> Floats:
     """Overwrite blurred distances (..., n, m) with the covariances of :func:`covariance_db2`."""
     covariance = decayed_db2(distance_m, parameters)
     if first.time_s is not None and second.time_s is not None:
@@ -394,7 +388,7 @@ def covariance_over_db2(
     return covariance
 
 
-def offset_covariance_db2(first: NDArray[np.intp], second: NDArray[np.intp]) -> NDArray[np.float64]:
+def offset_covariance_db2(first: Indices, second: Indices) -> Floats:
     """Return the covariance of the offsets of receivers (..., n) and (..., m); (..., n, m)."""
     one, other = first[..., :, None], second[..., None, :]
     return np.where((one == other) & (one != 0), RECEIVER_OFFSET_STD_DB**2, 0.0)
@@ -403,8 +397,8 @@ def offset_covariance_db2(first: NDArray[np.intp], second: NDArray[np.intp]) -> 
 def own_covariance_db2(
     origins: Origins,  # (..., n)
     parameters: ChannelParameters,
-    distance_m: NDArray[np.float64] | None = None,  # (..., n, n) blurred; None to compute them
-) -> NDArray[np.float64]:
+    distance_m: Floats | None = None,  # (..., n, n) blurred; None to compute them
+) -> Floats:
     """Return the covariance matrix of the powers at `origins`; (..., n, n) in dB^2."""
     count = origins.positions_m.shape[-2]
     if distance_m is not None:
@@ -425,7 +419,7 @@ def own_covariance_db2(
     return covariance
 
 
-def own_variance_db2(origins: Origins, parameters: ChannelParameters) -> NDArray[np.float64]:
+def own_variance_db2(origins: Origins, parameters: ChannelParameters) -> Floats:
     """Return the variance of shadowing and the receiver's offset; ``(..., n)`` in dB^2."""
     variance = np.full(origins.positions_m.shape[:-1], float(parameters.shadow_std_db) ** 2)
     if origins.receiver is not None:
@@ -433,7 +427,7 @@ def own_variance_db2(origins: Origins, parameters: ChannelParameters) -> NDArray
     return variance
 
 
-def own_distance_m(origins: Origins) -> NDArray[np.float64]:
+def own_distance_m(origins: Origins) -> Floats:
     """Return distances among `origins` (n), position errors included; ``(n, n)``."""
     blur_m2 = _blur_m2(origins, origins)
     distance = pairwise_distance_m(origins.positions_m, origins.positions_m, blur_m2)
@@ -441,17 +435,13 @@ def own_distance_m(origins: Origins) -> NDArray[np.float64]:
     return distance
 
 
-def ageing(
-    one_s: NDArray[np.float64] | float,
-    other_s: NDArray[np.float64] | float,
-    parameters: ChannelParameters,
-) -> NDArray[np.float64]:
+def ageing(one_s: Floats | float, other_s: Floats | float, parameters: ChannelParameters) -> Floats:
     """Return the age factor exp(-|t_1 - t_2| / T) of two times, which are broadcast."""
     gap = np.abs(np.subtract(one_s, other_s))
     return np.exp(-gap / parameters.forgetting_s)
 
 
-def _blur_m2(first: Origins, second: Origins) -> NDArray[np.float64] | None:
+def _blur_m2(first: Origins, second: Origins) -> Floats | None:
     """Return the increase of squared distances due to position errors, shaped for (..., n, m)."""
     if first.blur_m2 is None:
         return None if second.blur_m2 is None else second.blur_m2[..., None, :]

@@ -16,8 +16,9 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree as ScipyKDTree
+
+from planopt.arrays import Floats, Indices
 
 # SciPy ships no types.
 KDTree: Any = ScipyKDTree
@@ -41,15 +42,15 @@ PRESELECTED = 4
 class PlaceTree:
     """Search tree of positions in the plane."""
 
-    def __init__(self, positions_m: NDArray[np.float64]) -> None:
+    def __init__(self, positions_m: Floats) -> None:
         self._tree = KDTree(positions_m, balanced_tree=False)
 
     def __len__(self) -> int:
         return int(self._tree.n)
 
     def nearest(
-        self, centres_m: NDArray[np.float64], count: int, within_m: float = np.inf
-    ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+        self, centres_m: Floats, count: int, within_m: float = np.inf
+    ) -> tuple[Indices, Floats]:
         """Return indices of the `count` positions nearest to `centres_m` (k, 2), and distances."""
         # Both are ``(k, count)``, sorted by distance; `count` is at most n. Positions beyond
         # `within_m` have index n and an infinite distance.
@@ -58,7 +59,7 @@ class PlaceTree:
         shape = len(centres_m), count
         return np.asarray(indices, dtype=np.intp).reshape(shape), distances.reshape(shape)
 
-    def within(self, centre_m: NDArray[np.float64], reach_m: float) -> list[int]:
+    def within(self, centre_m: Floats, reach_m: float) -> list[int]:
         """Return indices of the positions within `reach_m` of a position (2,)."""
         return list(self._tree.query_ball_point(centre_m, reach_m))
 
@@ -67,15 +68,15 @@ class PlaceTree:
 class PlaceIndex:
     """Nearest-neighbour index of measured positions, with a tree of the earliest ones."""
 
-    positions_m: NDArray[np.float64]  # (n, 2)
+    positions_m: Floats  # (n, 2)
     tree: PlaceTree | None = None  # None if there are few positions
 
     @staticmethod
-    def of(positions_m: NDArray[np.float64]) -> PlaceIndex:
+    def of(positions_m: Floats) -> PlaceIndex:
         """Return the index of `positions_m` (n, 2)."""
         return PlaceIndex(positions_m).grown(positions_m)
 
-    def grown(self, positions_m: NDArray[np.float64]) -> PlaceIndex:
+    def grown(self, positions_m: Floats) -> PlaceIndex:
         """Return the index extended to `positions_m` (n, 2), which begin with those of this one."""
         treed = self._treed
         keep = len(positions_m) - treed <= max(MOST_UNTREED, UNTREED_SHARE * treed)
@@ -83,9 +84,9 @@ class PlaceIndex:
 
     def nearest(
         self,
-        centres_m: NDArray[np.float64],  # (k, 2)
+        centres_m: Floats,  # (k, 2)
         count: int,
-    ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    ) -> tuple[Indices, Floats]:
         """Return indices (k, count) of the nearest positions, unsorted, and the largest square."""
         # If there are at most `count` positions, all are returned, with infinite distances.
         total = len(self.positions_m)
@@ -113,9 +114,7 @@ class PlaceIndex:
         farthest = np.take_along_axis(squared_m2, chosen[:, -1:], axis=1)[:, 0]
         return np.take_along_axis(indices, chosen, axis=1), farthest
 
-    def within(
-        self, centres_m: NDArray[np.float64], reach_m: float
-    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    def within(self, centres_m: Floats, reach_m: float) -> tuple[Indices, Indices]:
         """Return index pairs of centres (k, 2), ascending, and positions within `reach_m`."""
         pairs: list[tuple[int, int]] = []
         for first, tree in (0, self.tree), (self._treed, self._late_tree):
@@ -143,18 +142,18 @@ class PlaceIndex:
 class Window:
     """Block of measurements with the neighbours on which it is conditioned."""
 
-    near: NDArray[np.intp]  # (h,) indices of the neighbours
-    own: NDArray[np.intp]  # (b,) indices of the block's measurements
+    near: Indices  # (h,) indices of the neighbours
+    own: Indices  # (b,) indices of the block's measurements
 
     @property
-    def rows(self) -> NDArray[np.intp]:
+    def rows(self) -> Indices:
         """Indices ``(h + b,)`` of the neighbours, then of the block."""
         return np.concatenate([self.near, self.own])
 
 
-def place_blocks(coordinates: NDArray[np.float64], most: int) -> tuple[NDArray[np.intp], ...]:
+def place_blocks(coordinates: Floats, most: int) -> tuple[Indices, ...]:
     """Divide positions (n, k) into compact blocks of nearly `most`, each with ascending indices."""
-    blocks: list[NDArray[np.intp]] = []
+    blocks: list[Indices] = []
     pending = [(np.arange(len(coordinates)), -(-len(coordinates) // most))]
     while pending:
         rows, parts = pending.pop()
@@ -169,8 +168,8 @@ def place_blocks(coordinates: NDArray[np.float64], most: int) -> tuple[NDArray[n
 
 
 def earlier_windows(
-    coordinates: NDArray[np.float64],  # (n, k)
-    blocks: tuple[NDArray[np.intp], ...],
+    coordinates: Floats,  # (n, k)
+    blocks: tuple[Indices, ...],
     count: int,
 ) -> tuple[Window, ...]:
     """Return blocks from coarse to fine, each with the `count` nearest in earlier blocks."""
@@ -183,9 +182,7 @@ def earlier_windows(
     return tuple(windows)
 
 
-def later_windows(
-    coordinates: NDArray[np.float64], index: PlaceIndex, count: int
-) -> tuple[Window, ...]:
+def later_windows(coordinates: Floats, index: PlaceIndex, count: int) -> tuple[Window, ...]:
     """Return a window for each position (n, 2) after those in `index`, with earlier neighbours."""
     windows: list[Window] = []
     for row in range(len(index.positions_m), len(coordinates)):
@@ -196,7 +193,7 @@ def later_windows(
 
 
 def surrounding_windows(
-    coordinates: NDArray[np.float64], blocks: tuple[NDArray[np.intp], ...], count: int
+    coordinates: Floats, blocks: tuple[Indices, ...], count: int
 ) -> tuple[Window, ...]:
     """Return each block with the `count` nearest measurements outside it."""
     everyone = np.arange(len(coordinates))
@@ -206,9 +203,7 @@ def surrounding_windows(
     )
 
 
-def _coarse_to_fine(
-    coordinates: NDArray[np.float64], blocks: tuple[NDArray[np.intp], ...]
-) -> list[int]:
+def _coarse_to_fine(coordinates: Floats, blocks: tuple[Indices, ...]) -> list[int]:
     """Return the order of blocks: the most central first, then the farthest from all before it."""
     if not blocks:
         return []
@@ -225,9 +220,7 @@ def _coarse_to_fine(
     return order
 
 
-def _nearest_to(
-    coordinates: NDArray[np.float64], own: NDArray[np.intp], others: NDArray[np.intp], count: int
-) -> NDArray[np.intp]:
+def _nearest_to(coordinates: Floats, own: Indices, others: Indices, count: int) -> Indices:
     """Return the `count` indices in `others` nearest to any of `own`, ascending."""
     for reach, distance in ((PRESELECTED * count, _beyond_box_m2), (count, _to_any_m2)):
         if len(others) > reach:
@@ -236,14 +229,14 @@ def _nearest_to(
     return np.sort(others)
 
 
-def _beyond_box_m2(own: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
+def _beyond_box_m2(own: Floats, others: Floats) -> Floats:
     """Return squared distances of `others` (m, k) from the box around `own` (b, k); ``(m,)``."""
     low, high = own.min(axis=0), own.max(axis=0)
     beyond = np.maximum(np.maximum(low - others, others - high), 0.0)
     return np.einsum("mk,mk->m", beyond, beyond)
 
 
-def _to_any_m2(own: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
+def _to_any_m2(own: Floats, others: Floats) -> Floats:
     """Return squared distances of `others` (m, k) to the nearest of `own` (b, k); ``(m,)``."""
     apart = others[:, None] - own
     return np.einsum("mbk,mbk->mb", apart, apart).min(axis=1)

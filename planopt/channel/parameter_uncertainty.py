@@ -17,8 +17,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from planopt.arrays import Floats
 from planopt.channel.cholesky import lower_factor, one_blas_thread, whiten
 from planopt.channel.estimation.channel_fit import MIN_NUGGET_SHARE
 from planopt.channel.estimation.least_squares import examine
@@ -30,12 +31,7 @@ from planopt.channel.estimation.likelihood import (
 from planopt.channel.estimation.reml import MOST_DENSE, thinned
 from planopt.channel.gaussian_sites import MIN_NOISE_VARIANCE_DB2, rounded_variance_db2
 from planopt.channel.measurements import Measurements, Table, as_measurements, shadow_covariance_db2
-from planopt.channel.parameters import (
-    ChannelParameters,
-    mean_model,
-    regressors,
-    require_places,
-)
+from planopt.channel.parameters import ChannelParameters, mean_model, regressors, require_places
 from planopt.channel.posterior import EXACT_LIMIT, ChannelPosterior, condition
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.errors import InputError
@@ -68,18 +64,16 @@ class MarginalPosterior:
     """
 
     components: tuple[ChannelPosterior, ...]
-    weights: NDArray[np.float64]
+    weights: Floats
 
     __repr__ = short_repr
 
-    def predict(self, positions_m: NDArray[np.float64]) -> Prediction:
+    def predict(self, positions_m: Floats) -> Prediction:
         """Return mean and standard deviation of the mixture at `positions_m` (n, 2)."""
         places = require_places(positions_m)
         return mixture(self.weights, [component.predict(places) for component in self.components])
 
-    def connectivity(
-        self, positions_m: NDArray[np.float64], threshold_dbm: float
-    ) -> NDArray[np.float64]:
+    def connectivity(self, positions_m: Floats, threshold_dbm: float) -> Floats:
         """Return P(power >= `threshold_dbm`) of the mixture at `positions_m` (n, 2); ``(n,)``."""
         places = require_places(positions_m)
         chances = np.zeros(len(places))
@@ -91,7 +85,7 @@ class MarginalPosterior:
         return chances
 
 
-def mixture(weights: NDArray[np.float64], parts: Sequence[Prediction]) -> Prediction:
+def mixture(weights: Floats, parts: Sequence[Prediction]) -> Prediction:
     """Return mean and standard deviation of a mixture of predictions with `weights` (k,)."""
     means = np.stack([part.mean_db for part in parts])
     mean = weights @ means
@@ -149,7 +143,16 @@ def marginalise(
     box = np.array([[-top, top], [math.log(low), math.log(high)]])
     # The likelihood's alpha includes the variance of rounding, which `condition` adds again.
     rounding = float(rounded_variance_db2(exact.resolution_db).mean())
-    centre = np.clip(_coordinates(parameters, rounding), box[:, 0], box[:, 1])
+    multipath_std_db = math.hypot(parameters.multipath_std_db, math.sqrt(rounding))
+    shadow, multipath = (
+        math.log(max(deviation, sys.float_info.min))
+        for deviation in (parameters.shadow_std_db, multipath_std_db)
+    )
+    centre = np.clip(
+        (np.array([2.0 * (shadow - multipath), math.log(parameters.decorrelation_m)])),
+        box[:, 0],
+        box[:, 1],
+    )
     freedom = len(exact) - data.flat_columns().shape[1]
     points = _design(data, centre, box)
     found = [_likelihood(data, point) for point in points]
@@ -189,16 +192,14 @@ def _exact_part(measurements: Measurements) -> Measurements:
     return measurements.take(rows[thinned(len(rows), MOST_DENSE)])
 
 
-def _design(
-    data: LikelihoodData, centre: NDArray[np.float64], box: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _design(data: LikelihoodData, centre: Floats, box: Floats) -> Floats:
     """Return points (k, 2) on a lattice along the principal axes of the likelihood."""
     curvature = np.empty((2, 2))
     # Near the edge of the box the differences are taken around a point moved inwards.
     middle = np.clip(centre, box[:, 0] + DIFFERENCE, box[:, 1] - DIFFERENCE)
     first, second = DIFFERENCE * np.eye(2)
 
-    def value(point: NDArray[np.float64]) -> float:
+    def value(point: Floats) -> float:
         return _likelihood(data, point)[0]
 
     here = value(middle)
@@ -219,22 +220,12 @@ def _design(
     return np.concatenate([centre[None], points[inside & steps.any(axis=1)]])
 
 
-def _likelihood(data: LikelihoodData, point: NDArray[np.float64]) -> tuple[float, float]:
+def _likelihood(data: LikelihoodData, point: Floats) -> tuple[float, float]:
     """Return the log-likelihood with alpha integrated out, up to a constant, and the best alpha."""
     return profiled_log_likelihood(data, *_values(point))
 
 
-def _coordinates(parameters: ChannelParameters, rounding_db2: float) -> NDArray[np.float64]:
-    """Return finite (logit(xi^2 / alpha), log beta); alpha includes the variance of rounding."""
-    multipath_std_db = math.hypot(parameters.multipath_std_db, math.sqrt(rounding_db2))
-    shadow, multipath = (
-        math.log(max(deviation, sys.float_info.min))
-        for deviation in (parameters.shadow_std_db, multipath_std_db)
-    )
-    return np.array([2.0 * (shadow - multipath), math.log(parameters.decorrelation_m)])
-
-
-def _values(point: NDArray[np.float64]) -> tuple[float, float]:
+def _values(point: Floats) -> tuple[float, float]:
     """Return (xi^2 / alpha, beta) of a design point."""
     return 1.0 / (1.0 + math.exp(-point[0])), math.exp(point[1])
 
@@ -252,7 +243,7 @@ def mean_squared_error_db2(
     assumed: ChannelParameters,
     measured_m: ArrayLike,
     positions_m: ArrayLike,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the exact Delta^2(q) for any errors in the parameters (equation 1.16).
 
     With w = U_est^-1 phi_est the weights of equation 1.6 and delta theta = theta - theta_est,
@@ -341,10 +332,10 @@ def perturbed(parameters: ChannelParameters, name: str, relative_error: float) -
 
 def sensitivity_curves(
     true: ChannelParameters,
-    measured_m: NDArray[np.float64],
-    positions_m: NDArray[np.float64],
+    measured_m: Floats,
+    positions_m: Floats,
     relative_errors: Sequence[float],
-) -> dict[str, NDArray[np.float64]]:
+) -> dict[str, Floats]:
     """Return the mean Delta^2 as a function of the error in each parameter (Fig. 1 of [GM11]).
 
     Parameters
@@ -376,7 +367,7 @@ def sensitivity_curves(
     }
 
 
-def _inverse(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+def _inverse(covariance: Floats) -> Floats:
     """Return the inverse of a covariance (kappa, kappa); kappa may be 0."""
     if not len(covariance):
         return covariance
@@ -384,9 +375,7 @@ def _inverse(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
     return half.T @ half
 
 
-def _path_loss_db(
-    parameters: ChannelParameters, places_m: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _path_loss_db(parameters: ChannelParameters, places_m: Floats) -> Floats:
     """Return the mean power gamma' theta at `places_m` (n, 2)."""
     theta = np.array([parameters.k_pl_db, parameters.n_pl])
     return regressors(places_m, parameters.station) @ theta

@@ -11,8 +11,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from planopt.arrays import Floats, Mask
 from planopt.errors import InputError
 
 MAX_COORDINATE_M = 1e12
@@ -28,7 +29,7 @@ PRIOR_N_PL_STD = 1.0
 """Prior standard deviation of n_PL."""
 
 
-def require_places(positions_m: ArrayLike, at_least: int = 1) -> NDArray[np.float64]:
+def require_places(positions_m: ArrayLike, at_least: int = 1) -> Floats:
     """Return `positions_m` (h, 2) as floats, or raise an error if they are invalid."""
     remedy = f"give (h, 2) metres with h at least {at_least}"
     try:
@@ -82,7 +83,7 @@ def require_count(count: int, key: str) -> int:
     return count
 
 
-def leg_lengths_m(positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def leg_lengths_m(positions_m: Floats) -> Floats:
     """Return the leg lengths between successive positions; (h, 2) -> (h - 1,)."""
     step = np.diff(positions_m, axis=0)
     return np.hypot(step[:, 0], step[:, 1])
@@ -178,14 +179,14 @@ class ChannelParameters:
                 )
 
 
-def station_distance_m(positions_m: NDArray[np.float64], station: Station) -> NDArray[np.float64]:
+def station_distance_m(positions_m: Floats, station: Station) -> Floats:
     """Return the 3D distance to the station, at least `MIN_DISTANCE_M`; (n, 2) -> (n,)."""
     offset = positions_m - np.asarray(station.position_m)
     square = np.einsum("...i,...i->...", offset, offset)
     return np.sqrt(np.maximum(square + station.height_m**2, MIN_DISTANCE_M**2))
 
 
-def regressors(positions_m: NDArray[np.float64], station: Station) -> NDArray[np.float64]:
+def regressors(positions_m: Floats, station: Station) -> Floats:
     """Return the rows gamma(q) = [1, -10 log10 d(q)] of equation 1.1; (n, 2) -> (n, 2)."""
     rows = np.ones(np.shape(positions_m))
     rows[..., 1] = -10.0 * np.log10(station_distance_m(positions_m, station))
@@ -196,19 +197,19 @@ def regressors(positions_m: NDArray[np.float64], station: Station) -> NDArray[np
 class MeanModel:
     """Linear model of the mean power: offset + columns @ coefficients."""
 
-    columns: NDArray[np.float64]  # (n, p); p = 2: the regressors gamma; p = 1: ones, for K_PL alone
+    columns: Floats  # (n, p); p = 2: the regressors gamma; p = 1: ones, for K_PL alone
     # (n,); zero for p = 2; the contribution of `PRIOR_N_PL` for p = 1
-    offset_db: NDArray[np.float64]
+    offset_db: Floats
     # Mean of -10 log10 d over the exact measurements, the sensitivity of K_PL to n_PL
     regressor_mean: float
 
-    def theta(self, coefficients: NDArray[np.float64]) -> tuple[float, float]:
+    def theta(self, coefficients: Floats) -> tuple[float, float]:
         """Return (K_PL, n_PL) of coefficients (p,)."""
         if len(coefficients) == 2:
             return float(coefficients[0]), float(coefficients[1])
         return float(coefficients[0]), PRIOR_N_PL
 
-    def theta_covariance(self, covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    def theta_covariance(self, covariance: Floats) -> Floats:
         """Return the covariance of theta (2, 2) from that of the coefficients (p, p)."""
         if len(covariance) == 2:
             return covariance
@@ -219,10 +220,7 @@ class MeanModel:
 
 
 def mean_model(
-    positions_m: NDArray[np.float64],
-    exact: NDArray[np.bool_],
-    station: Station,
-    n_pl_identifiable: bool,
+    positions_m: Floats, exact: Mask, station: Station, n_pl_identifiable: bool
 ) -> MeanModel:
     """Return the mean model at `positions_m` (n, 2); `exact` (n,) is false for censored ones."""
     gamma = regressors(positions_m, station)

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import (  # pyright: ignore[reportUnknownVariableType]
     log_ndtr,
     ndtr,  # pyright: ignore[reportUnknownVariableType]
@@ -18,6 +18,7 @@ from scipy.special import (  # pyright: ignore[reportUnknownVariableType]
     owens_t,
 )
 
+from planopt.arrays import Floats
 from planopt.channel.cholesky import semidefinite_factor
 from planopt.channel.joint import JointPrediction, joint_prediction
 from planopt.channel.parameters import leg_lengths_m, require_finite, require_places
@@ -45,9 +46,7 @@ ERRORS = 3.0
 """Reported error in standard errors over the shifts."""
 
 
-def bivariate_normal_cdf(
-    first: NDArray[np.float64], second: NDArray[np.float64], correlation: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def bivariate_normal_cdf(first: Floats, second: Floats, correlation: Floats) -> Floats:
     """Return P(X <= first, Y <= second) of correlated standard normal X and Y."""
     # Owen's T function makes it exact to rounding (D. B. Owen, Tables for computing bivariate
     # normal probabilities, 1956). Arguments broadcast; infinite scores and correlations of +-1 are
@@ -68,15 +67,13 @@ def bivariate_normal_cdf(
     return np.clip(found, np.maximum(0.0, lower + upper - 1.0), np.minimum(lower, upper))
 
 
-def _score(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _score(values: Floats) -> Floats:
     """Return scores clipped such that their quotients are finite."""
     scores = np.clip(_array(values), -FAR_SCORE, FAR_SCORE)
     return np.where(np.abs(scores) < VANISHING, 0.0, scores)
 
 
-def _owen(
-    score: NDArray[np.float64], across: NDArray[np.float64], narrow: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _owen(score: Floats, across: Floats, narrow: Floats) -> Floats:
     """Return Owen's T(score, across / (score narrow)); a zero score makes the slope infinite."""
     # Adding zero turns -0 into 0. The caller replaces the results of 0 / 0.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
@@ -84,7 +81,7 @@ def _owen(
     return _array(owens_t(score, slope))
 
 
-def _array(values: object) -> NDArray[np.float64]:
+def _array(values: object) -> Floats:
     return np.asarray(values, dtype=np.float64)
 
 
@@ -92,13 +89,13 @@ def _array(values: object) -> NDArray[np.float64]:
 class PrefixProbabilities:
     """Probabilities P(X_1 <= u_1, ..., X_k <= u_k) for k = 1 .. h."""
 
-    probability: NDArray[np.float64]  # (h,) non-increasing
-    error: NDArray[np.float64]  # (h,) three standard errors; zero if exact
+    probability: Floats  # (h,) non-increasing
+    error: Floats  # (h,) three standard errors; zero if exact
 
 
 def prefix_probabilities(
-    bound: NDArray[np.float64],  # (h,) u
-    covariance: NDArray[np.float64],  # (h, h), may be singular
+    bound: Floats,  # (h,) u
+    covariance: Floats,  # (h, h), may be singular
     generator: np.random.Generator,
     tolerance: float = 1e-4,
 ) -> PrefixProbabilities:
@@ -130,9 +127,7 @@ def prefix_probabilities(
         points *= 2
 
 
-def _products(
-    bound: NDArray[np.float64], lower: NDArray[np.float64], uniform: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _products(bound: Floats, lower: Floats, uniform: Floats) -> Floats:
     """Return sample means of the products of conditional probabilities up to each k; (h,)."""
     # Products are stored as logarithms, so that improbable prefixes do not underflow.
     samples, count = len(uniform), len(bound)
@@ -155,7 +150,7 @@ def _products(
     return mean
 
 
-def _primes(count: int) -> NDArray[np.float64]:
+def _primes(count: int) -> Floats:
     """Return the first `count` primes, by trial division."""
     found: list[int] = []
     candidate = 2
@@ -217,7 +212,7 @@ class JointConnectivity:
         Upper bound min p_i.
     """
 
-    at_each: NDArray[np.float64]
+    at_each: Floats
     exact: Estimate | None
     boole: Bound
     hunter: Bound
@@ -269,7 +264,11 @@ def joint_connectivity(
         found = prefix_probabilities(above, covariance, generator, tolerance)
         exact = Estimate(float(found.probability[-1]), float(found.error[-1]))
     out = 1.0 - at_each
-    both_out = _both_out(above, deviation, covariance)
+    certain = np.where(above >= 0.0, -np.inf, np.inf)
+    scores = np.divide(-above, deviation, out=certain, where=deviation > 0.0)
+    scale = np.outer(deviation, deviation)
+    correlation = np.divide(covariance, scale, out=np.zeros_like(scale), where=scale > 0.0)
+    both_out = bivariate_normal_cdf(scores[:, None], scores[None, :], correlation)
     boole, product = 1.0 - float(out.sum()), float(at_each.prod())
     negative = np.triu(covariance, 1) < 0.0
     if negative.any():
@@ -298,7 +297,7 @@ def joint_connectivity(
     )
 
 
-def spanning_tree_weight(weight: NDArray[np.float64]) -> float:
+def spanning_tree_weight(weight: Floats) -> float:
     """Return the total weight (h, h) of a maximum spanning tree (Prim's algorithm)."""
     outside = np.ones(len(weight), dtype=bool)
     outside[0] = False
@@ -310,19 +309,6 @@ def spanning_tree_weight(weight: NDArray[np.float64]) -> float:
         outside[joined] = False
         best = np.maximum(best, weight[joined])
     return total
-
-
-def _both_out(
-    above_db: NDArray[np.float64],
-    deviation_db: NDArray[np.float64],
-    covariance_db2: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Return P(disconnected at both i and j) for every pair; (h, h)."""
-    certain = np.where(above_db >= 0.0, -np.inf, np.inf)
-    score = np.divide(-above_db, deviation_db, out=certain, where=deviation_db > 0.0)
-    scale = np.outer(deviation_db, deviation_db)
-    correlation = np.divide(covariance_db2, scale, out=np.zeros_like(scale), where=scale > 0.0)
-    return bivariate_normal_cdf(score[:, None], score[None, :], correlation)
 
 
 @dataclass(frozen=True, eq=False)
@@ -339,14 +325,14 @@ class FirstPassage:
         ``(h + 1,)`` three standard errors of `not_connected`; zero if exact.
     """
 
-    travelled_m: NDArray[np.float64]
-    not_connected: NDArray[np.float64]
-    not_connected_error: NDArray[np.float64]
+    travelled_m: Floats
+    not_connected: Floats
+    not_connected_error: Floats
 
     __repr__ = short_repr
 
     @property
-    def connected_by(self) -> NDArray[np.float64]:
+    def connected_by(self) -> Floats:
         """Distribution function of the first connection, 1 - pi_k; ``(h + 1,)``."""
         return 1.0 - self.not_connected
 

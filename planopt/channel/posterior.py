@@ -17,8 +17,9 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from planopt.arrays import Floats
 from planopt.channel.cholesky import put_lower_factor, whiten
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.least_squares import MIN_REGRESSOR_SPREAD_DB, receiver_columns
@@ -83,15 +84,15 @@ class FactorBuffer:
     def __init__(self, count: int) -> None:
         # Zeroed memory pages are free until written.
         capacity = count + count // 2 + 64
-        self.lower: NDArray[np.float64] = np.zeros((capacity, capacity))
+        self.lower: Floats = np.zeros((capacity, capacity))
         self.used = 0
 
     def append(
         self,
         parameters: ChannelParameters,
         origins: Origins,  # (n,) of all measurements
-        noise_variance_db2: NDArray[np.float64],  # (n,)
-        columns: NDArray[np.float64],  # (n, c), the first `used` rows already whitened
+        noise_variance_db2: Floats,  # (n,)
+        columns: Floats,  # (n, c), the first `used` rows already whitened
     ) -> None:
         """Append the rows from `used` on, and whiten these rows of `columns` in place."""
         lower, count = self.lower, len(columns)
@@ -166,12 +167,12 @@ class ChannelPosterior:
 
     parameters: ChannelParameters
     measurements: Measurements
-    values_db: NDArray[np.float64]
-    noise_variance_db2: NDArray[np.float64]
-    whitened_values: NDArray[np.float64]
-    whitened_regressors: NDArray[np.float64]
-    theta: NDArray[np.float64]
-    theta_covariance: NDArray[np.float64]
+    values_db: Floats
+    noise_variance_db2: Floats
+    whitened_values: Floats
+    whitened_regressors: Floats
+    theta: Floats
+    theta_covariance: Floats
     theta_rule: ThetaRule
     now_s: float
     index: PlaceIndex = field(repr=False)
@@ -192,7 +193,7 @@ class ChannelPosterior:
         return self.theta_rule == "known"
 
     @property
-    def factor(self) -> NDArray[np.float64]:
+    def factor(self) -> Floats:
         """Lower Cholesky factor L of U, ``(kappa, kappa)``, as a view; do not modify it.
 
         Raises
@@ -231,7 +232,7 @@ class ChannelPosterior:
         ]
         return all(np.array_equal(mine[:count], former) for mine, former in pairs)
 
-    def covariance_with_db2(self, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def covariance_with_db2(self, positions_m: Floats) -> Floats:
         """Return covariances (kappa, n) of measurements with power at positions (n, 2), `now_s`."""
         places = place_origins(positions_m, self.now_s, self.parameters)
         return covariance_db2(self.origins, places, self.parameters)
@@ -244,7 +245,7 @@ class ChannelPosterior:
         """Condition on more measurements or a table of them; see :func:`extend`."""
         return extend(self, as_measurements(more))
 
-    def connectivity(self, positions_m: ArrayLike, threshold_dbm: float) -> NDArray[np.float64]:
+    def connectivity(self, positions_m: ArrayLike, threshold_dbm: float) -> Floats:
         """Return P(power >= `threshold_dbm`) at each of `positions_m` (n, 2); ``(n,)``."""
         threshold = require_finite(threshold_dbm, "threshold_dbm")
         prediction = predict(self, positions_m)
@@ -335,9 +336,7 @@ def extend(posterior: ChannelPosterior, more: Measurements) -> ChannelPosterior:
     return posterior
 
 
-def with_expected(
-    posterior: ChannelPosterior, positions_m: NDArray[np.float64]
-) -> ChannelPosterior:
+def with_expected(posterior: ChannelPosterior, positions_m: Floats) -> ChannelPosterior:
     """Return the posterior as if the predicted power had been measured at positions (n, 2)."""
     count = len(posterior.measurements) + len(positions_m)
     # Extending an existing factor is faster than conditioning on neighbours.
@@ -348,7 +347,7 @@ def with_expected(
     return extend(known, Measurements(positions_m, power, time_s=times))
 
 
-def factored_near(posterior: ChannelPosterior, path_m: NDArray[np.float64]) -> ChannelPosterior:
+def factored_near(posterior: ChannelPosterior, path_m: Floats) -> ChannelPosterior:
     """Return a posterior with a factor, if needed of the measurements near a path (h, 2) only."""
     # Theta and its covariance remain those of all measurements.
     if posterior.has_factor:
@@ -418,7 +417,7 @@ def _append(posterior: ChannelPosterior, more: Measurements, sites: Sites) -> Ch
     return _with_theta(grown, columns.T @ columns)
 
 
-def _with_theta(posterior: ChannelPosterior, products: NDArray[np.float64]) -> ChannelPosterior:
+def _with_theta(posterior: ChannelPosterior, products: Floats) -> ChannelPosterior:
     """Estimate theta by the posterior's rule; `products` as in `theta_estimate`."""
     if posterior.theta_known:
         return posterior
@@ -430,8 +429,8 @@ def _with_theta(posterior: ChannelPosterior, products: NDArray[np.float64]) -> C
 
 def theta_estimate(
     parameters: ChannelParameters,
-    products: NDArray[np.float64],  # (3, 3) of whitened [y - Gamma theta_0, Gamma]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    products: Floats,  # (3, 3) of whitened [y - Gamma theta_0, Gamma]
+) -> tuple[Floats, Floats]:
     """Estimate theta and its covariance M (equation 1.7)."""
     # Scaled by the weak prior's standard deviations.
     unit = np.array(WEAK_THETA_DEVIATION)
@@ -445,9 +444,7 @@ def theta_estimate(
     return theta, unit[:, None] * covariance * unit
 
 
-def least_squares_theta(
-    posterior: ChannelPosterior,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+def least_squares_theta(posterior: ChannelPosterior) -> tuple[Floats, Floats] | None:
     """Return theta and its error covariance (G'G)^-1 G'UG (G'G)^-1; None if not identified."""
     # Censored measurements have no residual and are left out. Receivers' offsets are estimated
     # together with theta.

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import betaincinv, ndtr, ndtri  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.arrays import Floats, Indices
 from planopt.short_repr import short_repr
 
 
@@ -24,12 +24,12 @@ class Prediction:
         and the uncertainty of theta.
     """
 
-    mean_db: NDArray[np.float64]
-    deviation_db: NDArray[np.float64]
+    mean_db: Floats
+    deviation_db: Floats
 
     __repr__ = short_repr
 
-    def at(self, rows: NDArray[np.intp]) -> Prediction:
+    def at(self, rows: Indices) -> Prediction:
         """Return the prediction at a subset of the positions."""
         return Prediction(self.mean_db[rows], self.deviation_db[rows])
 
@@ -38,14 +38,12 @@ class Prediction:
 class KrigingTerms:
     """Terms of a prediction at n positions that do not depend on theta (equation 1.6)."""
 
-    data_db: NDArray[np.float64]  # (n,) a = phi' U^-1 y
-    trend: NDArray[np.float64]  # (n, 2) varphi = gamma - Gamma' U^-1 phi
-    variance_db2: NDArray[np.float64]  # (n,) s = xi^2 + omega^2 - phi' U^-1 phi
+    data_db: Floats  # (n,) a = phi' U^-1 y
+    trend: Floats  # (n, 2) varphi = gamma - Gamma' U^-1 phi
+    variance_db2: Floats  # (n,) s = xi^2 + omega^2 - phi' U^-1 phi
 
 
-def combine(
-    terms: KrigingTerms, theta: NDArray[np.float64], theta_covariance: NDArray[np.float64]
-) -> Prediction:
+def combine(terms: KrigingTerms, theta: Floats, theta_covariance: Floats) -> Prediction:
     """Return mean a + varphi' theta and variance s + varphi' M varphi (equation 1.8)."""
     first, second = terms.trend[..., 0], terms.trend[..., 1]
     mean = terms.data_db + first * theta[0] + second * theta[1]
@@ -63,11 +61,8 @@ def bound_quantile(p_min: float) -> float:
 
 
 def bound_margin_db(
-    mean_db: NDArray[np.float64],
-    deviation_db: NDArray[np.float64],
-    threshold_dbm: float,
-    p_min: float,
-) -> NDArray[np.float64]:
+    mean_db: Floats, deviation_db: Floats, threshold_dbm: float, p_min: float
+) -> Floats:
     """Return the margin ``mean - z_p deviation - threshold`` in dB (equation 3.2).
 
     It is infinite for a `p_min` of 0, also for a known power.
@@ -76,9 +71,7 @@ def bound_margin_db(
     return mean_db - kept_db - threshold_dbm
 
 
-def connection_probability(
-    mean_db: NDArray[np.float64], deviation_db: NDArray[np.float64], threshold_dbm: float
-) -> NDArray[np.float64]:
+def connection_probability(mean_db: Floats, deviation_db: Floats, threshold_dbm: float) -> Floats:
     """Return P(power >= threshold) = Phi((mean - threshold) / deviation) (equation 3.1)."""
     # It is NaN if the prediction is NaN, and 0 or 1 if the standard deviation is 0.
     above = mean_db - threshold_dbm
@@ -86,7 +79,7 @@ def connection_probability(
     return score_probability(np.divide(above, deviation_db, out=certain, where=deviation_db != 0.0))
 
 
-def score_probability(score: NDArray[np.float64]) -> NDArray[np.float64]:
+def score_probability(score: Floats) -> Floats:
     """Return Phi(score) for scores (mean - threshold) / deviation."""
     return np.asarray(ndtr(score), dtype=np.float64)
 

@@ -18,9 +18,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import fft as scipy_fft
 
+from planopt.arrays import Floats, Indices
 from planopt.channel.cholesky import lower_factor, one_blas_thread, solve_lower, solve_upper, whiten
 from planopt.channel.kriging import PREDICTION_ELEMENTS
 from planopt.channel.measurements import (
@@ -60,7 +61,7 @@ EARLIER = 16
 class ShadowField:
     """Realisation of shadowing on a lattice."""
 
-    values_db: NDArray[np.float64]  # (ny, nx)
+    values_db: Floats  # (ny, nx)
     padding: tuple[int, int]  # Number of cells added to each axis, (y, x)
     clipped_share: float  # Share of negative eigenvalues, which were set to zero
 
@@ -112,7 +113,7 @@ def shadow_field_db(
 def _embedding(
     shape: tuple[int, int],
     step: float,  # Cell side in decorrelation distances
-) -> tuple[tuple[int, int], NDArray[np.float64], float]:
+) -> tuple[tuple[int, int], Floats, float]:
     """Return the torus, a quarter of its eigenvalues, and the share of negative ones."""
     ny, nx = shape
     torus = (2 * ny, 2 * nx)
@@ -142,7 +143,7 @@ def scattered_field_db(
     shadow_std_db: float,
     decorrelation_m: float,
     generator: np.random.Generator,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Draw shadowing of covariance xi^2 exp(-d / beta) at scattered positions (equation 1.2).
 
     Parameters
@@ -177,14 +178,14 @@ def scattered_field_db(
 
 
 def added_to_lattice_db(
-    x_m: NDArray[np.float64],  # (nx,)
-    y_m: NDArray[np.float64],  # (ny,)
-    field_db: NDArray[np.float64],  # (ny, nx) of standard deviation xi
-    positions_m: NDArray[np.float64],  # (n, 2), may repeat
+    x_m: Floats,  # (nx,)
+    y_m: Floats,  # (ny,)
+    field_db: Floats,  # (ny, nx) of standard deviation xi
+    positions_m: Floats,  # (n, 2), may repeat
     shadow_std_db: float,
     decorrelation_m: float,
     generator: np.random.Generator,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Draw shadowing at positions, conditional on a lattice field; ``(n,)``."""
     # Each value is conditioned on the surrounding nodes and the nearest earlier positions. This is
     # nearly exact within the lattice: under the exponential covariance near values screen far ones.
@@ -208,20 +209,20 @@ def added_to_lattice_db(
     return values[back]
 
 
-def _distinct(positions_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+def _distinct(positions_m: Floats) -> tuple[Floats, Indices]:
     """Return the distinct positions and the index of each position among them."""
     places, back = np.unique(positions_m.reshape(-1, 2), axis=0, return_inverse=True)
     return places, back.reshape(-1)
 
 
-def _correlation(places_m: NDArray[np.float64], decorrelation_m: float) -> NDArray[np.float64]:
+def _correlation(places_m: Floats, decorrelation_m: float) -> Floats:
     """Return exp(-d / beta) with the nugget on its diagonal; (n, n)."""
     correlation = np.exp(-pairwise_distance_m(places_m, places_m) / decorrelation_m)
     correlation[np.diag_indices_from(correlation)] += NUGGET
     return correlation
 
 
-def _stencil(axis_m: NDArray[np.float64], at_m: NDArray[np.float64]) -> NDArray[np.intp]:
+def _stencil(axis_m: Floats, at_m: Floats) -> Indices:
     """Return indices of the `STENCIL` nodes around each coordinate; fewer on a short axis."""
     size = min(STENCIL, len(axis_m))
     first = np.searchsorted(axis_m, at_m) - size // 2

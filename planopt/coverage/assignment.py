@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.coverage.localisation import EventSensor
 from planopt.coverage.network import Loss, Network, gets_through
 from planopt.errors import InputError
@@ -59,12 +59,10 @@ def capped_demand(share: float, most: int, remaining: int) -> Demand:
 
 
 def accuracy_demand(sensor: EventSensor, accuracy_m: float, measurements: int = 1) -> Demand:
-    """Return the demand for the fewest agents that locate an event with the required accuracy.
-
-    Agents are at equal angles (two agents 90 degrees apart) on the most informative ring. The
-    Cramer-Rao bound on the mean squared error is ``4 sigma^2 / (P m g^2)`` with g the slope of the
-    signal on the ring.
-    """
+    """Return the demand for the fewest agents that locate an event with the required accuracy."""
+    # Agents are at equal angles (two agents 90 degrees apart) on the most informative ring. The
+    # Cramer-Rao bound on the mean squared error is ``4 sigma^2 / (P m g^2)`` with g the slope of
+    # the signal on the ring.
     slope = sensor.strength * float(sensor.slope(np.array(sensor.best_distance_m)))
     exact = 4.0 * sensor.noise_std**2 / (measurements * slope**2 * accuracy_m**2)
     least = max(math.ceil(exact - 1e-9), LEAST_ON_RING)
@@ -74,11 +72,9 @@ def accuracy_demand(sensor: EventSensor, accuracy_m: float, measurements: int = 
 def trade_off_demand(
     area_m2: float, localisation_m2: float, coverage_weight: float, localisation_weight: float
 ) -> Demand:
-    """Return the demand that trades coverage cost against localisation error.
-
-    It minimises ``w_c c |A|^2 / (n - P) + w_s kappa / P`` over integers P, with c the second moment
-    of a hexagon of area 1.
-    """
+    """Return the demand that trades coverage cost against localisation error."""
+    # It minimises ``w_c c |A|^2 / (n - P) + w_s kappa / P`` over integers P, with c the second
+    # moment of a hexagon of area 1.
     coverage = HEXAGON * area_m2**2 * coverage_weight
     localisation = localisation_m2 * localisation_weight
 
@@ -97,26 +93,24 @@ def trade_off_demand(
 class Flags:
     """Result of flag propagation."""
 
-    flagged: NDArray[np.bool_]  # (n,) whether the agent responds to the event
+    flagged: Mask  # (n,) whether the agent responds to the event
     messages: int  # Number of transmissions over single links
-    history: NDArray[np.bool_]  # (rounds + 1, n) flags before the first and after each round
+    history: Mask  # (rounds + 1, n) flags before the first and after each round
 
 
 def propagate_flags(
     network: Network,
-    distances_m: NDArray[np.float64],  # (n,)
-    wanted: int | NDArray[np.intp],  # Required number of agents; (n,) if agents disagree on it
+    distances_m: Floats,  # (n,)
+    wanted: int | Indices,  # Required number of agents; (n,) if agents disagree on it
     *,
     rounds: int | None = None,
     loss: Loss = 0.0,
     generator: np.random.Generator | None = None,
 ) -> Flags:
-    """Find the agents nearest to an event by exchanging lists of the nearest known agents.
-
-    Without losses an agent sends only after its list has changed, and all lists are correct after
-    at most as many rounds as the network's diameter. With losses there are `rounds` rounds. The
-    nearest agents are flagged from the start; other agents may be flagged temporarily.
-    """
+    """Find the agents nearest to an event by exchanging lists of the nearest known agents."""
+    # Without losses an agent sends only after its list has changed, and all lists are correct after
+    # at most as many rounds as the network's diameter. With losses there are `rounds` rounds. The
+    # nearest agents are flagged from the start; other agents may be flagged temporarily.
     n, most = network.count, np.broadcast_to(np.asarray(wanted, dtype=np.intp), (network.count,))
     if distances_m.shape != (n,) or (most < 0).any():
         raise InputError(f"{len(distances_m)} distances for {n} agents", key="distances_m")
@@ -144,12 +138,12 @@ def propagate_flags(
 
 
 def _flag_round(
-    lists: NDArray[np.intp],
+    lists: Indices,
     network: Network,
-    most: NDArray[np.intp],
+    most: Indices,
     loss: Loss,
     generator: np.random.Generator | None,
-) -> NDArray[np.intp]:
+) -> Indices:
     """Return the lists after one exchange, truncated to `most` (n,) entries."""
     n = network.count
     sender, receiver = network.directed
@@ -170,19 +164,17 @@ def _flag_round(
 class Assignment:
     """Assignment of agents to events."""
 
-    event_of: NDArray[np.intp]  # (n,) number of each agent's event; `NONE` for a covering agent
+    event_of: Indices  # (n,) number of each agent's event; `NONE` for a covering agent
     total_m: float  # Sum of distances between agents and their events
     requests: int = 0  # Number of requests from events to agents
     released: int = 0  # Number of rejected requests, including events dropped for a nearer one
 
 
-def fair_shares(demands: NDArray[np.intp], agents: int) -> NDArray[np.intp]:
-    """Ration the agents among events with demands ``(k,)`` if the demands exceed `agents`; (k,).
-
-    Agents go one by one to the event with the smallest fulfilled share of its demand (max-min
-    fairness in lexicographic order). Ties go to the smaller demand, then to the smaller event
-    number.
-    """
+def fair_shares(demands: Indices, agents: int) -> Indices:
+    """Ration the agents among events with demands ``(k,)`` if the demands exceed `agents`; (k,)."""
+    # Agents go one by one to the event with the smallest fulfilled share of its demand (max-min
+    # fairness in lexicographic order). Ties go to the smaller demand, then to the smaller event
+    # number.
     shares = np.zeros(len(demands), dtype=np.intp)
     for _ in range(min(agents, int(demands.sum()))):
         open_ = np.flatnonzero(shares < demands)
@@ -191,13 +183,11 @@ def fair_shares(demands: NDArray[np.intp], agents: int) -> NDArray[np.intp]:
     return shares
 
 
-def deferred_acceptance(distances_m: NDArray[np.float64], demands: NDArray[np.intp]) -> Assignment:
-    """Assign agents to events by deferred acceptance, which agents can run in a distributed way.
-
-    In each round every event requests as many agents as it lacks, nearest first and none twice.
-    Every agent keeps the nearest event among its requests and rejects the others. Ties go to the
-    smaller numbers.
-    """
+def deferred_acceptance(distances_m: Floats, demands: Indices) -> Assignment:
+    """Assign agents to events by deferred acceptance, which agents can run in a distributed way."""
+    # In each round every event requests as many agents as it lacks, nearest first and none twice.
+    # Every agent keeps the nearest event among its requests and rejects the others. Ties go to the
+    # smaller numbers.
     # Shapes: distances_m (n, k); demands (k,).
     _check(distances_m, demands)
     agents, events = distances_m.shape
@@ -225,29 +215,25 @@ def deferred_acceptance(distances_m: NDArray[np.float64], demands: NDArray[np.in
                 event_of[agent] = event
 
 
-def optimal_assignment(distances_m: NDArray[np.float64], demands: NDArray[np.intp]) -> Assignment:
-    """Assign agents to events such that the sum of the distances ``(n, k)`` is minimal.
-
-    The linear programme ``min sum c x, sum_k x_ik <= 1, sum_i x_ik = P_k, x >= 0`` has the same
-    optimum because its matrix is totally unimodular.
-    """
+def optimal_assignment(distances_m: Floats, demands: Indices) -> Assignment:
+    """Assign agents to events such that the sum of the distances ``(n, k)`` is minimal."""
+    # The linear programme ``min sum c x, sum_k x_ik <= 1, sum_i x_ik = P_k, x >= 0`` has the same
+    # optimum because its matrix is totally unimodular.
     _check(distances_m, demands)
     seats = np.repeat(np.arange(len(demands)), demands)
-    rows, columns = cast(
-        "tuple[NDArray[np.intp], NDArray[np.intp]]", linear_sum_assignment(distances_m[:, seats])
-    )
+    rows, columns = cast("tuple[Indices, Indices]", linear_sum_assignment(distances_m[:, seats]))
     event_of = np.full(len(distances_m), NONE, dtype=np.intp)
     event_of[rows] = seats[columns]
     return Assignment(event_of, _total_m(event_of, distances_m))
 
 
-def _total_m(event_of: NDArray[np.intp], distances_m: NDArray[np.float64]) -> float:
+def _total_m(event_of: Indices, distances_m: Floats) -> float:
     """Return the sum of distances (n, k) between agents and their events (n,)."""
     sent = np.flatnonzero(event_of != NONE)
     return float(distances_m[sent, event_of[sent]].sum())
 
 
-def _check(distances_m: NDArray[np.float64], demands: NDArray[np.intp]) -> None:
+def _check(distances_m: Floats, demands: Indices) -> None:
     """Raise `InputError` if distances (n, k) and demands (k,) are inconsistent."""
     if distances_m.ndim != 2 or demands.shape != distances_m.shape[1:]:
         raise InputError(

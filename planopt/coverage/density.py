@@ -12,13 +12,11 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices
 from planopt.coverage.voronoi import Boundary, ConvexRegion, Moments, region_boundary
 from planopt.errors import InputError
 from planopt.world.raster import Raster
-
-Floats = NDArray[np.float64]
 
 NODES = 6
 """Gauss points along either side of a patch."""
@@ -269,7 +267,7 @@ class RasterDensity:
     def _along_lines(self, start: Floats, end: Floats) -> Floats:
         """Return contour integrals (5, e) along straight pieces with end points (e, 2)."""
         along = end - start
-        cuts: list[tuple[NDArray[np.intp], Floats]] = []
+        cuts: list[tuple[Indices, Floats]] = []
         for axis, edges in enumerate(self._edges):
             piece, line = _between(edges, start[:, axis], end[:, axis])
             cuts.append((piece, (edges[line] - start[piece, axis]) / along[piece, axis]))
@@ -304,7 +302,7 @@ class RasterDensity:
         rise = width * weights * ray[..., 0]
         return self._summed(piece, centre[piece, None] + ray, rise, len(angle))
 
-    def _summed(self, piece: NDArray[np.intp], places: Floats, rise: Floats, count: int) -> Floats:
+    def _summed(self, piece: Indices, places: Floats, rise: Floats, count: int) -> Floats:
         """Sum F dy over points (p, k, 2) with steps dy (p, k) by boundary piece; (5, count)."""
         # All points of a part are in the raster cell of its midpoint.
         ix, iy = self._cells(places.mean(axis=1))
@@ -329,7 +327,7 @@ class RasterDensity:
             row_of_sums += np.bincount(piece, along, minlength=count)
         return sums
 
-    def _cells(self, places: Floats) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    def _cells(self, places: Floats) -> tuple[Indices, Indices]:
         """Return columns and rows of positions (m, 2); indices are out of range beyond the grid."""
         x, y = self._edges
         ix = np.searchsorted(x, places[:, 0], side="right") - 1
@@ -347,9 +345,7 @@ def _gauss(nodes: int) -> tuple[Floats, Floats]:
     return 0.5 * (points + 1.0), 0.5 * weights
 
 
-def _between(
-    edges: Floats, start: Floats, end: Floats
-) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _between(edges: Floats, start: Floats, end: Floats) -> tuple[Indices, Indices]:
     """Return pair and line numbers (l,) of grid lines strictly between coordinate pairs (e,)."""
     low, high = np.minimum(start, end), np.maximum(start, end)
     begin = np.searchsorted(edges, low, side="right")
@@ -359,9 +355,7 @@ def _between(
     return pair, begin[pair] + number
 
 
-def _parts(
-    count: int, cuts: list[tuple[NDArray[np.intp], Floats]]
-) -> tuple[NDArray[np.intp], Floats, Floats]:
+def _parts(count: int, cuts: list[tuple[Indices, Floats]]) -> tuple[Indices, Floats, Floats]:
     """Cut pieces at parameters in [0, 1]; return the piece, start and end of each part."""
     every = np.arange(count)
     piece = np.concatenate((every, every, *(c[0] for c in cuts)))

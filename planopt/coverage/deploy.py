@@ -10,14 +10,11 @@ from __future__ import annotations
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.arrays import Floats, Indices
 from planopt.coverage.geodesic import Ground
 from planopt.coverage.optima import STARTS, best_deployment
-
-Floats = NDArray[np.float64]
-Numbers = NDArray[np.intp]
 
 
 class Deployer:
@@ -25,10 +22,10 @@ class Deployer:
 
     def __init__(self, ground: Ground, generator: np.random.Generator) -> None:
         self._ground, self._generator = ground, generator
-        self._agents: Numbers = np.zeros(0, dtype=np.intp)  # Covering agents, ascending
+        self._agents: Indices = np.zeros(0, dtype=np.intp)  # Covering agents, ascending
         self._places = np.zeros((0, 2))  # Their positions
 
-    def places_m(self, agents: Numbers, here_m: Floats) -> Floats:
+    def places_m(self, agents: Indices, here_m: Floats) -> Floats:
         """Return the positions (k, 2) of covering agents with ascending numbers (k,)."""
         if not np.array_equal(agents, self._agents):
             # A changed network settles from the positions it had, and from newcomers' own.
@@ -40,6 +37,6 @@ class Deployer:
                 self._ground, len(agents), starts, self._generator, first_m=first
             )
             away_m = self._ground.distances_m(here_m, found.places_m)
-            _, order = cast("tuple[Numbers, Numbers]", linear_sum_assignment(away_m**2))
+            _, order = cast("tuple[Indices, Indices]", linear_sum_assignment(away_m**2))
             self._agents, self._places = agents, found.places_m[order]
         return self._places

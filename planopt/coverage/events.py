@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.coverage.localisation import (
     Drift,
     EventEstimate,
@@ -31,23 +31,16 @@ LOOSE = 0.02
 """Extra separation of bodies packed around an event, as a share of the least one."""
 
 
-def ring_angles(count: int) -> NDArray[np.float64]:
-    """Return the most informative bearings ``(count,)`` in rad of agents around an event.
-
-    Equal angles give equal information in all directions. Two agents are 90 degrees apart, since
-    opposite agents would measure along one direction only.
-    """
+def ring_angles(count: int) -> Floats:
+    """Return the most informative bearings ``(count,)`` in rad of agents around an event."""
+    # Equal angles give equal information in all directions. Two agents are 90 degrees apart, since
+    # opposite agents would measure along one direction only.
     turn = 0.5 * np.pi if count == 2 else 2.0 * np.pi / count
     return turn * np.arange(count, dtype=np.float64)
 
 
-def ring_places(
-    agents_m: NDArray[np.float64], event_m: NDArray[np.float64], radius_m: float
-) -> NDArray[np.float64]:
-    """Return a position on the ring for each agent, preserving their order around the event.
-
-    The rotation of the ring minimises the sum of squared changes of bearing.
-    """
+def ring_places(agents_m: Floats, event_m: Floats, radius_m: float) -> Floats:
+    """Return a position on the ring for each agent, preserving their order around the event."""
     # Shapes: agents_m (k, 2); event_m (2,).
     offset = agents_m - event_m
     angle = np.arctan2(offset[:, 1], offset[:, 0])
@@ -66,15 +59,11 @@ def ring_places(
     return event_m + radius_m * np.stack((np.cos(at), np.sin(at)), axis=1)
 
 
-def packed_places(
-    agents_m: NDArray[np.float64], event_m: NDArray[np.float64], body_radius_m: float
-) -> NDArray[np.float64]:
-    """Return a position for each agent of a team of bodies packed around an event.
-
-    Positions are the nodes of a hexagonal lattice nearest to the event. The event is at a node or
-    midway between two or three nodes, whichever minimises the largest distance. The assignment
-    minimises the sum of squared distances, so agents that block each other swap positions.
-    """
+def packed_places(agents_m: Floats, event_m: Floats, body_radius_m: float) -> Floats:
+    """Return a position for each agent of a team of bodies packed around an event."""
+    # Positions are the nodes of a hexagonal lattice nearest to the event. The event is at a node or
+    # midway between two or three nodes, whichever minimises the largest distance. The assignment
+    # minimises the sum of squared distances, so agents that block each other swap positions.
     # Shapes: agents_m (k, 2); event_m (2,).
     count, side = len(agents_m), 2.0 * (1.0 + LOOSE) * body_radius_m
     shells = np.arange(-count, count + 1)
@@ -87,16 +76,13 @@ def packed_places(
     best = min(range(3), key=lambda one: (round(float(kept[one, -1] / side), 9), kept[one].sum()))
     places = event_m + lattice[order[best]] - middles[best]
     squares = ((agents_m[:, None] - places) ** 2).sum(axis=2)
-    slots = cast("NDArray[np.intp]", linear_sum_assignment(squares)[1])
+    slots = cast("Indices", linear_sum_assignment(squares)[1])
     return places[slots]
 
 
 def event_places(
-    agents_m: NDArray[np.float64],
-    event_m: NDArray[np.float64],
-    stand_off_m: float | None,
-    body_radius_m: float,
-) -> NDArray[np.float64]:
+    agents_m: Floats, event_m: Floats, stand_off_m: float | None, body_radius_m: float
+) -> Floats:
     """Return target positions of agents ``(k, 2)`` that respond to an event."""
     if stand_off_m is not None:
         return ring_places(agents_m, event_m, stand_off_m)
@@ -119,7 +105,7 @@ class Event:
     ends_s: float = math.inf  # End of the event; it is active for appears_s <= time < ends_s
     velocity_m_s: tuple[float, float] = (0.0, 0.0)
 
-    def place_at(self, time_s: float) -> NDArray[np.float64]:
+    def place_at(self, time_s: float) -> Floats:
         """Return the event's position at a time; (2,)."""
         moved_s = max(time_s - self.appears_s, 0.0)
         return np.array(self.place_m) + moved_s * np.array(self.velocity_m_s)
@@ -157,12 +143,12 @@ class Watch:
         return self.estimate is not None
 
     @property
-    def place_m(self) -> NDArray[np.float64]:
+    def place_m(self) -> Floats:
         """Return the estimated position (2,); NaN for an undetected event."""
         return np.full(2, math.nan) if self.estimate is None else self.estimate.position_m
 
     @property
-    def velocity_m_s(self) -> NDArray[np.float64]:
+    def velocity_m_s(self) -> Floats:
         """Return the estimated velocity (2,); zero for undetected or static events."""
         return np.zeros(2) if self.estimate is None else self.estimate.velocity_m_s
 
@@ -178,12 +164,8 @@ class Watch:
 
 
 def signals(
-    event: Event,
-    sensing: Sensing,
-    agents_m: NDArray[np.float64],
-    time_s: float,
-    generator: np.random.Generator,
-) -> NDArray[np.float64]:
+    event: Event, sensing: Sensing, agents_m: Floats, time_s: float, generator: np.random.Generator
+) -> Floats:
     """Draw readings of an event by agents ``(n, 2)``; pure noise if the event is inactive."""
     if event.is_there(time_s):
         return measure(sensing.sensor, agents_m, event.place_at(time_s), generator)
@@ -194,9 +176,9 @@ def watched(
     watch: Watch,
     sensing: Sensing,
     hull: ConvexRegion,
-    agents_m: NDArray[np.float64],
-    signal: NDArray[np.float64],
-    shared: NDArray[np.bool_],  # (n,) mask of the agents whose readings reach the estimating agents
+    agents_m: Floats,
+    signal: Floats,
+    shared: Mask,  # (n,) mask of the agents whose readings reach the estimating agents
     time_s: float,
 ) -> Watch:
     """Update the knowledge about an event with the readings of one step."""

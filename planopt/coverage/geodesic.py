@@ -1,37 +1,27 @@
 """Coverage of non-convex regions or regions with obstacles, by shortest-path distances.
 
-Shortest paths turn only at reflex corners of the free area. The distances between those corners and
-their visibility from each grid node are computed once. The distance from any agent to any node is
-then exact, and so is the cost ``H = sum of mass * d(p_i, q)^2 + spread``.
+Distances come from :class:`planopt.world.shortest_paths.FreeArea`; the visibility of its corners
+from each grid node is computed once. The distance from any agent to any node is then exact, and so
+is the cost ``H = sum of mass * d(p_i, q)^2 + spread``.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import dijkstra  # pyright: ignore[reportUnknownVariableType]
 from scipy.spatial import KDTree
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.coverage.density import UNIFORM, Density, UniformDensity
 from planopt.coverage.ground import ConvexGround, Cover, TwoNearest
-from planopt.coverage.voronoi import (
-    Boundary,
-    ConvexRegion,
-    checked_polygon,
-    convex_region,
-    nearest_places,
-)
+from planopt.coverage.voronoi import Boundary, ConvexRegion, checked_polygon, convex_region
 from planopt.errors import InputError
-from planopt.world.shortest_paths import corners_m
-
-SLACK = 1e-9
-"""Rounding tolerance of positions outside the area, as a share of its extent; lines of sight get
-twice as much."""
+from planopt.world.shortest_paths import FreeArea, free_area, nearest_places
 
 SLIVER = 1e-6
 """Share of a grid square below which a free part is ignored."""
@@ -48,20 +38,13 @@ NEAREST = 8
 AT_CORNER = 1e-9
 """Share of the region's extent within which an agent counts as being at a corner."""
 
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
 
 @dataclass(frozen=True, eq=False)
 class GeodesicGround:
     """Free area discretised by nodes; :func:`geodesic_ground` builds it."""
 
     free: shapely.Polygon  # Outline without the obstacles: the covered area
-    allowed: shapely.Polygon  # Part of `free` that keeps the clearance: allowed agent positions
-    slack_m: float  # Distance outside up to which a position still counts as on the boundary
-    # Boundary of `allowed`, moved outward by more than `slack_m`; a line between two allowed
-    # positions leaves the area if it intersects this boundary
-    border: shapely.Geometry
+    area: FreeArea  # Part of `free` that keeps the clearance: allowed agent positions
     hull: ConvexRegion  # Convex hull of the free area
     spacing_m: float  # Side of the grid squares
     # (m, 2) nodes, one for each grid square or each piece of a square cut by obstacles; `ends_m`
@@ -70,9 +53,7 @@ class GeodesicGround:
     ends_m: Floats
     mass: Floats  # (m,) mass of each node's part
     spread: float  # Coverage cost if every node had its own agent
-    corners_m: Floats  # (c, 2) corners at which shortest paths may turn
-    between_m: Floats  # (c, c) shortest distances between them
-    corner_sees: Mask  # (m, c) whether the line from the node's end to the corner is free
+    corner_sees: Mask  # (m, c) whether the line from the node's end to a corner is free
 
     @property
     def area_m2(self) -> float:
@@ -81,26 +62,11 @@ class GeodesicGround:
 
     def allows(self, places_m: Floats) -> Mask:
         """Return whether positions ``(k, 2)`` keep the clearance; (k,)."""
-        return np.asarray(
-            shapely.dwithin(self.allowed, shapely.points(places_m), self.slack_m), dtype=np.bool_
-        )
+        return self.area.allows(places_m)
 
     def nearest(self, places_m: Floats) -> Floats:
         """Project positions ``(k, 2)`` onto the allowed area."""
-        moved, out = np.array(places_m, dtype=np.float64), ~self.allows(places_m)
-        moved[out] = nearest_places(self.allowed, moved[out])
-        return moved
-
-    def sees(self, starts_m: Floats, ends_m: Floats) -> Mask:
-        """Return whether the lines between allowed positions ``(k, 2)`` stay allowed; (k,)."""
-        lines = shapely.linestrings(np.stack((starts_m, ends_m), axis=1))
-        return ~np.asarray(shapely.intersects(self.border, lines), dtype=np.bool_)
-
-    def sees_each(self, places_m: Floats, others_m: Floats) -> Mask:
-        """Return the visibility ``(k, l)`` between allowed positions ``(k, 2)`` and ``(l, 2)``."""
-        count, other = len(places_m), len(others_m)
-        starts, ends = np.repeat(places_m, other, axis=0), np.tile(others_m, (count, 1))
-        return self.sees(starts, ends).reshape(count, other)
+        return self.area.nearest(places_m)
 
     def cover(self, agents_m: Floats) -> Cover:
         """Return the coverage cost over the nodes, and targets that lower it."""
@@ -113,18 +79,18 @@ class GeodesicGround:
         """Return the nodes with their two nearest agents; the second among the nearest few."""
         agents = self.nearest(agents_m)
         cells = geodesic_cells(self, agents)
-        nodes, owner = self.ends_m, cells.owner
+        area, nodes, owner = self.area, self.ends_m, cells.owner
         second = np.full(len(nodes), np.inf)
-        if len(self.corners_m):
-            reach, _ = _to_corners(self, agents)
+        if len(area.corners_m):
+            reach, _ = area.to_corners_m(agents)
             one, other = np.argsort(reach, axis=0)[:2]
             away = np.asarray(np.where(one == owner[:, None], other, one), dtype=np.intp)
-            legs = _last_legs(self, nodes, self.corner_sees)
-            second = (reach[away, np.arange(len(self.corners_m))] + legs).min(axis=1)
+            legs = area.last_legs_m(nodes, self.corner_sees)
+            second = (reach[away, np.arange(len(area.corners_m))] + legs).min(axis=1)
         for agent in _nearest(KDTree(agents), nodes, min(len(agents), NEAREST)).T:
             straight = np.linalg.norm(nodes - agents[agent], axis=1)
             seen = np.flatnonzero((agent != owner) & (straight < second))
-            seen = seen[self.sees(agents[agent[seen]], nodes[seen])]
+            seen = seen[area.sees(agents[agent[seen]], nodes[seen])]
             second[seen] = straight[seen]
         second[np.isinf(second)] = float(np.ptp(nodes, axis=0).sum())
         return TwoNearest(nodes, self.mass, owner, cells.distance_m**2, second**2)
@@ -147,27 +113,12 @@ class GeodesicGround:
 
     def distances_m(self, agents_m: Floats, places_m: Floats) -> Floats:
         """Return the lengths ``(n, k)`` of shortest paths to the nearest allowed positions."""
-        agents, ends = self.nearest(agents_m), self.nearest(places_m)
-        found = np.linalg.norm(agents[:, None] - ends, axis=2)
-        found[~self.sees_each(agents, ends)] = np.inf
-        reach, _ = _to_corners(self, agents)
-        last = _last_legs(self, ends, self.sees_each(ends, self.corners_m))
-        for length, leg in zip(reach.T, last.T, strict=True):
-            found = np.minimum(found, length[:, None] + leg)
-        return found
+        return self.area.distances_m(self.nearest(agents_m), self.nearest(places_m))
 
     def steered(self, agents_m: Floats, places_m: Floats, share: float) -> Floats:
         """Return targets ``(n, 2)`` on the first legs of the shortest paths to positions (n, 2)."""
-        starts, ends = self.nearest(agents_m), self.nearest(places_m)
-        length, turn = np.linalg.norm(ends - starts, axis=1), ends.copy()
-        blind = np.flatnonzero(~self.sees(starts, ends))
-        if len(blind) and len(self.corners_m):
-            reach, first = _to_corners(self, starts[blind])
-            sees = self.sees_each(ends[blind], self.corners_m)
-            through = reach + _last_legs(self, ends[blind], sees)
-            best, own = through.argmin(axis=1), np.arange(len(blind))
-            length[blind] = through[own, best]
-            turn[blind] = self.corners_m[first[own, best]]
+        starts = self.nearest(agents_m)
+        turn, length = self.area.first_turns_m(starts, self.nearest(places_m))
         leg = turn - starts
         straight = np.linalg.norm(leg, axis=1)
         ahead = np.minimum(length, straight / share)
@@ -187,25 +138,12 @@ def geodesic_ground(
 ) -> GeodesicGround:
     """Prepare a region with obstacles for coverage by shortest-path distances."""
     free = _in_one_part(checked_polygon(outline), obstacles)
-    allowed = _shrunk(free, clearance_m)
-    slack = SLACK * float(np.ptp(np.asarray(allowed.bounds).reshape(2, 2), axis=0).max())
-    border = shapely.boundary(shapely.buffer(allowed, 2.0 * slack, join_style="mitre"))
-    shapely.prepare(allowed)
-    shapely.prepare(border)
+    area = free_area(_shrunk(free, clearance_m))
     hull = convex_region(np.asarray(shapely.get_coordinates(free.convex_hull)))
     nodes, mass, spread = _nodes(free, spacing_m, density)
-    corners = np.unique(corners_m(np.array([allowed]), free=True), axis=0)
-    count, none = len(corners), np.zeros((len(nodes), 0), dtype=np.bool_)
-    ground = GeodesicGround(
-        free, allowed, slack, border, hull, spacing_m, nodes, nodes, mass, spread, corners,
-        np.zeros((count, count)), none,
-    )  # fmt: skip
-    ends = ground.nearest(nodes) if clearance_m > 0.0 else nodes
-    straight = np.linalg.norm(corners[:, None] - corners, axis=2)
-    straight[~ground.sees_each(corners, corners)] = 0.0
-    between = np.asarray(dijkstra(straight), dtype=np.float64) if count else straight
-    sees = ground.sees_each(ends, corners)
-    return replace(ground, ends_m=ends, between_m=between, corner_sees=sees)
+    ends = area.nearest(nodes) if clearance_m > 0.0 else nodes
+    sees = area.sees_each(ends, area.corners_m)
+    return GeodesicGround(free, area, hull, spacing_m, nodes, ends, mass, spread, sees)
 
 
 def _in_one_part(whole: shapely.Polygon, obstacles: Sequence[shapely.Polygon]) -> shapely.Polygon:
@@ -302,7 +240,7 @@ class GeodesicCells:
     """Geodesic Voronoi cells: the agent nearest to each node by the shortest path."""
 
     # (m,) number of the nearest agent; of coincident agents the smallest number
-    owner: NDArray[np.intp]
+    owner: Indices
     distance_m: Floats  # (m,) length of the shortest path to the nearest agent
     cost: float  # The coverage cost H
     mass: Floats  # (n,) mass of each agent's cell
@@ -311,15 +249,15 @@ class GeodesicCells:
 
 def geodesic_cells(ground: GeodesicGround, agents_m: Floats) -> GeodesicCells:
     """Assign the nodes of a ground to agents ``(n, 2)``, and evaluate the coverage cost."""
-    reach, first = _to_corners(ground, agents_m)
-    nodes, count = ground.ends_m, len(agents_m)
+    area, nodes, count = ground.area, ground.ends_m, len(agents_m)
+    reach, first = area.to_corners_m(agents_m)
     distance = np.full(len(nodes), np.inf)
     owner = np.zeros(len(nodes), dtype=np.intp)
     turn = np.full(len(nodes), -1, dtype=np.intp)
-    if len(ground.corners_m):
+    if len(area.corners_m):
         # Beyond a corner only the agent nearest to that corner matters.
         best = reach.argmin(axis=0)
-        through = reach[best, np.arange(len(best))] + _last_legs(ground, nodes, ground.corner_sees)
+        through = reach[best, np.arange(len(best))] + area.last_legs_m(nodes, ground.corner_sees)
         turn = through.argmin(axis=1)
         distance = through[np.arange(len(nodes)), turn]
         owner = best[turn]
@@ -338,13 +276,13 @@ def geodesic_cells(ground: GeodesicGround, agents_m: Floats) -> GeodesicCells:
         waiting, agent, straight = waiting[kept], agent[kept], straight[kept]
         if not len(waiting):
             break
-        seen = ground.sees(agents_m[agent], nodes[waiting])
+        seen = area.sees(agents_m[agent], nodes[waiting])
         found = waiting[seen]
         owner[found], distance[found], turn[found] = agent[seen], straight[seen], -1
         waiting = waiting[~seen]
     toward = nodes - agents_m[owner]
     bent = turn >= 0
-    toward[bent] = ground.corners_m[first[owner[bent], turn[bent]]] - agents_m[owner[bent]]
+    toward[bent] = area.corners_m[first[owner[bent], turn[bent]]] - agents_m[owner[bent]]
     length = np.linalg.norm(toward, axis=1)
     direction = toward / np.where(length > 0.0, length, 1.0)[:, None]
     pull = 2.0 * ground.mass * distance
@@ -357,13 +295,11 @@ def geodesic_cells(ground: GeodesicGround, agents_m: Floats) -> GeodesicCells:
 
 
 def geodesic_targets(ground: GeodesicGround, agents_m: Floats, cells: GeodesicCells) -> Floats:
-    """Return a target for each agent, on a free straight line toward the centre of its cell.
-
-    The step is the mean over the cell of path length times initial path direction; without
-    obstacles that is ``C - p``. It ends before an obstacle or slides to the nearest free position.
-    It is halved until it lowers the cost of the agent's own cell, so moving all agents to their
-    targets never raises H.
-    """
+    """Return a target for each agent, on a free straight line toward the centre of its cell."""
+    # The step is the mean over the cell of path length times initial path direction; without
+    # obstacles that is ``C - p``. It ends before an obstacle or slides to the nearest free
+    # position. It is halved until it lowers the cost of the agent's own cell, so moving all agents
+    # to their targets never raises H.
     count = len(agents_m)
     mass = np.where(cells.mass > 0.0, cells.mass, 1.0)
     step = -0.5 * cells.gradient / mass[:, None]
@@ -371,7 +307,7 @@ def geodesic_targets(ground: GeodesicGround, agents_m: Floats, cells: GeodesicCe
     targets, waiting = agents_m.copy(), np.flatnonzero((step != 0.0).any(axis=1))
     for halving in range(HALVINGS):
         trial = agents_m.copy()
-        trial[waiting] = _reached(ground, agents_m[waiting], step[waiting] * 0.5**halving)
+        trial[waiting] = _reached(ground.area, agents_m[waiting], step[waiting] * 0.5**halving)
         share = _own_cost(ground, trial, cells.owner, waiting)
         better = waiting[share[waiting] < before[waiting]]
         targets[better] = trial[better]
@@ -381,70 +317,41 @@ def geodesic_targets(ground: GeodesicGround, agents_m: Floats, cells: GeodesicCe
     return targets
 
 
-def _nearest(tree: KDTree, places: Floats, count: int) -> NDArray[np.intp]:
+def _nearest(tree: KDTree, places: Floats, count: int) -> Indices:
     """Return the numbers (k, count) of the agents nearest to positions (k, 2), nearest first."""
     found = tree.query(places, k=count)[1]  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
     return np.asarray(found, dtype=np.intp).reshape(len(places), count)  # pyright: ignore[reportUnknownArgumentType]
 
 
-def _to_corners(ground: GeodesicGround, agents: Floats) -> tuple[Floats, NDArray[np.intp]]:
-    """Return lengths (n, c) of shortest paths from agents to corners, and first corners."""
-    # Lengths are infinite for an agent that sees no corner.
-    away = np.linalg.norm(agents[:, None] - ground.corners_m, axis=2)
-    away[~ground.sees_each(agents, ground.corners_m)] = np.inf
-    length, first = np.empty(away.shape), np.zeros(away.shape, dtype=np.intp)
-    if not len(ground.corners_m):
-        return length, first
-    near_m = AT_CORNER * float(np.ptp(ground.ends_m, axis=0).max())
-    for agent in range(len(agents)):
-        through = away[agent, :, None] + ground.between_m
-        length[agent] = through.min(axis=0)
-        # If the agent is at the first corner, its path starts toward the next one.
-        at = away[agent] <= near_m
-        if at.any() and not at.all():
-            through[at] += near_m
-        first[agent] = through.argmin(axis=0)
-    return length, first
-
-
-def _last_legs(ground: GeodesicGround, ends: Floats, sees: Mask) -> Floats:
-    """Return distances (k, c) from ends to corners; infinite for corners out of sight."""
-    legs = np.linalg.norm(ends[:, None] - ground.corners_m, axis=2)
-    legs[~sees] = np.inf
-    return legs
-
-
-def _own_cost(
-    ground: GeodesicGround, agents: Floats, owner: NDArray[np.intp], wanted: NDArray[np.intp]
-) -> Floats:
+def _own_cost(ground: GeodesicGround, agents: Floats, owner: Indices, wanted: Indices) -> Floats:
     """Return the cost (n,) of each cell from its agent's position; 0 for unselected agents."""
     row = np.full(len(agents), -1)
     row[wanted] = np.arange(len(wanted))
     nodes = np.flatnonzero(row[owner] >= 0)
     own, ends = owner[nodes], ground.ends_m[nodes]
     distance = np.linalg.norm(ends - agents[own], axis=1)
-    blind = ~ground.sees(agents[own], ends)
+    blind = ~ground.area.sees(agents[own], ends)
     if blind.any():
-        reach, _ = _to_corners(ground, agents[wanted])
-        last = _last_legs(ground, ends[blind], ground.corner_sees[nodes[blind]])
+        reach, _ = ground.area.to_corners_m(agents[wanted])
+        last = ground.area.last_legs_m(ends[blind], ground.corner_sees[nodes[blind]])
         distance[blind] = (reach[row[own[blind]]] + last).min(axis=1)
     costs = np.bincount(own, ground.mass[nodes] * distance**2, minlength=len(agents))
     return np.asarray(costs, dtype=np.float64)
 
 
-def _reached(ground: GeodesicGround, starts: Floats, steps: Floats) -> Floats:
+def _reached(area: FreeArea, starts: Floats, steps: Floats) -> Floats:
     """Return the end points of steps (k, 2) that start from allowed positions (k, 2)."""
     # A step ends at its full length if that position is allowed and visible, else at the nearest
     # allowed position if that is visible, else at the last allowed position on the line.
     ends = starts + steps
-    for which in np.flatnonzero(~(ground.allows(ends) & ground.sees(starts, ends))):
+    for which in np.flatnonzero(~(area.allows(ends) & area.sees(starts, ends))):
         start, end = starts[which], ends[which]
-        nearest = nearest_places(ground.allowed, end[None])
-        if ground.allows(nearest)[0] and ground.sees(start[None], nearest)[0]:
+        nearest = nearest_places(area.polygon, end[None])
+        if area.allows(nearest)[0] and area.sees(start[None], nearest)[0]:
             ends[which] = nearest[0]
             continue
         line = shapely.LineString([start, end])
-        touching = shapely.get_parts(line.intersection(ground.allowed))
+        touching = shapely.get_parts(line.intersection(area.polygon))
         touching = touching[shapely.dwithin(touching, shapely.Point(start), 0.0)]
         places = np.concatenate((start[None], shapely.get_coordinates(touching)))
         ends[which] = places[int(np.linalg.norm(places - start, axis=1).argmax())]

@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.coverage.density import UNIFORM, Density
 from planopt.coverage.network import Network
 from planopt.coverage.voronoi import (
@@ -22,12 +22,10 @@ from planopt.coverage.voronoi import (
     agent_neighbours,
     cell_boundary,
     merge_coincident,
-    nearest_places,
     region_boundary,
     voronoi_cells,
 )
-
-Floats = NDArray[np.float64]
+from planopt.world.shortest_paths import nearest_places
 
 SAMPLES = 100
 """Number of sample points along each side of the bounding box."""
@@ -91,7 +89,7 @@ class TwoNearest:
 
     samples_m: Floats  # (m, 2)
     mass: Floats  # (m,)
-    owner: NDArray[np.intp]  # (m,) number of the nearest agent
+    owner: Indices  # (m,) number of the nearest agent
     first_m2: Floats  # (m,) at most the square of the sensing range
     second_m2: Floats
 
@@ -119,7 +117,7 @@ class ConvexGround:
         """Return the covered area in square metres."""
         return self.region.area_m2
 
-    def allows(self, places_m: Floats) -> NDArray[np.bool_]:
+    def allows(self, places_m: Floats) -> Mask:
         """Return whether positions ``(k, 2)`` are allowed for agents; (k,)."""
         return self.region.contains(places_m)
 

@@ -8,16 +8,14 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.arrays import Floats
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
 
 NODES = 120
 """Number of map nodes along the longer side of the bounds."""
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,23 +131,21 @@ class Motion:
 
 
 def packing_reach_m(agents: int, body_radius_m: float) -> float:
-    """Return the largest distance to an event of bodies packed around it; 0 for points.
-
-    In the hexagonal packing, ``m`` shells about a central body hold ``1 + 3 m (m + 1)`` bodies, the
-    outermost at ``2 m`` radii. One more shell is allowed because bodies that arrive one by one
-    leave gaps.
-    """
+    """Return the largest distance to an event of bodies packed around it; 0 for points."""
+    # In the hexagonal packing, ``m`` shells about a central body hold ``1 + 3 m (m + 1)`` bodies,
+    # the outermost at ``2 m`` radii. One more shell is allowed because bodies that arrive one by
+    # one leave gaps.
     shells = math.ceil((math.sqrt(9.0 + 12.0 * max(agents - 1, 0)) - 3.0) / 6.0 - 1e-9)
     return 2.0 * (shells + 1) * body_radius_m if agents > 1 else body_radius_m
 
 
 @dataclass(frozen=True, eq=False)
 class LinkLaw:
-    """Log-distance path loss law of a link with uncertain parameters.
+    """Log-distance path loss law of a link with uncertain parameters."""
 
-    The power in dBm at distance d is Gaussian with mean ``k_pl_db - 10 n_pl log10 d``. Its variance
-    is the sum of those of fading (shadowing and multipath) and of the uncertain path loss.
-    """
+    # The power in dBm at distance d is Gaussian with mean ``k_pl_db - 10 n_pl log10 d``. Its
+    # variance is the sum of those of fading (shadowing and multipath) and of the uncertain path
+    # loss.
 
     theta: Floats  # (2,): k_pl_db and n_pl
     deviation_db: float  # Standard deviation of shadowing and multipath together

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.coverage.voronoi import ConvexRegion
 from planopt.errors import InputError
 
@@ -31,16 +31,13 @@ ratio of at least 1 to 55)."""
 SINGULAR = 1e-12
 """Eigenvalue ratio below which an information matrix counts as singular."""
 
-Floats = NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class EventSensor:
-    """Measurement model ``S = K F(d) + noise`` of a diffusing source, ``F = 1/((d/scale)^2 + 1)``.
+    """Measurement model ``K F(d) + noise`` of a diffusing source, ``F = 1/((d/scale)^2 + 1)``."""
 
-    The slope of F is largest at ``scale / sqrt(3)``. It is zero at the source, so a measurement
-    there has no information on the position.
-    """
+    # The slope of F is largest at ``scale / sqrt(3)``. It is zero at the source, so a measurement
+    # there has no information on the position.
 
     noise_std: float  # Standard deviation of the Gaussian noise, in the signal's unit
     strength: float  # Factor K; estimators may treat it as unknown
@@ -89,10 +86,8 @@ def fisher_information(
 
 
 def cramer_rao_m2(information: Floats) -> float:
-    """Return the Cramer-Rao bound on the mean squared position error: the trace of the inverse.
-
-    The bound is infinite if the information ``(2, 2)`` is singular.
-    """
+    """Return the Cramer-Rao bound on the mean squared position error: the trace of the inverse."""
+    # The bound is infinite if the information ``(2, 2)`` is singular.
     determinant = float(np.linalg.det(information))
     trace = float(np.trace(information))
     return trace / determinant if determinant > 1e-14 * trace**2 else math.inf
@@ -244,7 +239,7 @@ def _refined(
     readings: Readings,
     region: ConvexRegion,
     values: Floats,
-    free: NDArray[np.bool_],  # (5,) mask of the estimated parameters
+    free: Mask,  # (5,) mask of the estimated parameters
     drift: Drift | None,
 ) -> tuple[Floats, Floats, Floats]:
     """Refine initial guesses (b, 5) together by Levenberg-Marquardt steps within the region."""

@@ -19,16 +19,14 @@ from dataclasses import dataclass
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.special import ndtr  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.errors import InputError
 from planopt.keys import SMALLEST, Part
 
-Floats = NDArray[np.float64]
-
-Loss = float | NDArray[np.float64]
+Loss = float | Floats
 """Probability of losing a message: one value for all links, or ``(e,)`` values by link."""
 
 
@@ -37,23 +35,21 @@ class Network:
     """Communication graph: agents and the links between them."""
 
     count: int  # Number of agents
-    links: NDArray[np.intp]  # (e, 2) pairs of linked agents, each pair once
+    links: Indices  # (e, 2) pairs of linked agents, each pair once
 
     @property
-    def directed(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    def directed(self) -> tuple[Indices, Indices]:
         """Return sender and receiver of every link in both directions; (2 e,) each."""
         first, second = self.links[:, 0], self.links[:, 1]
         return np.concatenate((first, second)), np.concatenate((second, first))
 
     @property
-    def degrees(self) -> NDArray[np.intp]:
+    def degrees(self) -> Indices:
         """Return the number of neighbours of each agent; (n,)."""
         return np.bincount(self.links.ravel(), minlength=self.count)
 
 
-def gets_through(
-    messages: int, loss: Loss, generator: np.random.Generator | None
-) -> NDArray[np.bool_]:
+def gets_through(messages: int, loss: Loss, generator: np.random.Generator | None) -> Mask:
     """Draw a mask of the messages that arrive; (messages,)."""
     if not np.any(loss):
         return np.ones(messages, dtype=np.bool_)
@@ -78,7 +74,7 @@ class LinkModel(Part):
     threshold_dbm: Annotated[float, Field(ge=-500, le=300)]
     """Received power in dBm below which a message is lost."""
 
-    def loss(self, distance_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def loss(self, distance_m: Floats) -> Floats:
         """Return the probability of losing a message over distances, in their shape."""
         mean_dbm = self.k_pl_db - 10.0 * self.n_pl * np.log10(np.maximum(distance_m, 1.0))
         return np.asarray(ndtr((self.threshold_dbm - mean_dbm) / self.fading_std_db))
@@ -106,11 +102,9 @@ class Counting(Part):
     """Gain eps of the running count: a smaller value is more accurate but tracks changes slower."""
 
 
-def elect_leader(network: Network, identities: NDArray[np.intp]) -> tuple[int, int]:
-    """Elect the agent with the largest identity ``(n,)``; return it and the number of messages.
-
-    An agent sends after it has received a larger identity.
-    """
+def elect_leader(network: Network, identities: Indices) -> tuple[int, int]:
+    """Elect the agent with the largest identity ``(n,)``; return it and the number of messages."""
+    # An agent sends after it has received a larger identity.
     best, leader = identities, int(identities.argmax())
     sender, receiver = network.directed
     talking, messages = np.ones(network.count, dtype=np.bool_), 0
@@ -136,11 +130,9 @@ def average_round(
     loss: Loss = 0.0,
     generator: np.random.Generator | None = None,
 ) -> Floats:
-    """Perform one round of consensus averaging.
-
-    A link that loses a message is omitted in both directions, which agents ensure by
-    acknowledgements. The sum of all values is therefore preserved.
-    """
+    """Perform one round of consensus averaging."""
+    # A link that loses a message is omitted in both directions, which agents ensure by
+    # acknowledgements. The sum of all values is therefore preserved.
     kept = gets_through(len(network.links), loss, generator)
     first, second = network.links[kept].T
     flow = (link_weights(network)[kept] * (values[second] - values[first]).T).T
@@ -195,7 +187,7 @@ def minima_estimates(values: Floats) -> Floats:
 class Tally:
     """State of distributed counting."""
 
-    members: NDArray[np.bool_]  # (n,) mask of the members in the last step
+    members: Mask  # (n,) mask of the members in the last step
     values: Floats  # (n, m) values of the agents
     estimates: Floats  # (n,) each member's estimate of their number; NaN for others
     leader: int = -1  # Number of the leading agent; -1 for none
@@ -207,7 +199,7 @@ def tally_step(
     tally: Tally | None,  # None before the first step
     counting: Counting,
     network: Network,
-    members: NDArray[np.bool_],  # (n,) mask of the members
+    members: Mask,  # (n,) mask of the members
     generator: np.random.Generator,
     loss: Loss = 0.0,
 ) -> Tally:

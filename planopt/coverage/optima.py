@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices
 from planopt.coverage.assignment import HEXAGON
 from planopt.coverage.density import GaussianMixture, RasterDensity, UniformDensity
 from planopt.coverage.geodesic import GeodesicGround, Ground
@@ -34,8 +34,6 @@ SINGLES = 3
 
 LEVELS = 200
 """Number of cells along each side of the region for bounds of a mixture's density."""
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,10 +86,9 @@ def settle(ground: Ground, places_m: Floats) -> tuple[Floats, float]:
 
 
 def draw_start(ground: Ground, count: int, generator: np.random.Generator) -> Floats:
-    """Draw an initial deployment ``(n, 2)`` by weighted sampling, as k-means++ does.
-
-    The weight of a candidate is its mass times the squared distance to the nearest drawn position.
-    """
+    """Draw an initial deployment ``(n, 2)`` by weighted sampling, as k-means++ does."""
+    # The weight of a candidate is its mass times the squared distance to the nearest drawn
+    # position.
     candidates, mass = _candidates(ground, CANDIDATES * count, generator)
     chosen = [int(generator.choice(len(candidates), p=mass / mass.sum()))]
     nearest = np.full(len(candidates), np.inf)
@@ -159,12 +156,12 @@ def _relocations(ground: Ground, places: Floats) -> tuple[list[Relocation], list
     count, mass = len(places), np.where(near.mass > 0.0, near.mass, 0.0)
     losses = np.bincount(near.owner, mass * (near.second_m2 - near.first_m2), minlength=count)
 
-    def means(group: NDArray[np.intp], groups: int) -> tuple[Floats, Floats]:
+    def means(group: Indices, groups: int) -> tuple[Floats, Floats]:
         """Return masses (groups,) and centroids (groups, 2) of the sample points by group."""
         total = np.asarray(np.bincount(group, mass, minlength=groups), dtype=np.float64)
         some = np.where(total > 0.0, total, 1.0)
         sums = [np.bincount(group, mass * axis, minlength=groups) for axis in near.samples_m.T]
-        return total, np.stack(sums, axis=1) / some[:, None]
+        return np.asarray(total, dtype=np.float64), np.stack(sums, axis=1) / some[:, None]
 
     total, centres = means(near.owner, count)
     x, y = (near.samples_m - centres[near.owner]).T
@@ -190,13 +187,11 @@ def _relocations(ground: Ground, places: Floats) -> tuple[list[Relocation], list
 
 
 def cost_bound(ground: Ground, count: int) -> float:
-    """Return a lower bound of the cost of any deployment of `count` agents; 0 if none is known.
-
-    For the uniform density every cell costs at least as much as a disc of equal area, and the sum
-    is least for equal areas. In a convex polygon of at most six sides, without sensing range,
-    regular hexagons of equal area give a tighter bound (Fejes Tóth's moment theorem). Any other
-    density is a sum of uniform densities on its superlevel sets, whose bounds add up.
-    """
+    """Return a lower bound of the cost of any deployment of `count` agents; 0 if none is known."""
+    # For the uniform density every cell costs at least as much as a disc of equal area, and the sum
+    # is least for equal areas. In a convex polygon of at most six sides, without sensing range,
+    # regular hexagons of equal area give a tighter bound (Fejes Tóth's moment theorem). Any other
+    # density is a sum of uniform densities on its superlevel sets, whose bounds add up.
     if not isinstance(ground, ConvexGround):
         return 0.0
     reach = math.inf if ground.sensing_range_m is None else ground.sensing_range_m

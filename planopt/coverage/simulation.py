@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.coverage.assignment import (
     NONE,
     Demand,
@@ -36,11 +37,7 @@ ABSENT = -2
 FOLLOWED_M = 1e-6
 """Largest difference (m, m/s, rad) at which a simulation adopts a saved motion."""
 
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-Numbers = NDArray[np.intp]
-
-Signals = Callable[[int, Numbers], Floats]
+Signals = Callable[[int, Indices], Floats]
 """Function of an event number and agent numbers (m,) that returns their present signals (m,)."""
 
 
@@ -114,7 +111,7 @@ class NetworkRun:
     headings_rad: Floats
     # (T, n) number of the event that the agent responds to, `NONE` if it covers, `ABSENT` if it is
     # no member
-    states: Numbers
+    states: Indices
     targets_m: Floats  # (T, n, 2)
     costs: Floats  # (T,) coverage cost of all members before each step
     # (T,) largest distance to a target; for an agent slowed by its limits, the smaller distance
@@ -122,10 +119,10 @@ class NetworkRun:
     residuals_m: Floats
     counts: Floats  # (T, n) estimate by each agent of the number of members; NaN for absent agents
     # (T, k) demand of each event for the count of the agent nearest to it; 0 for unknown events
-    wanted: Numbers
+    wanted: Indices
     estimates_m: Floats  # (T, k, 2) estimated positions; stds_m (T, k) uncertainty; NaN if unknown
     stds_m: Floats
-    messages: Numbers  # (T, 3) transmissions over links: for counting, assignment, readings
+    messages: Indices  # (T, 3) transmissions over links: for counting, assignment, readings
     settled: bool  # Whether the last step found all agents settled
 
 
@@ -144,12 +141,12 @@ class NetworkStep:
     """Decisions of a network in one step, with ``n`` agents and ``k`` events."""
 
     motion: Motion  # Positions, velocities and headings of all agents at the end of the step
-    states: Numbers  # This and the following fields are those of :class:`NetworkRun` in one step
+    states: Indices  # This and the following fields are those of :class:`NetworkRun` in one step
     targets_m: Floats
     cost: float
     residual_m: float
     counts: Floats
-    wanted: Numbers
+    wanted: Indices
     watches: tuple[Watch, ...]  # (k,) the network's knowledge of each event
     messages: tuple[int, ...]
     settled: bool  # Whether all agents are settled permanently
@@ -285,10 +282,10 @@ class NetworkController:
         network: Network,
         loss: Loss,
         agents_m: Floats,
-        states: Numbers,
+        states: Indices,
         time_s: float,
         readings: Signals,
-        who: Numbers,
+        who: Indices,
     ) -> int:
         """Update the estimates of all events; return the number of transmitted readings."""
         # Agents that respond to an event, or detect it, collect the readings of their neighbours.
@@ -319,10 +316,10 @@ class NetworkController:
         network: Network,
         loss: Loss,
         agents_m: Floats,
-        states: Numbers,
+        states: Indices,
         counts: Floats,
         members: Mask,
-    ) -> tuple[Numbers, int]:
+    ) -> tuple[Indices, int]:
         """Return the states (m,) of the members after assignment, and the number of messages."""
         # The assignment is repeated when members, demands or known events change, when an estimate
         # has moved, and in every step with message losses. Agents that do not respond to an event
@@ -349,7 +346,7 @@ class NetworkController:
         distances += scene.hysteresis_m * (states[:, None] != known)
         shares, messages = fair_shares(wanted[known], len(states)), 0
         # With several events the lists also hold substitutes for agents that take another event.
-        length: int | Numbers = int(shares.sum())
+        length: int | Indices = int(shares.sum())
         if len(known) == 1:
             demand = scene.demands[int(known[0])]
             length = np.array([_demand_of(demand, count) for count in counts])
@@ -368,7 +365,7 @@ class NetworkController:
         after[chosen] = known[match.event_of[chosen]]
         return after, messages + match.requests + match.released
 
-    def _targets(self, here_m: Floats, states: Numbers) -> tuple[Floats, Floats, float]:
+    def _targets(self, here_m: Floats, states: Indices) -> tuple[Floats, Floats, float]:
         """Return targets (n, 2), their velocities (n, 2), and the coverage cost of the members."""
         scene, who = self.scene, np.flatnonzero(states != ABSENT)
         agents, responds = here_m[who], states[who] >= 0
@@ -426,11 +423,9 @@ def simulate_network(
     on_step: Callable[[], None] = lambda: None,
     saved: Sequence[Motion] = (),
 ) -> NetworkRun:
-    """Simulate a network until it has settled or its duration has passed.
-
-    A step starts from the `saved` motion if both agree within `FOLLOWED_M`. A closed loop amplifies
-    rounding differences between processors; a single step does not.
-    """
+    """Simulate a network until it has settled or its duration has passed."""
+    # A step starts from the `saved` motion if both agree within `FOLLOWED_M`. A closed loop
+    # amplifies rounding differences between processors; a single step does not.
     controller = NetworkController(scene, starts_m, mover, generator)
     motions, rows = [controller.motion], list[NetworkStep]()
     for step in range(round(scene.duration_s / scene.time_step_s)):
@@ -440,7 +435,7 @@ def simulate_network(
         here_m, time_s = now.places_m, step * scene.time_step_s
 
         def readings(
-            event: int, who: Numbers, here_m: Any = here_m, time_s: float = time_s
+            event: int, who: Indices, here_m: Any = here_m, time_s: float = time_s
         ) -> Floats:
             """Draw the signals of an event at some agents; called only if there is a sensor."""
             sensing = cast("Sensing", scene.sensing)

@@ -14,6 +14,7 @@ import shapely
 from numpy.typing import NDArray
 from scipy.special import erfc  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.arrays import Floats
 from planopt.channel.prediction import Prediction
 from planopt.coverage.limits import LinkLaw, Motion, MoveLimits, RadioLimits
 
@@ -28,8 +29,6 @@ LOOKS = 9
 
 SHORTEST_M = 0.01
 """Least length in metres at which a link is evaluated."""
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

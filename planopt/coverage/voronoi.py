@@ -20,9 +20,8 @@ from scipy.sparse.csgraph import (
 )
 from scipy.spatial import KDTree
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.errors import InputError
-
-Floats = NDArray[np.float64]
 
 ON_BORDER = 1e-9
 """Tolerance of the boundary as a share of the region's radius."""
@@ -48,7 +47,7 @@ class ConvexRegion:
         """Return the largest ``normals @ q - offsets_m`` of positions ``(n, 2)``; (n,)."""
         return (places_m @ self.normals.T - self.offsets_m).max(axis=1)
 
-    def contains(self, places_m: Floats) -> NDArray[np.bool_]:
+    def contains(self, places_m: Floats) -> Mask:
         """Return whether positions ``(n, 2)`` are inside or on the boundary; (n,)."""
         return self.excess_m(places_m) <= ON_BORDER * self.radius_m
 
@@ -101,12 +100,6 @@ def checked_polygon(polygon: shapely.Polygon | Floats) -> shapely.Polygon:
     return candidate
 
 
-def nearest_places(area: shapely.Polygon, places_m: Floats) -> Floats:
-    """Project positions ``(k, 2)`` onto an area."""
-    links = shapely.shortest_line(area, shapely.points(places_m))  # pyright: ignore[reportUnknownMemberType]
-    return np.asarray(shapely.get_coordinates(links), dtype=np.float64)[::2]
-
-
 def _corners(ring: Floats) -> Floats:
     """Drop collinear vertices of a convex ring ``(k, 2)`` and order it counter-clockwise."""
     before, after = ring - np.roll(ring, 1, axis=0), np.roll(ring, -1, axis=0) - ring
@@ -129,15 +122,15 @@ class Polygons:
 
     # (v, 2) corners of all polygons in sequence, each polygon in counter-clockwise order
     corners_m: Floats
-    first: NDArray[np.intp]  # (g + 1,): polygon i has the corners first[i] : first[i + 1]
+    first: Indices  # (g + 1,): polygon i has the corners first[i] : first[i + 1]
 
     @property
-    def polygon_of(self) -> NDArray[np.intp]:
+    def polygon_of(self) -> Indices:
         """Return the polygon number of each corner; (v,)."""
         return np.repeat(np.arange(len(self.first) - 1), np.diff(self.first))
 
     @property
-    def following(self) -> NDArray[np.intp]:
+    def following(self) -> Indices:
         """Return the index of the next corner of the same polygon, cyclically; (v,)."""
         after = np.arange(1, len(self.corners_m) + 1)
         begun = np.diff(self.first) > 0
@@ -147,15 +140,14 @@ class Polygons:
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Voronoi partition of a region.
+    """Voronoi partition of a region."""
 
-    Agents at the same position share one cell: ``n`` agents have ``g <= n`` cells.
-    """
+    # Agents at the same position share one cell: ``n`` agents have ``g <= n`` cells.
 
     region: ConvexRegion  # Partitioned region
     generators_m: Floats  # (g, 2) distinct agent positions
-    cell_of: NDArray[np.intp]  # (n,) number of each agent's cell
-    multiplicity: NDArray[np.intp]  # (g,) number of agents that share the cell
+    cell_of: Indices  # (n,) number of each agent's cell
+    multiplicity: Indices  # (g,) number of agents that share the cell
     inside: Polygons  # Cells clipped to the region
     # Cells not clipped to the region, in normalised coordinates: the region has its centre at the
     # origin and radius 1
@@ -168,10 +160,8 @@ class Cells:
 
 
 def voronoi_cells(region: ConvexRegion, agents_m: Floats) -> Cells:
-    """Compute the Voronoi partition of a region for agents ``(n, 2)``.
-
-    The computing time grows as n log n.
-    """
+    """Compute the Voronoi partition of a region for agents ``(n, 2)``."""
+    # The computing time grows as n log n.
     outside = np.flatnonzero(~region.contains(agents_m))
     if len(outside):
         x, y = agents_m[outside[0]]
@@ -191,7 +181,7 @@ def voronoi_cells(region: ConvexRegion, agents_m: Floats) -> Cells:
     )
 
 
-def adjacent_cells(cells: Cells) -> NDArray[np.intp]:
+def adjacent_cells(cells: Cells) -> Indices:
     """Return pairs ``(e, 2)`` of cells with a common edge in the region, smaller number first."""
     diagram = cells.unclipped
     start, stop = diagram.corners_m, diagram.corners_m[diagram.following]
@@ -209,11 +199,9 @@ def adjacent_cells(cells: Cells) -> NDArray[np.intp]:
     return pair[shapely.intersects(scaled, edges)]
 
 
-def agent_neighbours(cells: Cells) -> NDArray[np.intp]:
-    """Return pairs ``(e, 2)`` of agents that are Voronoi neighbours, smaller number first.
-
-    Coincident agents are neighbours of each other and share all other neighbours.
-    """
+def agent_neighbours(cells: Cells) -> Indices:
+    """Return pairs ``(e, 2)`` of agents that are Voronoi neighbours, smaller number first."""
+    # Coincident agents are neighbours of each other and share all other neighbours.
     adjacent = adjacent_cells(cells)
     count = len(cells.generators_m)
     if count == len(cells.cell_of):
@@ -229,12 +217,12 @@ def agent_neighbours(cells: Cells) -> NDArray[np.intp]:
     return np.sort(np.array(linked, dtype=np.intp).reshape(-1, 2), axis=1)
 
 
-def merge_coincident(places_m: Floats, within_m: float) -> tuple[Floats, NDArray[np.intp]]:
+def merge_coincident(places_m: Floats, within_m: float) -> tuple[Floats, Indices]:
     """Merge points linked by chains of gaps up to a distance; return points and group numbers."""
     # Shapes: places_m (n, d); returns (g, d) and (n,).
     tree = KDTree(places_m)
     found = tree.query_pairs(within_m, output_type="ndarray")  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
-    pairs, count = cast("NDArray[np.intp]", found), len(places_m)
+    pairs, count = cast("Indices", found), len(places_m)
     if not len(pairs):
         return places_m, np.arange(count)
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))
@@ -285,7 +273,7 @@ class Boundary:
     # Cells are star-shaped: they contain the straight line from the centre to each of their points.
 
     centres_m: Floats  # (g, 2) agent position of each cell
-    cell: NDArray[np.intp]  # (e,) number of the cell of each piece
+    cell: Indices  # (e,) number of the cell of each piece
     start_m: Floats  # (e, 2) both ends of each piece, relative to the cell's centre
     end_m: Floats
     # (e,) angle between both ends in rad if the piece is an arc about the centre; 0 if it is
@@ -325,7 +313,7 @@ def region_boundary(region: ConvexRegion) -> Boundary:
 
 
 def _within_range(
-    centres_m: Floats, cell: NDArray[np.intp], start: Floats, end: Floats, range_m: float
+    centres_m: Floats, cell: Indices, start: Floats, end: Floats, range_m: float
 ) -> Boundary:
     """Clip boundaries to the range by arcs; arguments and result as in :class:`Boundary`."""
     along = end - start

@@ -11,12 +11,10 @@ Tables = Mapping[str, Any]
 
 
 def toml_text(tables: Tables, comments: Mapping[str, str] | None = None) -> str:
-    """Return tables as TOML.
-
-    Values are texts, booleans, finite numbers, arrays of these, tables, and arrays of tables. A key
-    without a value (None) is left out. Comments are given by dotted key and stand at the end of its
-    line, or above the header of its table.
-    """
+    """Return tables as TOML."""
+    # Values are texts, booleans, finite numbers, arrays of these, tables, and arrays of tables. A
+    # key without a value (None) is left out. Comments are given by dotted key and stand at the end
+    # of its line, or above the header of its table.
     return "\n".join(_table((), tables, comments or {})).strip("\n") + "\n"
 
 

@@ -17,6 +17,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.channel.cholesky import inverse, log_determinant, solve_lower
 from planopt.channel.kriging import kriging_terms
 from planopt.channel.posterior import ChannelPosterior
@@ -37,7 +38,7 @@ from planopt.targets.rounding import rounded_length, rounded_positive_part
 class Gain(Protocol):
     """Gain of measurements along paths; zero without measurements."""
 
-    def value(self, moments: Moments) -> NDArray[np.float64]:
+    def value(self, moments: Moments) -> Floats:
         """Return the gain of each path, ``(...)``."""
         ...
 
@@ -60,7 +61,7 @@ class Information:
     about: Literal["channel", "path loss"] = "channel"
     factor: float = 1.0
 
-    def value(self, moments: Moments) -> NDArray[np.float64]:
+    def value(self, moments: Moments) -> Floats:
         """Return the information gain of each path."""
         diagonal = np.diagonal(moments.factor, axis1=-2, axis2=-1)
         if self.about == "path loss":
@@ -105,17 +106,17 @@ class VarianceRemoved:
 
     # Y is B times `loading`, or the covariances with the map positions.
 
-    loading: NDArray[np.float64] | None = None  # (2, r); None for the map
+    loading: Floats | None = None  # (2, r); None for the map
     universal: bool = True  # C is S + B M B' if true, else S
 
-    def value(self, moments: Moments) -> NDArray[np.float64]:
+    def value(self, moments: Moments) -> Floats:
         """Return the trace for each path."""
         # tr(C^-1 Y Y') needs only the small Y Y'; solving for the wide Y costs several times more.
         covariance, rows = self._parts(moments)
         gathered = rows @ rows.swapaxes(-1, -2)
         return np.trace(np.linalg.solve(covariance, gathered), axis1=-2, axis2=-1)
 
-    def _parts(self, moments: Moments) -> tuple[NDArray[np.float64], NDArray[np.floating]]:
+    def _parts(self, moments: Moments) -> tuple[Floats, NDArray[np.floating]]:
         """Return the covariance C and the rows Y."""
         covariance = moments.universal if self.universal else moments.covariance
         return covariance, moments.across if self.loading is None else moments.trend @ self.loading
@@ -173,12 +174,12 @@ class PathUncertainty:
     threshold_db2: float = 0.0  # sigma_TH^2: variance up to this counts as known
     decay_per_m: float = 0.0  # zeta >= 0
 
-    def value(self, moments: Moments) -> NDArray[np.float64]:
+    def value(self, moments: Moments) -> Floats:
         """Return the sum for each path."""
         excess, near = self._parts(moments)
         return (excess * near).sum(axis=-1)
 
-    def _parts(self, moments: Moments) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _parts(self, moments: Moments) -> tuple[Floats, Floats]:
         """Return the excess of L_ii^2 over the threshold, and psi(l_i); both ``(..., N)``."""
         places = moments.positions_m
         start = np.broadcast_to(self.start_m, (*places.shape[:-2], 1, 2))
@@ -233,7 +234,12 @@ class PathUncertainty:
         near_bent = by_place.T @ ((self.decay_per_m**2 * excess * near)[:, None] * by_place)
         near_bent -= self.decay_per_m * by_lengths(legs, after)[1]
         if gates is not None:
-            near_first, near_bent = _without_gates(near_first, near_bent)
+            steps = len(near_first)
+            place = (3 * np.arange(steps)[:, None] + [0, 1]).ravel()
+            wide_first, wide_bent = np.zeros((steps, 3 * steps)), np.zeros((3 * steps, 3 * steps))
+            wide_first[:, place] = near_first
+            wide_bent[np.ix_(place, place)] = near_bent
+            near_first, near_bent = wide_first, wide_bent
         hessian = _bent_variances(batch, left, along, diagonal * near * slope)
         if gates is not None:
             hessian[gated, gated] -= 2.0 * fall * near * slope
@@ -244,7 +250,7 @@ class PathUncertainty:
         return PathDerivatives(float(excess @ near), gradient, hessian)
 
 
-def map_criterion(posterior: ChannelPosterior, region: Region) -> NDArray[np.float64]:
+def map_criterion(posterior: ChannelPosterior, region: Region) -> Floats:
     """Return G = sum_g w_g varphi(g) varphi(g)', theta's share of the map variance; (2, 2)."""
     # varphi(g) uses the current posterior, without the path's own measurements.
     trend = kriging_terms(posterior, region.grid_m).trend
@@ -261,13 +267,13 @@ def require_estimated_path_loss(posterior: ChannelPosterior) -> None:
         )
 
 
-def square_root(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def square_root(matrix: Floats) -> Floats:
     """Return F with F F' = `matrix`, a symmetric positive semidefinite (2, 2) matrix."""
     values, vectors = np.linalg.eigh(matrix)
     return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
-def _by_universal(moments: Moments, by_universal: NDArray[np.float64]) -> Pull:
+def _by_universal(moments: Moments, by_universal: Floats) -> Pull:
     """Return the adjoints of S and B from symmetric ones of S + B M B' (..., N, N)."""
     by_trend = 2.0 * (by_universal @ (moments.trend @ moments.theta_covariance))
     return Pull(by_covariance=by_universal, by_trend=by_trend)
@@ -301,24 +307,9 @@ def _half_log_noise(path: LocalPath) -> PathDerivatives:
     return PathDerivatives(0.5 * float(np.log(fills).sum()), gradient, hessian)
 
 
-def _without_gates(
-    first: NDArray[np.float64], bent: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Expand derivatives (h, 2 h), (2 h, 2 h) w.r.t. positions to 3 h coordinates with gates."""
-    steps = len(first)
-    place = (3 * np.arange(steps)[:, None] + [0, 1]).ravel()
-    wide_first, wide_bent = np.zeros((steps, 3 * steps)), np.zeros((3 * steps, 3 * steps))
-    wide_first[:, place] = first
-    wide_bent[np.ix_(place, place)] = bent
-    return wide_first, wide_bent
-
-
 def _bent_variances(
-    batch: CovarianceDerivatives,
-    left: NDArray[np.float64],
-    along: NDArray[np.float64],
-    weight: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    batch: CovarianceDerivatives, left: Floats, along: Floats, weight: Floats
+) -> Floats:
     """Return sum_i w_i / L_ii^2 d^2 L_ii^2 for `weight` w; ``(2 h, 2 h)``."""
     # L_ii^2 is the minimum of y' S y over y with y_i = 1 and y_k = 0 for k > i. The minimiser is
     # L_ii n_i, with n_i row i of N = L^-1 = `left`. The first derivative is L_ii^2 n_i' dS n_i, the

@@ -26,6 +26,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.channel.cholesky import unwhiten, whiten
 from planopt.channel.joint import joint_terms
 from planopt.channel.kriging import LocalChannel, LocalGrid
@@ -56,8 +57,8 @@ if a position is measured twice."""
 class Region:
     """Region to be mapped: weighted grid positions (equation 4.6; footnote 3 of [GM11])."""
 
-    grid_m: NDArray[np.float64]  # (g, 2) positions
-    weight: NDArray[np.float64]  # (g,) w_g >= 0; 1 / g each for the spatial average
+    grid_m: Floats  # (g, 2) positions
+    weight: Floats  # (g,) w_g >= 0; 1 / g each for the spatial average
 
     def __post_init__(self) -> None:
         require_weights(self.weight, len(require_places(self.grid_m)))
@@ -73,11 +74,11 @@ class Moments:
     """Moments of gated measurements along one path or many paths (leading axis c)."""
 
     parameters: ChannelParameters
-    positions_m: NDArray[np.float64]  # (..., N, 2)
-    whole_covariance: NDArray[np.float64]  # (..., N, N) S in dB^2 without gates, theta known
-    whole_trend: NDArray[np.float64]  # (..., N, 2) B without gates
-    theta_covariance: NDArray[np.float64]  # (2, 2) M; zero if theta is known
-    gate: NDArray[np.float64] | None  # (..., N); None: all one
+    positions_m: Floats  # (..., N, 2)
+    whole_covariance: Floats  # (..., N, N) S in dB^2 without gates, theta known
+    whole_trend: Floats  # (..., N, 2) B without gates
+    theta_covariance: Floats  # (2, 2) M; zero if theta is known
+    gate: Floats | None  # (..., N); None: all one
     # Function for covariances (..., N, g) with the map, theta uncertain, times root weights
     map_covariance: Callable[[], NDArray[np.floating]] | None = None
 
@@ -87,12 +88,12 @@ class Moments:
         return blind_variance_db2(self.parameters)
 
     @cached_property
-    def gated_part(self) -> NDArray[np.float64]:
+    def gated_part(self) -> Floats:
         """Matrix S - kappa I, which gates scale from both sides; ``(..., N, N)``."""
         return self.whole_covariance - self.blind_db2 * np.eye(self.whole_covariance.shape[-1])
 
     @cached_property
-    def covariance(self) -> NDArray[np.float64]:
+    def covariance(self) -> Floats:
         """Covariance S_g for known theta, ``(..., N, N)``."""
         if self.gate is None:
             return self.whole_covariance
@@ -100,27 +101,27 @@ class Moments:
         return both * self.gated_part + self.blind_db2 * np.eye(self.gate.shape[-1])
 
     @cached_property
-    def trend(self) -> NDArray[np.float64]:
+    def trend(self) -> Floats:
         """Gated regressors B_g, ``(..., N, 2)``."""
         return self.whole_trend if self.gate is None else self.gate[..., None] * self.whole_trend
 
     @cached_property
-    def universal(self) -> NDArray[np.float64]:
+    def universal(self) -> Floats:
         """Covariance S_g + B_g M B_g' for uncertain theta; ``(..., N, N)``."""
         return self.covariance + self.trend @ self.theta_covariance @ self.trend.swapaxes(-1, -2)
 
     @cached_property
-    def factor(self) -> NDArray[np.float64]:
+    def factor(self) -> Floats:
         """Cholesky factors of :attr:`universal`; L_ii^2 is the variance given q_1 .. q_i-1."""
         return covariance_factor(self.universal)
 
     @cached_property
-    def inverse(self) -> NDArray[np.float64]:
+    def inverse(self) -> Floats:
         """Inverses of :attr:`universal`."""
         return np.asarray(np.linalg.inv(self.universal), dtype=np.float64)
 
     @cached_property
-    def noise_db2(self) -> NDArray[np.float64]:
+    def noise_db2(self) -> Floats:
         """Noise variance of each gated measurement, ``(..., N)``."""
         noise = np.full(self.positions_m.shape[:-1], self.parameters.multipath_std_db**2)
         if self.gate is None:
@@ -161,7 +162,7 @@ class Moments:
         return Pull(pull.by_position, by_covariance, by_trend, by_across, pull.by_phi, by_gate)
 
 
-def covariance_factor(covariance_db2: NDArray[np.float64]) -> NDArray[np.float64]:
+def covariance_factor(covariance_db2: Floats) -> Floats:
     """Return lower Cholesky factors of covariances ``(..., N, N)``."""
     try:
         return np.asarray(np.linalg.cholesky(covariance_db2), dtype=np.float64)
@@ -177,12 +178,12 @@ def covariance_factor(covariance_db2: NDArray[np.float64]) -> NDArray[np.float64
 class KnownPlaces:
     """Map positions with precomputed terms for their covariances with many paths."""
 
-    grid_m: NDArray[np.float64]  # (g, 2)
-    phi_db2: NDArray[np.float64]  # (kappa, g) covariances with the measurements
-    trend: NDArray[np.float64]  # (g, 2) varphi(g)'
+    grid_m: Floats  # (g, 2)
+    phi_db2: Floats  # (kappa, g) covariances with the measurements
+    trend: Floats  # (g, 2) varphi(g)'
 
 
-def known_places(posterior: ChannelPosterior, grid_m: NDArray[np.float64]) -> KnownPlaces:
+def known_places(posterior: ChannelPosterior, grid_m: Floats) -> KnownPlaces:
     """Precompute the terms of `grid_m` (g, 2) for a factored posterior; O(kappa g)."""
     parameters = posterior.parameters
     phi = posterior.covariance_with_db2(grid_m)
@@ -192,9 +193,9 @@ def known_places(posterior: ChannelPosterior, grid_m: NDArray[np.float64]) -> Kn
 
 def cross_covariance_db2(
     posterior: ChannelPosterior,
-    path_m: NDArray[np.float64],  # (N, 2)
+    path_m: Floats,  # (N, 2)
     known: KnownPlaces,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return covariances of measurements on a path with the power at map positions; ``(N, g)``."""
     # c(q) = k_h(q) - Phi' U^-1 phi(q) + B M varphi(q) (equation 4.6).
     parameters = posterior.parameters
@@ -209,8 +210,8 @@ def cross_covariance_db2(
 
 def posterior_moments(
     posterior: ChannelPosterior,
-    path_m: NDArray[np.float64],  # (N, 2)
-    taken: NDArray[np.bool_] | None = None,  # (N,) True where a measurement is taken; None: all
+    path_m: Floats,  # (N, 2)
+    taken: Mask | None = None,  # (N,) True where a measurement is taken; None: all
     region: Region | None = None,  # Region of the averaged map
     known: KnownPlaces | None = None,  # Precomputed terms of the region for this posterior
 ) -> Moments:
@@ -221,7 +222,7 @@ def posterior_moments(
     covariance = 0.5 * (terms.latent_db2 + terms.latent_db2.T)
     covariance[np.diag_indices_from(covariance)] += near.parameters.multipath_std_db**2
 
-    def across() -> NDArray[np.float64]:
+    def across() -> Floats:
         if region is None:
             raise AssertionError("the spatial average needs a map")
         grid = known if near is posterior else None
@@ -243,13 +244,13 @@ def posterior_moments(
 class Pull:
     """Adjoints: derivatives of one scalar per path w.r.t. its inputs; None means zero."""
 
-    by_position: NDArray[np.float64] | None = None  # (c, N, 2), other quantities fixed
-    by_covariance: NDArray[np.float64] | None = None  # (c, N, N) w.r.t. S, symmetric
-    by_trend: NDArray[np.float64] | None = None  # (c, N, 2) w.r.t. B
+    by_position: Floats | None = None  # (c, N, 2), other quantities fixed
+    by_covariance: Floats | None = None  # (c, N, N) w.r.t. S, symmetric
+    by_trend: Floats | None = None  # (c, N, 2) w.r.t. B
     by_across: NDArray[np.floating] | None = None  # (c, N, g) w.r.t. the covariances with the map
     # (c, N, m) w.r.t. the covariances with the measurements, S and B fixed
     by_phi: NDArray[np.float32] | None = None
-    by_gate: NDArray[np.float64] | None = None  # (c, N)
+    by_gate: Floats | None = None  # (c, N)
 
     def plus(self, other: Pull, weight: float = 1.0) -> Pull:
         """Return these adjoints plus `weight` times `other`."""
@@ -275,9 +276,9 @@ def _sum(a: NDArray[Real] | None, b: NDArray[Real] | None, weight: float) -> NDA
 
 
 def pull_of_lengths(
-    start_m: NDArray[np.float64],  # (2,)
-    paths_m: NDArray[np.float64],  # (c, N, 2)
-    by_length: NDArray[np.float64],  # (c, N)
+    start_m: Floats,  # (2,)
+    paths_m: Floats,  # (c, N, 2)
+    by_length: Floats,  # (c, N)
 ) -> Pull:
     """Return the adjoints of positions from the adjoints `by_length` of step lengths."""
     ends = np.concatenate([np.broadcast_to(start_m, (len(paths_m), 1, 2)), paths_m], axis=1)
@@ -295,7 +296,7 @@ class LocalPaths:
         self,
         channel: LocalChannel,
         precision: NDArray[np.float32],  # (m, m) of the channel
-        paths_m: NDArray[np.float64],  # (c, N, 2)
+        paths_m: Floats,  # (c, N, 2)
         grid: LocalGrid | None = None,  # Grid of the averaged map, if any
     ) -> None:
         self.channel, self.paths_m, self._grid = channel, paths_m, grid
@@ -318,7 +319,7 @@ class LocalPaths:
         trend = regressors(places, parameters.station) - projected[:, 1:]
         self.trend = trend.reshape(*self.shape, 2)  # B
 
-    def moments(self, gate: NDArray[np.float64] | None = None) -> Moments:
+    def moments(self, gate: Floats | None = None) -> Moments:
         """Return the moments of measurements along the paths for gates (c, N)."""
         return Moments(
             self.channel.parameters,
@@ -360,9 +361,7 @@ class LocalPaths:
         across *= grid.root_weight.astype(SINGLE)
         return distance, kernel, across.reshape(*self.shape, -1)
 
-    def pull_of_power(
-        self, by_mean: NDArray[np.float64], by_deviation: NDArray[np.float64]
-    ) -> Pull:
+    def pull_of_power(self, by_mean: Floats, by_deviation: Floats) -> Pull:
         """Return the adjoints that follow from those of mean and standard deviation ``(c, N)``."""
         channel, own = self.channel, np.arange(self.shape[1])
         deviation = self.power.deviation_db.reshape(self.shape)
@@ -375,7 +374,7 @@ class LocalPaths:
             by_phi=by_mean.astype(SINGLE)[:, :, None] * channel.weights.astype(SINGLE),
         )
 
-    def slopes(self, pull: Pull, gates: Gates | None = None) -> NDArray[np.float64]:
+    def slopes(self, pull: Pull, gates: Gates | None = None) -> Floats:
         """Return the gradient w.r.t. positions, ``(c, N, 2)``; `pull.by_gate` refers to `gates`."""
         channel = self.channel
         found, by_phi = np.zeros((*self.shape, 2)), np.zeros_like(self._solved)
@@ -408,10 +407,10 @@ class LocalPaths:
     def _through(
         self,
         by_kernel: NDArray[np.float32],
-        others_m: NDArray[np.float64],
+        others_m: Floats,
         distance_m: NDArray[np.float32],
         kernel: NDArray[np.float32],
-    ) -> NDArray[np.float64]:
+    ) -> Floats:
         """Return the gradient through the kernel (c N, m) with `others_m`; ``(c, N, 2)``."""
         # d k = -k / (beta r) (q - other), with r at least the cusp rounding. Overwrites
         # `by_kernel`.
@@ -423,7 +422,7 @@ class LocalPaths:
         pulled = (by_kernel @ moved).astype(np.float64).reshape(*self.shape, 3)
         return (pulled[:, :, :2] - pulled[:, :, 2:] * (self.paths_m - middle)) / beta
 
-    def _between(self, by_covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _between(self, by_covariance: Floats) -> Floats:
         """Return the gradient through the prior covariances between positions of one path."""
         parameters = self.channel.parameters
         beta = parameters.decorrelation_m
@@ -435,10 +434,10 @@ class LocalPaths:
 
 
 def _single_kernel(
-    a: NDArray[np.float64],  # (n, 2)
-    b: NDArray[np.float64],  # (m, 2)
+    a: Floats,  # (n, 2)
+    b: Floats,  # (m, 2)
     parameters: ChannelParameters,
-    added_m2: NDArray[np.float64] | None = None,  # (m,) added to the squared distances
+    added_m2: Floats | None = None,  # (m,) added to the squared distances
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return the distances between `a` and `b` and their shadowing covariances; both ``(n, m)``."""
     # Offsets from the mean of `a` are rounded to float32, so coordinates near 3e6 keep their

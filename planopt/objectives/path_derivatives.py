@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices
 from planopt.channel.kriging import LocalChannel, LocalGrid
 from planopt.channel.parameters import require_places
 from planopt.objectives.measuring import Gates
@@ -32,8 +32,8 @@ class PathDerivatives:
     """Objective value of a path of h positions with derivatives w.r.t. 2 h coordinates."""
 
     value: float  # Objective value
-    gradient: NDArray[np.float64]  # (2 h,) w.r.t. x_1, y_1, x_2, ...
-    hessian: NDArray[np.float64]  # (2 h, 2 h) symmetric
+    gradient: Floats  # (2 h,) w.r.t. x_1, y_1, x_2, ...
+    hessian: Floats  # (2 h, 2 h) symmetric
 
     def plus(self, other: PathDerivatives, weight: float = 1.0) -> PathDerivatives:
         """Return this objective plus `weight` times `other`."""
@@ -48,12 +48,12 @@ class PathDerivatives:
 class Rows:
     """Rows of r numbers, each a function of its own position only, such as the rows of B."""
 
-    value: NDArray[np.float64]  # (h, r)
-    first: NDArray[np.float64]  # (2 h, r) w.r.t. the position's own coordinates
+    value: Floats  # (h, r)
+    first: Floats  # (2 h, r) w.r.t. the position's own coordinates
     # (h, 3, r) xx, xy, yy; with gates (h, 6, r): xx, xy, yy, xg, yg, gg
-    second: NDArray[np.float64]
+    second: Floats
 
-    def times(self, matrix: NDArray[np.float64]) -> Rows:
+    def times(self, matrix: Floats) -> Rows:
         """Return each row times `matrix` (r, s), or elementwise times a vector (r,)."""
         if matrix.ndim == 1:
             return Rows(self.value * matrix, self.first * matrix, self.second * matrix)
@@ -76,21 +76,21 @@ class Rows:
 class CovarianceDerivatives:
     """Covariance S of a path with derivatives."""
 
-    value: NDArray[np.float64]  # (h, h) S
+    value: Floats  # (h, h) S
     # (2 h, h) D[2 i + a, k]: dS_ik w.r.t. coordinate a of q_i; half of it if k = i
-    first: NDArray[np.float64]
+    first: Floats
     # (2 h, 2 h) d^2 S_ij w.r.t. coordinates of q_i and q_j; half of it if j = i
-    mixed: NDArray[np.float64]
+    mixed: Floats
     # (h, 3, h) d^2 S_ik w.r.t. two coordinates of q_i; half of it if k = i
-    second: NDArray[np.float64]
+    second: Floats
 
     @property
-    def owner(self) -> NDArray[np.intp]:
+    def owner(self) -> Indices:
         """Index of the position that each coordinate belongs to."""
         steps, count = len(self.value), len(self.first)
         return np.repeat(np.arange(steps), count // steps)
 
-    def curvature(self, gradient_by_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    def curvature(self, gradient_by_s: Floats) -> Floats:
         """Return sum_ij G_ij d^2 S_ij for symmetric G = `gradient_by_s` (h, h); ``(2 h, 2 h)``."""
         width = len(self.first) // len(self.value)
         wide = np.repeat(np.repeat(gradient_by_s, width, axis=0), width, axis=1)
@@ -134,7 +134,7 @@ class LocalPath:
     def __init__(
         self,
         channel: LocalChannel,
-        path_m: NDArray[np.float64],  # (h, 2)
+        path_m: Floats,  # (h, 2)
         gates: Gates | None = None,
         grid: LocalGrid | None = None,  # Grid of the averaged map, if any
     ) -> None:
@@ -252,7 +252,7 @@ OWN_BLOCKS = {
 """Column and coordinate pair of each of the 3 or 6 second derivatives of a position."""
 
 
-def add_own_blocks(hessian: NDArray[np.float64], own: NDArray[np.float64]) -> None:
+def add_own_blocks(hessian: Floats, own: Floats) -> None:
     """Add `own` (h, 3), xx, xy, yy of each position, to the diagonal blocks of `hessian`."""
     # With gates `own` is ``(h, 6)``, as in `Rows`.
     first = np.arange(0, len(hessian), len(hessian) // len(own))
@@ -282,8 +282,8 @@ def by_positions(found: PathDerivatives, gates: Gates | None) -> PathDerivatives
 
 def by_stages(
     value: float,
-    gradient: NDArray[np.float64],  # (h, c)
-    hessian: NDArray[np.float64],  # (h, c, h, c)
+    gradient: Floats,  # (h, c)
+    hessian: Floats,  # (h, c, h, c)
     inputs: Sequence[Derivatives],
 ) -> PathDerivatives:
     """Return derivatives w.r.t. positions of a value that depends on c inputs per stage."""
@@ -298,8 +298,8 @@ def by_stages(
 
 def by_lengths(
     lengths: Derivatives,  # (h,) step lengths with derivatives w.r.t. offsets
-    gradient: NDArray[np.float64],  # (h,) gradient w.r.t. lengths
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    gradient: Floats,  # (h,) gradient w.r.t. lengths
+) -> tuple[Floats, Floats]:
     """Return sum_k gradient_k d length_k (2 h,) and sum_k gradient_k d^2 length_k (2 h, 2 h)."""
     count = len(gradient)
     slope = gradient[:, None] * lengths.gradient
@@ -314,7 +314,7 @@ def by_lengths(
     return slope.ravel(), hessian.reshape(2 * count, 2 * count)
 
 
-def length_jacobian(lengths: Derivatives) -> NDArray[np.float64]:
+def length_jacobian(lengths: Derivatives) -> Floats:
     """Return the derivatives of all step lengths w.r.t. all coordinates, ``(h, 2 h)``."""
     steps = len(lengths.value)
     found, k = np.zeros((steps, steps, 2)), np.arange(steps)

@@ -15,7 +15,8 @@ from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
+
+from planopt.arrays import Floats, Mask
 
 
 def cruising_speed_m_s(effort_weight_s2_m2: float, speed_max_m_s: float) -> float:
@@ -31,21 +32,17 @@ def cost_rate_s_m(effort_weight_s2_m2: float, speed_max_m_s: float) -> float:
     return (1.0 + effort_weight_s2_m2 * best**2) / best
 
 
-def step_cost_s(
-    length_m: NDArray[np.float64], step_s: float, effort_weight_s2_m2: float
-) -> NDArray[np.float64]:
+def step_cost_s(length_m: Floats, step_s: float, effort_weight_s2_m2: float) -> Floats:
     """Return the cost in seconds of steps of lengths `length_m` that start short of the goal."""
     return step_s + effort_weight_s2_m2 * length_m**2 / step_s
 
 
-def outage_share(
-    probability: NDArray[np.float64], is_below: NDArray[np.bool_], everywhere: bool = False
-) -> NDArray[np.float64]:
+def outage_share(probability: Floats, is_below: Mask, everywhere: bool = False) -> Floats:
     """Return the share of a metre at each position that the outage price applies to."""
     return np.where(is_below | everywhere, 1.0 - probability, 0.0)
 
 
-def charged_length_m(lengths_m: NDArray[np.float64], share: NDArray[np.float64]) -> float:
+def charged_length_m(lengths_m: Floats, share: Floats) -> float:
     """Return the length of a path (n + 1 positions) that the outage price applies to."""
     # Shapes: lengths_m (n,); share (n + 1,).
     return float(0.5 * lengths_m @ (share[:-1] + share[1:]))
@@ -57,9 +54,7 @@ PIECE_M = 0.5
 GAUSS = np.polynomial.legendre.leggauss(4)
 
 
-def integrated_cost_m(
-    metre_cost: Callable[[NDArray[np.float64]], NDArray[np.float64]], places_m: NDArray[np.float64]
-) -> float:
+def integrated_cost_m(metre_cost: Callable[[Floats], Floats], places_m: Floats) -> float:
     """Return the integral of the cost of a metre along a polyline (n, 2), by quadrature."""
     lengths = np.linalg.norm(np.diff(places_m, axis=0), axis=1)
     at, weights = 0.5 * (GAUSS[0] + 1.0), 0.5 * GAUSS[1]
@@ -75,12 +70,12 @@ def integrated_cost_m(
 
 
 def path_cost_s(
-    positions_m: NDArray[np.float64],
-    goal_m: NDArray[np.float64],
+    positions_m: Floats,
+    goal_m: Floats,
     goal_radius_m: float,
     step_s: float,
     effort_weight_s2_m2: float,
-    resting_m: NDArray[np.float64] | None = None,
+    resting_m: Floats | None = None,
 ) -> float:
     """Return the cost of a path (n + 1, 2) up to its end or arrival, without cost-to-go."""
     # A robot with dynamics has arrived once it can also stop at the goal. `resting_m` (n + 1, 2) is

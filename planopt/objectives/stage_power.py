@@ -25,8 +25,8 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.channel.connectivity_law import LEAST_DEVIATION_DB, any_score_derivatives
 from planopt.channel.kriging import LocalChannel
 from planopt.channel.parameters import MIN_DISTANCE_M, ChannelParameters, Station
@@ -39,9 +39,9 @@ CUSP_ROUNDING = 0.01
 
 
 def rounded_kernel(
-    offset_m: NDArray[np.float64],  # (..., 2)
+    offset_m: Floats,  # (..., 2)
     parameters: ChannelParameters,
-    added_m2: NDArray[np.float64] | float = 0.0,  # (...) added to the squared distances
+    added_m2: Floats | float = 0.0,  # (...) added to the squared distances
 ) -> Derivatives:
     """Return xi^2 exp(-r / beta), r = sqrt(|offset|^2 + added + eps^2), with derivatives."""
     rows = np.empty((6, *offset_m.shape[:-1]))
@@ -51,19 +51,13 @@ def rounded_kernel(
     return Derivatives(rows[0], rows[1:3].transpose(*inner, 0), rows[3:].transpose(*inner, 0))
 
 
-def softened_m2(
-    added_m2: NDArray[np.float64] | float, parameters: ChannelParameters
-) -> NDArray[np.float64] | float:
+def softened_m2(added_m2: Floats | float, parameters: ChannelParameters) -> Floats | float:
     """Return the term that the smoothed kernel adds to squared distances."""
     return added_m2 + (CUSP_ROUNDING * parameters.decorrelation_m) ** 2
 
 
 def fill_rounded_kernel(
-    rows: NDArray[np.float64],
-    x: NDArray[np.float64],
-    y: NDArray[np.float64],
-    parameters: ChannelParameters,
-    soft_m2: NDArray[np.float64] | float,
+    rows: Floats, x: Floats, y: Floats, parameters: ChannelParameters, soft_m2: Floats | float
 ) -> None:
     """Write the kernel at offsets `x`, `y` (...) and its derivatives x, y, xx, xy, yy."""
     # The output `rows` (6, ...) is a buffer that solvers reuse. `soft_m2` comes from `softened_m2`.
@@ -95,7 +89,7 @@ def fill_rounded_kernel(
     np.add(bend, slope, out=by_yy)
 
 
-def rounded_log_distance(positions_m: NDArray[np.float64], station: Station) -> Derivatives:
+def rounded_log_distance(positions_m: Floats, station: Station) -> Derivatives:
     """Return -10 log10 sqrt(d^2 + MIN_DISTANCE_M^2) with derivatives at positions (n, 2)."""
     offset = positions_m - np.asarray(station.position_m)
     square = np.einsum("ni,ni->n", offset, offset) + (station.height_m**2 + MIN_DISTANCE_M**2)
@@ -138,7 +132,7 @@ class StagePredictor:
         self._y_m = np.ascontiguousarray(model.positions_m[:, :, 1])
         self._soft_m2 = softened_m2(model.added_m2, model.parameters)
 
-    def __call__(self, positions_m: NDArray[np.float64]) -> StagePower:
+    def __call__(self, positions_m: Floats) -> StagePower:
         """Return mean and standard deviation of stage k at ``positions_m[k]``, (n, 2)."""
         f, parameters = self._f, self._model.parameters
         fill_rounded_kernel(
@@ -175,7 +169,7 @@ class ServingStages:
         posteriors: Sequence[ChannelPosterior],
         thresholds_dbm: Sequence[float],
         law: Callable[[Sequence[Prediction]], Prediction],  # Serving from station powers
-        path_m: NDArray[np.float64],  # (N, 2)
+        path_m: Floats,  # (N, 2)
         neighbours: int,
     ) -> None:
         self._thresholds_dbm = thresholds_dbm
@@ -187,7 +181,7 @@ class ServingStages:
         about = [Prediction(mean.value, deviation.value) for mean, deviation in powers]
         self._scale_db = law(about).deviation_db
 
-    def __call__(self, positions_m: NDArray[np.float64]) -> StagePower:
+    def __call__(self, positions_m: Floats) -> StagePower:
         """Return mean and standard deviation of the serving power at ``positions_m[k]``."""
         powers = [predict(positions_m) for predict in self._stations]
         return serving_derivatives(powers, self._thresholds_dbm, self._scale_db)
@@ -196,7 +190,7 @@ class ServingStages:
 def serving_derivatives(
     powers: Sequence[StagePower],
     thresholds_dbm: Sequence[float],  # (m,)
-    scale_db: NDArray[np.float64],  # (N,) c
+    scale_db: Floats,  # (N,) c
 ) -> StagePower:
     """Return the mean serving power of m stations, and `scale_db` as its standard deviation."""
     # The any-station score z has dz = sum_i w_i dz_i and d2z = sum_i w_i d2z_i + sum_ij W_ij dz_i

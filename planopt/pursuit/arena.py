@@ -15,6 +15,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.errors import InputError
 from planopt.world.clearance import ObstacleIndex, clearance_m, index_obstacles, segment_lines
 from planopt.world.shortest_paths import (
@@ -78,9 +79,7 @@ class Arena:
         ]
         return max((_ring_detour(ring) for ring in rings), default=1.0)
 
-    def moved(
-        self, place_m: NDArray[np.float64], moves_m: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def moved(self, place_m: Floats, moves_m: Floats) -> Floats:
         """Return the ends of moves (k, 2) from a position (2,), clipped to the bounds."""
         # A move that violates the clearance is not made at all.
         ends_m = self.within(place_m + moves_m)
@@ -94,15 +93,13 @@ class Arena:
             ends_m = np.where(blocked[:, None], place_m, ends_m)
         return ends_m
 
-    def within(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def within(self, places_m: Floats) -> Floats:
         """Return the nearest positions (..., 2) within the bounds."""
         if self.bounds_m is None:
             return places_m
         return np.clip(places_m, self.bounds_m[:2], self.bounds_m[2:])
 
-    def route_m(
-        self, place_m: NDArray[np.float64], goal_m: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def route_m(self, place_m: Floats, goal_m: Floats) -> Floats:
         """Return the waypoints (k, 2) of the shortest path to a goal, the goal being last."""
         # A goal outside free space is replaced by the nearest free point.
         goal_m = self.free_m(goal_m)
@@ -116,15 +113,13 @@ class Arena:
             )
         return turns
 
-    def distances_m(
-        self, place_m: NDArray[np.float64], goals_m: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def distances_m(self, place_m: Floats, goals_m: Floats) -> Floats:
         """Return the lengths (k,) of the shortest paths to goals (k, 2)."""
         if self.obstacles is None:
             return np.linalg.norm(goals_m - place_m, axis=1)
         return path_lengths_m(self._paths(place_m), goals_m)
 
-    def free_m(self, place_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def free_m(self, place_m: Floats) -> Floats:
         """Return the free point nearest to a position."""
         place_m = self.within(place_m)
         if self.obstacles is None or self.bounds_m is None or self.is_free(place_m):
@@ -142,7 +137,7 @@ class Arena:
         """Return the distance of path vertices from obstacles, slightly above the clearance."""
         return ROUND_SHARE * self.clearance_m
 
-    def is_free(self, place_m: NDArray[np.float64], share: float = 1.0) -> bool:
+    def is_free(self, place_m: Floats, share: float = 1.0) -> bool:
         """Return whether a position is free, with a clearance of `share` times the path margin."""
         if not np.array_equal(self.within(place_m), place_m):
             return False
@@ -161,7 +156,7 @@ class Arena:
     def _kept_paths(self) -> dict[tuple[float, float], ShortestPaths]:
         return {}
 
-    def _paths(self, place_m: NDArray[np.float64]) -> ShortestPaths:
+    def _paths(self, place_m: Floats) -> ShortestPaths:
         """Return the shortest paths from a position, using a cache of recent ones."""
         kept, key = self._kept_paths, (float(place_m[0]), float(place_m[1]))
         if key in kept:
@@ -184,7 +179,7 @@ def arena_of(workspace: Workspace, clearance_m: float) -> Arena:
     return Arena(workspace.bounds_m, obstacles, clearance_m)
 
 
-def _ring_detour(ring_m: NDArray[np.float64]) -> float:
+def _ring_detour(ring_m: Floats) -> float:
     """Return the largest ratio of the shorter arc of a ring (n, 2) to a chord on its right side."""
     # For points at s and t on two edges, the arc is a concave function of (s, t) and the chord a
     # convex one, so nested golden-section searches find the largest ratio.
@@ -207,26 +202,24 @@ def _ring_detour(ring_m: NDArray[np.float64]) -> float:
     if not len(first):
         return 1.0
 
-    def ratio(s: NDArray[np.float64], t: NDArray[np.float64]) -> NDArray[np.float64]:
+    def ratio(s: Floats, t: Floats) -> Floats:
         chord = np.linalg.norm(
             apart + t[:, None] * along[second] - s[:, None] * along[first], axis=1
         )
         part = begins[second] + t - begins[first] - s
         return np.minimum(part, begins[-1] - part) / np.maximum(chord, 1e-300)
 
-    def best(s: NDArray[np.float64]) -> NDArray[np.float64]:
+    def best(s: Floats) -> Floats:
         return _largest(lambda t: ratio(s, t), *t_range[:, kept])
 
     return max(1.0, float(_largest(best, *s_range[:, kept]).max()))
 
 
-def _dots(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+def _dots(first: Floats, second: Floats) -> Floats:
     return (first * second).sum(axis=1)
 
 
-def _positive(
-    at_zero: NDArray[np.float64], slope: NDArray[np.float64], end: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _positive(at_zero: Floats, slope: Floats, end: Floats) -> Floats:
     """Return the subintervals (2, k) of [0, end] where ``at_zero + slope s > 0``."""
     steep = np.abs(slope) > 1e-12
     root = np.clip(-at_zero / np.where(steep, slope, 1.0), 0.0, end)
@@ -234,11 +227,7 @@ def _positive(
     return np.stack([low, np.where(steep & (slope < 0.0), root, end)])
 
 
-def _largest(
-    function: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    low: NDArray[np.float64],
-    high: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _largest(function: Callable[[Floats], Floats], low: Floats, high: Floats) -> Floats:
     """Return the maxima (k,) of quasi-concave functions on intervals."""
     left, right = high - GOLDEN * (high - low), low + GOLDEN * (high - low)
     at_left, at_right = function(left), function(right)
@@ -253,5 +242,5 @@ def _largest(
     return np.maximum(at_left, at_right)
 
 
-def _words(place_m: NDArray[np.float64]) -> str:
+def _words(place_m: Floats) -> str:
     return f"({place_m[0]:.6g}, {place_m[1]:.6g})"

@@ -14,12 +14,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices
 from planopt.pursuit.theorems import Distances, Inequality, Theorem
 from planopt.pursuit.verify import PursuitData, PursuitLog, Violation
-
-Floats = NDArray[np.float64]
 
 ROUNDING = 1e-9
 """Relative rounding tolerance of requirements that are met with equality."""
@@ -322,7 +320,7 @@ def _stage_faults(
             )
 
 
-def _sampled_away_m(log: PursuitLog, rows: NDArray[np.intp] | int) -> Floats:
+def _sampled_away_m(log: PursuitLog, rows: Indices | int) -> Floats:
     """Return the distances (k,) from the pursuer to the positions where the evader was sampled."""
     reports, found = log.reports, list[float]()
     for row in np.atleast_1d(rows).tolist():

@@ -65,11 +65,9 @@ class NoDesignError(NoPlanError):
 
 
 def mean_blocks_per_frame(border_relays: bool, levels: int) -> float:
-    """Return the mean number of blocks per frame flooded by a mote far from the edges.
-
-    A level-j round of ``3 * 2^j`` frames has nine blocks per mote, or ``(3 - 2^(1 - j))^2`` without
-    border relays. All levels together need ``3 (2 - 2^-L) < 6`` blocks, or less than 2.2.
-    """
+    """Return the mean number of blocks per frame flooded by a mote far from the edges."""
+    # A level-j round of ``3 * 2^j`` frames has nine blocks per mote, or ``(3 - 2^(1 - j))^2``
+    # without border relays. All levels together need ``3 (2 - 2^-L) < 6`` blocks, or less than 2.2.
     cell = np.exp2(np.arange(levels + 1))
     each = np.full(levels + 1, 9.0) if border_relays else (3.0 - 2.0 / cell) ** 2
     return float((each / (HOPS_PER_ROUND * cell)).sum())
@@ -212,45 +210,36 @@ class Design:
 
 
 def cheapest_design(task: DesignTask) -> Design:
-    """Return the minimum-power design that satisfies Lemma III.3 with the margin.
-
-    For each c the widest slot is ``(1 - a - delta) / (12 eta_s v_e)``, and power decreases with the
-    slot width.
-    """
+    """Return the minimum-power design that satisfies Lemma III.3 with the margin."""
+    # For each c the widest slot is ``(1 - a - delta) / (12 eta_s v_e)``, and power decreases with
+    # the slot width.
     return _scan(task, partial(_lemma_candidate, task))
 
 
 def cheapest_rated_design(task: DesignTask) -> Design:
-    """Return the minimum-power design by the Lemma, with rounds of all levels every r-th time.
-
-    Ages are then at most ``6 (1 + r) eta_s s_w`` frames per spacing. Short slots with infrequent
-    rounds cost down to half as much as long slots, provided that motes sleep in between.
-    """
+    """Return the minimum-power design by the Lemma, with rounds of all levels every r-th time."""
+    # Ages are then at most ``6 (1 + r) eta_s s_w`` frames per spacing. Short slots with infrequent
+    # rounds cost down to half as much as long slots, provided that motes sleep in between.
     return _scan(task, partial(_rated_candidate, task))
 
 
 def least_energy_design(task: DesignTask) -> Design:
-    """Return the design of minimum energy per capture, by the Lemma's bound on the time.
-
-    Energy is power times ``(1 + kappa) d / (alpha v_e (1 - a - x))``. For each c the minimum is at
-    half of the Lemma's slot width, if payload and deadline (if any) permit.
-    """
+    """Return the design of minimum energy per capture, by the Lemma's bound on the time."""
+    # Energy is power times ``(1 + kappa) d / (alpha v_e (1 - a - x))``. For each c the minimum is
+    # at half of the Lemma's slot width, if payload and deadline (if any) permit.
     return _scan(task, partial(_energy_candidate, task), lambda design: design.energy_per_capture_j)
 
 
 def sharp_design(task: DesignTask, theorem: Theorem = Theorem.SAMPLED_DISTANCE) -> Design:
-    """Return the minimum-power design that guarantees capture in time, by one theorem.
-
-    All bounds, including floors, increase with the slot width, so bisection finds the widest slot.
-    """
+    """Return the minimum-power design that guarantees capture in time, by one theorem."""
+    # All bounds, including floors, increase with the slot width, so bisection finds the widest
+    # slot.
     return _scan(task, partial(_sharp_candidate, task, theorem))
 
 
 def pareto_front(task: DesignTask, deadlines_s: Iterable[float]) -> list[Design]:
-    """Return designs of minimum energy per capture for each deadline on the capture time.
-
-    Energy and time follow from the Lemma. Infeasible deadlines and dominated designs are omitted.
-    """
+    """Return designs of minimum energy per capture for each deadline on the capture time."""
+    # Energy and time follow from the Lemma. Infeasible deadlines and dominated designs are omitted.
     found: list[Design] = []
     for deadline_s in sorted(deadlines_s):
         try:
@@ -267,10 +256,8 @@ def sensitivities(
     solve: Callable[[DesignTask], Design],
     objective: Callable[[Design], float] = lambda design: design.cost_w,
 ) -> dict[str, float]:
-    """Return the percentage change of the optimum for a one per cent increase of each quantity.
-
-    The number of bits is fixed at its optimum.
-    """
+    """Return the percentage change of the optimum for a one per cent increase of each quantity."""
+    # The number of bits is fixed at its optimum.
     fixed = replace(task, bits_per_axis=solve(task).bits_per_axis)
 
     def log_optimum(name: str, factor: float) -> float:

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from planopt.arrays import Floats
 from planopt.keys import SMALLEST, Table
 from planopt.pursuit.arena import Arena
 
@@ -26,16 +26,16 @@ HEADINGS = 32
 class EvaderView:
     """Information available to an evader's decision."""
 
-    place_m: NDArray[np.float64]  # (2,)
+    place_m: Floats  # (2,)
     speed_m_s: float  # Maximum speed of the evader
-    pursuers_m: NDArray[np.float64]  # (p, 2)
-    aims_m: NDArray[np.float64]  # (p, 2) points that the pursuers drive towards
+    pursuers_m: Floats  # (p, 2)
+    aims_m: Floats  # (p, 2) points that the pursuers drive towards
     pursuer_speed_m_s: float  # Speed of the fastest pursuer
     step_s: float  # Time until the next decision
     arena: Arena
 
 
-Decide = Callable[[EvaderView], NDArray[np.float64]]
+Decide = Callable[[EvaderView], Floats]
 """Function that returns the position (2,) after one step."""
 
 
@@ -68,7 +68,7 @@ class Wandering(Table):
         """Return a random walk; if a step is blocked, the next free heading is used."""
         heading = generator.uniform(0.0, 2.0 * np.pi)
 
-        def decide(view: EvaderView) -> NDArray[np.float64]:
+        def decide(view: EvaderView) -> Floats:
             nonlocal heading
             heading += generator.normal(0.0, self.turn_std_rad) * np.sqrt(view.step_s)
             turns = heading + _fan()
@@ -92,7 +92,7 @@ class Fleeing(Table):
     def begin(self, generator: np.random.Generator) -> Decide:
         """Return the greedy decision function."""
 
-        def decide(view: EvaderView) -> NDArray[np.float64]:
+        def decide(view: EvaderView) -> Floats:
             feared_m = view.aims_m if self.from_aims else view.pursuers_m
             nearest = feared_m[np.linalg.norm(feared_m - view.place_m, axis=1).argmin()]
             turns = _away_rad(view.place_m, nearest) + _fan()
@@ -116,7 +116,7 @@ class Zigzag(Table):
         """Return the zigzag, with a random initial phase."""
         clock_s = generator.uniform(0.0, 2.0 * self.period_s)
 
-        def decide(view: EvaderView) -> NDArray[np.float64]:
+        def decide(view: EvaderView) -> Floats:
             nonlocal clock_s
             clock_s += view.step_s
             side = 1.0 if clock_s % (2.0 * self.period_s) < self.period_s else -1.0
@@ -129,10 +129,9 @@ class Zigzag(Table):
 
 
 class Foresighted(Table):
-    """An evader that plans two legs to maximise its distance from directly chasing pursuers.
+    """An evader that plans two legs to maximise its distance from directly chasing pursuers."""
 
-    Obstacles are ignored.
-    """
+    # Obstacles are ignored.
 
     kind: Literal["foresighted"] = "foresighted"
     horizon: int = Field(ge=1, le=100)
@@ -143,7 +142,7 @@ class Foresighted(Table):
     def begin(self, generator: np.random.Generator) -> Decide:
         """Return the first step of a newly computed plan."""
 
-        def decide(view: EvaderView) -> NDArray[np.float64]:
+        def decide(view: EvaderView) -> Floats:
             nearest = np.linalg.norm(view.pursuers_m - view.place_m, axis=1).argmin()
             headings = _away_rad(view.place_m, view.pursuers_m[nearest]) + _fan()[::2]
             first, then = (_unit(each.ravel()) for each in np.meshgrid(headings, headings))
@@ -153,9 +152,7 @@ class Foresighted(Table):
 
         return decide
 
-    def _score_m(
-        self, view: EvaderView, first: NDArray[np.float64], then: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def _score_m(self, view: EvaderView, first: Floats, then: Floats) -> Floats:
         """Return the distance from the nearest pursuer at the end of each plan."""
         places = np.tile(view.place_m, (len(first), 1))
         hunters = np.tile(view.pursuers_m[:, None], (1, len(first), 1))
@@ -174,16 +171,16 @@ class Foresighted(Table):
         return total_m
 
 
-def _fan() -> NDArray[np.float64]:
+def _fan() -> Floats:
     """Return turns relative to a heading: zero first, then both sides in increasing order."""
     turns = np.arange(1, HEADINGS // 2 + 1) * (2.0 * np.pi / HEADINGS)
     return np.append(0.0, np.stack([turns, -turns], axis=1).ravel()[:-1])
 
 
-def _unit(headings_rad: NDArray[np.float64]) -> NDArray[np.float64]:
+def _unit(headings_rad: Floats) -> Floats:
     return np.stack([np.cos(headings_rad), np.sin(headings_rad)], axis=-1)
 
 
-def _away_rad(place_m: NDArray[np.float64], feared_m: NDArray[np.float64]) -> float:
+def _away_rad(place_m: Floats, feared_m: Floats) -> float:
     offset = place_m - feared_m
     return float(np.arctan2(offset[1], offset[0]))

@@ -26,12 +26,10 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.pursuit.service import ServiceBounds
 from planopt.pursuit.theorems import Distances, Inequality, Theorem
-
-Floats = NDArray[np.float64]
 
 Stage = Callable[[Floats], tuple[Floats, Floats]]
 """Function from distance bound W at the start of a stage to its bound at the end and a duration.
@@ -206,12 +204,10 @@ def capture_guarantees(chase: Chase, bounds: ServiceBounds) -> dict[Theorem, Gua
 def guarantees_among_obstacles(
     chase: Chase, bounds: ServiceBounds, detour: float
 ) -> dict[Distances, dict[Theorem, Guarantee]]:
-    """Return the guarantees among obstacles, where shortest paths exceed straight distances.
-
-    The bounds of a service refer to straight distances. For path lengths, ages are unchanged and
-    errors grow by the detour factor. For straight distances, errors are unchanged and the pursuer's
-    speed is divided by the factor; this case is omitted if the evader is not slower.
-    """
+    """Return the guarantees among obstacles, where shortest paths exceed straight distances."""
+    # The bounds of a service refer to straight distances. For path lengths, ages are unchanged and
+    # errors grow by the detour factor. For straight distances, errors are unchanged and the
+    # pursuer's speed is divided by the factor; this case is omitted if the evader is not slower.
     found: dict[Distances, dict[Theorem, Guarantee]] = {}
     for distances, speed_m_s, share in (
         (Distances.PATHS, chase.pursuer_speed_m_s, REPORT_SHARE * detour),
@@ -300,7 +296,7 @@ def _least_distance_m(chase: Chase, bounds: ServiceBounds, bound_m: Floats) -> F
 def _floor_m(stages: tuple[Stage, ...]) -> float:
     """Return the largest W that a stage may increase: fixed point of a bound of slope below 1."""
 
-    def lifts(bounds_m: Floats) -> NDArray[np.bool_]:
+    def lifts(bounds_m: Floats) -> Mask:
         return np.any([stage(bounds_m)[0] > bounds_m for stage in stages], axis=0)
 
     if not lifts(np.zeros(1))[0]:

@@ -14,8 +14,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.pursuit.arena import Arena
 from planopt.pursuit.service import Record
 from planopt.robots.models import Unicycle
@@ -40,13 +40,11 @@ class Motion(Protocol):
         """Return the maximum extra time to reach a point compared with a straight line."""
         ...
 
-    def start(self, place_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def start(self, place_m: Floats) -> Floats:
         """Return the state at rest at a position (2,)."""
         ...
 
-    def towards(
-        self, states: NDArray[np.float64], aims_m: NDArray[np.float64], step_s: float
-    ) -> NDArray[np.float64]:
+    def towards(self, states: Floats, aims_m: Floats, step_s: float) -> Floats:
         """Return the states (..., s) after a step towards points (..., 2)."""
         ...
 
@@ -58,13 +56,11 @@ class StraightMotion:
     speed_max_m_s: float
     turning_s: float = 0.0
 
-    def start(self, place_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def start(self, place_m: Floats) -> Floats:
         """Return the position."""
         return place_m
 
-    def towards(
-        self, states: NDArray[np.float64], aims_m: NDArray[np.float64], step_s: float
-    ) -> NDArray[np.float64]:
+    def towards(self, states: Floats, aims_m: Floats, step_s: float) -> Floats:
         """Return positions after driving straight, with a stop at the point."""
         offset = aims_m - states
         away = np.linalg.norm(offset, axis=-1, keepdims=True)
@@ -88,13 +84,11 @@ class UnicycleMotion:
         """Return the time of a half turn on the spot."""
         return math.pi / self.robot.turn_rate_max_rad_s
 
-    def start(self, place_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def start(self, place_m: Floats) -> Floats:
         """Return the position with heading 0."""
         return np.append(place_m, 0.0)
 
-    def towards(
-        self, states: NDArray[np.float64], aims_m: NDArray[np.float64], step_s: float
-    ) -> NDArray[np.float64]:
+    def towards(self, states: Floats, aims_m: Floats, step_s: float) -> Floats:
         """Return states after a turn and a drive with constant inputs over each part."""
         # The arc to a point at bearing b and distance d has length ``d b / sin b`` and turns by 2
         # b. It is used if it takes less time than turning by b and driving d.
@@ -118,12 +112,8 @@ class UnicycleMotion:
         return self._after(turned, forward, np.where(arcs, 2.0 * bearing / some, 0.0), drive_s)
 
     def _after(
-        self,
-        states: NDArray[np.float64],
-        speed_m_s: NDArray[np.float64],
-        rate_rad_s: NDArray[np.float64],
-        lasts_s: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+        self, states: Floats, speed_m_s: Floats, rate_rad_s: Floats, lasts_s: Floats
+    ) -> Floats:
         """Return exact steps of the robot; inputs are scaled by their duration, over one second."""
         moved = self.robot.step(
             (states[..., 0], states[..., 1], states[..., 2]),
@@ -139,11 +129,11 @@ class PursuerView:
 
     time_s: float  # Current time
     step_s: float  # Time until the next decision
-    state: NDArray[np.float64]  # State of the pursuer
+    state: Floats  # State of the pursuer
     ask: Callable[[Record | None], Record | None]  # Current local record, given the one in use
 
     @property
-    def place_m(self) -> NDArray[np.float64]:
+    def place_m(self) -> Floats:
         """Return the pursuer's position (2,)."""
         return self.state[:2]
 
@@ -156,7 +146,7 @@ class Driver(Protocol):
         """Return the record in use."""
         ...
 
-    def aim_m(self, view: PursuerView) -> NDArray[np.float64]:
+    def aim_m(self, view: PursuerView) -> Floats:
         """Return the point (2,) to drive to."""
         ...
 
@@ -179,10 +169,8 @@ class Policy(Protocol):
 
 
 def fresher(found: Record, held: Record | None) -> bool:
-    """Return whether rule R replaces the record in use.
-
-    A record never replaces one with a later sample time; of equal ones the more exact is used.
-    """
+    """Return whether rule R replaces the record in use."""
+    # A record never replaces one with a later sample time; of equal ones the more exact is used.
     if held is None or found.sampled_s > held.sampled_s:
         return True
     return found.sampled_s == held.sampled_s and found.error_m < held.error_m
@@ -209,7 +197,7 @@ class _ReportDriver:
         self._route = np.zeros((0, 2))
         self.record: Record | None = None
 
-    def aim_m(self, view: PursuerView) -> NDArray[np.float64]:
+    def aim_m(self, view: PursuerView) -> Floats:
         self._route = _remaining(self._route, view, self._quest)
         if self._policy.retarget or not len(self._route):
             found = view.ask(self.record)
@@ -219,9 +207,7 @@ class _ReportDriver:
         return self._route[0] if len(self._route) else view.place_m
 
 
-def _remaining(
-    route_m: NDArray[np.float64], view: PursuerView, quest: Quest
-) -> NDArray[np.float64]:
+def _remaining(route_m: Floats, view: PursuerView, quest: Quest) -> Floats:
     """Return the waypoints (k, 2) of a route that are not yet reached."""
     near_m = ARRIVED_SHARE * quest.motion.speed_max_m_s * view.step_s
     while len(route_m) and np.linalg.norm(route_m[0] - view.place_m) <= near_m:
@@ -231,10 +217,9 @@ def _remaining(
 
 @dataclass(frozen=True)
 class RecedingHorizon:
-    """Pursuit that predicts the evader N plan steps ahead and drives to the first meeting point.
+    """Pursuit that predicts the evader N plan steps ahead and drives to the first meeting point."""
 
-    A plan is made for every fresher record, and once per plan step.
-    """
+    # A plan is made for every fresher record, and once per plan step.
 
     horizon: int  # N, in plan steps
     plan_step_s: float  # Duration of a plan step
@@ -250,16 +235,14 @@ class Estimate:
     """Estimated position and velocity of an evader; the axes are independent and identical."""
 
     time_s: float
-    mean: NDArray[np.float64]  # (2, 2) rows position [m] and velocity [m/s], one column per axis
-    covariance: NDArray[np.float64]  # (2, 2) of position and velocity, for each axis
+    mean: Floats  # (2, 2) rows position [m] and velocity [m/s], one column per axis
+    covariance: Floats  # (2, 2) of position and velocity, for each axis
 
 
 def predicted(estimate: Estimate, time_s: float, speed_m_s: float, manoeuvre_s: float) -> Estimate:
-    """Return the estimate at a later time.
-
-    The stationary velocity has standard deviation ``speed / sqrt 2`` per axis, which determines the
-    process noise.
-    """
+    """Return the estimate at a later time."""
+    # The stationary velocity has standard deviation ``speed / sqrt 2`` per axis, which determines
+    # the process noise.
     lasts_s = max(0.0, time_s - estimate.time_s)
     kept = math.exp(-lasts_s / manoeuvre_s)
     reach_s = manoeuvre_s * (1.0 - kept)
@@ -276,10 +259,7 @@ def predicted(estimate: Estimate, time_s: float, speed_m_s: float, manoeuvre_s: 
 
 
 def updated(estimate: Estimate, record: Record) -> Estimate:
-    """Return the estimate at the time of a record, updated with it.
-
-    The error is uniform over the square cell whose half diagonal is the record's error bound.
-    """
+    """Return the estimate at the time of a record, updated with it."""
     variance = record.error_m**2 / 6.0
     gain = estimate.covariance[:, 0] / (estimate.covariance[0, 0] + variance)
     mean = estimate.mean + np.outer(gain, record.reported_m - estimate.mean[0])
@@ -297,7 +277,7 @@ class _PlanningDriver:
         self._planned_s = -math.inf
         self.record: Record | None = None
 
-    def aim_m(self, view: PursuerView) -> NDArray[np.float64]:
+    def aim_m(self, view: PursuerView) -> Floats:
         found = view.ask(self.record)
         fresh = found is not None and fresher(found, self.record)
         if found is not None and fresh:
@@ -324,7 +304,7 @@ class _PlanningDriver:
             self._estimate = updated(ahead, record)
         self.record = record
 
-    def _meeting_m(self, view: PursuerView, estimate: Estimate) -> NDArray[np.float64]:
+    def _meeting_m(self, view: PursuerView, estimate: Estimate) -> Floats:
         """Return the first predicted position that is reached in time, else the last one."""
         policy, arena = self._policy, self._quest.arena
         speed = self._quest.evader_speed_m_s

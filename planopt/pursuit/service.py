@@ -21,6 +21,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.errors import InputError
 
 MAX_LEVELS = 12
@@ -38,11 +39,10 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class ServiceBounds:
-    """Bounds of a service on every record in use, at distance d of the object.
+    """Bounds of a service on every record in use, at distance d of the object."""
 
-    The age of a record is at most ``max(age_s_m * d, age_floor_s)``, its error at most
-    ``max(relative_error * d, error_floor_m)``.
-    """
+    # The age of a record is at most ``max(age_s_m * d, age_floor_s)``, its error at most
+    # ``max(relative_error * d, error_floor_m)``.
 
     age_s_m: float  # sigma: maximum age per metre, latency plus time since the last round
     relative_error: float  # kappa = 1/k: maximum error per metre
@@ -101,12 +101,12 @@ class SnapshotService:
         )
 
     @property
-    def rounds_s(self) -> NDArray[np.float64]:
+    def rounds_s(self) -> Floats:
         """Return the duration of a round from sample to last mote, by level (L + 1,)."""
         return self.hops_per_round * self.frame_s * np.exp2(np.arange(self.levels + 1))
 
     @property
-    def periods_s(self) -> NDArray[np.float64]:
+    def periods_s(self) -> Floats:
         """Return the time between samples, by level (L + 1,)."""
         return self.rate_divisor * self.rounds_s
 
@@ -117,7 +117,7 @@ class SnapshotService:
         ended = (time_s - self.rounds_s) / self.periods_s
         return np.floor(ended + ROUNDING).astype(np.int64)
 
-    def cells(self, positions_m: NDArray[np.float64], level: int) -> NDArray[np.int64]:
+    def cells(self, positions_m: Floats, level: int) -> NDArray[np.int64]:
         """Return the level-j cells (..., 2) as (column, row) of positions (..., 2)."""
         finest = np.floor(positions_m / self.mote_spacing_m).astype(np.int64)
         if not self.endless:
@@ -125,7 +125,7 @@ class SnapshotService:
             finest = np.clip(finest, 0, self.motes_per_side - 1)
         return finest >> level
 
-    def reported_m(self, positions_m: NDArray[np.float64], level: int) -> NDArray[np.float64]:
+    def reported_m(self, positions_m: Floats, level: int) -> Floats:
         """Return the centres of the sub-cells reported at level j for positions (..., 2)."""
         fine = max(0, level - self.bits_per_axis)
         side_m = self.mote_spacing_m * (1 << fine)
@@ -146,10 +146,10 @@ def relative_error(bits_per_axis: float) -> float:
 class Track:
     """Track of an object: straight at constant speed between times, at rest before and after."""
 
-    times_s: NDArray[np.float64]  # (n,) in ascending order
-    positions_m: NDArray[np.float64]  # (n, 2)
+    times_s: Floats  # (n,) in ascending order
+    positions_m: Floats  # (n, 2)
 
-    def at(self, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, times_s: Floats) -> Floats:
         """Return the positions (..., 2) at times (...)."""
         along = [np.interp(times_s, self.times_s, self.positions_m[:, axis]) for axis in (0, 1)]
         return np.asarray(np.stack(along, axis=-1), dtype=np.float64)
@@ -161,17 +161,17 @@ class Snapshot:
 
     service: SnapshotService
     time_s: float  # Time of the snapshot
-    sampled_s: NDArray[np.float64]  # (L + 1,) sample time of each level
-    sampled_m: NDArray[np.float64]  # (L + 1, 2) position of the object at that time
-    reported_m: NDArray[np.float64]  # (L + 1, 2) reported position
+    sampled_s: Floats  # (L + 1,) sample time of each level
+    sampled_m: Floats  # (L + 1, 2) position of the object at that time
+    reported_m: Floats  # (L + 1, 2) reported position
     cells: NDArray[np.int64]  # (L + 1, 2) cell of each level at that time, (column, row)
 
     @property
-    def ages_s(self) -> NDArray[np.float64]:
+    def ages_s(self) -> Floats:
         """Return the age of the record, by level (L + 1,)."""
         return self.time_s - self.sampled_s
 
-    def shown_at(self, mote: NDArray[np.int64]) -> NDArray[np.bool_]:
+    def shown_at(self, mote: NDArray[np.int64]) -> Mask:
         """Return flags (L + 1,) of the levels that show the object to a mote (column, row)."""
         # A mote uses the report of the finest of them, which is never older than the others.
         own = mote >> np.arange(self.service.levels + 1)[:, None]
@@ -213,7 +213,7 @@ def snapshot(service: SnapshotService, track: Track, time_s: float) -> Snapshot:
     )
 
 
-def mote_centres_m(service: SnapshotService) -> NDArray[np.float64]:
+def mote_centres_m(service: SnapshotService) -> Floats:
     """Return the position of every mote, ``(n, n, 2)``; rows are y."""
     along = (np.arange(service.motes_per_side) + 0.5) * service.mote_spacing_m
     return np.asarray(np.stack(np.meshgrid(along, along), axis=-1), dtype=np.float64)
@@ -224,7 +224,7 @@ class Record:
     """Record of an evader."""
 
     sampled_s: float  # Sample time
-    reported_m: NDArray[np.float64]  # (2,)
+    reported_m: Floats  # (2,)
     error_m: float  # Maximum error of the reported position
 
 
@@ -232,7 +232,7 @@ class RecordSource(Protocol):
     """Source of a pursuer's records."""
 
     def record(
-        self, track: Track, place_m: NDArray[np.float64], time_s: float, last: Record | None
+        self, track: Track, place_m: Floats, time_s: float, last: Record | None
     ) -> Record | None:
         """Return the record at a position and time of the evader on `track`, or None."""
         # `last` is the record in use. The track ends at the current time.
@@ -246,10 +246,10 @@ class SnapshotRecords:
     service: SnapshotService
     # (L + 1, k) lost reports of the evader by level and round; round n is column n modulo k. None
     # if no report is lost
-    lost: NDArray[np.bool_] | None = None
+    lost: Mask | None = None
 
     def record(
-        self, track: Track, place_m: NDArray[np.float64], time_s: float, last: Record | None
+        self, track: Track, place_m: Floats, time_s: float, last: Record | None
     ) -> Record | None:
         """Return the report of the finest level that shows the evader to the local mote."""
         now = snapshot(self.service, track, time_s)
@@ -265,10 +265,7 @@ class SnapshotRecords:
         )
 
 
-PEAK_BLOCKS = {
-    True: (4, 10, 15, 19, 24, 29, 34, 39),
-    False: (2, 5, 7, 11, 15, 20, 25, 30),
-}
+PEAK_BLOCKS = {True: (4, 10, 15, 19, 24, 29, 34, 39), False: (2, 5, 7, 11, 15, 20, 25, 30)}
 """Peak load of a mote in blocks per frame, with and without border relays, for 1, 2, ... levels.
 
 Counted by :func:`simulate_flooding`. A rate divisor above one never raises it.
@@ -279,11 +276,9 @@ MOST_SIMULATED_LEVELS = 7
 
 
 def peak_blocks_per_frame(border_relays: bool, levels: int) -> int:
-    """Return a slot capacity in blocks with which no record waits.
-
-    It is the peak load for up to eight levels. Beyond, it is the bound of eight blocks per level:
-    of the nine heads whose records a mote relays, at most eight are at the same hop distance.
-    """
+    """Return a slot capacity in blocks with which no record waits."""
+    # It is the peak load for up to eight levels. Beyond, it is the bound of eight blocks per level:
+    # of the nine heads whose records a mote relays, at most eight are at the same hop distance.
     counted = PEAK_BLOCKS[border_relays]
     return counted[levels - 1] if levels <= len(counted) else 8 * (levels + 1)
 
@@ -291,10 +286,8 @@ def peak_blocks_per_frame(border_relays: bool, levels: int) -> int:
 def late_shares(
     levels: int, border_relays: bool, slot_blocks: int, rate_divisor: int = 1
 ) -> tuple[float, ...] | None:
-    """Return the share of late records by level, exact for lossless links.
-
-    It is None if the slot is narrower than the peak load and the grid too large to simulate.
-    """
+    """Return the share of late records by level, exact for lossless links."""
+    # It is None if the slot is narrower than the peak load and the grid too large to simulate.
     if slot_blocks >= peak_blocks_per_frame(border_relays, levels):
         return (0.0,) * (levels + 1)
     if levels > MOST_SIMULATED_LEVELS:
@@ -381,7 +374,7 @@ class _Round:
         on_grid = first + np.arange(3 * cell)
         on_grid = (on_grid >= 0) & (on_grid < side)
         self.inside = on_grid[:, None, :, None] & on_grid[None, :, None, :]
-        self.heard: NDArray[np.bool_] = np.zeros(self.inside.shape, dtype=np.bool_)
+        self.heard: Mask = np.zeros(self.inside.shape, dtype=np.bool_)
         self._waiting = self.heard.copy()
         self._relays = np.ones((3 * cell, 3 * cell), dtype=np.bool_)
         if not border_relays:
@@ -447,7 +440,7 @@ class _Round:
                 yield (rows, columns, down, right), motes[there_rows, there_columns]
 
 
-def _heard_next(sending: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _heard_next(sending: Mask) -> Mask:
     """Return the motes that send or have a sending neighbour, over the last two axes."""
     wide = sending.copy()
     wide[..., 1:] |= sending[..., :-1]

@@ -12,6 +12,7 @@ from scipy.optimize import (
     linear_sum_assignment,  # pyright: ignore[reportUnknownVariableType]
 )
 
+from planopt.arrays import Floats, Indices
 from planopt.errors import InputError
 from planopt.pursuit.arena import Arena
 from planopt.pursuit.evaders import Behaviour, EvaderView
@@ -30,7 +31,7 @@ UNKNOWN_M = 1e12
 class Pursuer:
     """A pursuer."""
 
-    start_m: NDArray[np.float64]  # (2,)
+    start_m: Floats  # (2,)
     motion: Motion
     policy: Policy
 
@@ -39,7 +40,7 @@ class Pursuer:
 class Evader:
     """An evader, a single integrator."""
 
-    start_m: NDArray[np.float64]  # (2,)
+    start_m: Floats  # (2,)
     speed_max_m_s: float
     behaviour: Behaviour
 
@@ -64,9 +65,9 @@ class Use:
     pursuer: int  # Index
     evader: int
     time_s: float
-    place_m: NDArray[np.float64]  # (2,) position of the pursuer at that time
+    place_m: Floats  # (2,) position of the pursuer at that time
     record: Record
-    sampled_m: NDArray[np.float64]  # (2,) true position of the evader at the sample time
+    sampled_m: Floats  # (2,) true position of the evader at the sample time
 
     @property
     def age_s(self) -> float:
@@ -84,12 +85,12 @@ class Pursuit:
     """Course of a pursuit with p pursuers, e evaders and n steps."""
 
     scene: Scene
-    times_s: NDArray[np.float64]  # (n + 1,)
-    pursuers: tuple[NDArray[np.float64], ...]  # States (n + 1, s) of each pursuer
-    evaders_m: NDArray[np.float64]  # (e, n + 1, 2); captured evaders stay at rest
+    times_s: Floats  # (n + 1,)
+    pursuers: tuple[Floats, ...]  # States (n + 1, s) of each pursuer
+    evaders_m: Floats  # (e, n + 1, 2); captured evaders stay at rest
     chased: NDArray[np.int64]  # (p, n) index of the evader that each pursuer chased
-    aims_m: NDArray[np.float64]  # (p, n, 2) point that each pursuer drove to
-    capture_s: NDArray[np.float64]  # (e,) infinite if never captured
+    aims_m: Floats  # (p, n, 2) point that each pursuer drove to
+    capture_s: Floats  # (e,) infinite if never captured
     captors: NDArray[np.int64]  # (e,) -1 if never captured
     uses: tuple[Use, ...]  # Records in the order of first use
 
@@ -100,7 +101,7 @@ class Pursuit:
 
     def bounds_m(
         self, pursuer: int, evader: int, distances: Distances = Distances.STRAIGHT
-    ) -> NDArray[np.float64]:
+    ) -> Floats:
         """Return the distance bound W (k,) at the start of each stage of a chase."""
         speed = self.scene.evaders[evader].speed_max_m_s
         own = [use for use in self.uses if (use.pursuer, use.evader) == (pursuer, evader)]
@@ -127,7 +128,7 @@ class PursuitStep:
     """Decisions of all pursuers in one step."""
 
     chased: NDArray[np.int64]  # (p,) index of the chased evader; -1 for none
-    aims_m: NDArray[np.float64]  # (p, 2) point to drive to
+    aims_m: Floats  # (p, 2) point to drive to
     # Pursuer index, evader index and record, for each record newly taken into use
     records: tuple[tuple[int, int, Record], ...]
 
@@ -195,13 +196,13 @@ class PursuitController:
 
     def decide(
         self,
-        states: Sequence[NDArray[np.float64]],
+        states: Sequence[Floats],
         reports: Reports,
-        left: NDArray[np.intp],  # Evaders not yet captured
+        left: Indices,  # Evaders not yet captured
     ) -> PursuitStep:
         """Return the points that pursuers drive to in the next step, from validated arguments."""
         self._assign(states, reports, left)
-        step_s, aims = self.scene.step_s, list[NDArray[np.float64]]()
+        step_s, aims = self.scene.step_s, list[Floats]()
         taken = list[tuple[int, int, Record]]()
         for number, (driver, state) in enumerate(zip(self._drivers, states, strict=True)):
             if driver is None:
@@ -218,9 +219,7 @@ class PursuitController:
         self._steps += 1
         return PursuitStep(self._chased.copy(), np.array(aims), tuple(taken))
 
-    def _assign(
-        self, states: Sequence[NDArray[np.float64]], reports: Reports, left: NDArray[np.intp]
-    ) -> None:
+    def _assign(self, states: Sequence[Floats], reports: Reports, left: Indices) -> None:
         """Assign an evader to every pursuer without one."""
         free = [number for number, evader in enumerate(self._chased.tolist()) if evader not in left]
         if not free:
@@ -238,8 +237,7 @@ class PursuitController:
         self._chased[free] = left[apart_m.argmin(axis=1)]
         if alone.any():
             rows, columns = cast(
-                "tuple[NDArray[np.intp], NDArray[np.intp]]",
-                linear_sum_assignment(apart_m[:, alone]),
+                "tuple[Indices, Indices]", linear_sum_assignment(apart_m[:, alone])
             )
             self._chased[np.array(free)[rows]] = left[alone][columns]
         fastest = max(each.speed_max_m_s for each in self.scene.evaders)
@@ -321,12 +319,7 @@ def simulate_pursuit(
 
 
 def _captured_after(
-    scene: Scene,
-    motion: Motion,
-    state: NDArray[np.float64],
-    aim_m: NDArray[np.float64],
-    begin_m: NDArray[np.float64],
-    end_m: NDArray[np.float64],
+    scene: Scene, motion: Motion, state: Floats, aim_m: Floats, begin_m: Floats, end_m: Floats
 ) -> float:
     """Return the fraction of a step at which an evader is captured; infinite if it is not."""
     radius_m, step_s = scene.capture_radius_m, scene.step_s
@@ -340,14 +333,10 @@ def _captured_after(
     return float(((np.arange(STEP_PIECES) + piece) / STEP_PIECES).min())
 
 
-def first_within(
-    starts_m: NDArray[np.float64], ends_m: NDArray[np.float64], radius_m: float
-) -> NDArray[np.float64]:
-    """Return the fractions (k,) of segments (k, 2) at which the origin comes within a radius.
-
-    A fraction is the smaller root t of ``|start + t move| = radius``, 0 if the segment starts
-    within the radius, and infinite if it never comes that close.
-    """
+def first_within(starts_m: Floats, ends_m: Floats, radius_m: float) -> Floats:
+    """Return the fractions (k,) of segments (k, 2) at which the origin comes within a radius."""
+    # A fraction is the smaller root t of ``|start + t move| = radius``, 0 if the segment starts
+    # within the radius, and infinite if it never comes that close.
     moves_m = ends_m - starts_m
     square = (moves_m * moves_m).sum(axis=1)
     half = (starts_m * moves_m).sum(axis=1)

@@ -15,7 +15,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from planopt.arrays import Floats, Indices, Mask
 
 PLACE_M, TIME_S = 1e-6, 1e-6
 """Rounding tolerances of positions and times."""
@@ -72,8 +72,8 @@ class PursuitData:
 class Reports:
     """Reports in the order of first use."""
 
-    pursuer: NDArray[np.intp]  # (k,) indices of pursuer and evader
-    evader: NDArray[np.intp]
+    pursuer: Indices  # (k,) indices of pursuer and evader
+    evader: Indices
     time_s: Floats  # (k,) time of receipt
     sampled_s: Floats  # (k,) sample time
     reported_m: Floats  # (k, 2)
@@ -93,10 +93,10 @@ class PursuitLog:
     times_s: Floats  # (n + 1,)
     states: tuple[Floats, ...]  # (n + 1, 2) per pursuer, or (n + 1, 3) with the heading
     aims_m: Floats  # (p, n, 2) point that each pursuer drives to
-    chased: NDArray[np.intp]  # (p, n) evader that each pursuer chases
+    chased: Indices  # (p, n) evader that each pursuer chases
     evaders_m: Floats  # (e, n + 1, 2)
     capture_s: Floats  # (e,) infinite if never captured
-    captors: NDArray[np.intp]  # (e,) -1 if never captured
+    captors: Indices  # (e,) -1 if never captured
     reports: Reports
 
     def evader_at(self, evader: int, times_s: Floats) -> Floats:
@@ -146,7 +146,7 @@ class Drives:
 
     shares: Floats  # (n, k) fraction of the step, ascending from 0 to 1
     places_m: Floats  # (n, k, 2)
-    bent: NDArray[np.bool_]  # (n,) whether the step has a kink or an arc
+    bent: Mask  # (n,) whether the step has a kink or an arc
 
 
 def _reconstructed(
@@ -198,7 +198,7 @@ def _drives(
     heading: Floats,
     move: Floats,
     turn: Floats,
-    arc: NDArray[np.bool_],
+    arc: Mask,
     spot: Floats,
     drive: Floats,
 ) -> Drives:
@@ -229,7 +229,7 @@ def _wrapped(angle: Floats) -> Floats:
     return np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi
 
 
-def _is_along(heading: Floats, move: Floats) -> NDArray[np.bool_]:
+def _is_along(heading: Floats, move: Floats) -> Mask:
     ahead = np.stack([np.cos(heading), np.sin(heading)], axis=1)
     across = move[:, 0] * ahead[:, 1] - move[:, 1] * ahead[:, 0]
     return (np.abs(across) <= PLACE_M) & ((move * ahead).sum(axis=1) >= -PLACE_M)

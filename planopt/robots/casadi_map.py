@@ -18,9 +18,9 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from planopt.arrays import Floats
 from planopt.errors import InputError
 from planopt.plain_values import make_plain
 from planopt.robots.dynamics import BaseDynamics, Components, PurePursuit
@@ -160,19 +160,19 @@ class CasadiMap(BaseDynamics):
         after = self.step(state, self.rest_input, step_s)
         return tuple(there - here for there, here in zip(after, state, strict=True))
 
-    def change_at_rest(self, state: NDArray[np.float64], step_s: float) -> NDArray[np.float64]:
+    def change_at_rest(self, state: Floats, step_s: float) -> Floats:
         """Return the smallest change ``(s,)`` under the rest input at this position."""
         # Local searches start from the other components of `state` and from zeros. If the map is
         # not finite during a search, the change at its initial guess is used.
         low, high = np.array(self.state_bounds)[2:].T
         free = low < high
 
-        def change(rest: NDArray[np.float64]) -> NDArray[np.float64]:
+        def change(rest: Floats) -> Floats:
             rows = np.array(self.stop_rows((*state[:2], *rest), step_s), dtype=np.float64)
             return np.where(np.isfinite(rows), rows, np.inf)
 
-        def least(rest: NDArray[np.float64]) -> NDArray[np.float64]:
-            def of_free(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        def least(rest: Floats) -> Floats:
+            def of_free(values: Floats) -> Floats:
                 moved = rest.copy()
                 moved[free] = values
                 return change(moved)
@@ -195,13 +195,11 @@ class CasadiMap(BaseDynamics):
                 found.append(least(rest))
         return min(found, key=lambda rows: float(np.abs(rows).max()))
 
-    def braking(self, state: NDArray[np.float64], step_s: float, steps: int) -> NDArray[np.float64]:
+    def braking(self, state: Floats, step_s: float, steps: int) -> Floats:
         """Return the rest input for each step."""
         return np.tile(np.array(self.rest_input), (steps, 1))
 
-    def following(
-        self, state: NDArray[np.float64], path_m: NDArray[np.float64], step_s: float
-    ) -> NDArray[np.float64]:
+    def following(self, state: Floats, path_m: Floats, step_s: float) -> Floats:
         """Return inputs chosen so that holding each for two steps gets closest to the path."""
         pursuit = PurePursuit(np.vstack([state[:2], path_m]))
         ranges = [
@@ -226,14 +224,10 @@ class CasadiMap(BaseDynamics):
             here = self.step(here, tuple(inputs[k]), step_s)
         return inputs
 
-    def straight(
-        self, state: NDArray[np.float64], end_m: NDArray[np.float64], step_s: float
-    ) -> None:
+    def straight(self, state: Floats, end_m: Floats, step_s: float) -> None:
         """Return None: a straight drive is unknown for a general map."""
 
-    def curves(
-        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
-    ) -> list[StepCurve]:
+    def curves(self, states: Floats, inputs: Floats, step_s: float) -> list[StepCurve]:
         """Return samples of each step with a bound on the distance from their polyline."""
         count = self.substeps * DENSER if self.continuous else 1
         before, control = tuple(states.T), tuple(inputs.T)
@@ -250,9 +244,7 @@ class CasadiMap(BaseDynamics):
             found.append(PointCurve(points, within + error))
         return found
 
-    def excess_m(
-        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
-    ) -> float:
+    def excess_m(self, states: Floats, inputs: Floats, step_s: float) -> float:
         """Return the largest excess of components over bounds or of step lengths, in metres."""
         unit = self.speed_max_m_s * step_s
         lengths = np.linalg.norm(np.diff(states[:, :2], axis=0), axis=1)

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.errors import InputError, listed
 from planopt.parts import calling, class_name
 from planopt.world.motion import Curve, StepCurve, TimedMotion
@@ -86,7 +86,7 @@ class Dynamics(Protocol):
         """Return points whose hull with the position contains the braking path from a state."""
         ...
 
-    def stop_curve(self, state: NDArray[np.float64], step_s: float) -> Curve | None:
+    def stop_curve(self, state: Floats, step_s: float) -> Curve | None:
         """Return the braking path from a state; None if the robot stops at once."""
         ...
 
@@ -94,7 +94,7 @@ class Dynamics(Protocol):
         """Return expressions that must be 0 for the robot to be able to stop; () if none."""
         ...
 
-    def stop_steps(self, state: NDArray[np.float64], step_s: float) -> int:
+    def stop_steps(self, state: Floats, step_s: float) -> int:
         """Return the number of steps of :meth:`braking` until standstill."""
         ...
 
@@ -110,47 +110,33 @@ class Dynamics(Protocol):
         """Return an approximate turning time before driving to a position; smooth, 0 there."""
         ...
 
-    def braking(self, state: NDArray[np.float64], step_s: float, steps: int) -> NDArray[np.float64]:
+    def braking(self, state: Floats, step_s: float, steps: int) -> Floats:
         """Return inputs (steps, m) that stop as soon as possible and then rest."""
         ...
 
-    def following(
-        self, state: NDArray[np.float64], path_m: NDArray[np.float64], step_s: float
-    ) -> NDArray[np.float64]:
+    def following(self, state: Floats, path_m: Floats, step_s: float) -> Floats:
         """Return inputs (N, m) that approximately follow a path (N, 2) of straight steps."""
         ...
 
-    def straight(
-        self, state: NDArray[np.float64], end_m: NDArray[np.float64], step_s: float
-    ) -> NDArray[np.float64] | None:
+    def straight(self, state: Floats, end_m: Floats, step_s: float) -> Floats | None:
         """Return inputs (k, m) of a straight drive from rest to rest at `end_m`; None if unknown.
 
         Braking after any of them ends on the line, short of `end_m`.
         """
         ...
 
-    def may_reach(
-        self,
-        state: NDArray[np.float64],
-        places_m: NDArray[np.float64],
-        duration_s: float,
-        slack_m: float,
-    ) -> NDArray[np.bool_]:
+    def may_reach(self, state: Floats, places_m: Floats, duration_s: float, slack_m: float) -> Mask:
         """Return which positions (n, 2) may be within `slack_m` of the robot after a duration.
 
         Obstacles and the largest speed are ignored. A reachable position is never False.
         """
         ...
 
-    def curves(
-        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
-    ) -> list[StepCurve]:
+    def curves(self, states: Floats, inputs: Floats, step_s: float) -> list[StepCurve]:
         """Return the paths of steps from states (n, s) with inputs (n, m)."""
         ...
 
-    def excess_m(
-        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
-    ) -> float:
+    def excess_m(self, states: Floats, inputs: Floats, step_s: float) -> float:
         """Return the largest excess of inputs or speeds over their limits, in metres per step."""
         ...
 
@@ -179,7 +165,7 @@ class BaseDynamics:
         """Return no points: the robot stops at once."""
         return ()
 
-    def stop_curve(self, state: NDArray[np.float64], step_s: float) -> Curve | None:
+    def stop_curve(self, state: Floats, step_s: float) -> Curve | None:
         """Return None: the robot stops at once."""
         return None
 
@@ -187,7 +173,7 @@ class BaseDynamics:
         """Return no expressions: the robot can stop from any state."""
         return ()
 
-    def stop_steps(self, state: NDArray[np.float64], step_s: float) -> int:
+    def stop_steps(self, state: Floats, step_s: float) -> int:
         """Return 0: the robot stops at once."""
         return 0
 
@@ -203,17 +189,11 @@ class BaseDynamics:
         """Return 0: the robot is holonomic, or its turning is unknown."""
         return 0.0
 
-    def braking(self, state: NDArray[np.float64], step_s: float, steps: int) -> NDArray[np.float64]:
+    def braking(self, state: Floats, step_s: float, steps: int) -> Floats:
         """Return zero inputs (steps, 2)."""
         return np.zeros((steps, 2))
 
-    def may_reach(
-        self,
-        state: NDArray[np.float64],
-        places_m: NDArray[np.float64],
-        duration_s: float,
-        slack_m: float,
-    ) -> NDArray[np.bool_]:
+    def may_reach(self, state: Floats, places_m: Floats, duration_s: float, slack_m: float) -> Mask:
         """Return True for every position: only the largest speed limits the reachable set."""
         return np.ones(len(places_m), dtype=np.bool_)
 
@@ -225,7 +205,7 @@ class RestsByInput(Protocol):
     rest_input: tuple[float, ...]
     input_bounds: tuple[tuple[float, float], ...]
 
-    def change_at_rest(self, state: NDArray[np.float64], step_s: float) -> NDArray[np.float64]:
+    def change_at_rest(self, state: Floats, step_s: float) -> Floats:
         """Return the smallest change ``(s,)`` under the rest input at this position."""
         ...
 
@@ -233,7 +213,7 @@ class RestsByInput(Protocol):
 class PurePursuit:
     """Pure-pursuit look-ahead along a path, with monotone progress."""
 
-    def __init__(self, path_m: NDArray[np.float64]) -> None:
+    def __init__(self, path_m: Floats) -> None:
         lengths = np.linalg.norm(np.diff(path_m, axis=0), axis=1)
         self._path_m = path_m
         self._along_m = np.concatenate([[0.0], np.cumsum(lengths)])
@@ -244,9 +224,7 @@ class PurePursuit:
         self._turn = np.linalg.norm(np.diff(along, axis=0), axis=1)
         self._corner_m = np.cumsum(lengths[lengths > 0.0])
 
-    def ahead_m(
-        self, place_m: NDArray[np.float64], lookahead_m: float
-    ) -> tuple[NDArray[np.float64], float]:
+    def ahead_m(self, place_m: Floats, lookahead_m: float) -> tuple[Floats, float]:
         """Return the look-ahead point (2,) from `place_m` (2,), and the remaining path length."""
         along = np.linspace(self._at_m, self._at_m + 1.5 * lookahead_m, 33)
         away = np.linalg.norm(self._points(along) - place_m, axis=1)
@@ -264,7 +242,7 @@ class PurePursuit:
         ahead = left > -1e-9
         return float(np.sqrt(square[ahead].min())) if ahead.any() else 0.0
 
-    def _points(self, along_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _points(self, along_m: Floats) -> Floats:
         return np.column_stack(
             [np.interp(along_m, self._along_m, self._path_m[:, axis]) for axis in (0, 1)]
         )
@@ -286,18 +264,16 @@ class Drive:
     """
 
     dynamics: Dynamics
-    states: NDArray[np.float64]
-    inputs: NDArray[np.float64]
+    states: Floats
+    inputs: Floats
 
     @property
-    def positions_m(self) -> NDArray[np.float64]:
+    def positions_m(self) -> Floats:
         """``(N + 1, 2)`` positions of the states."""
         return self.states[:, :2]
 
 
-def rolled_out(
-    dynamics: Dynamics, state: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
-) -> Drive:
+def rolled_out(dynamics: Dynamics, state: Floats, inputs: Floats, step_s: float) -> Drive:
     """Simulate the drive from `state` (s,) under `inputs` (N, m)."""
     states = [np.asarray(state, dtype=np.float64)]
     for control in inputs:
@@ -305,9 +281,7 @@ def rolled_out(
     return Drive(dynamics, np.array(states), np.asarray(inputs, dtype=np.float64))
 
 
-def state_after(
-    dynamics: Dynamics, state: NDArray[np.float64], control: NDArray[np.float64], step_s: float
-) -> NDArray[np.float64]:
+def state_after(dynamics: Dynamics, state: Floats, control: Floats, step_s: float) -> Floats:
     """Return the state (s,) after one step from `state` (s,) under input `control` (m,)."""
     with calling(dynamics, "step"):
         after = np.array(dynamics.step(tuple(state), tuple(control), step_s), dtype=np.float64)
@@ -323,9 +297,7 @@ def state_after(
     return after
 
 
-def dynamics_defect_m(
-    positions_m: NDArray[np.float64], start_m: NDArray[np.float64], step_length_m: float
-) -> float:
+def dynamics_defect_m(positions_m: Floats, start_m: Floats, step_length_m: float) -> float:
     """Return the largest violation of the single integrator over a path (n + 1, 2), in metres.
 
     The path must begin at the robot, and the speed limits the length of each step.
@@ -336,7 +308,7 @@ def dynamics_defect_m(
     return float(np.max(lengths - step_length_m, initial=jump))
 
 
-def braked_motion(path_m: NDArray[np.float64], drive: Drive | None, step_s: float) -> TimedMotion:
+def braked_motion(path_m: Floats, drive: Drive | None, step_s: float) -> TimedMotion:
     """Return the motion of a plan (N + 1, 2) followed by braking.
 
     Without `drive`, each step is straight at constant speed, and the motion ends with the plan.
@@ -354,7 +326,7 @@ def braked_motion(path_m: NDArray[np.float64], drive: Drive | None, step_s: floa
     )
 
 
-def stopping_motion(dynamics: Dynamics, state: NDArray[np.float64], step_s: float) -> TimedMotion:
+def stopping_motion(dynamics: Dynamics, state: Floats, step_s: float) -> TimedMotion:
     """Return the motion of a robot that brakes from `state` (s,) as soon as possible."""
     resting = Drive(dynamics, state[None], np.zeros((0, len(dynamics.input_names))))
     return braked_motion(state[None, :2], resting, step_s)

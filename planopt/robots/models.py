@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.robots.dynamics import BaseDynamics, Components, Disc, PurePursuit
 from planopt.world.motion import Arc, Parabola, PointCurve, StepCurve
 
@@ -73,30 +73,22 @@ class SingleIntegrator(BaseDynamics):
         """Return no points: the two ends already span the straight step."""
         return ()
 
-    def following(
-        self, state: NDArray[np.float64], path_m: NDArray[np.float64], step_s: float
-    ) -> NDArray[np.float64]:
+    def following(self, state: Floats, path_m: Floats, step_s: float) -> Floats:
         """Return the velocities that drive the path exactly."""
         return np.diff(np.vstack([state, path_m]), axis=0) / step_s
 
-    def straight(
-        self, state: NDArray[np.float64], end_m: NDArray[np.float64], step_s: float
-    ) -> NDArray[np.float64]:
+    def straight(self, state: Floats, end_m: Floats, step_s: float) -> Floats:
         """Return constant velocities to `end_m`."""
         offset = end_m - state
         steps = max(1, math.ceil(math.hypot(*offset) / (self.speed_max_m_s * step_s) - 1e-9))
         return np.tile(offset / (steps * step_s), (steps, 1))
 
-    def curves(
-        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
-    ) -> list[StepCurve]:
+    def curves(self, states: Floats, inputs: Floats, step_s: float) -> list[StepCurve]:
         """Return the line segment of each step."""
         ends = states + step_s * inputs
         return [PointCurve(np.array(pair), 0.0) for pair in zip(states, ends, strict=True)]
 
-    def excess_m(
-        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
-    ) -> float:
+    def excess_m(self, states: Floats, inputs: Floats, step_s: float) -> float:
         """Return the largest excess of speed, in metres per step; NaN if any is NaN."""
         return float(np.max(step_s * (np.hypot(*inputs.T) - self.speed_max_m_s), initial=-np.inf))
 
@@ -171,12 +163,12 @@ class DoubleIntegrator(BaseDynamics):
         ahead_s = 0.5 * (speed / self.acceleration_max_m_s2 + step_s)
         return ((x + ahead_s * vx, y + ahead_s * vy),)
 
-    def stop_curve(self, state: NDArray[np.float64], step_s: float) -> PointCurve:
+    def stop_curve(self, state: Floats, step_s: float) -> PointCurve:
         """Return the straight path of braking over a whole number of steps."""
         stop_s = 0.5 * step_s * self.stop_steps(state, step_s)
         return PointCurve(np.array([state[:2], state[:2] + stop_s * state[2:]]), 0.0)
 
-    def stop_steps(self, state: NDArray[np.float64], step_s: float) -> int:
+    def stop_steps(self, state: Floats, step_s: float) -> int:
         """Return the minimum number of braking steps."""
         return self._braking_steps(float(np.hypot(state[2], state[3])), step_s)
 
@@ -197,7 +189,7 @@ class DoubleIntegrator(BaseDynamics):
         ahead_s = 0.5 * (vx * vx + vy * vy + least**2) ** 0.5 / self.acceleration_max_m_s2
         return x + ahead_s * vx, y + ahead_s * vy
 
-    def braking(self, state: NDArray[np.float64], step_s: float, steps: int) -> NDArray[np.float64]:
+    def braking(self, state: Floats, step_s: float, steps: int) -> Floats:
         """Return a constant deceleration straight ahead, over the fewest possible steps."""
         inputs = np.zeros((steps, 2))
         needed = self.stop_steps(state, step_s)
@@ -205,9 +197,7 @@ class DoubleIntegrator(BaseDynamics):
             inputs[:needed] = -state[2:] / (needed * step_s)
         return inputs
 
-    def following(
-        self, state: NDArray[np.float64], path_m: NDArray[np.float64], step_s: float
-    ) -> NDArray[np.float64]:
+    def following(self, state: Floats, path_m: Floats, step_s: float) -> Floats:
         """Follow the path by pure pursuit, slowing down for turns and the end."""
         pursuit = PurePursuit(np.vstack([state[:2], path_m]))
         lookahead_m = self.speed_max_m_s * step_s
@@ -231,9 +221,7 @@ class DoubleIntegrator(BaseDynamics):
             here = self.step(here, tuple(inputs[k]), step_s)
         return inputs
 
-    def straight(
-        self, state: NDArray[np.float64], end_m: NDArray[np.float64], step_s: float
-    ) -> NDArray[np.float64]:
+    def straight(self, state: Floats, end_m: Floats, step_s: float) -> Floats:
         """Accelerate at a for n steps, then decelerate for n steps, over a (n h)^2 metres."""
         offset = end_m - state[:2]
         length = float(np.hypot(*offset))
@@ -243,21 +231,13 @@ class DoubleIntegrator(BaseDynamics):
         control = offset / (half * step_s) ** 2
         return np.repeat([control, -control], half, axis=0)
 
-    def may_reach(
-        self,
-        state: NDArray[np.float64],
-        places_m: NDArray[np.float64],
-        duration_s: float,
-        slack_m: float,
-    ) -> NDArray[np.bool_]:
+    def may_reach(self, state: Floats, places_m: Floats, duration_s: float, slack_m: float) -> Mask:
         """Return which positions lie within a_max t^2 / 2 of the position after coasting."""
         offset = places_m - (state[:2] + duration_s * state[2:])
         radius = 0.5 * self.acceleration_max_m_s2 * duration_s**2
         return np.hypot(offset[:, 0], offset[:, 1]) <= radius + slack_m
 
-    def curves(
-        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
-    ) -> list[StepCurve]:
+    def curves(self, states: Floats, inputs: Floats, step_s: float) -> list[StepCurve]:
         """Return the parabola of each step."""
         half = 0.5 * step_s * step_s
         return [
@@ -265,9 +245,7 @@ class DoubleIntegrator(BaseDynamics):
             for state, control in zip(states, inputs, strict=True)
         ]
 
-    def excess_m(
-        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
-    ) -> float:
+    def excess_m(self, states: Floats, inputs: Floats, step_s: float) -> float:
         """Return the largest excess of acceleration or speed, in metres per step, or NaN."""
         acceleration = np.hypot(inputs[:, 0], inputs[:, 1]) - self.acceleration_max_m_s2
         speed = np.hypot(states[:, 2], states[:, 3]) - self.speed_max_m_s
@@ -369,9 +347,7 @@ class Unicycle(BaseDynamics):
         half_turn_s = math.pi / self.turn_rate_max_rad_s
         return 0.5 * half_turn_s * (distance - ahead) / (distance + circle_m)
 
-    def following(
-        self, state: NDArray[np.float64], path_m: NDArray[np.float64], step_s: float
-    ) -> NDArray[np.float64]:
+    def following(self, state: Floats, path_m: Floats, step_s: float) -> Floats:
         """Follow the path by pure pursuit; turn on the spot if the target is not ahead."""
         pursuit = PurePursuit(np.vstack([state[:2], path_m]))
         here = tuple(state)
@@ -384,7 +360,7 @@ class Unicycle(BaseDynamics):
         return inputs
 
     def _inputs_towards(
-        self, offset_m: NDArray[np.float64], heading: float, left_m: float, step_s: float
+        self, offset_m: Floats, heading: float, left_m: float, step_s: float
     ) -> tuple[float, float]:
         """Return the inputs of the arc through a point, tangent to the heading."""
         distance = float(np.hypot(*offset_m))
@@ -400,9 +376,7 @@ class Unicycle(BaseDynamics):
             speed = self.turn_rate_max_rad_s / abs(curvature)
         return speed, speed * curvature
 
-    def straight(
-        self, state: NDArray[np.float64], end_m: NDArray[np.float64], step_s: float
-    ) -> NDArray[np.float64]:
+    def straight(self, state: Floats, end_m: Floats, step_s: float) -> Floats:
         """Turn on the spot, then drive straight ahead."""
         offset = end_m - state[:2]
         bearing = math.atan2(offset[1], offset[0]) - float(state[2])
@@ -415,13 +389,7 @@ class Unicycle(BaseDynamics):
         inputs[turns:, 0] = length / (ahead * step_s)
         return inputs
 
-    def may_reach(
-        self,
-        state: NDArray[np.float64],
-        places_m: NDArray[np.float64],
-        duration_s: float,
-        slack_m: float,
-    ) -> NDArray[np.bool_]:
+    def may_reach(self, state: Floats, places_m: Floats, duration_s: float, slack_m: float) -> Mask:
         """Return which positions are within the lateral range of the turn rate."""
         # The lateral range is v (1 - cos w t) / w up to a quarter turn. Until then, a robot that
         # cannot reverse reaches nothing behind it.
@@ -437,18 +405,14 @@ class Unicycle(BaseDynamics):
             reached &= offset @ ahead >= -slack_m
         return reached
 
-    def curves(
-        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
-    ) -> list[StepCurve]:
+    def curves(self, states: Floats, inputs: Floats, step_s: float) -> list[StepCurve]:
         """Return the arc of each step."""
         return [
             Arc(state[:2], float(state[2]), step_s * float(speed), step_s * float(rate))
             for state, (speed, rate) in zip(states, inputs, strict=True)
         ]
 
-    def excess_m(
-        self, states: NDArray[np.float64], inputs: NDArray[np.float64], step_s: float
-    ) -> float:
+    def excess_m(self, states: Floats, inputs: Floats, step_s: float) -> float:
         """Return the largest excess of speed or turn rate, in metres per step, or NaN."""
         speed = np.maximum(inputs[:, 0] - self.speed_max_m_s, self.speed_min_m_s - inputs[:, 0])
         rate = np.abs(inputs[:, 1]) - self.turn_rate_max_rad_s

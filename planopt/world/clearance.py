@@ -12,6 +12,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.world.workspace import Obstacle, Workspace
 
 
@@ -30,13 +31,9 @@ def index_obstacles(workspace: Workspace) -> ObstacleIndex:
     return ObstacleIndex(workspace.obstacles, polygons, shapely.STRtree(polygons))
 
 
-def segment_lines(
-    starts_m: NDArray[np.float64], ends_m: NDArray[np.float64]
-) -> NDArray[np.object_]:
-    """Return the segments between the rows of two ``(n, 2)`` arrays as ``(n,)`` geometries.
-
-    A segment whose squared length underflows becomes a point; GEOS would divide by zero.
-    """
+def segment_lines(starts_m: Floats, ends_m: Floats) -> NDArray[np.object_]:
+    """Return the segments between the rows of two ``(n, 2)`` arrays as ``(n,)`` geometries."""
+    # A segment whose squared length underflows becomes a point; GEOS would divide by zero.
     delta = ends_m - starts_m
     lines = np.asarray(shapely.linestrings(np.stack((starts_m, ends_m), axis=1)), np.object_)
     still = (delta * delta).sum(axis=1) == 0.0
@@ -45,37 +42,31 @@ def segment_lines(
     return lines
 
 
-def distances_m(shapes: NDArray[np.object_], polygons: NDArray[np.object_]) -> NDArray[np.float64]:
+def distances_m(shapes: NDArray[np.object_], polygons: NDArray[np.object_]) -> Floats:
     """Return the distances between two arrays of geometries (n,), 0 if they touch; (n,)."""
     # Shapely types the keyword arguments of this one as unknown.
     return shapely.distance(shapes, polygons)  # pyright: ignore[reportUnknownMemberType]
 
 
-def is_clear(
-    distance_m: NDArray[np.float64], required_m: float, tolerance_m: float = 0.0
-) -> NDArray[np.bool_]:
-    """Return which distances from obstacles (n,) are sufficient; (n,).
-
-    A distance of 0 means contact or intersection: a collision even if `required_m` is 0.
-    """
+def is_clear(distance_m: Floats, required_m: float, tolerance_m: float = 0.0) -> Mask:
+    """Return which distances from obstacles (n,) are sufficient; (n,)."""
+    # A distance of 0 means contact or intersection: a collision even if `required_m` is 0.
     return (distance_m > 0.0) & (distance_m >= required_m - tolerance_m)
 
 
-def clearance_m(index: ObstacleIndex, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def clearance_m(index: ObstacleIndex, positions_m: Floats) -> Floats:
     """Return the distance of each position (n, 2) to the nearest obstacle; (n,)."""
     finite = np.asarray(np.isfinite(positions_m).all(axis=1))
     points = np.asarray(shapely.points(positions_m[finite]), np.object_)
     return _spread(_nearest_m(index, points), finite)
 
 
-def swept_clearance_m(index: ObstacleIndex, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def swept_clearance_m(index: ObstacleIndex, path_m: Floats) -> Floats:
     """Return the exact distance of each segment of a path (n, 2) to the nearest obstacle."""
     return segment_clearance_m(index, path_m[:-1], path_m[1:])
 
 
-def segment_clearance_m(
-    index: ObstacleIndex, starts_m: NDArray[np.float64], ends_m: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def segment_clearance_m(index: ObstacleIndex, starts_m: Floats, ends_m: Floats) -> Floats:
     """Return the exact distance of each segment (n, 2) to the nearest obstacle; (n,)."""
     finite = np.asarray(np.isfinite(starts_m + ends_m).all(axis=1))
     return _spread(_nearest_m(index, segment_lines(starts_m[finite], ends_m[finite])), finite)
@@ -83,15 +74,13 @@ def segment_clearance_m(
 
 def segments_clear(
     index: ObstacleIndex,
-    starts_m: NDArray[np.float64],
-    ends_m: NDArray[np.float64],
+    starts_m: Floats,
+    ends_m: Floats,
     required_m: float,
     tolerance_m: float = 0.0,
-) -> NDArray[np.bool_]:
-    """Return which straight segments keep a clearance, without computing distances.
-
-    The result equals :func:`is_clear` of :func:`segment_clearance_m`.
-    """
+) -> Mask:
+    """Return which straight segments keep a clearance, without computing distances."""
+    # The result equals `is_clear` of `segment_clearance_m`.
     clear = np.asarray(np.isfinite(starts_m + ends_m).all(axis=1))
     rows = np.flatnonzero(clear)
     if index.obstacles and rows.size:
@@ -103,21 +92,21 @@ def segments_clear(
     return clear
 
 
-def inside_bounds(workspace: Workspace, positions_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+def inside_bounds(workspace: Workspace, positions_m: Floats) -> Mask:
     """Return which positions (n, 2) are within the closed bounds; (n,)."""
     x_min, y_min, x_max, y_max = workspace.bounds_m
     x, y = positions_m[:, 0], positions_m[:, 1]
     return (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
 
 
-def containing_obstacle(index: ObstacleIndex, position_m: NDArray[np.float64]) -> Obstacle | None:
+def containing_obstacle(index: ObstacleIndex, position_m: Floats) -> Obstacle | None:
     """Return the first obstacle that contains or touches a position (2,), or None."""
     x, y = position_m
     hits = index.tree.query(shapely.Point(x, y), predicate="intersects")
     return index.obstacles[int(hits.min())] if hits.size else None
 
 
-def _nearest_m(index: ObstacleIndex, shapes: NDArray[np.object_]) -> NDArray[np.float64]:
+def _nearest_m(index: ObstacleIndex, shapes: NDArray[np.object_]) -> Floats:
     """Return the distances (n,) from n geometries to their nearest obstacles."""
     nearest = np.full(shapes.shape, np.inf)
     if index.obstacles and shapes.size:
@@ -128,7 +117,7 @@ def _nearest_m(index: ObstacleIndex, shapes: NDArray[np.object_]) -> NDArray[np.
     return nearest
 
 
-def _spread(values: NDArray[np.float64], where: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _spread(values: Floats, where: Mask) -> Floats:
     """Scatter `values` to the true entries of `where` (n,), NaN elsewhere; (n,)."""
     spread = np.full(where.shape, np.nan)
     spread[where] = values

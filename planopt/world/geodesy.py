@@ -10,8 +10,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.errors import InputError
 
 LARGEST_LATITUDE_DEG, LARGEST_LONGITUDE_DEG = 90.0, 180.0
@@ -50,9 +50,7 @@ def require_origin(origin_deg: Origin, key: str, shown: object = None) -> Origin
     return latitude, longitude
 
 
-def east_north_m(
-    longitude_deg: NDArray[np.float64], latitude_deg: NDArray[np.float64], origin_deg: Origin
-) -> NDArray[np.float64]:
+def east_north_m(longitude_deg: Floats, latitude_deg: Floats, origin_deg: Origin) -> Floats:
     """Project positions onto the tangent plane at the origin; NaN beyond `FARTHEST_M`."""
     # Shapes: longitude_deg, latitude_deg (n,); returns (n, 2).
     axes = _axes(origin_deg)
@@ -64,13 +62,9 @@ def east_north_m(
     return plane
 
 
-def longitude_latitude_deg(
-    positions_m: NDArray[np.float64], origin_deg: Origin
-) -> NDArray[np.float64]:
-    """Return longitudes and latitudes of positions east and north of the origin; ``(n, 2)``.
-
-    This inverts :func:`east_north_m` by Newton's method.
-    """
+def longitude_latitude_deg(positions_m: Floats, origin_deg: Origin) -> Floats:
+    """Return longitudes and latitudes of positions east and north of the origin; ``(n, 2)``."""
+    # This inverts `east_north_m` by Newton's method.
     axes = _axes(origin_deg)
     latitude, longitude = (np.full(len(positions_m), value) for value in np.radians(origin_deg))
     start = _geocentric_m(*np.radians(origin_deg)[::-1])
@@ -96,7 +90,7 @@ def longitude_latitude_deg(
     return degrees
 
 
-def _axes(origin_deg: Origin) -> NDArray[np.float64]:
+def _axes(origin_deg: Origin) -> Floats:
     """Return the geocentric unit vectors east and north at the origin; ``(2, 3)``."""
     latitude, longitude = np.radians(origin_deg)
     east = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
@@ -110,9 +104,7 @@ def _axes(origin_deg: Origin) -> NDArray[np.float64]:
     return np.stack([east, np.cross(up, east)])
 
 
-def _radii_m(
-    latitude: NDArray[np.float64] | np.float64,
-) -> tuple[NDArray[np.float64] | np.float64, NDArray[np.float64] | np.float64]:
+def _radii_m(latitude: Floats | np.float64) -> tuple[Floats | np.float64, Floats | np.float64]:
     """Return the radii of curvature across the meridian and along it."""
     squared_eccentricity = FLATTENING * (2.0 - FLATTENING)
     root = np.sqrt(1.0 - squared_eccentricity * np.sin(latitude) ** 2)
@@ -120,9 +112,7 @@ def _radii_m(
     return across, across * (1.0 - squared_eccentricity) / root**2
 
 
-def _geocentric_m(
-    longitude: NDArray[np.float64] | np.float64, latitude: NDArray[np.float64] | np.float64
-) -> NDArray[np.float64]:
+def _geocentric_m(longitude: Floats | np.float64, latitude: Floats | np.float64) -> Floats:
     """Return geocentric coordinates of positions at height zero; ``(..., 3)``."""
     squared_eccentricity = FLATTENING * (2.0 - FLATTENING)
     normal, _ = _radii_m(latitude)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.errors import InputError
 from planopt.world.clearance import (
     ObstacleIndex,
@@ -50,16 +51,16 @@ REACH_TOLERANCE_M = 1e-9
 class Lattice:
     """Square lattice over the workspace."""
 
-    origin_m: NDArray[np.float64]  # (2,) position of node [0, 0]
+    origin_m: Floats  # (2,) position of node [0, 0]
     spacing_m: float  # Distance between neighbours
     shape: tuple[int, int]  # (ny, nx)
-    free: NDArray[np.bool_]  # (ny, nx) True for nodes that keep the clearance
+    free: Mask  # (ny, nx) True for nodes that keep the clearance
     # (21, ny, nx) True if MOVES[k] from the node ends on a node and keeps the clearance
-    open_moves: NDArray[np.bool_]
+    open_moves: Mask
 
 
 def build_lattice(
-    workspace: Workspace, anchor_m: NDArray[np.float64], step_m: float, clearance_m: float
+    workspace: Workspace, anchor_m: Floats, step_m: float, clearance_m: float
 ) -> Lattice:
     """Build the lattice through `anchor_m` (2,) inside the bounds."""
     spacing = step_m / LONGEST_MOVE
@@ -81,12 +82,12 @@ def build_lattice(
     return Lattice(origin, spacing, (ny, nx), free, moves)
 
 
-def node_positions(lattice: Lattice) -> NDArray[np.float64]:
+def node_positions(lattice: Lattice) -> Floats:
     """Return the positions of all nodes, ``(ny, nx, 2)`` in metres."""
     return _positions(lattice.origin_m, lattice.spacing_m, lattice.shape)
 
 
-def nearest_node(lattice: Lattice, position_m: NDArray[np.float64]) -> tuple[int, int]:
+def nearest_node(lattice: Lattice, position_m: Floats) -> tuple[int, int]:
     """Return the index ``(iy, ix)`` of the node nearest to `position_m` (2,), free or not."""
     ny, nx = lattice.shape
     ix, iy = np.rint((position_m - lattice.origin_m) / lattice.spacing_m)
@@ -96,10 +97,10 @@ def nearest_node(lattice: Lattice, position_m: NDArray[np.float64]) -> tuple[int
 def moves_from(
     index: ObstacleIndex,
     lattice: Lattice,
-    position_m: NDArray[np.float64],  # (2,) position of the robot
+    position_m: Floats,  # (2,) position of the robot
     reach_m: float,
     clearance_m: float,
-) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Mask]:
     """Return the nodes (iy, ix) within `reach_m`, and which straight paths to them are free."""
     ny, nx = lattice.shape
     place = (position_m - lattice.origin_m) / lattice.spacing_m
@@ -120,7 +121,7 @@ def moves_from(
 
 
 def _axis(
-    workspace: Workspace, anchor_m: NDArray[np.float64], spacing_m: float, dimension: int
+    workspace: Workspace, anchor_m: Floats, spacing_m: float, dimension: int
 ) -> tuple[float, int]:
     """Return the first coordinate and the node count strictly inside the bounds."""
     low, high = workspace.bounds_m[dimension], workspace.bounds_m[dimension + 2]
@@ -130,9 +131,7 @@ def _axis(
     return anchor + spacing_m * first, max(last - first + 1, 0)
 
 
-def _positions(
-    origin_m: NDArray[np.float64], spacing_m: float, shape: tuple[int, int]
-) -> NDArray[np.float64]:
+def _positions(origin_m: Floats, spacing_m: float, shape: tuple[int, int]) -> Floats:
     """Return node positions ``(ny, nx, 2)``."""
     iy, ix = np.indices(shape)
     return origin_m + spacing_m * np.stack((ix, iy), axis=-1)
@@ -144,10 +143,10 @@ class NearPairs:
 
     node: NDArray[np.int64]  # (p,) indices into the positions
     obstacle: NDArray[np.int64]  # (p,) indices into the obstacle index
-    distance_m: NDArray[np.float64]  # (p,) exact distances
+    distance_m: Floats  # (p,) exact distances
 
 
-def near_pairs(index: ObstacleIndex, positions_m: NDArray[np.float64], reach_m: float) -> NearPairs:
+def near_pairs(index: ObstacleIndex, positions_m: Floats, reach_m: float) -> NearPairs:
     """Return all pairs of a position (n, 2) and an obstacle within `reach_m` of it."""
     points = np.asarray(shapely.points(positions_m), np.object_)
     node, obstacle = index.tree.query(points, predicate="dwithin", distance=reach_m)
@@ -156,11 +155,11 @@ def near_pairs(index: ObstacleIndex, positions_m: NDArray[np.float64], reach_m: 
 
 def open_moves(
     index: ObstacleIndex,
-    positions_m: NDArray[np.float64],  # (ny, nx, 2) node positions
-    free: NDArray[np.bool_],  # (ny, nx) nodes that keep the clearance
+    positions_m: Floats,  # (ny, nx, 2) node positions
+    free: Mask,  # (ny, nx) nodes that keep the clearance
     near: NearPairs,
     clearance_m: float,
-) -> NDArray[np.bool_]:
+) -> Mask:
     """Return which moves of each node end on a node and keep the clearance."""
     result = np.zeros((len(MOVES), *free.shape), dtype=np.bool_)
     result[0] = free
@@ -195,7 +194,7 @@ def _ends(
     return start, end
 
 
-def _of_free_nodes(near: NearPairs, free: NDArray[np.bool_]) -> NearPairs:
+def _of_free_nodes(near: NearPairs, free: Mask) -> NearPairs:
     """Return the pairs with a free node, sorted by node, then obstacle."""
     order = np.lexsort((near.obstacle, near.node))
     order = order[free.reshape(-1)[near.node[order]]]
@@ -204,9 +203,9 @@ def _of_free_nodes(near: NearPairs, free: NDArray[np.bool_]) -> NearPairs:
 
 def _unsure(
     near: NearPairs,
-    moves: NDArray[np.bool_],  # (nodes,)
+    moves: Mask,  # (nodes,)
     stride: int,
-    places_m: NDArray[np.float64],
+    places_m: Floats,
     clearance_m: float,
     obstacles: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -229,16 +228,16 @@ class RoadMap:
     """Graph of the free lattice nodes, in row-major order, and the moves between them."""
 
     lattice: Lattice  # Lattice of the nodes
-    nodes_m: NDArray[np.float64]  # (n, 2) positions
-    rows: NDArray[np.intp]  # (n,) lattice indices iy, ix
-    columns: NDArray[np.intp]
-    number: NDArray[np.intp]  # (ny, nx) node number, -1 if not free
+    nodes_m: Floats  # (n, 2) positions
+    rows: Indices  # (n,) lattice indices iy, ix
+    columns: Indices
+    number: Indices  # (ny, nx) node number, -1 if not free
     # (n, 21) node from which each of `MOVES` arrives here; n if the move is blocked
-    sources: NDArray[np.intp]
-    lengths_m: NDArray[np.float64]  # (21,) lengths of the moves
+    sources: Indices
+    lengths_m: Floats  # (21,) lengths of the moves
     edge_from: NDArray[np.int32]  # Moves except "stay" in compressed sparse rows
     edge_to: NDArray[np.int32]
-    edge_length_m: NDArray[np.float64]
+    edge_length_m: Floats
     edge_start: NDArray[np.int32]
 
 
@@ -247,7 +246,7 @@ class CostToGo:
     """Cheapest paths from each node to a goal."""
 
     # (n,) weighted path length; infinite without a path or beyond the limit
-    cost_m: NDArray[np.float64]
+    cost_m: Floats
     # (n,) next node on the path; negative at the goal and without a path
     next_node: NDArray[np.int32]
 
@@ -289,7 +288,7 @@ def build_road_map(lattice: Lattice) -> RoadMap:
 def lattice_paths(
     road_map: RoadMap,
     goal_node: int,
-    node_factor: NDArray[np.float64] | None = None,  # (n,) at least 1, or None for plain lengths
+    node_factor: Floats | None = None,  # (n,) at least 1, or None for plain lengths
     *,
     limit_m: float = math.inf,
 ) -> CostToGo:
@@ -306,25 +305,19 @@ def lattice_paths(
 
 
 def cheapest_paths(
-    road_map: RoadMap,
-    goal_node: int,
-    edge_cost_m: NDArray[np.float64],
-    *,
-    limit_m: float = math.inf,
+    road_map: RoadMap, goal_node: int, edge_cost_m: Floats, *, limit_m: float = math.inf
 ) -> CostToGo:
     """Return the cheapest paths to a goal for symmetric edge costs (e,)."""
     count = len(road_map.nodes_m)
     graph = csr_matrix((edge_cost_m, road_map.edge_to, road_map.edge_start), shape=(count, count))
     cost, following = cast(
-        "tuple[NDArray[np.float64], NDArray[np.int32]]",
+        "tuple[Floats, NDArray[np.int32]]",
         dijkstra(graph, indices=goal_node, return_predecessors=True, limit=limit_m),
     )
     return CostToGo(cost_m=cost, next_node=following)
 
 
-def route_from(
-    road_map: RoadMap, cost_to_go: CostToGo, node: int, length_m: float
-) -> NDArray[np.intp]:
+def route_from(road_map: RoadMap, cost_to_go: CostToGo, node: int, length_m: float) -> Indices:
     """Return the node numbers along the first `length_m` of the cheapest path from `node`."""
     nodes = [node]
     travelled = 0.0

@@ -13,8 +13,8 @@ from typing import Protocol
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.world.clearance import ObstacleIndex, clearance_m, containing_obstacle
 
 WHOLE_STEP = np.array([0.0, 1.0])
@@ -25,7 +25,7 @@ class TimedCurve(Protocol):
     """Path of one step as a function of time."""
 
     @property
-    def breaks(self) -> NDArray[np.float64]:
+    def breaks(self) -> Floats:
         """Times (k,) from 0 to 1 between which the curve is smooth."""
         ...
 
@@ -39,7 +39,7 @@ class TimedCurve(Protocol):
         """Largest distance of the robot from :meth:`at`."""
         ...
 
-    def at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, share: Floats) -> Floats:
         """Return positions (k, 2) at times (k,)."""
         ...
 
@@ -51,7 +51,7 @@ SAG_M = 5e-7
 class Curve(Protocol):
     """Path of one step as a point set."""
 
-    def points_m(self) -> tuple[NDArray[np.float64], float]:
+    def points_m(self) -> tuple[Floats, float]:
         """Return a polyline (k, 2), and the largest distance of the curve from it."""
         ...
 
@@ -69,23 +69,23 @@ class PointCurve:
     """Polyline curve with a bound on the robot's distance from it."""
 
     # (k, 2) points, k >= 1; evenly spaced in time for a timed curve
-    places_m: NDArray[np.float64]
+    places_m: Floats
     # Largest distance from the polyline; for a timed curve, from uniform motion on it
     within_m: float
 
     curving_m = 0.0  # Straight between the points
 
     @property
-    def breaks(self) -> NDArray[np.float64]:
+    def breaks(self) -> Floats:
         """Times of the points."""
         return np.linspace(0.0, 1.0, len(self.places_m))
 
-    def at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, share: Floats) -> Floats:
         """Return interpolated positions at times `share` (k,)."""
         x, y = (np.interp(share, self.breaks, self.places_m[:, axis]) for axis in (0, 1))
         return np.stack([x, y], axis=1)
 
-    def points_m(self) -> tuple[NDArray[np.float64], float]:
+    def points_m(self) -> tuple[Floats, float]:
         """Return the polyline and its bound."""
         return self.places_m, self.within_m
 
@@ -98,9 +98,9 @@ class PointCurve:
 class Parabola:
     """Parabola p(t) = start + t along + t^2 bend for t from 0 to 1."""
 
-    start_m: NDArray[np.float64]  # (2,) each
-    along_m: NDArray[np.float64]
-    bend_m: NDArray[np.float64]
+    start_m: Floats  # (2,) each
+    along_m: Floats
+    bend_m: Floats
 
     breaks = WHOLE_STEP
     within_m = 0.0
@@ -110,12 +110,12 @@ class Parabola:
         """Magnitude of the constant second derivative."""
         return 2.0 * float(np.hypot(*self.bend_m))
 
-    def at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, share: Floats) -> Floats:
         """Return the positions p(t) at times `share` (k,)."""
         t = share[:, None]
         return self.start_m + t * self.along_m + t * t * self.bend_m
 
-    def points_m(self) -> tuple[NDArray[np.float64], float]:
+    def points_m(self) -> tuple[Floats, float]:
         """Return a polyline of n pieces whose error is at most |bend| / (4 n^2)."""
         bend = float(np.hypot(*self.bend_m))
         count = max(1, math.ceil(math.sqrt(bend / (4.0 * SAG_M))))
@@ -127,7 +127,7 @@ class Parabola:
         return max(0.0, _polyline_m(index, places) - within)
 
 
-def even_motion(ends_m: NDArray[np.float64]) -> Parabola:
+def even_motion(ends_m: Floats) -> Parabola:
     """Return uniform motion along the segment between two positions (2, 2)."""
     return Parabola(ends_m[0], ends_m[1] - ends_m[0], np.zeros(2))
 
@@ -136,7 +136,7 @@ def even_motion(ends_m: NDArray[np.float64]) -> Parabola:
 class Arc:
     """Circular arc driven at constant speed; a straight segment if `turn_rad` is 0."""
 
-    start_m: NDArray[np.float64]  # (2,)
+    start_m: Floats  # (2,)
     heading_rad: float  # Direction of the tangent at the start
     length_m: float  # Negative in reverse
     turn_rad: float  # Turn of the tangent from start to end
@@ -154,7 +154,7 @@ class Arc:
         """Magnitude of the second derivative, which points to the centre."""
         return abs(self.length_m * self.turn_rad)
 
-    def points_m(self) -> tuple[NDArray[np.float64], float]:
+    def points_m(self) -> tuple[Floats, float]:
         """Return a polyline of n pieces whose error is at most |length turn| / (8 n^2)."""
         count = max(1, math.ceil(math.sqrt(self.bulge_m / SAG_M)))
         return self.at(np.linspace(0.0, 1.0, count + 1)), self.bulge_m / (count * count)
@@ -179,7 +179,7 @@ class Arc:
         )
         return float(distances.min())
 
-    def at(self, share: NDArray[np.float64]) -> NDArray[np.float64]:
+    def at(self, share: Floats) -> Floats:
         """Return positions (k, 2) at times `share` (k,)."""
         half = 0.5 * share * self.turn_rad
         # numpy.sinc(x) is sin(pi x) / (pi x).
@@ -189,7 +189,7 @@ class Arc:
         return self.start_m + offsets
 
 
-def _polyline_m(index: ObstacleIndex, places_m: NDArray[np.float64]) -> float:
+def _polyline_m(index: ObstacleIndex, places_m: Floats) -> float:
     """Return the distance of a polyline (k, 2) to the nearest obstacle."""
     if not index.obstacles:
         return math.inf
@@ -200,7 +200,7 @@ def _polyline_m(index: ObstacleIndex, places_m: NDArray[np.float64]) -> float:
     return float(distance.min())
 
 
-def _edges(polygon: shapely.Polygon) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _edges(polygon: shapely.Polygon) -> tuple[Floats, Floats]:
     """Return the start and end points of all edges, including those of holes."""
     rings = [shapely.get_coordinates(ring) for ring in shapely.get_rings(polygon)]
     return (
@@ -210,13 +210,13 @@ def _edges(polygon: shapely.Polygon) -> tuple[NDArray[np.float64], NDArray[np.fl
 
 
 def arc_segment_distances_m(
-    start_m: NDArray[np.float64],  # (2,) start of the arc
+    start_m: Floats,  # (2,) start of the arc
     heading_rad: float,
     length_m: float,
     turn_rad: float,
-    from_m: NDArray[np.float64],
-    to_m: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    from_m: Floats,
+    to_m: Floats,
+) -> Floats:
     """Return the distance of an arc to each of n segments; (n,)."""
     # The nearest points are a crossing, an end of the arc or the segment, or the foot of the
     # perpendicular from the centre to the segment, if the ray through it meets the arc.
@@ -226,7 +226,7 @@ def arc_segment_distances_m(
     centre = start_m + signed * np.array([-math.sin(heading_rad), math.cos(heading_rad)])
     first = math.atan2(start_m[1] - centre[1], start_m[0] - centre[0])
 
-    def on_arc(angles: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def on_arc(angles: Floats) -> Mask:
         """Return whether the arc covers these directions from its centre."""
         gone = (angles - first) if turn_rad > 0.0 else (first - angles)
         return np.mod(gone, 2.0 * math.pi) <= abs(turn_rad)
@@ -236,13 +236,13 @@ def arc_segment_distances_m(
     along = to_m - from_m
     square = np.maximum((along**2).sum(axis=1), np.finfo(np.float64).tiny)
 
-    def foot(place: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def foot(place: Floats) -> tuple[Floats, Floats]:
         """Return the foot parameter on each segment's line, and the distance to the segment."""
         t = ((place - from_m) * along).sum(axis=1) / square
         near = from_m + np.clip(t, 0.0, 1.0)[:, None] * along
         return t, np.linalg.norm(place - near, axis=1)
 
-    def radial(places: NDArray[np.float64]) -> NDArray[np.float64]:
+    def radial(places: Floats) -> Floats:
         """Return the radial distance to the arc; inf if the ray from the centre misses it."""
         offset = places - centre
         away = np.abs(np.hypot(offset[:, 0], offset[:, 1]) - radius)
@@ -269,7 +269,7 @@ def arc_segment_distances_m(
 class TimedMotion:
     """Motion over n steps, followed by rest."""
 
-    places_m: NDArray[np.float64]  # (n + 1, 2) positions now and after each step
+    places_m: Floats  # (n + 1, 2) positions now and after each step
     curves: tuple[TimedCurve, ...] = ()  # One per step; empty if all are straight and uniform
 
     @property
@@ -293,7 +293,7 @@ class TimedMotion:
         return TimedMotion(self.places_m[steps:], self.curves[steps:])
 
     @property
-    def bulges_m(self) -> NDArray[np.float64]:
+    def bulges_m(self) -> Floats:
         """Bound on the distance from uniform motion on each step's chord; ``(n,)``."""
         if not self.curves:
             return np.zeros(self.steps)
@@ -301,7 +301,7 @@ class TimedMotion:
         return np.array([_bulge_m(curve, begin, end) for curve, begin, end in ends])
 
 
-def _bulge_m(curve: TimedCurve, begin_m: NDArray[np.float64], end_m: NDArray[np.float64]) -> float:
+def _bulge_m(curve: TimedCurve, begin_m: Floats, end_m: Floats) -> float:
     breaks = curve.breaks
     even = begin_m + breaks[:, None] * (end_m - begin_m)
     off = np.linalg.norm(curve.at(breaks) - even, axis=1).max()
@@ -310,16 +310,11 @@ def _bulge_m(curve: TimedCurve, begin_m: NDArray[np.float64], end_m: NDArray[np.
 
 
 def closest_approach_m(
-    first_starts_m: NDArray[np.float64],
-    first_ends_m: NDArray[np.float64],
-    second_starts_m: NDArray[np.float64],
-    second_ends_m: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Return the minimum distance of two points in uniform straight motion over the same time.
-
-    Relative to the second point, the first moves straight from r to r + d. It is nearest at time
-    ``t = clip(-r . d / d . d, 0, 1)``, at distance ``|r + t d|``.
-    """
+    first_starts_m: Floats, first_ends_m: Floats, second_starts_m: Floats, second_ends_m: Floats
+) -> Floats:
+    """Return the minimum distance of two points in uniform straight motion over the same time."""
+    # Relative to the second point, the first moves straight from r to r + d. It is nearest at time
+    # ``t = clip(-r . d / d . d, 0, 1)``, at distance ``|r + t d|``.
     # Shapes: first_starts_m, first_ends_m, second_starts_m, second_ends_m (..., 2).
     return np.asarray(
         np.linalg.norm(
@@ -329,9 +324,7 @@ def closest_approach_m(
     )
 
 
-def nearest_to_origin_m(
-    starts_m: NDArray[np.float64], ends_m: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def nearest_to_origin_m(starts_m: Floats, ends_m: Floats) -> Floats:
     """Return the point of each segment (..., 2) that is nearest to the origin; ``(..., 2)``."""
     along = ends_m - starts_m
     square = (along * along).sum(axis=-1)
@@ -375,30 +368,24 @@ def curve_distance_m(first: TimedCurve, second: TimedCurve, at_most_m: float = m
     return max(0.0, settled - unknown)
 
 
-def step_distances_m(first: TimedMotion, second: TimedMotion, steps: int) -> NDArray[np.float64]:
-    """Return tight lower bounds of the distance during each of `steps` steps; ``(steps,)``.
-
-    Each motion is at rest after its own last step.
-    """
+def step_distances_m(first: TimedMotion, second: TimedMotion, steps: int) -> Floats:
+    """Return tight lower bounds of the distance during each of `steps` steps; ``(steps,)``."""
+    # Each motion is at rest after its own last step.
     one, other = first.lasting(steps), second.lasting(steps)
     if not one.curves and not other.curves:
         return chord_distances_m(one, other)
     return np.array([curve_distance_m(one.curve(k), other.curve(k)) for k in range(steps)])
 
 
-def chord_distances_m(first: TimedMotion, second: TimedMotion) -> NDArray[np.float64]:
+def chord_distances_m(first: TimedMotion, second: TimedMotion) -> Floats:
     """Return the minimum distances for uniform motion on the chords; ``(n,)``."""
     a, b = first.places_m, second.places_m
     return closest_approach_m(a[:-1], a[1:], b[:-1], b[1:])
 
 
-def least_gap(
-    first: TimedMotion, second: TimedMotion, taken_m: NDArray[np.float64]
-) -> tuple[float, int]:
-    """Return the minimum of distance minus `taken_m` (n,) over n steps, and its step.
-
-    Steps are evaluated in the order of their lower bounds.
-    """
+def least_gap(first: TimedMotion, second: TimedMotion, taken_m: Floats) -> tuple[float, int]:
+    """Return the minimum of distance minus `taken_m` (n,) over n steps, and its step."""
+    # Steps are evaluated in the order of their lower bounds.
     steps = len(taken_m)
     one, other = first.lasting(steps), second.lasting(steps)
     gaps = chord_distances_m(one, other) - taken_m

@@ -14,8 +14,8 @@ import math
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.world.motion import TimedCurve, TimedMotion, closest_approach_m
 from planopt.world.workspace import MovingObstacle
 
@@ -25,13 +25,13 @@ class MovingDiscs:
     """Predicted positions of m discs over the next T steps, planned and braking."""
 
     names: tuple[str, ...]  # Names in messages
-    centres_m: NDArray[np.float64]  # (m, T + 1, 2) centres now and after each step
-    radius_m: NDArray[np.float64]  # (m, T) during each step
-    least_m: NDArray[np.float64]  # (m,) required distance of a robot from the disc
-    is_robot: NDArray[np.bool_]  # (m,) True for other robots, which are points
+    centres_m: Floats  # (m, T + 1, 2) centres now and after each step
+    radius_m: Floats  # (m, T) during each step
+    least_m: Floats  # (m,) required distance of a robot from the disc
+    is_robot: Mask  # (m,) True for other robots, which are points
     # (m,) curves of the T steps of each disc; empty if straight at constant speed
     curves: tuple[tuple[TimedCurve, ...], ...] = ()
-    bulges_m: NDArray[np.float64] = field(init=False)  # (m, T) bound on the deviation from that
+    bulges_m: Floats = field(init=False)  # (m, T) bound on the deviation from that
 
     def __post_init__(self) -> None:
         bulges = [self.motion(number).bulges_m for number in range(len(self))]
@@ -42,7 +42,7 @@ class MovingDiscs:
         return len(self.names)
 
     @property
-    def apart_m(self) -> NDArray[np.float64]:
+    def apart_m(self) -> Floats:
         """Required distance ``(m, T)`` of a robot from each centre, for straight motion."""
         return self.radius_m + self.least_m[:, None] + self.bulges_m
 
@@ -82,9 +82,7 @@ def joined_discs(first: MovingDiscs, second: MovingDiscs) -> MovingDiscs:
     )
 
 
-def passing_gaps_m(
-    discs: MovingDiscs, step: int, starts_m: NDArray[np.float64], ends_m: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def passing_gaps_m(discs: MovingDiscs, step: int, starts_m: Floats, ends_m: Floats) -> Floats:
     """Return the separation margin of segments, driven in one step, to each disc; (m, ...)."""
     # Shapes: starts_m, ends_m (..., 2).
     shape = (len(discs), *([1] * (starts_m.ndim - 1)), 2)
@@ -94,16 +92,14 @@ def passing_gaps_m(
     return near - discs.apart_m[:, step].reshape(shape[:-1])
 
 
-def path_distances_m(discs: MovingDiscs, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the distance of a path (N + 1, 2) to each centre during each step; ``(m, N)``.
-
-    Both are assumed to move straight at constant speed within a step.
-    """
+def path_distances_m(discs: MovingDiscs, path_m: Floats) -> Floats:
+    """Return the distance of a path (N + 1, 2) to each centre during each step; ``(m, N)``."""
+    # Both are assumed to move straight at constant speed within a step.
     centres = discs.centres_m[:, : len(path_m)]
     return closest_approach_m(path_m[:-1], path_m[1:], centres[:, :-1], centres[:, 1:])
 
 
-def paths_gap_m(discs: MovingDiscs, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def paths_gap_m(discs: MovingDiscs, paths_m: Floats) -> Floats:
     """Return the smallest margin along each of c paths; infinite without discs."""
     # Shapes: paths_m (c, N + 1, 2).
     if not len(discs):
@@ -116,7 +112,7 @@ def paths_gap_m(discs: MovingDiscs, paths_m: NDArray[np.float64]) -> NDArray[np.
     return (near - discs.apart_m[:, : places - 1]).min(axis=(1, 2))
 
 
-def centres_at(obstacle: MovingObstacle, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+def centres_at(obstacle: MovingObstacle, times_s: Floats) -> Floats:
     """Return the predicted centres ``(n, 2)`` at times (n,)."""
     known = np.asarray(obstacle.times_s)
     places = np.asarray(obstacle.positions_m)
@@ -130,7 +126,7 @@ def centres_at(obstacle: MovingObstacle, times_s: NDArray[np.float64]) -> NDArra
     )
 
 
-def growth_m(obstacle: MovingObstacle, ahead_s: NDArray[np.float64]) -> NDArray[np.float64]:
+def growth_m(obstacle: MovingObstacle, ahead_s: Floats) -> Floats:
     """Return the growth of the radius for steps that end `ahead_s` (n,) from now; (n,)."""
     deviation = np.hypot(obstacle.position_std_m, 0.5 * obstacle.acceleration_std_m_s2 * ahead_s**2)
     return deviation * math.sqrt(-2.0 * math.log((1.0 - obstacle.probability) / 2.0))
@@ -143,11 +139,9 @@ def predicted_discs(
     steps: int,
     clearance_m: float,
 ) -> MovingDiscs:
-    """Return the predicted discs of moving obstacles over the next steps.
-
-    A disc moves straight during a step. If its path turns within a step, its radius grows by the
-    distance of the turn from the straight line, so that it covers the actual disc.
-    """
+    """Return the predicted discs of moving obstacles over the next steps."""
+    # A disc moves straight during a step. If its path turns within a step, its radius grows by the
+    # distance of the turn from the straight line, so that it covers the actual disc.
     times = now_s + step_s * np.arange(steps + 1, dtype=np.float64)
     centres = np.array([centres_at(obstacle, times) for obstacle in obstacles])
     radius = np.array(
@@ -165,7 +159,7 @@ def predicted_discs(
     )
 
 
-def _turn_m(obstacle: MovingObstacle, times_s: NDArray[np.float64]) -> NDArray[np.float64]:
+def _turn_m(obstacle: MovingObstacle, times_s: Floats) -> Floats:
     """Return the largest distance of the centre from the straight line of each step; (n - 1,)."""
     # Both are linear between turns, so the distance is largest at a turn.
     known = np.asarray(obstacle.times_s)

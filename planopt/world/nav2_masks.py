@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.errors import InputError
 from planopt.files.writing import replaced_results, write_text, write_whole
 from planopt.world.raster import Raster
@@ -65,7 +66,7 @@ class MaskLimits:
                 raise InputError(f"is {value!r}", key=name, remedy="give a probability, 0 to 1")
 
 
-def mask_values(probability: NDArray[np.float64], limits: MaskLimits) -> dict[str, NDArray[Any]]:
+def mask_values(probability: Floats, limits: MaskLimits) -> dict[str, NDArray[Any]]:
     """Return the values of each mask from 0 to 100, as Nav2 reads them; ``(ny, nx)``."""
     weight = np.clip(np.rint(100.0 * (1.0 - probability)), 0, HEAVIEST).astype(np.int8)
     keepout = np.where(probability < limits.keepout_below, 100, 0).astype(np.int8)

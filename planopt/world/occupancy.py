@@ -31,6 +31,7 @@ import shapely
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.errors import InputError
 from planopt.files.reading import csv_rows, foreign_reader, read_bytes, read_text
 from planopt.keys import LARGEST_COORDINATE_M
@@ -68,8 +69,8 @@ class OccupancyGrid:
         Number of free cells whose pixels have grey 205, the value ROS uses for unknown cells.
     """
 
-    occupied: NDArray[np.bool_]
-    unknown: NDArray[np.bool_]
+    occupied: Mask
+    unknown: Mask
     resolution_m: float
     origin_m: tuple[float, float]
     grey_free_cells: int = 0
@@ -122,20 +123,20 @@ def grid_obstacles(
 class _Edges:
     """Outline edges of components, each with its closed cell on the left."""
 
-    end: NDArray[np.intp]  # (e, 2) column and row of the end corner
-    label: NDArray[np.intp]  # (e,) component of the closed cell, from 1
-    following: NDArray[np.intp]  # (e,) index of the next edge along the outline
-    turns: NDArray[np.bool_]  # (e,) whether the next edge has another direction
+    end: Indices  # (e, 2) column and row of the end corner
+    label: Indices  # (e,) component of the closed cell, from 1
+    following: Indices  # (e,) index of the next edge along the outline
+    turns: Mask  # (e,) whether the next edge has another direction
 
 
-def _edges(closed: NDArray[np.bool_]) -> _Edges:
+def _edges(closed: Mask) -> _Edges:
     """Return all edges of the outlines."""
     # If two closed cells touch at a corner only, the outline continues along the other cell if both
     # belong to one component, else along its own cell. No outline therefore touches itself.
     labels = _components(closed)
     around = np.pad(labels, 1)
     columns = closed.shape[1] + 1
-    sides: list[tuple[NDArray[np.intp], ...]] = []
+    sides: list[tuple[Indices, ...]] = []
     # Directions 0 to 3 (right, up, left, down) run below, right of, above and left of the cell.
     for direction, (neighbour, start, end) in enumerate(
         (
@@ -174,15 +175,13 @@ def _edges(closed: NDArray[np.bool_]) -> _Edges:
     return _Edges(place, owner, following, direction[following] != direction)
 
 
-def _found(
-    key: NDArray[np.intp], by_key: NDArray[np.intp], wanted: NDArray[np.intp]
-) -> NDArray[np.intp]:
+def _found(key: Indices, by_key: Indices, wanted: Indices) -> Indices:
     """Return the index of each wanted key in `key`; -1 if it is absent."""
     at = by_key[np.minimum(np.searchsorted(key, wanted, sorter=by_key), key.size - 1)]
     return np.where(key[at] == wanted, at, -1)
 
 
-def _components(closed: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _components(closed: Mask) -> Indices:
     """Return the component label of each cell, from 1; 0 for open cells."""
     ny, nx = closed.shape
     # Open rows and columns between tiles separate components during labelling.
@@ -194,15 +193,13 @@ def _components(closed: NDArray[np.bool_]) -> NDArray[np.intp]:
     return labels[np.ix_(row, column)]
 
 
-def _spread(size: int) -> NDArray[np.intp]:
+def _spread(size: int) -> Indices:
     """Return the new indices of `size` lines with an empty line between tiles."""
     line = np.arange(size, dtype=np.intp)
     return line + line // TILE_CELLS
 
 
-def _polygons(
-    closed: NDArray[np.bool_], resolution_m: float, origin_m: NDArray[np.float64]
-) -> NDArray[np.object_]:
+def _polygons(closed: Mask, resolution_m: float, origin_m: Floats) -> NDArray[np.object_]:
     """Return one polygon per component, with a corner at each turn of its outline."""
     edges = _edges(closed)
     order, first = _outlines(edges)
@@ -228,7 +225,7 @@ def _polygons(
     return polygons
 
 
-def _outlines(edges: _Edges) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _outlines(edges: _Edges) -> tuple[Indices, Indices]:
     """Return the edges before turns, outline by outline, and the index of each first edge."""
     turning = edges.following.copy()
     while (straight := ~edges.turns[turning]).any():
@@ -446,7 +443,7 @@ def _placed(resolution_m: float, x_m: float, y_m: float) -> tuple[float, tuple[f
     return resolution_m, (x_m, y_m)
 
 
-def _shades(path: Path, raw: bool) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+def _shades(path: Path, raw: bool) -> tuple[Floats, Mask]:
     """Return the brightness of image pixels, from 0 to 1, and the mask of opaque pixels."""
     from PIL import Image
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.errors import InputError
 from planopt.keys import LARGEST_COORDINATE_M
 from planopt.short_repr import short_repr
@@ -21,9 +22,9 @@ class Raster:
     """Map of values on a regular grid."""
 
     # (nx,) and (ny,) coordinates of the cell centres, ascending and evenly spaced
-    x_m: NDArray[np.float64]
-    y_m: NDArray[np.float64]
-    values: NDArray[np.float64]  # (ny, nx), row 0 at the smallest y; NaN if missing
+    x_m: Floats
+    y_m: Floats
+    values: Floats  # (ny, nx), row 0 at the smallest y; NaN if missing
     quantity: str = field(default="", repr=False)  # Such as "received power"; empty if unknown
     unit: str = field(default="", repr=False)
 
@@ -35,9 +36,7 @@ class Raster:
         return _spacing(self.x_m), _spacing(self.y_m)
 
 
-def checked_raster(
-    x: NDArray[np.float64], y: NDArray[np.float64], values: NDArray[np.float64], variable: str
-) -> Raster:
+def checked_raster(x: Floats, y: Floats, values: Floats, variable: str) -> Raster:
     """Validate axes and values and return their raster."""
     # Minus infinity, the decibel value of zero, becomes NaN.
     for name, axis in (("x", x), ("y", y)):
@@ -75,14 +74,14 @@ def checked_raster(
     return Raster(x, y, np.where(np.isneginf(values), np.nan, values))
 
 
-def cell_centres_m(low_m: float, high_m: float, cell_m: float) -> NDArray[np.float64]:
+def cell_centres_m(low_m: float, high_m: float, cell_m: float) -> Floats:
     """Return the centres of the cells that cover an interval; at least two."""
     count = max(2, math.ceil((high_m - low_m) / cell_m))
     return low_m + cell_m * (np.arange(count, dtype=np.float64) + 0.5)
 
 
 def nearest_cells(
-    raster: Raster, positions_m: NDArray[np.float64]
+    raster: Raster, positions_m: Floats
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return row and column (n,) of the cell nearest to each position (n, 2)."""
     first = np.array([raster.x_m[0], raster.y_m[0]])
@@ -100,12 +99,12 @@ def nearest_cells(
     return iy, ix
 
 
-def _spacing(axis_m: NDArray[np.float64]) -> float:
+def _spacing(axis_m: Floats) -> float:
     """Return the mean spacing of an axis."""
     return float(axis_m[-1] - axis_m[0]) / (axis_m.size - 1)
 
 
-def _is_even(axis_m: NDArray[np.float64]) -> bool:
+def _is_even(axis_m: Floats) -> bool:
     """Return whether finite coordinates are ascending and evenly spaced."""
     if not axis_m[-1] > axis_m[0]:
         return False

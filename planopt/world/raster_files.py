@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.errors import InputError, listed
 from planopt.files.npz import npz_names, read_npz
 from planopt.files.reading import csv_rows, foreign_reader, read_bytes, require_array_size
@@ -74,7 +75,7 @@ def _text(value: object) -> str:
     return text.strip("\0 ") if isinstance(text, str) else ""
 
 
-_Read = tuple[list[NDArray[np.float64]], Mapping[str, Any]]
+_Read = tuple[list[Floats], Mapping[str, Any]]
 
 
 class _BoundedBytes(io.BytesIO):
@@ -159,9 +160,7 @@ def _require_map(held: Mapping[str, tuple[str, ...]], variable: str) -> None:
         )
 
 
-def _floats(
-    values: NDArray[Any], attributes: Mapping[str, Any], path: Path, name: str
-) -> NDArray[np.float64]:
+def _floats(values: NDArray[Any], attributes: Mapping[str, Any], path: Path, name: str) -> Floats:
     """Return values as floats, scaled by their attributes; missing values are NaN."""
     if values.dtype.kind not in "iuf":
         raise InputError(f"{values.dtype} is not numeric", key=name)
@@ -299,7 +298,7 @@ def read_csv(path: Path, variable: str) -> Raster:
     return _on_grid(np.array(numbers).reshape(-1, 3), variable)
 
 
-def _on_grid(table: NDArray[np.float64], variable: str) -> Raster:
+def _on_grid(table: Floats, variable: str) -> Raster:
     """Return the raster with one cell per row (x, y, value)."""
     if not np.isfinite(table[:, :2]).all():
         raise InputError("a cell centre is not finite", remedy="leave rows without a place out")
@@ -371,10 +370,10 @@ def read_npz_raster(path: Path, variable: str) -> Raster:
     return replace(checked_raster(x, y, values, variable), quantity=quantity, unit=unit)
 
 
-def npz_arrays(path: Path, names: tuple[str, ...]) -> list[NDArray[np.float64]]:
+def npz_arrays(path: Path, names: tuple[str, ...]) -> list[Floats]:
     """Return the named arrays of an npz file as floats."""
     arrays = read_npz(path, names)
-    found: list[NDArray[np.float64]] = []
+    found: list[Floats] = []
     for name in names:
         if name not in arrays:
             raise InputError(

@@ -27,6 +27,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.world.motion import TimedMotion, nearest_to_origin_m
 from planopt.world.moving_discs import MovingDiscs
 from planopt.world.workspace import Workspace
@@ -38,13 +39,11 @@ FLAT_M = 1e-9
 """Tolerance in metres for convexity: depth of a vertex inside its neighbours' chord."""
 
 
-def convex_pieces(polygon: shapely.Polygon) -> tuple[NDArray[np.float64], ...]:
-    """Decompose `polygon` exactly into convex polygons.
-
-    Constrained Delaunay triangles are merged across common edges, longest first, while the result
-    stays convex (Hertel and Mehlhorn 1983: at most four times the minimum number of pieces). No
-    vertices are added, so pieces share whole edges.
-    """
+def convex_pieces(polygon: shapely.Polygon) -> tuple[Floats, ...]:
+    """Decompose `polygon` exactly into convex polygons."""
+    # Constrained Delaunay triangles are merged across common edges, longest first, while the result
+    # stays convex (Hertel and Mehlhorn 1983: at most four times the minimum number of pieces). No
+    # vertices are added, so pieces share whole edges.
     outline = _ring(polygon)
     if not polygon.interiors and _is_convex(outline):
         return (_corners(outline),)
@@ -76,7 +75,7 @@ def _is_convex(ring: list[Vertex]) -> bool:
     return all(_is_convex_turn(ring[i - 2], ring[i - 1], vertex) for i, vertex in enumerate(ring))
 
 
-def _corners(ring: list[Vertex]) -> NDArray[np.float64]:
+def _corners(ring: list[Vertex]) -> Floats:
     """Return the corners of the convex hull of `ring`, counter-clockwise."""
     hull = shapely.MultiPoint(ring).convex_hull
     if not isinstance(hull, shapely.Polygon):
@@ -122,34 +121,33 @@ class PackedPieces:
     """Convex pieces of all obstacles as padded arrays."""
 
     # (k, v, 2) corners, counter-clockwise, padded by repeating the last one
-    vertices_m: NDArray[np.float64]
+    vertices_m: Floats
     # (k, v, 2) outward unit normals of the edges from those corners, padded by the last one
-    normals: NDArray[np.float64]
+    normals: Floats
     corners: NDArray[np.int64]  # (k,) number of corners without padding
     # (k, 2) corners of the bounding boxes, for the candidate search
-    lower_m: NDArray[np.float64]
-    upper_m: NDArray[np.float64]
+    lower_m: Floats
+    upper_m: Floats
     obstacle: NDArray[np.int64]  # (k,) index of each piece's obstacle in the workspace
 
 
 @dataclass(frozen=True)
 class SeparatingLines:
-    """Up to c separating lines for each of s segments, nearest piece first.
+    """Up to c separating lines for each of s segments, nearest piece first."""
 
-    Both ends q of the segment satisfy ``normal . q - offset >= gap``; every corner v of the piece
-    satisfies ``normal . v <= offset``.
-    """
+    # Both ends q of the segment satisfy ``normal . q - offset >= gap``; every corner v of the piece
+    # satisfies ``normal . v <= offset``.
 
     # (s, c, 2) unit normals, pointing from the piece to the segment; 0 in empty slots
-    normals: NDArray[np.float64]
-    offsets: NDArray[np.float64]  # (s, c) in metres; `EMPTY_OFFSET_M` in empty slots
+    normals: Floats
+    offsets: Floats  # (s, c) in metres; `EMPTY_OFFSET_M` in empty slots
     # (s, c) distance in metres, negative for overlaps; infinite in empty slots
-    gaps: NDArray[np.float64]
+    gaps: Floats
     piece: NDArray[np.int64]  # (s, c) index of the piece; -1 in empty slots
     # (s, c) offsets at the segment's start, for lines that move during a step
-    start_offsets: NDArray[np.float64]
+    start_offsets: Floats
 
-    def rows(self, kept_m: float) -> NDArray[np.float64]:
+    def rows(self, kept_m: float) -> Floats:
         """Return normals with end and start offsets (s, c, 4), shifted outward by `kept_m`."""
         kept = np.where(np.isfinite(self.gaps), kept_m, 0.0)
         offsets = np.stack([self.offsets + kept, self.start_offsets + kept], axis=2)
@@ -212,11 +210,7 @@ def pack_pieces(workspace: Workspace) -> PackedPieces:
 
 
 def separating_lines(
-    pieces: PackedPieces,
-    starts_m: NDArray[np.float64],
-    ends_m: NDArray[np.float64],
-    count: int,
-    reach_m: float,
+    pieces: PackedPieces, starts_m: Floats, ends_m: Floats, count: int, reach_m: float
 ) -> SeparatingLines:
     """Return the separating lines of each segment from its nearest pieces."""
     # Shapes: starts_m, ends_m (s, 2).
@@ -235,8 +229,8 @@ def separating_lines(
 
 def lines_for(
     pieces: PackedPieces,
-    starts_m: NDArray[np.float64],
-    ends_m: NDArray[np.float64],
+    starts_m: Floats,
+    ends_m: Floats,
     piece_ids: NDArray[np.int64],  # (s, c)
 ) -> SeparatingLines:
     """Return the separating lines of each segment from the pieces `piece_ids`."""
@@ -252,9 +246,9 @@ def lines_for(
 def _fill(
     lines: SeparatingLines,
     slots: Any,
-    normals: NDArray[np.float64],
-    offsets: NDArray[np.float64] | float,
-    gaps: NDArray[np.float64] | float,
+    normals: Floats,
+    offsets: Floats | float,
+    gaps: Floats | float,
     piece: NDArray[np.int64] | int,
 ) -> None:
     """Write static lines into the `slots` of a table."""
@@ -265,7 +259,7 @@ def _fill(
 
 
 def _candidates(
-    pieces: PackedPieces, starts_m: NDArray[np.float64], ends_m: NDArray[np.float64], reach_m: float
+    pieces: PackedPieces, starts_m: Floats, ends_m: Floats, reach_m: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return pairs (segment, piece) whose bounding boxes are within `reach_m` of each other."""
     lower, upper = np.minimum(starts_m, ends_m), np.maximum(starts_m, ends_m)
@@ -283,11 +277,8 @@ def _candidates(
 
 
 def _best_lines(
-    pieces: PackedPieces,
-    starts_m: NDArray[np.float64],
-    ends_m: NDArray[np.float64],
-    piece: NDArray[np.int64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    pieces: PackedPieces, starts_m: Floats, ends_m: Floats, piece: NDArray[np.int64]
+) -> tuple[Floats, Floats, Floats]:
     """Return normals (p, 2), offsets (p,) and gaps (p,) of the best line of each pair."""
     # The gap of a unit normal n is ``min(n . a, n . b) - max(n . v)``. Its maximum over n is the
     # distance of the convex sets, or minus their penetration depth. The maximiser is a normal of an
@@ -321,12 +312,12 @@ def _best_lines(
     return normal, _dot(normal, starts_m) + _row_of(support, best), _row_of(gap, best)
 
 
-def _dot(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+def _dot(a: Floats, b: Floats) -> Floats:
     """Return dot products over the last axis of length 2."""
     return a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
 
 
-def _row_of(table: NDArray[np.float64], column: NDArray[np.int64]) -> NDArray[np.float64]:
+def _row_of(table: Floats, column: NDArray[np.int64]) -> Floats:
     """Return entry `column` (p,) of each row of `table` (p, w, ...)."""
     return table[np.arange(len(table)), column]
 
@@ -337,18 +328,16 @@ TOUCHING_M = 1e-9
 
 def moving_lines(
     discs: MovingDiscs,
-    path_m: NDArray[np.float64],  # (N + 1, 2) initial guess, from the robot's position
+    path_m: Floats,  # (N + 1, 2) initial guess, from the robot's position
     clearance_m: float,
     count: int,
     reach_m: float,
-    needed: NDArray[np.bool_] | None = None,  # (m, N)
+    needed: Mask | None = None,  # (m, N)
     pad_m: float = 0.0,
 ) -> SeparatingLines:
-    """Return the separating lines of each segment from its nearest discs.
-
-    Like obstacle lines, they are tangent to the disc, and the clearance is added later. A disc with
-    a different required distance is enlarged or shrunk by the difference.
-    """
+    """Return the separating lines of each segment from its nearest discs."""
+    # Like obstacle lines, they are tangent to the disc, and the clearance is added later. A disc
+    # with a different required distance is enlarged or shrunk by the difference.
     steps = len(path_m) - 1
     lines = empty_lines(steps, count)
     relative = path_m - discs.centres_m[:, : len(path_m)]
@@ -384,7 +373,7 @@ def tail_lines(
     discs: MovingDiscs,
     motion: TimedMotion,
     planned: int,
-    standstill_m: NDArray[np.float64],  # (2,)
+    standstill_m: Floats,  # (2,)
     clearance_m: float,
     count: int,
     reach_m: float,
@@ -393,7 +382,7 @@ def tail_lines(
     last, still = empty_lines(planned, count), empty_lines(1, count)
     whole = motion.lasting(discs.steps)
     own, bulges = whole.places_m[planned:], whole.bulges_m[planned:]
-    found: list[tuple[float, NDArray[np.float64]]] = []
+    found: list[tuple[float, Floats]] = []
     for number in range(len(discs)):
         steps = discs.counted_steps(number, motion)
         if steps <= planned:

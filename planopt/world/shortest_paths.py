@@ -1,18 +1,22 @@
-"""Shortest paths around obstacles from one position, by a lazily built visibility graph.
+"""Shortest paths around obstacles, which consist of straight segments between corners.
 
-Shortest paths consist of straight segments between corners of the inflated obstacles.
+:func:`shortest_paths` searches from one position by a lazily built visibility graph, for robots and
+pursuers among many obstacles. :class:`FreeArea` holds the distances between all corners of an area,
+for the many agents of a network.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
+from scipy.sparse.csgraph import dijkstra  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.world.clearance import ObstacleIndex, clearance_m, segment_lines
 
 INNER_SHARE = 0.98
@@ -33,31 +37,29 @@ MAX_CORNERS = 600
 class ShortestPaths:
     """Shortest paths from one position up to a maximum length."""
 
-    start_m: NDArray[np.float64]  # (2,)
+    start_m: Floats  # (2,)
     radius_m: float  # Maximum path length
     closed: shapely.STRtree  # Inflated obstacles
     # Connected component of free space; None without obstacles
     joined: shapely.Geometry | None
     # (n, 2) corners at which paths turn, (n,) path lengths to them, ascending, and (n,) indices of
     # the previous corners, -1 for the start
-    corners_m: NDArray[np.float64]
-    length_m: NDArray[np.float64]
-    before: NDArray[np.intp]
+    corners_m: Floats
+    length_m: Floats
+    before: Indices
 
 
 def shortest_paths(
     index: ObstacleIndex,
     bounds_m: tuple[float, float, float, float],
-    start_m: NDArray[np.float64],
+    start_m: Floats,
     clearance: float,
     radius_m: float,
     inner: bool,
 ) -> ShortestPaths:
-    """Find the shortest paths from `start_m` (2,) that keep `clearance`, up to `radius_m`.
-
-    With `inner`, obstacles are inflated slightly less and their corners are bevelled. Lengths are
-    then lower bounds, and every reachable position is found.
-    """
+    """Find the shortest paths from `start_m` (2,) that keep `clearance`, up to `radius_m`."""
+    # With `inner`, obstacles are inflated slightly less and their corners are bevelled. Lengths are
+    # then lower bounds, and every reachable position is found.
     nothing = ShortestPaths(
         start_m,
         radius_m,
@@ -101,9 +103,7 @@ def shortest_paths(
     )
 
 
-def is_near_joined(
-    paths: ShortestPaths, places_m: NDArray[np.float64], within_m: float
-) -> NDArray[np.bool_]:
+def is_near_joined(paths: ShortestPaths, places_m: Floats, within_m: float) -> Mask:
     """Return which positions (n, 2) are within `within_m` of the connected free space; (n,)."""
     if paths.joined is None:
         return np.ones(len(places_m), dtype=np.bool_)
@@ -111,12 +111,12 @@ def is_near_joined(
     return np.asarray(shapely.dwithin(paths.joined, points, within_m), dtype=np.bool_)
 
 
-def path_lengths_m(paths: ShortestPaths, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def path_lengths_m(paths: ShortestPaths, places_m: Floats) -> Floats:
     """Return path lengths to positions (n, 2), infinite beyond the radius; ``(n,)``."""
     return _last_turns(paths, places_m)[0]
 
 
-def turns_m(paths: ShortestPaths, place_m: NDArray[np.float64]) -> NDArray[np.float64] | None:
+def turns_m(paths: ShortestPaths, place_m: Floats) -> Floats | None:
     """Return the turns (k, 2) of the path to `place_m`, the last point; None without a path."""
     length, last = _last_turns(paths, place_m[None])
     if not np.isfinite(length[0]):
@@ -128,9 +128,7 @@ def turns_m(paths: ShortestPaths, place_m: NDArray[np.float64]) -> NDArray[np.fl
     return np.array(turns[::-1])
 
 
-def _last_turns(
-    paths: ShortestPaths, places_m: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+def _last_turns(paths: ShortestPaths, places_m: Floats) -> tuple[Floats, Indices]:
     """Return the path length to each position (n, 2) and its last corner, -1 if none."""
     length, last = np.full(len(places_m), np.inf), np.full(len(places_m), -1, dtype=np.intp)
     open_ = np.flatnonzero(is_near_joined(paths, places_m, 0.0))
@@ -158,7 +156,7 @@ def grown(polygons: NDArray[np.object_], by_m: float, inner: bool) -> NDArray[np
     return np.asarray(grown, dtype=np.object_)
 
 
-def corners_m(polygons: NDArray[np.object_], free: bool = False) -> NDArray[np.float64]:
+def corners_m(polygons: NDArray[np.object_], free: bool = False) -> Floats:
     """Return the corners (n, 2) at which shortest paths turn, i.e. convex obstacle corners."""
     # The polygons are obstacles, or free space if `free` is set.
     found = [np.zeros((0, 2))]
@@ -178,11 +176,8 @@ def corners_m(polygons: NDArray[np.object_], free: bool = False) -> NDArray[np.f
 
 
 def _lengths_to_corners(
-    closed: shapely.STRtree,
-    start_m: NDArray[np.float64],
-    corners_m: NDArray[np.float64],
-    radius_m: float,
-) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    closed: shapely.STRtree, start_m: Floats, corners_m: Floats, radius_m: float
+) -> tuple[Floats, Indices]:
     """Return path lengths and previous corners, by Dijkstra's algorithm on a lazy graph."""
     length = np.full(len(corners_m), np.inf)
     before = np.full(len(corners_m), -1, dtype=np.intp)
@@ -201,18 +196,122 @@ def _lengths_to_corners(
         here, driven = corners_m[turn], float(length[turn])
 
 
-def _sees(
-    closed: shapely.STRtree, place_m: NDArray[np.float64], others_m: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def _sees(closed: shapely.STRtree, place_m: Floats, others_m: Floats) -> Mask:
     """Return which segments from `place_m` to others (n, 2) avoid inflated obstacles; (n,)."""
     free = np.ones(len(others_m), dtype=np.bool_)
     if len(others_m) and len(closed.geometries):
         lines = segment_lines(np.broadcast_to(place_m, others_m.shape), others_m)
         for predicate in ("crosses", "within"):
-            hit = cast("NDArray[np.intp]", closed.query(lines[free], predicate=predicate))[0]
+            hit = cast("Indices", closed.query(lines[free], predicate=predicate))[0]
             free[np.flatnonzero(free)[hit]] = False
     return free
 
 
-def _away(places_m: NDArray[np.float64], place_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _away(places_m: Floats, place_m: Floats) -> Floats:
     return np.linalg.norm(places_m - place_m, axis=1)
+
+
+SLACK = 1e-9
+"""Rounding tolerance of positions outside an area, as a share of its extent; lines of sight get
+twice as much."""
+
+
+@dataclass(frozen=True, eq=False)
+class FreeArea:
+    """Area with the shortest paths between all its corners; :func:`free_area` builds it."""
+
+    polygon: shapely.Polygon  # Allowed positions
+    slack_m: float  # Distance outside up to which a position still counts as on the boundary
+    # Boundary moved outward by more than `slack_m`; a line between two allowed positions leaves the
+    # area if it intersects this boundary
+    border: shapely.Geometry
+    corners_m: Floats  # (c, 2) corners at which shortest paths may turn
+    between_m: Floats  # (c, c) shortest distances between them
+
+    def allows(self, places_m: Floats) -> Mask:
+        """Return whether positions (k, 2) are in the area; (k,)."""
+        points = shapely.points(places_m)
+        return np.asarray(shapely.dwithin(self.polygon, points, self.slack_m), dtype=np.bool_)
+
+    def nearest(self, places_m: Floats) -> Floats:
+        """Project positions (k, 2) onto the area."""
+        moved, out = np.array(places_m, dtype=np.float64), ~self.allows(places_m)
+        moved[out] = nearest_places(self.polygon, moved[out])
+        return moved
+
+    def sees(self, starts_m: Floats, ends_m: Floats) -> Mask:
+        """Return whether the lines between allowed positions (k, 2) stay in the area; (k,)."""
+        lines = segment_lines(starts_m, ends_m)
+        return ~np.asarray(shapely.intersects(self.border, lines), dtype=np.bool_)
+
+    def sees_each(self, places_m: Floats, others_m: Floats) -> Mask:
+        """Return the visibility (k, l) between allowed positions (k, 2) and (l, 2)."""
+        count, other = len(places_m), len(others_m)
+        starts, ends = np.repeat(places_m, other, axis=0), np.tile(others_m, (count, 1))
+        return self.sees(starts, ends).reshape(count, other)
+
+    def to_corners_m(self, starts_m: Floats) -> tuple[Floats, Indices]:
+        """Return lengths (n, c) of shortest paths from positions to corners, and first corners."""
+        # Lengths are infinite for a position that sees no corner.
+        away = np.linalg.norm(starts_m[:, None] - self.corners_m, axis=2)
+        away[~self.sees_each(starts_m, self.corners_m)] = np.inf
+        length, first = np.empty(away.shape), np.zeros(away.shape, dtype=np.intp)
+        if not len(self.corners_m):
+            return length, first
+        for row, own in enumerate(away):
+            through = own[:, None] + self.between_m
+            length[row] = through.min(axis=0)
+            # A path that starts at a corner is directed toward the next one.
+            at = own <= self.slack_m
+            if at.any() and not at.all():
+                through[at] += self.slack_m
+            first[row] = through.argmin(axis=0)
+        return length, first
+
+    def last_legs_m(self, ends_m: Floats, sees: Mask) -> Floats:
+        """Return distances (k, c) from ends to corners; infinite for corners out of sight."""
+        legs = np.linalg.norm(ends_m[:, None] - self.corners_m, axis=2)
+        legs[~sees] = np.inf
+        return legs
+
+    def distances_m(self, starts_m: Floats, ends_m: Floats) -> Floats:
+        """Return the lengths (n, k) of shortest paths between allowed positions."""
+        found = np.linalg.norm(starts_m[:, None] - ends_m, axis=2)
+        found[~self.sees_each(starts_m, ends_m)] = np.inf
+        last = self.last_legs_m(ends_m, self.sees_each(ends_m, self.corners_m))
+        for length, leg in zip(self.to_corners_m(starts_m)[0].T, last.T, strict=True):
+            found = np.minimum(found, length[:, None] + leg)
+        return found
+
+    def first_turns_m(self, starts_m: Floats, ends_m: Floats) -> tuple[Floats, Floats]:
+        """Return the ends (k, 2) of the first legs of shortest paths, and path lengths (k,)."""
+        length, turn = np.linalg.norm(ends_m - starts_m, axis=1), ends_m.copy()
+        blind = np.flatnonzero(~self.sees(starts_m, ends_m))
+        if len(blind) and len(self.corners_m):
+            reach, first = self.to_corners_m(starts_m[blind])
+            sees = self.sees_each(ends_m[blind], self.corners_m)
+            through = reach + self.last_legs_m(ends_m[blind], sees)
+            best, own = through.argmin(axis=1), np.arange(len(blind))
+            length[blind] = through[own, best]
+            turn[blind] = self.corners_m[first[own, best]]
+        return turn, length
+
+
+def free_area(polygon: shapely.Polygon) -> FreeArea:
+    """Prepare the shortest paths in a polygon with holes."""
+    slack = SLACK * float(np.ptp(np.asarray(polygon.bounds).reshape(2, 2), axis=0).max())
+    border = shapely.boundary(shapely.buffer(polygon, 2.0 * slack, join_style="mitre"))
+    shapely.prepare(polygon)
+    shapely.prepare(border)
+    corners = np.unique(corners_m(np.array([polygon]), free=True), axis=0)
+    straight = np.linalg.norm(corners[:, None] - corners, axis=2)
+    area = FreeArea(polygon, slack, border, corners, straight)
+    straight[~area.sees_each(corners, corners)] = 0.0
+    between = np.asarray(dijkstra(straight), dtype=np.float64) if len(corners) else straight
+    return replace(area, between_m=between)
+
+
+def nearest_places(area: shapely.Polygon, places_m: Floats) -> Floats:
+    """Project positions (k, 2) onto an area."""
+    links = shapely.shortest_line(area, shapely.points(places_m))  # pyright: ignore[reportUnknownMemberType]
+    return np.asarray(shapely.get_coordinates(links), dtype=np.float64)[::2]

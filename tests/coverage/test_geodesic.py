@@ -38,7 +38,7 @@ def free_places(
 ) -> NDArray[np.float64]:
     """Draw places where agents may be."""
     drawn = 100.0 * generator.random((10 * count, 2))
-    return drawn[np.asarray(shapely.intersects(region.allowed, shapely.points(drawn)))][:count]
+    return drawn[np.asarray(shapely.intersects(region.area.polygon, shapely.points(drawn)))][:count]
 
 
 @pytest.fixture(scope="module")

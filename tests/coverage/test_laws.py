@@ -100,7 +100,7 @@ def test_agents_drive_round_walls_to_their_event(walled: GeodesicGround) -> None
         share = float(gains.shares(responds, 1.0)[0])
         targets = walled.steered(agents, event, share)
         moved = law_moves(agents, targets, responds, gains, 1.0, 3.0)
-        assert walled.sees(agents, moved).all()
+        assert walled.area.sees(agents, moved).all()
         after = walled.distances_m(moved, event[:1])[:, 0]
         driven = np.linalg.norm(moved - agents, axis=1)
         assert before - after == pytest.approx(driven, abs=1e-6)

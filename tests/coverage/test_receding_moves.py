@@ -248,7 +248,7 @@ def test_corridors_hold_no_border(blocks: GeodesicGround) -> None:
         assert shapely.contains(blocks.free, shapely.points(near[inside])).all()
         away = shapely.distance(shapely.boundary(blocks.free), shapely.points(near[inside]))
         assert away.min() >= 0.6 - 1e-6
-        if blocks.sees(agent[None], aim[None])[0]:
+        if blocks.area.sees(agent[None], aim[None])[0]:
             length = float(np.linalg.norm(aim - agent))
             reached = agent + (aim - agent) * min(1.0, 25.0 / length)
             assert (one.normals @ reached <= one.offsets_m + 1e-9).all()

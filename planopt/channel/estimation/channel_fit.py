@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Literal, cast, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.channel.long_logs import ReceiverOffset
 from planopt.channel.parameters import ChannelParameters
 from planopt.errors import InputError
@@ -203,13 +203,13 @@ class ChannelFit:
     status: Literal["ok", "weak", "degenerate"]
     parameters: ChannelParameters
     standard_errors: dict[str, float]
-    theta_covariance: NDArray[np.float64]
+    theta_covariance: Floats
     measurements: int
     censored: int
     warnings: tuple[str, ...]
     log_likelihood: float | None
     receiver_offsets: tuple[ReceiverOffset, ...] = ()
-    station_covariance_m2: NDArray[np.float64] | None = None
+    station_covariance_m2: Floats | None = None
     other_modes: tuple[OtherMode, ...] = ()
 
     __repr__ = short_repr

@@ -25,9 +25,9 @@ import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares as nonlinear_least_squares
 
+from planopt.arrays import Floats
 from planopt.channel.estimation.channel_fit import (
     CovarianceBounds,
     CovarianceFit,
@@ -65,14 +65,14 @@ SCAN = 60
 class EmpiricalCorrelation:
     """Empirical correlation of residuals in non-empty bins, by increasing lag."""
 
-    lag_m: NDArray[np.float64]  # (b,) mean distance of the bin's pairs
-    covariance_db2: NDArray[np.float64]  # (b,) mean product of the residuals, r-hat
-    pairs: NDArray[np.float64]  # (b,) number of pairs
+    lag_m: Floats  # (b,) mean distance of the bin's pairs
+    covariance_db2: Floats  # (b,) mean product of the residuals, r-hat
+    pairs: Floats  # (b,) number of pairs
 
 
 def empirical_correlation(
-    positions_m: NDArray[np.float64],  # (n, 2)
-    residual_db: NDArray[np.float64],  # (n,)
+    positions_m: Floats,  # (n, 2)
+    residual_db: Floats,  # (n,)
     extent_m: float,
 ) -> EmpiricalCorrelation:
     """Return the mean product of residuals over all pairs of distinct measurements, by lag."""
@@ -118,9 +118,9 @@ def fit_correlation(
 class LogBins:
     """Logarithms of binned correlations, to which a line is fitted."""
 
-    lag_m: NDArray[np.float64]  # (b,)
-    log_covariance: NDArray[np.float64]  # (b,) log r-hat
-    weight: NDArray[np.float64]  # (b,) tau
+    lag_m: Floats  # (b,)
+    log_covariance: Floats  # (b,) log r-hat
+    weight: Floats  # (b,) tau
 
 
 def log_bins(
@@ -222,7 +222,7 @@ def nls_fit(
     return from_correlation(float(x[0]) * alpha_db2, rate, errors, alpha_db2, count, bounds)
 
 
-def _scatter(bins: LogBins, intercept: float, rate_per_m: float) -> NDArray[np.float64]:
+def _scatter(bins: LogBins, intercept: float, rate_per_m: float) -> Floats:
     """Return residuals of equal variance, sqrt(tau) (log r - intercept + rate d), sum(tau) = 1."""
     scatter = bins.log_covariance - intercept + rate_per_m * bins.lag_m
     return np.sqrt(bins.weight / bins.weight.sum()) * scatter

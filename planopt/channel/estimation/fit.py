@@ -10,9 +10,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import bdtrc  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.arrays import Floats, Indices
 from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.estimation.channel_fit import (
     FALLBACK_TOTAL_VARIANCE_DB2,
@@ -62,9 +62,7 @@ class _FitInput:
     allows: Identifiability
     forgetting_s: float
 
-    def parameters(
-        self, coefficients: NDArray[np.float64], covariance: Covariance
-    ) -> ChannelParameters:
+    def parameters(self, coefficients: Floats, covariance: Covariance) -> ChannelParameters:
         """Return the channel parameters of an estimate."""
         k_pl, n_pl = self.model.theta(coefficients)
         shadow, nugget, beta = covariance
@@ -84,8 +82,8 @@ class _Estimate:
     """Estimated covariance and mean, with notes for the user."""
 
     covariance: CovarianceFit
-    coefficients: NDArray[np.float64]
-    coefficient_covariance: NDArray[np.float64]
+    coefficients: Floats
+    coefficient_covariance: Floats
     notes: tuple[str, ...] = ()
     reml: RemlFit | None = None
 
@@ -140,10 +138,7 @@ def _by_assumption(data: _FitInput, reason: str) -> _Estimate:
 
 
 def _with_line(
-    coefficients: NDArray[np.float64],
-    data: _FitInput,
-    covariance: CovarianceFit,
-    notes: tuple[str, ...] = (),
+    coefficients: Floats, data: _FitInput, covariance: CovarianceFit, notes: tuple[str, ...] = ()
 ) -> _Estimate:
     """Return the estimate of a least-squares line under the shadowing of `covariance`."""
     parameters = data.parameters(coefficients, covariance.values)
@@ -251,13 +246,13 @@ def suspected_floor(measurements: Measurements) -> str | None:
     )
 
 
-def floor_pile_dbm(power_dbm: NDArray[np.float64]) -> float | None:
+def floor_pile_dbm(power_dbm: Floats) -> float | None:
     """Return the lowest power if it occurs too often for the end of a range, else None."""
     values, counts = np.unique(power_dbm, return_counts=True)
     return float(values[0]) if len(values) > 1 and _is_pile(counts) else None
 
 
-def _is_pile(counts: NDArray[np.intp]) -> bool:
+def _is_pile(counts: Indices) -> bool:
     """Return whether the count of the lowest value is too high for the end of a range."""
     pile, beside = int(counts[0]), int(counts[1 : 1 + PILE_NEIGHBOURS].max())
     if pile < LEAST_PILE:

@@ -15,9 +15,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import log_ndtr  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.arrays import Floats
 from planopt.channel.gaussian_sites import rounded_variance_db2
 from planopt.channel.measurements import (
     Measurements,
@@ -98,7 +98,7 @@ def require_usable(measurements: Measurements, station: Station | None) -> None:
         )
 
 
-def _n_pl_reason(positions: NDArray[np.float64], station: Station, count: int) -> str | None:
+def _n_pl_reason(positions: Floats, station: Station, count: int) -> str | None:
     """Return the reason why n_PL cannot be estimated, or None."""
     if count < MIN_MEASUREMENTS_THETA:
         return f"{count} uncensored measurements are fewer than {MIN_MEASUREMENTS_THETA}"
@@ -107,7 +107,7 @@ def _n_pl_reason(positions: NDArray[np.float64], station: Station, count: int) -
     return None
 
 
-def _covariance_reason(positions: NDArray[np.float64], count: int) -> str | None:
+def _covariance_reason(positions: Floats, count: int) -> str | None:
     """Return the reason why xi, beta and omega cannot be estimated, or None."""
     if count < MIN_MEASUREMENTS_COVARIANCE:
         return f"{count} uncensored measurements are fewer than {MIN_MEASUREMENTS_COVARIANCE}"
@@ -116,7 +116,7 @@ def _covariance_reason(positions: NDArray[np.float64], count: int) -> str | None
     return None
 
 
-def _decorrelation_bounds_m(distinct: NDArray[np.float64], extent_m: float) -> tuple[float, float]:
+def _decorrelation_bounds_m(distinct: Floats, extent_m: float) -> tuple[float, float]:
     """Return bounds of beta from distinct positions (n, 2)."""
     if len(distinct) < 2:
         return FALLBACK_DECORRELATION_M, FALLBACK_DECORRELATION_M
@@ -125,7 +125,7 @@ def _decorrelation_bounds_m(distinct: NDArray[np.float64], extent_m: float) -> t
     return min(spacing, extent_m) / 3.0, extent_m
 
 
-def nearest_distance_m(positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def nearest_distance_m(positions_m: Floats) -> Floats:
     """Return the distance of each position (n, 2) from its nearest neighbour; (n,)."""
     return PlaceTree(positions_m).nearest(positions_m, 2)[1][:, 1]
 
@@ -146,8 +146,8 @@ ROWS = 512
 class LeastSquares:
     """Least-squares fit of the mean model."""
 
-    coefficients: NDArray[np.float64]  # (p,) of the mean model (theta-hat for p = 2)
-    residual_db: NDArray[np.float64]  # (n,) completed power minus the line, Y_c of equation 2.1
+    coefficients: Floats  # (p,) of the mean model (theta-hat for p = 2)
+    residual_db: Floats  # (n,) completed power minus the line, Y_c of equation 2.1
     # alpha-hat: mean squared residual (divided by n), plus the conditional variance of censored
     # powers, less the variance of rounding (Sheppard's correction)
     variance_db2: float
@@ -185,7 +185,7 @@ def least_squares(model: MeanModel, measurements: Measurements) -> LeastSquares:
 
 def coefficient_covariance(
     model: MeanModel, measurements: Measurements, parameters: ChannelParameters
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the covariance (p, p) of least-squares coefficients under correlated shadowing."""
     # It is (G'G)^-1 G' U G (G'G)^-1 with U the measurements' covariance. The usual alpha (G'G)^-1
     # is several times too small if beta spans many measurements.
@@ -206,13 +206,13 @@ def coefficient_covariance(
     return 0.5 * (spread + spread.T)
 
 
-def receiver_columns(measurements: Measurements) -> NDArray[np.float64]:
+def receiver_columns(measurements: Measurements) -> Floats:
     """Return indicator columns of all receivers except number 0; ``(n, R)``."""
     numbers = np.unique(measurements.receiver)
     return (measurements.receiver[:, None] == numbers[numbers != 0]).astype(np.float64)
 
 
-def _ridged_inverse(columns: NDArray[np.float64], free: int) -> NDArray[np.float64]:
+def _ridged_inverse(columns: Floats, free: int) -> Floats:
     """Return the pseudoinverse (q, n) of `columns`, with a ridge on all but the first `free`."""
     if columns.shape[1] == free:
         return np.asarray(np.linalg.pinv(columns), dtype=np.float64)
@@ -221,9 +221,7 @@ def _ridged_inverse(columns: NDArray[np.float64], free: int) -> NDArray[np.float
     return whole[:, : len(columns)]
 
 
-def _expected_below(
-    limit: NDArray[np.float64], mean: NDArray[np.float64], variance: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _expected_below(limit: Floats, mean: Floats, variance: float) -> tuple[Floats, Floats]:
     """Return mean and variance of N(mean, variance) truncated above at `limit`; (m,) each."""
     deviation = np.sqrt(max(variance, 1e-12))
     z = (limit - mean) / deviation

@@ -32,8 +32,8 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.channel.cholesky import (
     factor_and_inverse,
     factor_and_whitened,
@@ -90,25 +90,25 @@ class LikelihoodData:
     known: ChannelParameters  # The forgetting time and the station, which are not estimated
     origins: Origins  # (n) of the measurements; receivers' offsets are coefficients here
     # (n, q): p columns of the mean model, then indicators of all receivers except number 0
-    columns: NDArray[np.float64]
-    prior_precision: NDArray[np.float64]  # (q,) of the coefficients; the first p are 0 (flat)
-    line: NDArray[np.float64]  # (p,) coefficients of the line subtracted from the powers
-    values_db: NDArray[np.float64]  # (n,) powers less the mean model's offset and the line
+    columns: Floats
+    prior_precision: Floats  # (q,) of the coefficients; the first p are 0 (flat)
+    line: Floats  # (p,) coefficients of the line subtracted from the powers
+    values_db: Floats  # (n,) powers less the mean model's offset and the line
     # (n,) variance of rounding, and of path loss due to position errors
-    fixed_db2: NDArray[np.float64]
-    gaussian: NDArray[np.bool_]  # (n,) false for intervals
-    measured: NDArray[np.bool_]  # (n,) false for censored measurements
+    fixed_db2: Floats
+    gaussian: Mask  # (n,) false for intervals
+    measured: Mask  # (n,) false for censored measurements
     intervals: IntervalRows | None
     log_steps: float  # Sum of log r over the coarsely rounded measurements
     windows: tuple[Window, ...]
-    distances_m: tuple[NDArray[np.float64], ...]  # Within each window, position errors included
+    distances_m: tuple[Floats, ...]  # Within each window, position errors included
 
     @property
     def is_whole(self) -> bool:
         """Return whether there is only one window."""
         return len(self.windows) == 1
 
-    def part(self, taken: NDArray[np.bool_]) -> LikelihoodData:
+    def part(self, taken: Mask) -> LikelihoodData:
         """Return a subset of the Gaussian measurements as one window."""
         origins, every = self.origins.at(np.flatnonzero(taken)), np.ones(int(taken.sum()), np.bool_)
         windows = (Window(np.zeros(0, dtype=np.intp), np.arange(len(every))),)
@@ -126,7 +126,7 @@ class LikelihoodData:
             distances_m=_distances_m(origins, windows),
         )
 
-    def flat_columns(self) -> NDArray[np.float64]:
+    def flat_columns(self) -> Floats:
         """Return a basis of the columns, for offsets under a flat prior; ``(n, k)``."""
         # Offsets are left out if fewer than `LEAST_FREEDOM` degrees of freedom would remain.
         mean = self.columns[:, : len(self.line)]
@@ -136,7 +136,7 @@ class LikelihoodData:
         basis = basis[:, spread > RANK_TOLERANCE * spread[0]]
         return basis if len(basis) - basis.shape[1] >= LEAST_FREEDOM else mean
 
-    def correlation(self, window: int, decorrelation_m: float) -> NDArray[np.float64]:
+    def correlation(self, window: int, decorrelation_m: float) -> Floats:
         """Return the correlation of shadowing in a window: exp(-d / beta) times the age factor."""
         correlation = np.exp(self.distances_m[window] * (-1.0 / decorrelation_m))
         if self.origins.time_s is not None:
@@ -149,7 +149,7 @@ def likelihood_data(
     model: MeanModel,
     measurements: Measurements,
     known: ChannelParameters,
-    as_interval: NDArray[np.bool_] | None = None,  # (n,); None for the censored ones
+    as_interval: Mask | None = None,  # (n,); None for the censored ones
     block_decorrelation_m: tuple[float, float] | None = None,
 ) -> LikelihoodData:
     """Return measurements as one window, or as blocks for a range of decorrelation distances."""
@@ -199,7 +199,7 @@ def likelihood_data(
     )
 
 
-def _distances_m(origins: Origins, windows: tuple[Window, ...]) -> tuple[NDArray[np.float64], ...]:
+def _distances_m(origins: Origins, windows: tuple[Window, ...]) -> tuple[Floats, ...]:
     return tuple(own_distance_m(origins.at(window.rows)) for window in windows)
 
 
@@ -215,11 +215,11 @@ MEAN_TOLERANCE = 0.2
 class Precision:
     """Inverse covariance of all measurements, and the terms of the projection P."""
 
-    half: NDArray[np.float64]  # (n, n) upper half of V^-1, zeros below
-    weights: NDArray[np.float64]  # (n, q) V^-1 X
-    spread: NDArray[np.float64]  # (q, q) S
+    half: Floats  # (n, n) upper half of V^-1, zeros below
+    weights: Floats  # (n, q) V^-1 X
+    spread: Floats  # (q, q) S
 
-    def projection(self) -> NDArray[np.float64]:
+    def projection(self) -> Floats:
         """Return P = V^-1 - V^-1 X S X' V^-1, ``(n, n)``."""
         whole = self.half + np.triu(self.half, 1).T
         return whole - self.weights @ self.spread @ self.weights.T
@@ -230,13 +230,13 @@ class Evaluation:
     """Value and derivatives of the restricted likelihood at a point."""
 
     log_likelihood: float  # Log L, constants included
-    gradient: NDArray[np.float64]  # (3,) with respect to xi^2, omega^2, beta
+    gradient: Floats  # (3,) with respect to xi^2, omega^2, beta
     # (3, 3) approximate negative Hessian, positive semidefinite, with sites as measurements: the
     # average of observed and expected information, y' P dV_i P dV_j P y / 2, for one window;
     # the expected information for several
-    information: NDArray[np.float64]
-    coefficients: NDArray[np.float64]  # (p,) of the mean, by generalised least squares
-    coefficient_covariance: NDArray[np.float64]  # (p, p) covariance of `coefficients`
+    information: Floats
+    coefficients: Floats  # (p,) of the mean, by generalised least squares
+    coefficient_covariance: Floats  # (p, p) covariance of `coefficients`
     precision: Precision | None  # None for several windows
 
 
@@ -254,7 +254,7 @@ class RestrictedLikelihood:
             return self._whole(covariance, site_tolerance)
         return self._blocks(covariance)
 
-    def information(self, covariance: Covariance, at: Evaluation) -> NDArray[np.float64]:
+    def information(self, covariance: Covariance, at: Evaluation) -> Floats:
         """Return the expected information (3, 3), the inverse of the parameters' covariance.
 
         `at` is the evaluation at the same point.
@@ -368,14 +368,12 @@ class _Sums:
     """Sums over windows: log |V|, C' V^-1 C, their derivatives, and the information."""
 
     log_determinant: float
-    products: NDArray[np.float64]
-    log_slopes: NDArray[np.float64]
-    product_slopes: NDArray[np.float64]
-    information: NDArray[np.float64]
+    products: Floats
+    log_slopes: Floats
+    product_slopes: Floats
+    information: Floats
 
-    def estimate(
-        self, prior_precision: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def estimate(self, prior_precision: Floats) -> tuple[Floats, Floats]:
         """Return the generalised least-squares coefficients and their covariance S."""
         spread = np.asarray(
             np.linalg.inv(self.products[1:, 1:] + np.diag(prior_precision)), dtype=np.float64
@@ -386,7 +384,7 @@ class _Sums:
 def _evaluation(
     data: LikelihoodData,
     sums: _Sums,
-    estimate: tuple[NDArray[np.float64], NDArray[np.float64]],  # From `_Sums.estimate`
+    estimate: tuple[Floats, Floats],  # From `_Sums.estimate`
     nugget_slope: float,  # d(log probability of the intervals) / d omega^2, with sites fixed
     log_likelihood: float | None,  # None: computed from the sums
     log_factor: float,  # Log of the factor that turns sites as measurements into intervals
@@ -407,7 +405,7 @@ def _evaluation(
         )
     residual = np.concatenate([[1.0], -coefficients])
     slopes = sums.product_slopes
-    gradient: NDArray[np.float64] = -0.5 * (
+    gradient: Floats = -0.5 * (
         sums.log_slopes
         + np.einsum("ij,kij->k", spread, slopes[:, 1:, 1:])
         + slopes @ residual @ residual
@@ -424,8 +422,8 @@ def _evaluation(
 
 
 def _with_sites(
-    rows: IntervalRows, values: NDArray[np.float64], noise: NDArray[np.float64], sites: Sites
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    rows: IntervalRows, values: Floats, noise: Floats, sites: Sites
+) -> tuple[Floats, Floats]:
     """Return values and noise variances (n,), with sites for the intervals."""
     values, noise = values.copy(), noise.copy()
     values[rows.rows] = sites.values_db
@@ -435,8 +433,8 @@ def _with_sites(
 
 def _interval_prior(
     data: LikelihoodData,
-    latent_db2: NDArray[np.float64],  # (n, n) covariance of shadowing
-    noise_db2: NDArray[np.float64],  # (n,) of the Gaussian measurements
+    latent_db2: Floats,  # (n, n) covariance of shadowing
+    noise_db2: Floats,  # (n,) of the Gaussian measurements
 ) -> tuple[LatentPrior, float]:
     """Return the prior of intervals given the Gaussian measurements, and log L of the latter."""
     # If rounded intervals may be needed to determine theta, log L is taken at the line; the
@@ -476,8 +474,8 @@ def _interval_prior(
 def _window_sums(
     data: LikelihoodData,
     covariance: Covariance,
-    columns: NDArray[np.float64],  # (n, q + 1) C
-    noise_db2: NDArray[np.float64],  # (n,), sites as measurements
+    columns: Floats,  # (n, q + 1) C
+    noise_db2: Floats,  # (n,), sites as measurements
 ) -> _Sums:
     """Return the sums over blocks, each conditional on its earlier neighbours."""
     shadow, _, beta = covariance
@@ -521,8 +519,8 @@ def _window_sums(
 
 
 def _expected_information(
-    data: LikelihoodData, covariance: Covariance, projection: NDArray[np.float64]
-) -> NDArray[np.float64]:
+    data: LikelihoodData, covariance: Covariance, projection: Floats
+) -> Floats:
     """Return the expected information of (xi^2, omega^2, beta), tr(P dV_i P dV_j) / 2; (3, 3)."""
     # Intervals count as Gaussian sites. The variance of a rounded measurement is assumed to grow as
     # omega^2. Censored measurements carry no information on omega^2, so that its standard error is

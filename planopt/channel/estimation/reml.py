@@ -19,8 +19,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.estimation.channel_fit import (
     BOUND_TOLERANCE,
     CovarianceBounds,
@@ -39,8 +39,7 @@ from planopt.channel.gaussian_sites import needs_site
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, MeanModel
 
-Vector = NDArray[np.float64]
-Objective = Callable[[Vector], tuple[float, Vector, Vector]]
+Objective = Callable[[Floats], tuple[float, Floats, Floats]]
 """Function that returns value, gradient (k,) and curvature (k, k) at a point (k,)."""
 
 EXACT_ROWS = 2_000
@@ -96,7 +95,7 @@ THINNING_SEED = 20_000
 class Mode:
     """Local maximum of the likelihood."""
 
-    logs: Vector  # (3,) logarithms of xi^2, omega^2 and beta
+    logs: Floats  # (3,) logarithms of xi^2, omega^2 and beta
     at: Evaluation  # Likelihood at `logs`, with the mean by generalised least squares
 
     @property
@@ -136,20 +135,20 @@ def reml_fit(
     return RemlFit(_covariance_fit(likelihood, modes[0], box), modes[0], tuple(modes[1:]))
 
 
-def thinned(count: int, limit: int) -> NDArray[np.intp]:
+def thinned(count: int, limit: int) -> Indices:
     """Return sorted indices of at most `limit` of `count` measurements, drawn with a fixed seed."""
     if count <= limit:
         return np.arange(count)
     return np.sort(np.random.default_rng(THINNING_SEED).permutation(count)[:limit])
 
 
-def variances(logs: Vector) -> Covariance:
+def variances(logs: Floats) -> Covariance:
     """Return (xi^2, omega^2, beta) from their logarithms."""
     shadow, nugget, beta = np.exp(logs)
     return float(shadow), float(nugget), float(beta)
 
 
-def _starts(data: LikelihoodData, bounds: CovarianceBounds, box: Vector) -> list[Vector]:
+def _starts(data: LikelihoodData, bounds: CovarianceBounds, box: Floats) -> list[Floats]:
     """Return initial guesses: the maxima of a sample's likelihood."""
     taken = data.gaussian.copy()
     if data.is_whole:
@@ -164,7 +163,7 @@ def _starts(data: LikelihoodData, bounds: CovarianceBounds, box: Vector) -> list
     return [mode.logs for mode in _distinct(likelihood, tops)]
 
 
-def _grid_starts(sample: LikelihoodData, bounds: CovarianceBounds) -> list[Vector]:
+def _grid_starts(sample: LikelihoodData, bounds: CovarianceBounds) -> list[Floats]:
     """Return the best grid points and the local maxima over beta, with alpha profiled out."""
     low, high = bounds.decorrelation_m
     # The ends of the range are poor initial guesses, because the likelihood is flat there.
@@ -184,7 +183,7 @@ def _grid_starts(sample: LikelihoodData, bounds: CovarianceBounds) -> list[Vecto
 
 
 def _modes(
-    likelihood: RestrictedLikelihood, starts: Iterable[Vector], box: Vector, fine: float
+    likelihood: RestrictedLikelihood, starts: Iterable[Floats], box: Floats, fine: float
 ) -> list[Mode]:
     """Return the distinct optima reached from `starts`, except those that are much less likely."""
     found = _distinct(likelihood, [_climbed(likelihood, start, box, fine) for start in starts])
@@ -193,12 +192,12 @@ def _modes(
 
 
 def _climbed(
-    likelihood: RestrictedLikelihood, start: Vector, box: Vector, tolerance: float
+    likelihood: RestrictedLikelihood, start: Floats, box: Floats, tolerance: float
 ) -> Mode:
     """Return the optimum reached from `start` (3,) within `box` (3, 2), all in logarithms."""
     best: Mode | None = None
 
-    def objective(logs: Vector) -> tuple[float, Vector, Vector]:
+    def objective(logs: Floats) -> tuple[float, Floats, Floats]:
         nonlocal best
         at, values = likelihood.at(variances(logs)), np.exp(logs)
         if best is None or at.log_likelihood > best.at.log_likelihood:
@@ -228,7 +227,7 @@ def _distinct(likelihood: RestrictedLikelihood, modes: Iterable[Mode]) -> list[M
     return kept
 
 
-def _beyond_best(likelihood: RestrictedLikelihood, best: Mode, box: Vector) -> Vector | None:
+def _beyond_best(likelihood: RestrictedLikelihood, best: Mode, box: Floats) -> Floats | None:
     """Return a point with little instead of much multipath, or vice versa, as an initial guess."""
     # Returns None unless the likelihood there increases away from `best`.
     shadow, nugget, beta = best.covariance
@@ -249,7 +248,7 @@ def _beyond_best(likelihood: RestrictedLikelihood, best: Mode, box: Vector) -> V
     return logs if (slope < 0.0) == much else None
 
 
-def _covariance_fit(likelihood: RestrictedLikelihood, mode: Mode, box: Vector) -> CovarianceFit:
+def _covariance_fit(likelihood: RestrictedLikelihood, mode: Mode, box: Floats) -> CovarianceFit:
     """Return the covariance parameters at the optimum with standard errors and warnings."""
     shadow, nugget, beta = mode.covariance
     free = (mode.logs - box[:, 0] >= BOUND_TOLERANCE) & (box[:, 1] - mode.logs >= BOUND_TOLERANCE)
@@ -294,13 +293,13 @@ FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-8, 1e8
 
 
 def minimise_damped(
-    objective: Objective, start: Vector, lower: Vector, upper: Vector, tolerance: float
-) -> tuple[float, Vector]:
+    objective: Objective, start: Floats, lower: Floats, upper: Floats, tolerance: float
+) -> tuple[float, Floats]:
     """Return the minimum within a box and its location, by damped Newton steps."""
     # BFGS updates from the latest steps correct the objective's curvature.
     point = np.clip(start, lower, upper)
     value, gradient, curvature = objective(point)
-    moves: deque[tuple[Vector, Vector]] = deque(maxlen=len(point))
+    moves: deque[tuple[Floats, Floats]] = deque(maxlen=len(point))
     damping = FIRST_DAMPING
     for _ in range(MAX_EVALUATIONS - 1):
         model = _updated(curvature, moves)
@@ -328,7 +327,7 @@ def minimise_damped(
     return value, point
 
 
-def _updated(curvature: Vector, moves: Iterable[tuple[Vector, Vector]]) -> Vector:
+def _updated(curvature: Floats, moves: Iterable[tuple[Floats, Floats]]) -> Floats:
     """Return `curvature` after BFGS updates by pairs (step, gradient change), if positive."""
     for step, change in moves:
         along = curvature @ step
@@ -340,7 +339,7 @@ def _updated(curvature: Vector, moves: Iterable[tuple[Vector, Vector]]) -> Vecto
     return curvature
 
 
-def _gain(gradient: Vector, curvature: Vector, free: NDArray[np.bool_]) -> float:
+def _gain(gradient: Floats, curvature: Floats, free: Mask) -> float:
     """Return the predicted gain of a Newton step on the free variables."""
     if not free.any():
         return 0.0
@@ -348,9 +347,7 @@ def _gain(gradient: Vector, curvature: Vector, free: NDArray[np.bool_]) -> float
     return 0.5 * float(gradient[free] @ np.linalg.solve(part, gradient[free]))
 
 
-def _step(
-    gradient: Vector, damped: Vector, free: NDArray[np.bool_], low: Vector, high: Vector
-) -> Vector:
+def _step(gradient: Floats, damped: Floats, free: Mask, low: Floats, high: Floats) -> Floats:
     """Return the damped Newton step, with variables fixed at the bounds that it would cross."""
     step = np.zeros_like(gradient)
     free = free.copy()

@@ -30,8 +30,8 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.channel.cholesky import lower_factor, one_blas_thread, solve_lower
 from planopt.channel.estimation.channel_fit import MIN_VARIANCE_DB2, ChannelFit, FitMethod, Loss
 from planopt.channel.estimation.fit import fit_channel
@@ -56,8 +56,6 @@ from planopt.channel.parameters import (
     regressors,
 )
 from planopt.errors import InputError
-
-Array = NDArray[np.float64]
 
 StationMethod = Literal["line", "joint"]
 
@@ -205,13 +203,13 @@ def fit_channel_and_station(
 class StationSurface:
     """Whitened measurements that define the likelihood l(q) of the station's position."""
 
-    positions_m: Array  # (n, 2)
+    positions_m: Floats  # (n, 2)
     height_m: float  # Antenna height of the station
-    lower: Array  # (n, n) L with L L' = V
-    whitened_db: Array  # (n,) L^-1 y
+    lower: Floats  # (n, n) L with L L' = V
+    whitened_db: Floats  # (n,) L^-1 y
     has_prior: bool  # True if the prior on n_PL is used
 
-    def station(self, position_m: Array) -> Station:
+    def station(self, position_m: Floats) -> Station:
         """Return the station at `position_m` (2,)."""
         return Station((float(position_m[0]), float(position_m[1])), self.height_m)
 
@@ -220,7 +218,7 @@ class StationSurface:
         """Diagonal of the bounding box of the measurements."""
         return float(np.hypot(*np.ptp(self.positions_m, axis=0)))
 
-    def box_m(self, margin: float) -> tuple[Array, Array]:
+    def box_m(self, margin: float) -> tuple[Floats, Floats]:
         """Return the corners of the bounding box, enlarged by `margin` extents on each side."""
         low, high = self.positions_m.min(axis=0), self.positions_m.max(axis=0)
         return low - margin * self.extent_m, high + margin * self.extent_m
@@ -228,7 +226,7 @@ class StationSurface:
 
 def gaussian_covariance_db2(
     measurements: Measurements, parameters: ChannelParameters
-) -> tuple[Array, Array]:
+) -> tuple[Floats, Floats]:
     """Return values (n,) in dBm and covariance V (n, n), with Gaussian sites for intervals."""
     sites = gaussian_sites(parameters, measurements)
     covariance = own_covariance_db2(measured_origins(measurements, parameters), parameters)
@@ -248,7 +246,7 @@ def station_surface(
     return StationSurface(measurements.positions_m, height_m, lower, whitened, has_prior)
 
 
-def losses(surface: StationSurface, places_m: Array) -> tuple[Array, Array]:
+def losses(surface: StationSurface, places_m: Floats) -> tuple[Floats, Floats]:
     """Return l ``(m,)`` and theta ``(m, 2)`` for stations at `places_m` (m, 2)."""
     # l is infinite where n_PL is below `MIN_N_PL`.
     dx = surface.positions_m[:, None, 0] - places_m[:, 0]
@@ -269,7 +267,7 @@ def losses(surface: StationSurface, places_m: Array) -> tuple[Array, Array]:
     return np.where(n_pl >= MIN_N_PL, loss, np.inf), theta
 
 
-def _mean_jacobian(positions_m: Array, station: Station, n_pl: float) -> Array:
+def _mean_jacobian(positions_m: Floats, station: Station, n_pl: float) -> Floats:
     """Return the Jacobian J (n, 4) of the mean by K_PL, n_PL and the position (x, y)."""
     # For a measurement at p the gradient with respect to q is ``10 n_PL / ln 10 (p - q) / d^2``.
     offset = positions_m - np.asarray(station.position_m)
@@ -281,7 +279,7 @@ def _mean_jacobian(positions_m: Array, station: Station, n_pl: float) -> Array:
     return np.column_stack([regressors(positions_m, station), offset * factor[:, None]])
 
 
-def gauss_newton(surface: StationSurface, position_m: Array) -> tuple[float, Array, Array]:
+def gauss_newton(surface: StationSurface, position_m: Floats) -> tuple[float, Floats, Floats]:
     """Return value, gradient (2,) and Gauss-Newton curvature (2, 2) of l at a position (2,)."""
     # The gradient is exact. The curvature is the expected (Fisher) information of the position with
     # theta unknown; its inverse is the position's covariance if l is quadratic.
@@ -299,7 +297,7 @@ def gauss_newton(surface: StationSurface, position_m: Array) -> tuple[float, Arr
     return float(loss), gradient, information[2:, 2:] - cross.T @ by_theta @ cross
 
 
-def _grid_starts(surface: StationSurface) -> list[Array]:
+def _grid_starts(surface: StationSurface) -> list[Floats]:
     """Return the best local minima of l on the grid."""
     low, high = surface.box_m(GRID_MARGIN)
     iy, ix = np.divmod(np.arange(GRID**2), GRID)
@@ -316,14 +314,14 @@ def _grid_starts(surface: StationSurface) -> list[Array]:
     return list(grid[found[np.argsort(loss.flat[found])][:STARTS]])
 
 
-def _climbed(surface: StationSurface, starts: list[Array]) -> Array:
+def _climbed(surface: StationSurface, starts: list[Floats]) -> Floats:
     """Return the best optimum reached from the initial guesses `starts`."""
     # Scaled to tenths of the extent to suit the minimiser's maximum step.
     unit = 0.1 * surface.extent_m
     low, high = surface.box_m(MARGIN)
 
-    def climb(start: Array) -> tuple[float, Array]:
-        def objective(moved: Array) -> tuple[float, Array, Array]:
+    def climb(start: Floats) -> tuple[float, Floats]:
+        def objective(moved: Floats) -> tuple[float, Floats, Floats]:
             loss, gradient, curvature = gauss_newton(surface, start + unit * moved)
             return loss, unit * gradient, unit**2 * curvature
 
@@ -397,14 +395,14 @@ def _clear_of(measurements: Measurements, station: Station) -> Station:
 
 def position_covariance_m2(
     measurements: Measurements, parameters: ChannelParameters, method: StationMethod
-) -> Array | None:
+) -> Floats | None:
     """Return the covariance (2, 2) of the station's position, None if it is not determined."""
     if method == "line":
         return line_covariance_m2(measurements, parameters)
     return joint_covariance_m2(measurements, parameters)
 
 
-def line_covariance_m2(measurements: Measurements, parameters: ChannelParameters) -> Array | None:
+def line_covariance_m2(measurements: Measurements, parameters: ChannelParameters) -> Floats | None:
     """Return the sandwich covariance of the line's position; ``(2, 2)``, None if undetermined."""
     line = _line_surface(measurements, parameters.station)
     fitted = station_surface(measurements, parameters, has_prior=False)
@@ -423,7 +421,7 @@ def line_covariance_m2(measurements: Measurements, parameters: ChannelParameters
     return (half.T @ half)[2:, 2:]
 
 
-def joint_covariance_m2(measurements: Measurements, parameters: ChannelParameters) -> Array | None:
+def joint_covariance_m2(measurements: Measurements, parameters: ChannelParameters) -> Floats | None:
     """Return the likelihood's second moments about the joint estimate; None if undetermined."""
     # They are sums over a lattice along the principal axes of the information, up to `MARGIN`
     # extents. Its spacing grows from a fraction of the standard deviation with the distance.
@@ -451,7 +449,7 @@ def joint_covariance_m2(measurements: Measurements, parameters: ChannelParameter
     return (weights[:, None] * off).T @ off
 
 
-def theta_by_position(measurements: Measurements, parameters: ChannelParameters) -> Array:
+def theta_by_position(measurements: Measurements, parameters: ChannelParameters) -> Floats:
     """Return the Jacobian B (2, 2) of generalised least-squares theta by the station's position."""
     # With S the position's covariance, theta's covariance grows by B S B', because the position's
     # error is uncorrelated with theta's error at the true position.
@@ -461,7 +459,7 @@ def theta_by_position(measurements: Measurements, parameters: ChannelParameters)
     return -np.linalg.pinv(information[:2, :2], hermitian=True) @ information[:2, 2:]
 
 
-def _whitened_jacobian(surface: StationSurface, parameters: ChannelParameters) -> Array:
+def _whitened_jacobian(surface: StationSurface, parameters: ChannelParameters) -> Floats:
     """Return L^-1 J at the estimate; ``(n, 4)``."""
     jacobian = _mean_jacobian(surface.positions_m, parameters.station, parameters.n_pl)
     return solve_lower(surface.lower, jacobian)

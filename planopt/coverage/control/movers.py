@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.coverage.control.programme import Inertia, solve_programme
 from planopt.coverage.control.radio import radio_tree
 from planopt.coverage.control.safe_sets import (
@@ -30,8 +30,6 @@ BLENDS = (1.0, 0.999, 0.99, 0.9, 0.5)
 ROUNDING = 1e-12
 """Tolerance of positions outside their sets, as a share of the ground's radius."""
 
-Floats = NDArray[np.float64]
-
 SPLIT = 1e-9
 """Distance, as a share of the region's radius, by which coincident covering agents are moved apart.
 Their common cell is then split into sectors, and they separate."""
@@ -47,7 +45,7 @@ class Gains:
     event_per_s: float = 1.0  # Gain k_1 of agents that respond to an event, in 1/s
     coverage_per_s: float = 1.0  # Gain k_2 of covering agents, in 1/s
 
-    def shares(self, responds: NDArray[np.bool_], time_step_s: float) -> Floats:
+    def shares(self, responds: Mask, time_step_s: float) -> Floats:
         """Return the share of its distance to the target that each agent moves in a step; (n,)."""
         largest = max(self.event_per_s, self.coverage_per_s) * time_step_s
         if not 0.0 < largest <= 1.0 + 1e-12:
@@ -64,7 +62,7 @@ class Gains:
 def coverage_aims(
     ground: Ground,
     agents_m: Floats,  # (n, 2) positions of all agents
-    responds: NDArray[np.bool_],  # (n,) mask of the agents that respond to an event
+    responds: Mask,  # (n,) mask of the agents that respond to an event
     partition: Partition = "all",
 ) -> Cover:
     """Return the targets of covering agents, and the cost of the partition."""
@@ -76,7 +74,7 @@ def coverage_aims(
     return Cover(found.cost, targets)
 
 
-def _apart(ground: Ground, agents_m: Floats, covers: NDArray[np.bool_]) -> Floats:
+def _apart(ground: Ground, agents_m: Floats, covers: Mask) -> Floats:
     """Return positions (n, 2) with coincident covering agents moved onto a tiny ring."""
     within_m = 0.5 * SPLIT * ground.hull.radius_m
     if np.diff(np.sort(agents_m[covers, 0])).min(initial=np.inf) > within_m:
@@ -96,7 +94,7 @@ def _apart(ground: Ground, agents_m: Floats, covers: NDArray[np.bool_]) -> Float
 def law_moves(
     agents_m: Floats,
     targets_m: Floats,
-    responds: NDArray[np.bool_],
+    responds: Mask,
     gains: Gains,
     time_step_s: float,
     speed_m_s: float | None = None,
@@ -124,12 +122,10 @@ def plan_moves(
     kept: SafeSets = UNBOUNDED,  # Additional safe sets of the agents
     drifts_m_s: Floats | None = None,  # (n, 2) velocities of the targets; zero if None
 ) -> Motion:
-    """Plan the motion of all agents over a horizon; return the state after the first move.
-
-    The first move equals that of the control law ``k (target - p)`` if no constraint is active.
-    During the whole move bodies never touch each other and keep clear of obstacles and the outer
-    boundary. A feasible stop always remains.
-    """
+    """Plan the motion of all agents over a horizon; return the state after the first move."""
+    # The first move equals that of the control law ``k (target - p)`` if no constraint is active.
+    # During the whole move bodies never touch each other and keep clear of obstacles and the outer
+    # boundary. A feasible stop always remains.
     places, step_s = motion.places_m, limits.time_step_s
     share = np.broadcast_to(np.asarray(gain_per_s, dtype=np.float64) * step_s, (len(places),))
     drifts = np.zeros_like(places) if drifts_m_s is None else step_s * drifts_m_s
@@ -233,14 +229,12 @@ def _inert_moves(task: _Task, now: Floats) -> tuple[Floats, Floats]:
 
 
 def braking_offsets_m(velocities_m: Floats, change_m: float) -> Floats:
-    """Return the offsets ``(n, 2)`` from double integrators to their stopping positions.
-
-    Velocities ``(n, 2)`` and the largest change of velocity are in metres per step.
-    """
+    """Return the offsets ``(n, 2)`` from double integrators to their stopping positions."""
+    # Velocities ``(n, 2)`` and the largest change of velocity are in metres per step.
     return 0.5 * _stop_steps(velocities_m, change_m)[:, None] * velocities_m
 
 
-def _shorter(vectors: Floats, most: float) -> NDArray[np.bool_]:
+def _shorter(vectors: Floats, most: float) -> Mask:
     """Return whether vectors (n, 2) are at most `most` long, up to rounding; (n,)."""
     return np.linalg.norm(vectors, axis=1) <= most * (1.0 + 1e-9)
 
@@ -291,7 +285,7 @@ class LawMover:
         ground: Ground,
         motion: Motion,
         targets_m: Floats,  # (n, 2); drifts are the estimated target velocities
-        responds: NDArray[np.bool_],  # (n,)
+        responds: Mask,  # (n,)
         drifts_m_s: Floats,
     ) -> Motion:
         """Return the motion state after a step of the control laws."""
@@ -312,12 +306,7 @@ class RecedingMover:
     deploys: bool = False  # Whether covering agents drive to a deployment of low cost
 
     def __call__(
-        self,
-        ground: Ground,
-        motion: Motion,
-        targets_m: Floats,
-        responds: NDArray[np.bool_],
-        drifts_m_s: Floats,
+        self, ground: Ground, motion: Motion, targets_m: Floats, responds: Mask, drifts_m_s: Floats
     ) -> Motion:
         """Return the motion state after the first move of a plan."""
         step_s, kept = self.limits.time_step_s, UNBOUNDED

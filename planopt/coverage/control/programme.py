@@ -10,8 +10,8 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.coverage.control.safe_sets import SafeSets
 
 BLOCK = 50
@@ -29,18 +29,14 @@ LEAST_UNIT = 1e-3
 NO_LIMIT = 1e3
 """Radius, in scaled lengths, of the inactive discs that pad tables."""
 
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
 
 @dataclass(frozen=True, eq=False)
 class Programmes:
-    """Convex programmes of n agents with variables z of shape (V, 2) each.
+    """Convex programmes of n agents with variables z of shape (V, 2) each."""
 
-    Minimise ``1/2 z' hessian z + linear' z`` with the same Hessian for both dimensions. Positions
-    ``place_map @ z + place_offset`` stay in half-planes and discs. Displacements
-    ``move_map @ z + move_offset`` have at most the length `longest`.
-    """
+    # Minimise ``1/2 z' hessian z + linear' z`` with the same Hessian for both dimensions. Positions
+    # ``place_map @ z + place_offset`` stay in half-planes and discs. Displacements ``move_map @ z +
+    # move_offset`` have at most the length `longest`.
 
     hessian: Floats  # (n, V, V), positive definite
     linear: Floats  # (n, V, 2)
@@ -54,7 +50,7 @@ class Programmes:
     move_offset: Floats  # (n, R, 2)
     longest: Floats  # (n, R)
 
-    def of(self, agents: NDArray[np.intp]) -> Programmes:
+    def of(self, agents: Indices) -> Programmes:
         """Return the programmes of some agents."""
         every = {each.name: getattr(self, each.name) for each in fields(self)}
         return Programmes(**{k: v if k == "move_map" else v[agents] for k, v in every.items()})
@@ -127,7 +123,7 @@ def _solve_block(programmes: Programmes, planes: Mask, discs: Mask, moves: Mask)
     hessian = np.einsum("ivw,xy->ivxwy", programmes.hessian, np.eye(2)).reshape(-1, 2 * size)
     upper = hessian * np.tile(np.triu(np.ones((2 * size, 2 * size))), (count, 1))
 
-    def sparse(dense: Floats, owner: NDArray[np.intp]) -> Any:
+    def sparse(dense: Floats, owner: Indices) -> Any:
         """Return the sparse matrix with rows (m, 2 V) in the columns of their agents."""
         row, column = np.nonzero(dense)
         at = row, owner[row] * 2 * size + column
@@ -155,7 +151,7 @@ class Inertia:
     velocities_m: Floats  # (n, 2) velocity of each agent in metres per step
     change_m: float  # Largest change of velocity in a step
     # (n,) number of braking steps from the largest speed possible after the next step
-    stop_steps: NDArray[np.intp]
+    stop_steps: Indices
 
 
 def stage_weights(share: Floats, horizon: int) -> tuple[Floats, Floats]:
@@ -176,13 +172,10 @@ def solve_programme(
     inertia: Inertia | None = None,
     drifts_m: Floats | None = None,  # (n, 2)
 ) -> tuple[Floats, Floats] | None:
-    """Return the optimal paths and velocities of agents, or None if the solver fails.
-
-    The objective is ``sum_j w_j |p_j - c|^2 + r |p_{j+1} - p_j|^2`` for each agent with aim c and
-    the weights of :func:`stage_weights`. With inertia, velocities v add
-    ``|v_{j+1} - v_j|^2 / (2 share)^2``, and half of the last position's weight applies to the
-    stopping position instead.
-    """
+    """Return the optimal paths and velocities of agents, or None if the solver fails."""
+    # The objective is ``sum_j w_j |p_j - c|^2 + r |p_{j+1} - p_j|^2`` for each agent with aim c and
+    # the weights of `stage_weights`. With inertia, velocities v add ``|v_{j+1} - v_j|^2 / (2
+    # share)^2``, and half of the last position's weight applies to the stopping position instead.
     # Shapes: starts_m, aims_m (n, 2).
     count, changes = len(starts_m), np.eye(horizon) - np.eye(horizon, k=-1)
     length = np.linalg.norm(aims_m - starts_m, axis=1)
@@ -261,7 +254,7 @@ def _tables(
 
 
 def _filled(
-    agent: NDArray[np.intp], vectors: Floats, values: Floats, count: int, filler: float
+    agent: Indices, vectors: Floats, values: Floats, count: int, filler: float
 ) -> tuple[Floats, Floats]:
     """Arrange vectors (k, 2) and values (k,) by agent in tables (n, most, 2) and (n, most)."""
     order = np.argsort(agent, kind="stable")

@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import dijkstra  # pyright: ignore[reportUnknownVariab
 from scipy.spatial import KDTree
 from scipy.special import ndtr  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.coverage.control.safe_sets import SPARE, UNBOUNDED, SafeSets, half_planes, joined
 from planopt.coverage.limits import LinkLaw, RadioLimits, StationMap, line_distances_m
 
@@ -27,20 +28,18 @@ LENGTHS_M = np.geomspace(1e-2, 1e5, 40_001)
 HOP = 0.02
 """Minimum weight of a link as a share of the allowed failure, which limits the tree depth."""
 
-Floats = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
 class RadioTree:
     """Tree of radio links, and safe sets in which agents maintain these links."""
 
     # (n,) parent of each agent; -1 - k for station k. A disconnected agent is its own parent.
-    parent: NDArray[np.intp]
+    parent: Indices
     failure: Floats  # (n,) upper bound of the probability that the path to a station fails
     kept: SafeSets  # Sets in which agents keep all links; no constraint for disconnected agents
 
     @property
-    def connected(self) -> NDArray[np.bool_]:
+    def connected(self) -> Mask:
         """Return whether each agent is connected to a station; (n,)."""
         return self.parent != np.arange(len(self.parent))
 
@@ -148,15 +147,13 @@ def _longest(failures: Floats, may_fail: float) -> float:
     return float(LENGTHS_M[number - 1]) if number else 0.0
 
 
-def _links(
-    places: Floats, stops: Floats, longest_m: float
-) -> tuple[NDArray[np.intp], Floats, Floats]:
+def _links(places: Floats, stops: Floats, longest_m: float) -> tuple[Indices, Floats, Floats]:
     """Return pairs (e, 2) of agents with feasible links, and circles about their reserves."""
     # Circles have centres (e, 2) and diameters (e,); the diameter counts as the link length.
     middle, half = 0.5 * (places + stops), 0.5 * np.linalg.norm(stops - places, axis=1)
     tree = KDTree(middle)
     found = tree.query_pairs(longest_m + 2.0 * float(half.max()), output_type="ndarray")  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
-    pairs = cast("NDArray[np.intp]", found)
+    pairs = cast("Indices", found)
     one, other = pairs[:, 0], pairs[:, 1]
     if not half.any():
         centres = 0.5 * (places[one] + places[other])
@@ -181,8 +178,8 @@ def _links(
 
 
 def _tree(
-    pairs: NDArray[np.intp], weights: Floats, fails: Floats, count: int
-) -> tuple[NDArray[np.intp], Floats, list[int]]:
+    pairs: Indices, weights: Floats, fails: Floats, count: int
+) -> tuple[Indices, Floats, list[int]]:
     """Return the tree of shortest paths from node `count` over links (e, 2) with weights (e,)."""
     # The result is the link (n,) toward that node, the sum of `fails` (n + 1,) along the path, and
     # the connected agents in order of distance.

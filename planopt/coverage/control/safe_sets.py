@@ -13,9 +13,9 @@ from typing import cast
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from scipy.spatial import Delaunay, KDTree, QhullError
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.coverage.geodesic import GeodesicGround, Ground
 from planopt.coverage.ground import ConvexGround
 from planopt.coverage.voronoi import FAR, ON_BORDER
@@ -33,17 +33,15 @@ LOOKS = 36
 NEARLY = 1.05
 """Ratio to the nearest half-plane's distance in a direction up to which others are kept."""
 
-Floats = NDArray[np.float64]
-
 
 @dataclass(frozen=True, eq=False)
 class SafeSets:
     """Convex set of each agent: an intersection of half-planes and discs."""
 
-    agent: NDArray[np.intp]  # (k,) agent of each half-plane
+    agent: Indices  # (k,) agent of each half-plane
     normals: Floats  # (k, 2) outward unit normals; a half-plane is {q : normal @ q <= offset}
     offsets_m: Floats
-    disc_agent: NDArray[np.intp]  # (l,) agent of each disc
+    disc_agent: Indices  # (l,) agent of each disc
     centres_m: Floats  # (l, 2); radii_m (l,)
     radii_m: Floats
 
@@ -68,7 +66,7 @@ class SafeSets:
         np.minimum.at(share, self.disc_agent[out], np.where(half > 0.0, ahead, behind))
         return share
 
-    def holds(self, places_m: Floats, slack_m: float = 0.0) -> NDArray[np.bool_]:
+    def holds(self, places_m: Floats, slack_m: float = 0.0) -> Mask:
         """Return whether all positions ``(n, j, 2)`` of each agent are in its set; (n,)."""
         inside = np.ones(len(places_m), dtype=np.bool_)
         height = np.einsum("kjx,kx->kj", places_m[self.agent], self.normals).max(axis=1)
@@ -100,7 +98,7 @@ class SafeSets:
         agent, normals, offsets = self.agent[kept], self.normals[kept], self.offsets_m[kept]
         return replace(self, agent=agent, normals=normals, offsets_m=offsets)
 
-    def of(self, chosen: NDArray[np.intp]) -> SafeSets:
+    def of(self, chosen: Indices) -> SafeSets:
         """Return the sets of selected agents, renumbered in the order of `chosen`."""
         largest = max(one.max(initial=0) for one in (self.agent, self.disc_agent, chosen))
         number = np.full(largest + 1, -1)
@@ -122,7 +120,7 @@ def joined(*sets: SafeSets) -> SafeSets:
     return SafeSets(*(np.concatenate([getattr(one, name) for one in sets]) for name in names))
 
 
-def half_planes(agent: NDArray[np.intp], normals: Floats, offsets_m: Floats) -> SafeSets:
+def half_planes(agent: Indices, normals: Floats, offsets_m: Floats) -> SafeSets:
     """Return sets that consist of half-planes only."""
     return SafeSets(agent, normals, offsets_m, NOBODY, np.zeros((0, 2)), np.zeros(0))
 
@@ -149,7 +147,7 @@ def separate_cells(
         found = KDTree(middle).query_pairs(  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
             2.0 * float(wide.max()), output_type="ndarray"
         )
-        near = cast("NDArray[np.intp]", found)
+        near = cast("Indices", found)
         apart = np.linalg.norm(middle[near[:, 0]] - middle[near[:, 1]], axis=1)
         near = near[apart <= wide[near].sum(axis=1)]
         pairs = np.unique(np.concatenate((pairs, near)), axis=0)
@@ -178,7 +176,7 @@ def separate_cells(
     )
 
 
-def _neighbours(places_m: Floats) -> NDArray[np.intp]:
+def _neighbours(places_m: Floats) -> Indices:
     """Return pairs (e, 2) of Voronoi neighbours, smaller number first."""
     count = len(places_m)
     every = np.stack(np.triu_indices(count, 1), axis=1)
@@ -222,7 +220,7 @@ def ground_sets(
         offsets = np.maximum(region.offsets_m[side] - keep_m, heights[agent, side])
         return half_planes(agent, region.normals[side], offsets)
     border = shapely.boundary(ground.free)
-    kept_m = float(shapely.distance(border, ground.allowed))  # pyright: ignore[reportUnknownMemberType]
+    kept_m = float(shapely.distance(border, ground.area.polygon))  # pyright: ignore[reportUnknownMemberType]
     if kept_m < keep_m - ON_BORDER * ground.hull.radius_m:
         raise InputError(
             f"the ground keeps {kept_m:g} m from obstacles, agents have to keep {keep_m:g} m",
@@ -233,13 +231,13 @@ def ground_sets(
     line = aims_m - places_m
     length = np.linalg.norm(line, axis=1)
     ends = places_m + line * np.minimum(1.0, reach_m / np.where(length > 0.0, length, 1.0))[:, None]
-    blind = np.flatnonzero(~ground.sees(places_m, ends))
+    blind = np.flatnonzero(~ground.area.sees(places_m, ends))
     for which in blind:
         ends[which] = _last_free(ground, places_m[which], ends[which])
     hulls = shapely.convex_hull(
         shapely.multipoints(np.stack((places_m, stops_m, ends), axis=1))  # pyright: ignore[reportArgumentType, reportCallIssue]
     )
-    meets = np.asarray(shapely.intersects(ground.border, hulls), dtype=np.bool_)
+    meets = np.asarray(shapely.intersects(ground.area.border, hulls), dtype=np.bool_)
     # The clearance is round at corners but `allowed` is mitred, so an agent may be outside it.
     meets |= ~ground.allows(places_m)
     ends[meets] = stops_m[meets]
@@ -250,13 +248,13 @@ def ground_sets(
 
 def _last_free(ground: GeodesicGround, start: Floats, end: Floats) -> Floats:
     """Return the last allowed position (2,) on the straight line from `start` to `end`."""
-    crossed = shapely.intersection(ground.border, shapely.LineString([start, end]))
+    crossed = shapely.intersection(ground.area.border, shapely.LineString([start, end]))
     met = np.asarray(shapely.get_coordinates(crossed), dtype=np.float64)
     if not len(met):
         return start
     first = float(np.linalg.norm(met - start, axis=1).min())
     length = float(np.linalg.norm(end - start))
-    return start + (end - start) * max(first - 4.0 * ground.slack_m, 0.0) / length
+    return start + (end - start) * max(first - 4.0 * ground.area.slack_m, 0.0) / length
 
 
 def _border(free: shapely.Polygon) -> Floats:

@@ -8,8 +8,8 @@ from functools import cached_property
 from typing import Protocol, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.kriging import LocalChannel, LocalGrid
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, connection_probability
@@ -34,34 +34,34 @@ class SteeredPath(Protocol):
     """Route that a robot is steered along."""
 
     @property
-    def turns_m(self) -> NDArray[np.float64]:
+    def turns_m(self) -> Floats:
         """``(m, 2)`` start, turns and end of the route."""
         ...
 
     @property
-    def end_m(self) -> NDArray[np.float64]:
+    def end_m(self) -> Floats:
         """``(2,)`` end of the route."""
         ...
 
     @property
-    def rest_m(self) -> NDArray[np.float64]:
+    def rest_m(self) -> Floats:
         """``(m,)`` remaining length from each turn."""
         ...
 
     @property
-    def lattice_m(self) -> NDArray[np.float64] | None:
+    def lattice_m(self) -> Floats | None:
         """``(ny, nx)`` shortest path length from each node to the end; None if unknown."""
         ...
 
-    def next_turns(self, places_m: NDArray[np.float64]) -> NDArray[np.intp]:
+    def next_turns(self, places_m: Floats) -> Indices:
         """Return the index of the turn that each position (n, 2) heads for in a straight line."""
         ...
 
-    def distance_m(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def distance_m(self, places_m: Floats) -> Floats:
         """Return the path length from each position (n, 2) to the end; ``(n,)``."""
         ...
 
-    def gained_m(self, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def gained_m(self, paths_m: Floats) -> Floats:
         """Return the summed progress of the positions of paths (..., N, 2) towards the end."""
         ...
 
@@ -70,7 +70,7 @@ class TermContext(Protocol):
     """Step context: the data from which a robot plans one step."""
 
     @property
-    def position_m(self) -> NDArray[np.float64]:
+    def position_m(self) -> Floats:
         """``(2,)`` position of the robot."""
         ...
 
@@ -100,7 +100,7 @@ class TermContext(Protocol):
         ...
 
     @property
-    def others_m(self) -> tuple[NDArray[np.float64], ...]:
+    def others_m(self) -> tuple[Floats, ...]:
         """``(N, 2)`` each: planned positions of the other robots after each step."""
         ...
 
@@ -110,12 +110,12 @@ class TermContext(Protocol):
         ...
 
     @property
-    def target_m(self) -> NDArray[np.float64] | None:
+    def target_m(self) -> Floats | None:
         """``(N, 2)`` expected target position after each step; None without a target."""
         ...
 
     @property
-    def information(self) -> NDArray[np.float64] | None:
+    def information(self) -> Floats | None:
         """``(4, 4)`` information matrix of the station's filter; None without a target."""
         ...
 
@@ -160,7 +160,7 @@ class TermContext(Protocol):
         ...
 
     @property
-    def connected_m(self) -> NDArray[np.float64]:
+    def connected_m(self) -> Floats:
         """``(k, 2)`` positions known to be connected."""
         ...
 
@@ -174,11 +174,11 @@ class TermContext(Protocol):
         """Largest decorrelation distance of the stations' shadowing."""
         ...
 
-    def power(self, places_m: NDArray[np.float64]) -> Prediction:
+    def power(self, places_m: Floats) -> Prediction:
         """Return the serving power at positions (n, 2), known where measured, else predicted."""
         ...
 
-    def predicted(self, places_m: NDArray[np.float64]) -> Prediction:
+    def predicted(self, places_m: Floats) -> Prediction:
         """Return the predicted serving power at positions (n, 2), with unknown multipath."""
         ...
 
@@ -186,13 +186,11 @@ class TermContext(Protocol):
         """Combine the powers of the stations into the serving power."""
         ...
 
-    def chance(self, place_m: NDArray[np.float64]) -> float:
+    def chance(self, place_m: Floats) -> float:
         """Return the probability of connection at a position (2,), including known links."""
         ...
 
-    def probed(
-        self, places_m: NDArray[np.float64], predicted: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def probed(self, places_m: Floats, predicted: Floats) -> Floats:
         """Return the probabilities of connection (...) of probes at positions (..., 2)."""
         ...
 
@@ -206,7 +204,7 @@ class Paths:
     """Batch of c paths in one step context, with predictions along them."""
 
     at: TermContext
-    paths_m: NDArray[np.float64]  # (c, N, 2) positions after each step
+    paths_m: Floats  # (c, N, 2) positions after each step
     stations: Sequence[LocalPaths]  # Power prediction of each station along the paths
     moments: Sequence[Moments]  # Moments of measurements of each anticipated channel
 
@@ -226,7 +224,7 @@ class Paths:
         return self.at.combined(self.each)
 
     @cached_property
-    def chance(self) -> NDArray[np.float64]:
+    def chance(self) -> Floats:
         """Probability of connection after every step; ``(c, N)``."""
         found = connection_probability(
             self.power.mean_db, self.power.deviation_db, self.at.thresholds_dbm[0]
@@ -234,12 +232,12 @@ class Paths:
         return found.reshape(self.shape)
 
     @cached_property
-    def legs_m(self) -> NDArray[np.float64]:
+    def legs_m(self) -> Floats:
         """Step lengths of every path, ``(c, N)``."""
         return legs_m(self.at, self.paths_m)
 
 
-def legs_m(at: TermContext, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def legs_m(at: TermContext, paths_m: Floats) -> Floats:
     """Return the step lengths of paths (c, N, 2) from the robot's position; ``(c, N)``."""
     ends = np.concatenate([np.broadcast_to(at.position_m, (len(paths_m), 1, 2)), paths_m], axis=1)
     return np.linalg.norm(np.diff(ends, axis=1), axis=2)
@@ -250,7 +248,7 @@ class NearPath:
     """Path of a solver, close to its initial guess."""
 
     at: TermContext
-    places_m: NDArray[np.float64]  # (N, 2) positions after each step
+    places_m: Floats  # (N, 2) positions after each step
     predicted: Callable[[], StagePower]  # Predictor of the serving power
     # Local channel of each station, if a term couples positions
     channels: Sequence[LocalChannel]
@@ -258,9 +256,9 @@ class NearPath:
     anticipated: Sequence[tuple[LocalChannel, LocalGrid | None]]
     gates: Gates | None  # Gates of the measurements; None if no term measures
     # (N,) index of the route turn that each position heads for; None without a route
-    ahead: NDArray[np.intp] | None
+    ahead: Indices | None
     # (N,) True where connection is probed; None if no term probes
-    probed: NDArray[np.bool_] | None
+    probed: Mask | None
 
     @cached_property
     def stage_power(self) -> StagePower:
@@ -285,17 +283,17 @@ class NodeChannel(Protocol):
     """Predictions of one station's power at the nodes of a lattice."""
 
     @property
-    def mean_db(self) -> NDArray[np.float64]:
+    def mean_db(self) -> Floats:
         """``(ny, nx)`` predicted mean power."""
         ...
 
     @property
-    def deviation_db(self) -> NDArray[np.float64]:
+    def deviation_db(self) -> Floats:
         """``(ny, nx)`` predictive standard deviation of the power."""
         ...
 
     @property
-    def trend(self) -> NDArray[np.float64]:
+    def trend(self) -> Floats:
         """``(ny, nx, 2)`` path-loss regressors less the part predicted from measurements."""
         ...
 
@@ -304,7 +302,7 @@ class Nodes(Protocol):
     """Predictions at the nodes of a lattice."""
 
     @property
-    def grid_m(self) -> NDArray[np.float64]:
+    def grid_m(self) -> Floats:
         """``(ny, nx, 2)`` positions of the nodes."""
         ...
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from planopt.arrays import Floats
 from planopt.objectives.moments import TINY_M, Pull, pull_of_lengths
 from planopt.objectives.path_derivatives import PathDerivatives, by_lengths
 from planopt.objectives.terms.context import NearPath, Nodes, Part, Paths, TermContext
@@ -25,11 +25,11 @@ class SteeredTerm(Term):
         """Return ``stagewise``: the value is a sum over steps."""
         return "stagewise"
 
-    def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
+    def value(self, at: TermContext, path_m: Floats) -> float:
         """Return the progress towards the route's end, summed over the positions of one path."""
         return 0.0 if at.steering is None else float(at.steering.gained_m(path_m))
 
-    def values(self, paths: Paths) -> NDArray[np.float64]:
+    def values(self, paths: Paths) -> Floats:
         """Return the values of many paths."""
         if paths.at.steering is None:
             return np.zeros(paths.shape[0])
@@ -54,7 +54,7 @@ class SteeredTerm(Term):
         length = np.maximum(np.linalg.norm(offset, axis=2), TINY_M)
         return Pull(by_position=offset / length[:, :, None])
 
-    def node_reward(self, at: TermContext, nodes: Nodes) -> NDArray[np.float64]:
+    def node_reward(self, at: TermContext, nodes: Nodes) -> Floats:
         """Return minus the remaining distance from each lattice node; ``(ny, nx)``."""
         shape, steering = nodes.grid_m.shape[:2], at.steering
         if steering is None:
@@ -97,12 +97,12 @@ class MotionEnergyTerm(Term):
         """Return ``chain``: each step couples its two end positions."""
         return "chain"
 
-    def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
+    def value(self, at: TermContext, path_m: Floats) -> float:
         """Return minus the energy of a path."""
         lengths = np.linalg.norm(np.diff(np.vstack([at.position_m, path_m]), axis=0), axis=1)
         return -float(self._spent_j(lengths, at.standstill_m, at.step_s).sum())
 
-    def values(self, paths: Paths) -> NDArray[np.float64]:
+    def values(self, paths: Paths) -> Floats:
         """Return minus the energy of each path."""
         return -self._spent_j(paths.legs_m, paths.at.standstill_m, paths.at.step_s).sum(axis=1)
 
@@ -118,13 +118,11 @@ class MotionEnergyTerm(Term):
         by_length = np.full(paths.shape, -self.per_metre_j_m)
         return pull_of_lengths(paths.at.position_m, paths.paths_m, by_length)
 
-    def move_reward(self, lengths_m: NDArray[np.float64], step_s: float) -> NDArray[np.float64]:
+    def move_reward(self, lengths_m: Floats, step_s: float) -> Floats:
         """Return minus the energy of each move."""
         return -self._spent_j(lengths_m, 0.0, step_s)
 
-    def _spent_j(
-        self, lengths_m: NDArray[np.float64], standstill_m: float, step_s: float
-    ) -> NDArray[np.float64]:
+    def _spent_j(self, lengths_m: Floats, standstill_m: float, step_s: float) -> Floats:
         """Return the energy of each step (equation 4.12); a stationary robot draws no power."""
         moving_s = np.where(lengths_m > standstill_m, step_s, 0.0)
         return self.per_metre_j_m * lengths_m + self.power_w * moving_s

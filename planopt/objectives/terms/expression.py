@@ -23,9 +23,9 @@ from typing import Annotated, Any, ClassVar
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from planopt.arrays import Floats
 from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
 from planopt.objectives.path_derivatives import PathDerivatives, by_stages
@@ -140,16 +140,14 @@ def names_in(program: str) -> frozenset[str]:
     return frozenset(name for name in (*WIDTHS, START) if f"{name}[" in program)
 
 
-def expression_values(
-    program: str, steps: int, inputs: Mapping[str, NDArray[np.float64]]
-) -> NDArray[np.float64]:
+def expression_values(program: str, steps: int, inputs: Mapping[str, Floats]) -> Floats:
     """Return the values (c,) of c paths for inputs (c, rows, columns); NaN if undefined."""
     count = max(len(values) for values in inputs.values())
     if not count:
         return np.empty(0)
     buffer, evaluate = _mapped(program, steps, count).buffer()
     # The buffer references the arrays, so they must live until evaluation.
-    arrays: list[NDArray[np.float64]] = []
+    arrays: list[Floats] = []
     for number, (name, shape) in enumerate(_shapes(steps).items()):
         values = np.broadcast_to(inputs.get(name, np.zeros((1, *shape))), (count, *shape))
         # CasADi matrices are column-major.
@@ -162,7 +160,7 @@ def expression_values(
 
 
 def expression_derivatives(
-    program: str, steps: int, inputs: dict[str, Derivatives], known: dict[str, NDArray[np.float64]]
+    program: str, steps: int, inputs: dict[str, Derivatives], known: dict[str, Floats]
 ) -> PathDerivatives:
     """Return the value of one path with derivatives w.r.t. its positions."""
     columns = [inputs[name] for name in ("x", "y", *CHANNELS[1:])]
@@ -351,7 +349,7 @@ class CasadiTerm(Term):
                 "be",
             )
 
-    def known(self, at: TermContext, steps: int) -> dict[str, NDArray[np.float64]]:
+    def known(self, at: TermContext, steps: int) -> dict[str, Floats]:
         """Return the inputs that do not depend on the path: start, and target if any."""
         if self.steps != steps:
             raise InputError(
@@ -364,7 +362,7 @@ class CasadiTerm(Term):
             known["target_m"] = at.target_m
         return known
 
-    def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
+    def value(self, at: TermContext, path_m: Floats) -> float:
         """Return the value of the expression for one path."""
         power, known = at.predicted(path_m), at.power(path_m)
         chance = connection_probability(known.mean_db, known.deviation_db, at.thresholds_dbm[0])
@@ -384,7 +382,7 @@ class CasadiTerm(Term):
             )
         return value
 
-    def values(self, paths: Paths) -> NDArray[np.float64]:
+    def values(self, paths: Paths) -> Floats:
         """Return the values for many paths; non-finite values become -inf."""
         count, steps = paths.shape
         inputs = {"positions_m": paths.paths_m} | {
@@ -468,11 +466,11 @@ class OwnTerm(Term):
         """Raise an error if the problem does not support the expression."""
         _written(self, setting.horizon).check(setting)
 
-    def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
+    def value(self, at: TermContext, path_m: Floats) -> float:
         """Return the value of the expression for one path."""
         return _written(self, len(path_m)).value(at, path_m)
 
-    def values(self, paths: Paths) -> NDArray[np.float64]:
+    def values(self, paths: Paths) -> Floats:
         """Return the values of the expression for many paths."""
         return _written(self, paths.shape[1]).values(paths)
 

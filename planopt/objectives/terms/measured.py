@@ -7,9 +7,9 @@ from functools import partial, reduce
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from planopt.arrays import Floats
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
 from planopt.objectives.information import (
@@ -41,7 +41,7 @@ class MeasuredTerm(Term):
         """Return the gain model of one station's measurements."""
         raise self._without("gain")
 
-    def node_gain(self, station: NodeChannel, posterior: ChannelPosterior) -> NDArray[np.float64]:
+    def node_gain(self, station: NodeChannel, posterior: ChannelPosterior) -> Floats:
         """Return the gain of a single measurement at each node; ``(ny, nx)``."""
         raise self._without("node_gain")
 
@@ -50,7 +50,7 @@ class MeasuredTerm(Term):
         posterior = at.anticipated[number]
         return at.once((MeasuredTerm, self, number), lambda: self.gain(at, posterior))
 
-    def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
+    def value(self, at: TermContext, path_m: Floats) -> float:
         """Return the gain of measurements along one path, by the exact posterior."""
         taken = at.measuring.takes(path_m)
         if not taken.any():
@@ -68,7 +68,7 @@ class MeasuredTerm(Term):
             total += float(self._gain(at, number).value(moments))
         return total
 
-    def values(self, paths: Paths) -> NDArray[np.float64]:
+    def values(self, paths: Paths) -> Floats:
         """Return the gains of many paths, by local channels."""
         each = [self._gain(paths.at, k).value(moments) for k, moments in enumerate(paths.moments)]
         return np.sum(each, axis=0)
@@ -83,7 +83,7 @@ class MeasuredTerm(Term):
         found = [self._gain(path.at, k).derivatives(local) for k, local in enumerate(path.measured)]
         return by_positions(reduce(PathDerivatives.plus, found), path.gates)
 
-    def node_reward(self, at: TermContext, nodes: Nodes) -> NDArray[np.float64]:
+    def node_reward(self, at: TermContext, nodes: Nodes) -> Floats:
         """Return the gain of a single measurement at each node, summed over stations; (ny, nx)."""
         near = nodes.grid_m[nodes.window]
         found = np.sum(
@@ -111,13 +111,13 @@ class MeasuredTerm(Term):
 class _Anticipated:
     """Node predictions of a station, including other robots' measurements at reachable nodes."""
 
-    mean_db: NDArray[np.float64]
-    deviation_db: NDArray[np.float64]
-    trend: NDArray[np.float64]
+    mean_db: Floats
+    deviation_db: Floats
+    trend: Floats
 
 
 def _anticipated(
-    station: NodeChannel, posterior: ChannelPosterior, nodes: Nodes, near_m: NDArray[np.float64]
+    station: NodeChannel, posterior: ChannelPosterior, nodes: Nodes, near_m: Floats
 ) -> _Anticipated:
     known = np.isfinite(station.deviation_db[nodes.window])
     spread = np.full(known.shape, np.nan)
@@ -165,7 +165,7 @@ class LearningTerm(MeasuredTerm):
             return VarianceRemoved(spread)
         return VarianceRemoved(spread @ square_root(map_criterion(posterior, at.region)))
 
-    def node_gain(self, station: NodeChannel, posterior: ChannelPosterior) -> NDArray[np.float64]:
+    def node_gain(self, station: NodeChannel, posterior: ChannelPosterior) -> Floats:
         """Return the trace for criterion T, and the information gain of D otherwise."""
         trend, covariance = station.trend, posterior.theta_covariance
         spread = np.einsum("yxi,ij,yxj->yx", trend, covariance, trend)
@@ -267,7 +267,7 @@ class MappingTerm(MeasuredTerm):
             return PathUncertainty((x, y), self.variance_threshold_db2, self.closeness_per_m)
         return Information() if self.form == "information" else VarianceRemoved()
 
-    def node_gain(self, station: NodeChannel, posterior: ChannelPosterior) -> NDArray[np.float64]:
+    def node_gain(self, station: NodeChannel, posterior: ChannelPosterior) -> Floats:
         """Return the form's gain of one measurement per node; the variance for ``average``."""
         variance = station.deviation_db**2
         match self.form:
@@ -279,11 +279,11 @@ class MappingTerm(MeasuredTerm):
             case _:
                 return variance
 
-    def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
+    def value(self, at: TermContext, path_m: Floats) -> float:
         """Return the gain of measurements along one path, or the progress in metres."""
         return DISTANCE.value(at, path_m) if self.form == "two_layer" else super().value(at, path_m)
 
-    def values(self, paths: Paths) -> NDArray[np.float64]:
+    def values(self, paths: Paths) -> Floats:
         """Return the values of many paths."""
         return DISTANCE.values(paths) if self.form == "two_layer" else super().values(paths)
 
@@ -297,7 +297,7 @@ class MappingTerm(MeasuredTerm):
             return DISTANCE.slope(paths, number)
         return super().slope(paths, number)
 
-    def node_reward(self, at: TermContext, nodes: Nodes) -> NDArray[np.float64]:
+    def node_reward(self, at: TermContext, nodes: Nodes) -> Floats:
         """Return the gain of one measurement per node, or minus the remaining distance."""
         if self.form == "two_layer":
             return DISTANCE.node_reward(at, nodes)

@@ -14,10 +14,10 @@ from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
 import planopt.objectives.terms as own_terms
+from planopt.arrays import Floats, Indices
 from planopt.errors import InputError, listed
 from planopt.parts import class_name, require_name
 from planopt.targets.sensor import Sensor
@@ -145,17 +145,15 @@ class Term:
             "expression",
         )
 
-    def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
+    def value(self, at: TermContext, path_m: Floats) -> float:
         """Return the reported value of one path (N, 2), from all measurements."""
         raise self._without("value")
 
-    def values(self, paths: Paths) -> NDArray[np.float64]:
+    def values(self, paths: Paths) -> Floats:
         """Return the values of c paths at once, which searches compare; ``(c,)``."""
         raise self._without("values")
 
-    def probe_values(
-        self, at: TermContext, paths_m: NDArray[np.float64], chance: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def probe_values(self, at: TermContext, paths_m: Floats, chance: Floats) -> Floats:
         """Return the values of paths (c, N, 2) for approximate P(connected) (c, N); ``(c,)``.
 
         Searches rank hundreds of paths by it if the term probes path ends.
@@ -173,7 +171,7 @@ class Term:
         """
         raise self._without("slope")
 
-    def node_reward(self, at: TermContext, nodes: Nodes) -> NDArray[np.float64] | None:
+    def node_reward(self, at: TermContext, nodes: Nodes) -> Floats | None:
         """Return the reward of ending a step at each node, (ny, nx), at any stage.
 
         The lattice search maximises these rewards in place of the value. They are exact for terms
@@ -182,12 +180,8 @@ class Term:
         return None
 
     def stage_reward(
-        self,
-        at: TermContext,
-        places_m: NDArray[np.float64],
-        stage: int | NDArray[np.intp],
-        chance: NDArray[np.float64],
-    ) -> NDArray[np.float64] | None:
+        self, at: TermContext, places_m: Floats, stage: int | Indices, chance: Floats
+    ) -> Floats | None:
         """Return the reward of ending step `stage` (from 0) at positions (..., 2)."""
         return None
 
@@ -195,7 +189,7 @@ class Term:
         """Return an upper bound of :meth:`stage_reward`."""
         return 0.0
 
-    def move_reward(self, lengths_m: NDArray[np.float64], step_s: float) -> NDArray[np.float64]:
+    def move_reward(self, lengths_m: Floats, step_s: float) -> Floats:
         """Return the rewards of moves of these lengths, independent of position."""
         return np.zeros(len(lengths_m))
 

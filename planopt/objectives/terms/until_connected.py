@@ -18,9 +18,9 @@ from functools import cache
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.joint import joint_prediction
 from planopt.channel.kriging import LocalChannel
 from planopt.channel.parameters import leg_lengths_m, require_places
@@ -70,9 +70,9 @@ class Search:
 
 def charged_distance_m(
     posteriors: Sequence[ChannelPosterior],
-    path_m: NDArray[np.float64],  # (h, 2)
+    path_m: Floats,  # (h, 2)
     settings: Search,
-    probed: NDArray[np.bool_] | None = None,  # (h,) True where the robot probes; None: all
+    probed: Mask | None = None,  # (h,) True where the robot probes; None: all
 ) -> float:
     """Return E[D] + beyond_m P(not connected at q_1 .. q_h), by the exact posteriors."""
     # E[D] alone is smallest for a stationary robot, so leg lengths are those of `counted_legs_m`.
@@ -89,16 +89,16 @@ def charged_distance_m(
     return float(charged_distances_m(stations, counted[None], settings.beyond_m)[0])
 
 
-def counted_legs_m(legs_m: NDArray[np.float64], step_m: float | None) -> NDArray[np.float64]:
+def counted_legs_m(legs_m: Floats, step_m: float | None) -> Floats:
     """Return leg lengths plus `WAITING` times their shortfall from the longest step `step_m`."""
     return legs_m if step_m is None else (1.0 - WAITING) * legs_m + WAITING * step_m
 
 
 def charged_distances_m(
-    stations: Sequence[tuple[NDArray[np.float64], NDArray[np.float64]]],
-    legs_m: NDArray[np.float64],  # (c, h) counted lengths of the steps
-    beyond_m: NDArray[np.float64] | float,
-) -> NDArray[np.float64]:
+    stations: Sequence[tuple[Floats, Floats]],
+    legs_m: Floats,  # (c, h) counted lengths of the steps
+    beyond_m: Floats | float,
+) -> Floats:
     """Return the cost of :func:`charged_distance_m` for c paths of h positions; ``(c,)``."""
     failing = np.ones_like(legs_m)
     for above_db, covariance_db2 in stations:
@@ -110,9 +110,7 @@ def charged_distances_m(
     )
 
 
-def filtered_failing(
-    above_db: NDArray[np.float64], covariance_db2: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def filtered_failing(above_db: Floats, covariance_db2: Floats) -> Floats:
     """Return P(no connection up to each position) of c paths (equation 4.15); ``(c, h)``."""
     # Shapes: above_db (c, h); covariance_db2 (c, h, h).
     mean, covariance = above_db.copy(), covariance_db2.copy()
@@ -132,9 +130,7 @@ def filtered_failing(
     return np.asarray(np.cumprod(below, axis=1), dtype=np.float64)
 
 
-def search_length_m(
-    distance_m: NDArray[np.float64], chance: NDArray[np.float64], decorrelation_m: float
-) -> NDArray[np.float64]:
+def search_length_m(distance_m: Floats, chance: Floats, decorrelation_m: float) -> Floats:
     """Return the expected length of a search by its first probe, R = D + L (1 - P) / P."""
     # The first probe costs the path length D to its position. Each further probe is nearby, equally
     # likely to succeed, and costs L, `PROBE_SHARE` of the decorrelation distance.
@@ -202,11 +198,11 @@ def _failing(z: Any, steps: int) -> list[Any]:
 
 def charged_distance_derivatives(
     channels: Sequence[LocalChannel],
-    path_m: NDArray[np.float64],  # (h, 2)
+    path_m: Floats,  # (h, 2)
     settings: Search,
     width_m: float,
     beyond: Derivatives | None = None,  # Cost of ending unconnected at the last position
-    probed: NDArray[np.bool_] | None = None,  # (h,)
+    probed: Mask | None = None,  # (h,)
 ) -> PathDerivatives:
     """Return :func:`charged_distance_m` for local channels, filtered, with derivatives."""
     stations = [LocalPath(channel, path_m) for channel in channels]
@@ -219,9 +215,9 @@ def charged_distance_derivatives(
     if beyond is None:
         beyond = Derivatives(np.array([settings.beyond_m]), np.zeros((1, 2)), np.zeros((1, 3)))
     missing_db = 0.0 if probed is None else np.where(probed, 0.0, NOT_PROBED_DB)
-    z: list[NDArray[np.float64]] = []
+    z: list[Floats] = []
     # Derivatives of z w.r.t. the coordinates.
-    jacobian: list[NDArray[np.float64]] = []
+    jacobian: list[Floats] = []
     for station, threshold in zip(stations, settings.thresholds_dbm, strict=True):
         z += [station.power_mean.value - threshold - missing_db, station.universal.value.ravel()]
         jacobian += _jacobians(station)
@@ -247,7 +243,7 @@ def charged_distance_derivatives(
     )
 
 
-def _jacobians(station: LocalPath) -> list[NDArray[np.float64]]:
+def _jacobians(station: LocalPath) -> list[Floats]:
     """Return the Jacobians of mean (h, 2 h) and covariance (h h, 2 h) of one station."""
     steps = station.steps
     k = np.arange(steps)
@@ -306,21 +302,19 @@ class UntilConnectedTerm(Term):
         most_m = at.workspace_diagonal_m if self.beyond_m is None else np.inf
         return max(min(float(after[0]), most_m), 0.0)
 
-    def search_length_m(
-        self, at: TermContext, length_m: NDArray[np.float64], chance: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def search_length_m(self, at: TermContext, length_m: Floats, chance: Floats) -> Floats:
         """Return the expected search lengths for first probes at these distances; ``(k,)``."""
         # The length is R of `until_connected`, or D + (1 - P) `beyond_m`.
         if self.beyond_m is not None:
             return length_m + (1.0 - chance) * self.beyond_m
         return search_length_m(length_m, chance, at.decorrelation_m)
 
-    def charged_beyond_m(self, at: TermContext, ends_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def charged_beyond_m(self, at: TermContext, ends_m: Floats) -> Floats:
         """Return the cost-to-go of plans that end at `ends_m` (n, 2) without connection; (n,)."""
         after = np.full(len(ends_m), self.search(at).beyond_m)
         return after if at.steering is None else after + at.steering.distance_m(ends_m)
 
-    def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
+    def value(self, at: TermContext, path_m: Floats) -> float:
         """Return minus the expected search length in metres along one path."""
 
         def charged_m() -> float:
@@ -330,7 +324,7 @@ class UntilConnectedTerm(Term):
 
         return -at.once((UntilConnectedTerm, "charged", self, path_m.tobytes()), charged_m)
 
-    def values(self, paths: Paths) -> NDArray[np.float64]:
+    def values(self, paths: Paths) -> Floats:
         """Return the values of many paths, by recursive filtering."""
         settings = self.search(paths.at)
         missing_db = np.where(paths.at.probing.takes(paths.paths_m), 0.0, NOT_PROBED_DB)
@@ -361,12 +355,8 @@ class UntilConnectedTerm(Term):
         return PathDerivatives(-found.value, -found.gradient, -found.hessian)
 
     def stage_reward(
-        self,
-        at: TermContext,
-        places_m: NDArray[np.float64],
-        stage: int | NDArray[np.intp],
-        chance: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+        self, at: TermContext, places_m: Floats, stage: int | Indices, chance: Floats
+    ) -> Floats:
         """Return the expected distance saved if each position were the only probe."""
         return self.search(at).beyond_m * chance
 

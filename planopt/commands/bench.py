@@ -15,8 +15,7 @@ from planopt.errors import InputError
 from planopt.files.writing import replaced_results
 
 if TYPE_CHECKING:
-    from planopt.studies.bench_cases import Row
-    from planopt.studies.bench_folder import Manifest
+    from planopt.studies.bench_cases import Manifest, Row
     from planopt.studies.bench_references import References
 
 REPORT_FILE, PICTURE_FILE = "report.json", "report.png"
@@ -59,8 +58,7 @@ def run(
     json: JsonOption = False,
 ) -> int:
     """Solve all cases, or resume. Exit code 0, or 3 if the check rejects an answer."""
-    from planopt.studies.bench_cases import ERROR, library_cases
-    from planopt.studies.bench_folder import TABLE, run_into
+    from planopt.studies.bench_cases import ERROR, TABLE, library_cases, run_into
 
     cases = library_cases(
         listed(problems, "--problems", str),
@@ -102,7 +100,7 @@ def report(
     """Print and plot the scores of the planners. Exit code 0."""
     from planopt.files.writing import strict_text, write_text
     from planopt.report import bench_text
-    from planopt.studies.bench_folder import read_manifest, read_rows
+    from planopt.studies.bench_cases import read_manifest, read_rows
     from planopt.studies.bench_references import best_known, read_references, references_file
 
     manifest, rows = read_manifest(folder), read_rows(folder)
@@ -135,7 +133,7 @@ def check(
     """Solve the fast subset again. Exit code 0, or 1 if anything is worse than its reference."""
     from time import perf_counter
 
-    from planopt.studies.bench_folder import answers
+    from planopt.studies.bench_cases import answers
     from planopt.studies.bench_references import assessed, fast_cases, read_references
 
     begun = perf_counter()

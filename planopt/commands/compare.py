@@ -80,6 +80,7 @@ def compare(
     from planopt.studies.compare import compare as compared
     from planopt.studies.comparison import (
         COMPARISON,
+        COMPARISON_FILE,
         comparison_json,
         no_comparison_json,
         require_pyarrow,
@@ -132,7 +133,10 @@ def compare(
             return NO_PLAN
         if folder is not None:
             comparison.save(folder, parquet=parquet)
-        text = "" if json else f"{comparison_text(comparison)}\n{_where_all_is(folder)}"
+        words = "all numbers with their intervals:"
+        where = f" {COMPARISON_FILE} of --out FOLDER"
+        where = where if folder is None else f"\n{folder / COMPARISON_FILE}"
+        text = "" if json else f"{comparison_text(comparison)}\n{words}{where}"
         show(json, comparison_json(comparison) if json else {}, text)
         with drawing(folder, COMPARISON, wanted=figures) as new:
             if new is not None:
@@ -153,16 +157,6 @@ def _draw(comparison: Comparison, folder: Path) -> None:
         title = f"{names}: connection over {len(comparison.runs)} runs"
         series = {"all settings": comparison.reliability}
         save_figure(draw_reliability(series, title), folder / "reliability.png")
-
-
-def _where_all_is(folder: Path | None) -> str:
-    """Return a line that says where all numbers and intervals are saved."""
-    from planopt.studies.comparison import COMPARISON_FILE
-
-    words = "all numbers with their intervals:"
-    if folder is None:
-        return f"{words} {COMPARISON_FILE} of --out FOLDER"
-    return f"{words}\n{folder / COMPARISON_FILE}"
 
 
 def seed_range(text: str, first: int | None) -> range:

@@ -381,6 +381,8 @@ def fit(
 
 def fit_json(fitted: LogFit) -> dict[str, Any]:
     """Return the JSON object of ``fit``; ``other_modes`` are nearly as likely parameters."""
+    import numpy as np
+
     from planopt.files.typed_json import finite
 
     found, receivers = fitted.found, fitted.receivers
@@ -391,7 +393,11 @@ def fit_json(fitted: LogFit) -> dict[str, Any]:
         **{name: finite(getattr(parameters, name)) for name in UNITS},
         "station": list(parameters.station.position_m),
         "station_height_m": parameters.station.height_m,
-        "station_standard_errors_m": _station_errors_m(found),
+        "station_standard_errors_m": (
+            None
+            if found.station_covariance_m2 is None
+            else [finite(math.sqrt(each)) for each in np.diag(found.station_covariance_m2)]
+        ),
         "standard_errors": {name: finite(found.standard_errors[name]) for name in UNITS},
         "other_modes": [
             {
@@ -417,24 +423,19 @@ def fit_json(fitted: LogFit) -> dict[str, Any]:
     }
 
 
-def _station_errors_m(found: ChannelFit) -> list[float | None] | None:
-    """Return the standard errors of the station's x and y; None if the position is known."""
-    from planopt.files.typed_json import finite
-
-    covariance = found.station_covariance_m2
-    if covariance is None:
-        return None
-    return [finite(math.sqrt(covariance[axis, axis])) for axis in range(2)]
-
-
 def _in_words(data: dict[str, Any]) -> str:
     from planopt.short_repr import shown_number
 
-    x, y = data["station"]
+    (x, y), errors_m = data["station"], data["station_standard_errors_m"]
+    within = (
+        ""
+        if errors_m is None
+        else " +- ({}, {})".format(*(shown_number(error, digits=2) for error in errors_m))
+    )
     lines = [
         f"{data['method']}: {data['status']}, {data['measurements']} measurements, "
         f"{data['censored']} of them upper limits, station ({x:g}, {y:g})"
-        f"{_errors_in_words(data['station_standard_errors_m'])} m"
+        f"{within} m"
     ]
     for name, unit in UNITS.items():
         error = shown_number(data["standard_errors"][name], digits=2)
@@ -449,13 +450,3 @@ def _in_words(data: dict[str, Any]) -> str:
     if "held_out" in data:
         lines += held_out_words(data["held_out"])
     return "\n".join(lines)
-
-
-def _errors_in_words(errors_m: list[float | None] | None) -> str:
-    """Return the errors of an estimated station position as text."""
-    if errors_m is None:
-        return ""
-    from planopt.short_repr import shown_number
-
-    x, y = (shown_number(error, digits=2) for error in errors_m)
-    return f" +- ({x}, {y})"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -82,7 +83,11 @@ def init(
     for name in named_files(read_toml(library[source])):
         contents[file.parent / name] = read_bytes(library_folder() / name)
     # Another problem may already have brought the same map.
-    written = [path for path, content in contents.items() if not _has(path, content)]
+    written = [
+        path
+        for path, content in contents.items()
+        if not path.is_file() or read_bytes(path) != content
+    ]
     for path in written:
         if path.exists():
             raise OutputError(f"{path}: is there already (choose another folder or name)")
@@ -91,7 +96,7 @@ def init(
             stack.enter_context(results_folder(folder))
         # The problem is written last, after the files that it refers to.
         for path in reversed(written):
-            write_whole(path, lambda temporary, path=path: _write(temporary, contents[path]))
+            write_whole(path, partial(Path.write_bytes, data=contents[path]))
     data = {"problem": str(file), "files": [str(path) for path in contents]}
     text = [f"{path}: written" for path in written]
     show(json, data, "\n".join([*text, f"next: planopt show {file}, planopt solve {file}"]))
@@ -123,13 +128,3 @@ def validate(problem: ProblemArgument, json: JsonOption = False) -> int:
     lines += [f"  {warning}" for warning in more.get("warnings", ())]
     show(json, data, "\n".join(lines))
     return 0
-
-
-def _has(path: Path, content: bytes) -> bool:
-    from planopt.files.reading import read_bytes
-
-    return path.is_file() and read_bytes(path) == content
-
-
-def _write(path: Path, content: bytes) -> None:
-    path.write_bytes(content)

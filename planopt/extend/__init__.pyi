@@ -16,8 +16,8 @@ from planopt.planning.scene import free_ends as free_ends
 from planopt.problems.planner_kinds import PlannerKind as PlannerKind
 from planopt.problems.planner_kinds import register_planner as register_planner
 from planopt.problems.planner_kinds import unregister_planner as unregister_planner
+from planopt.problems.schema import TaskFile as TaskFile
 from planopt.robots.casadi_map import CasadiMap as CasadiMap
 from planopt.robots.dynamics import Dynamics as Dynamics
 from planopt.tasks.task import Task as Task
-from planopt.tasks.task import TaskFile as TaskFile
 from planopt.tasks.task import TaskResult as TaskResult

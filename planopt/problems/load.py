@@ -52,22 +52,15 @@ def check_files(problem: Problem) -> None:
         if isinstance(truth, RasterTruth):
             own = radio.gain_file is not None
             key = f"stations[{number}].gain_file" if own else "channel.truth.file"
-            _check_map(problem, raster_truth_of(truth, radio).file, key)
+            _check_file(problem, raster_truth_of(truth, radio).file, key, is_map=True)
         if isinstance(measurements, LoggedMeasurements):
             own = radio.log_file is not None
             key = f"stations[{number}].log_file" if own else "channel.measurements.file"
             _check_file(problem, log_of(measurements, radio).file, key)
 
 
-def _check_map(problem: Problem, path: Path, key: str) -> None:
-    _check_file(problem, path, key)
-    try:
-        raster_ending(path)
-    except InputError as error:
-        raise InputError(error.message, file=problem.file, key=key, remedy=error.remedy) from error
-
-
-def _check_file(problem: Problem, path: Path, key: str) -> None:
+def _check_file(problem: Problem, path: Path, key: str, *, is_map: bool = False) -> None:
+    """Raise an `InputError` for a missing file, or a map with an unknown ending."""
     try:
         there = path.is_file()
     except OSError:  # Name not allowed by the file system
@@ -79,6 +72,12 @@ def _check_file(problem: Problem, path: Path, key: str) -> None:
             key=key,
             remedy="file names are relative to the problem file",
         )
+    if is_map:
+        try:
+            raster_ending(path)
+        except InputError as error:
+            message, remedy = error.message, error.remedy
+            raise InputError(message, file=problem.file, key=key, remedy=remedy) from error
 
 
 def load(path_or_name: Path | str) -> Any:
@@ -223,11 +222,7 @@ def with_overrides(
             raise
         check_problem(problem)
         settings = ", ".join(f"{name} {value}" for name, value in given.items())
-        raise InputError(
-            f"{error.message}; {settings} was given in place of the problem's own",
-            key=error.key,
-            remedy=error.remedy,
-        ) from None
+        raise _of_change(error, settings) from None
     return changed
 
 
@@ -283,11 +278,13 @@ def with_changes(problem: AnyProblem, changes: Mapping[str, object]) -> AnyProbl
         check_files(changed)
         return cast("AnyProblem", replace(changed, file=problem.file))
     except InputError as error:
-        raise InputError(
-            f"{error.message}; {given} was given in place of the problem's own",
-            key=error.key,
-            remedy=error.remedy,
-        ) from None
+        raise _of_change(error, given) from None
+
+
+def _of_change(error: InputError, given: str) -> InputError:
+    """Return the error of a changed problem, with the values that were changed."""
+    message = f"{error.message}; {given} was given in place of the problem's own"
+    return InputError(message, key=error.key, remedy=error.remedy)
 
 
 def _places(tables: dict[str, Any], key: str) -> list[tuple[Any, str | int]]:

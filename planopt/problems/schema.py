@@ -309,18 +309,39 @@ MAX_STATIONS = 20
 """Maximum number of stations, since each has its own channel fit and posterior."""
 
 
-class ProblemTable(Table):
+class HeadTable(Table):
     """Table ``[problem]``: name and task of the problem."""
 
     schema_version: Literal[1] = Field(alias="schema")
     """Version of this schema; it is 1."""
     name: Name
     """Name: letters, digits, '_' and '-'."""
-    task: Task = "reach"
-    """Task of the robots: reach a goal, track a target, learn the path loss, map the channel,
-    connect after a short path, or custom (defined by registered terms)."""
+    task: Name
+    """Name of the task."""
     description: str = ""
     """Description in one sentence."""
+
+
+class ReportTable(Table):
+    """Table ``[report]``: output settings."""
+
+    figures: bool = ReportSettings().figures
+    """Whether figures are drawn (true or false)."""
+
+
+class TaskFile(Table):
+    """Base class of problem files: the tables common to all tasks."""
+
+    problem: HeadTable
+    report: ReportTable = Field(default_factory=ReportTable)
+
+
+class ProblemTable(HeadTable):
+    """Table ``[problem]``: name and task of the problem."""
+
+    task: Task = "reach"  # pyright: ignore[reportIncompatibleVariableOverride]
+    """Task of the robots: reach a goal, track a target, learn the path loss, map the channel,
+    connect after a short path, or custom (defined by registered terms)."""
 
 
 class ProblemFile(Table):

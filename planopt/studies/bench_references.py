@@ -27,6 +27,7 @@ from planopt.problems.tasks import task_of
 from planopt.studies.bench_cases import (
     ERROR,
     NO_PLAN,
+    OBJECTIVE_SHARE,
     PLAN,
     RUN,
     Answer,
@@ -35,9 +36,6 @@ from planopt.studies.bench_cases import (
     Row,
     library_names,
 )
-
-OBJECTIVE_SHARE = 0.01
-"""Relative difference above which one objective counts as worse than another."""
 
 DIGITS = 9
 """Significant digits of stored objectives."""

@@ -25,9 +25,8 @@ from planopt.coverage.localisation import EventSensor
 from planopt.coverage.network import Counting, LinkModel
 from planopt.errors import InputError
 from planopt.keys import SMALLEST, Distance, FileName, Length, Metres, Name, Pair, Quad, Table
-from planopt.problems.schema import ObstacleTable
+from planopt.problems.schema import ObstacleTable, TaskFile
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
-from planopt.tasks.task import TaskFile
 from planopt.world.raster import checked_raster
 from planopt.world.raster_files import read_raster
 

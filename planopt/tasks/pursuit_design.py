@@ -16,6 +16,7 @@ from planopt.errors import InputError, NoPlanError
 from planopt.files.typed_json import finite
 from planopt.keys import SMALLEST, Length, Table
 from planopt.planning.plan import Termination, Verdict
+from planopt.problems.schema import TaskFile
 from planopt.problems.tasks import TaskProblem
 from planopt.pursuit.certificate import DesignData, Requirement, certify
 from planopt.pursuit.design import (
@@ -35,7 +36,7 @@ from planopt.pursuit.design import (
 from planopt.pursuit.guarantees import Chase, Guarantee
 from planopt.pursuit.service import MOST_SIMULATED_LEVELS, late_shares
 from planopt.pursuit.theorems import Inequality, Theorem
-from planopt.tasks.task import Task, TaskFile, TaskResult
+from planopt.tasks.task import Task, TaskResult
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

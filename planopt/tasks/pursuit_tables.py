@@ -14,7 +14,7 @@ from pydantic import Field
 
 from planopt.errors import InputError
 from planopt.keys import SMALLEST, Distance, Length, Name, Pair, Table
-from planopt.problems.schema import WorldTable, obstacle_table, obstacles_of
+from planopt.problems.schema import TaskFile, WorldTable, obstacle_table, obstacles_of
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
 from planopt.problems.tasks import TaskProblem
 from planopt.pursuit.arena import EVADER_SHARE, Arena, arena_of
@@ -38,7 +38,6 @@ from planopt.pursuit.service import HOPS_PER_ROUND, MAX_LEVELS, SnapshotRecords,
 from planopt.pursuit.simulation import Evader, Pursuer, Scene
 from planopt.pursuit.theorems import Distances, Theorem
 from planopt.robots.models import Unicycle
-from planopt.tasks.task import TaskFile
 from planopt.world.workspace import Obstacle, Workspace
 
 LOST_ROUNDS = 4096

@@ -13,19 +13,17 @@ from time import process_time
 from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast, get_args
 
 import numpy as np
-from pydantic import Field
 
 from planopt.errors import A_FOLDER, InputError, NoPlanError, path_of
 from planopt.files.compare import differences, in_words
 from planopt.files.tables import Column, Data, comparable, dataframe, read_table, write_tables
 from planopt.files.typed_json import finite, whole_number
 from planopt.files.writing import Patterns, replaced_results, strict_text, write_text
-from planopt.keys import Name, Table, located
+from planopt.keys import Table, located
 from planopt.planning.check.check import CheckResult
 from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE, read_object
 from planopt.planning.loop.results import RunSummary, short_summary
 from planopt.planning.plan import Verdict
-from planopt.problems.settings import ReportSettings
 from planopt.problems.tasks import TaskProblem, problem_from, task_of
 
 if TYPE_CHECKING:
@@ -40,33 +38,6 @@ MOST_REASONS = 3
 """Maximum number of faults in a row of the regression suite."""
 
 Action = Literal["solve", "simulate"]
-
-
-class HeadTable(Table):
-    """Table ``[problem]``: name and task of the problem."""
-
-    schema_version: Literal[1] = Field(alias="schema")
-    """Version of this schema; it is 1."""
-    name: Name
-    """Name: letters, digits, '_' and '-'."""
-    task: Name
-    """Name of the task."""
-    description: str = ""
-    """Description in one sentence."""
-
-
-class ReportTable(Table):
-    """Table ``[report]``: output settings."""
-
-    figures: bool = ReportSettings().figures
-    """Whether figures are drawn (true or false)."""
-
-
-class TaskFile(Table):
-    """Base class of problem files: the tables common to all tasks."""
-
-    problem: HeadTable
-    report: ReportTable = Field(default_factory=ReportTable)
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,7 @@ from bench_rows import row
 
 from planopt.commands.bench import report_json
 from planopt.report import bench_text, draw_bench
-from planopt.studies.bench_folder import Manifest
+from planopt.studies.bench_cases import Manifest
 from planopt.studies.bench_references import best_known, reference_of
 
 MANIFEST = Manifest(

@@ -94,7 +94,7 @@ def test_another_program_is_refused(folder: Path, monkeypatch, capsys) -> None:
     made = dict(study.program())
 
     monkeypatch.setattr(
-        "planopt.studies.bench_folder.program", lambda: tuple({**made, "planopt": "9.9"}.items())
+        "planopt.studies.bench_cases.program", lambda: tuple({**made, "planopt": "9.9"}.items())
     )
     assert ran(folder) == 2
     assert f"planopt {made['planopt']}, this is 9.9" in capsys.readouterr().err

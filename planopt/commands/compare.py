@@ -111,7 +111,7 @@ def compare(
         else seed_range(str(DEFAULT_SEEDS) if seeds is None else seeds, first_seed)
     )
     # Invalid settings must be found before the first run.
-    total = len(settings_of(loaded, **lists)) * len(chosen)
+    total = len(settings_of(loaded, Lists(**lists))) * len(chosen)
     figures = all(task_of(problem).has_figures(problem) for problem in loaded)
     with results_folder(out) as folder:
         try:

@@ -220,9 +220,6 @@ class Constraints(Part):
         missing = rule.kind.keys_fault(given)
         if missing is not None:
             return f"needs {missing}, for instance"
-        return self._fault_of_slack() or self._fault_of_uncertainty()
-
-    def _fault_of_slack(self) -> str | None:
         if self.rule.slack_max_db is not None and not self.asks_connection:
             return (
                 "has slack_max_db, but no connection is required, since p_min is 0: write "
@@ -230,9 +227,6 @@ class Constraints(Part):
             )
         if self.rule.slack_price > 0.0 and not self.rule.slack_max_db:
             return "has slack_price, which needs slack_max_db above 0: write slack_max_db = 3.0"
-        return None
-
-    def _fault_of_uncertainty(self) -> str | None:
         if self.rule.parameter_uncertainty != "all":
             return None
         if not self.rule.by_step:

@@ -25,16 +25,8 @@ from planopt.report.panel import (
     plain_log_ticks,
 )
 from planopt.report.tables import MISSING, WIDTH, aligned
-from planopt.studies.bench_cases import (
-    OBJECTIVE_SHARE,
-    Manifest,
-    Question,
-    Row,
-    Score,
-    excess,
-    scores,
-    time_profile,
-)
+from planopt.studies.bench_cases import OBJECTIVE_SHARE, Manifest, Question, Row
+from planopt.studies.bench_references import Score, excess, scores, time_profile
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

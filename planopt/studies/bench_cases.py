@@ -309,10 +309,10 @@ def answers(
     ]
     rows: list[Row] = []
     for results in run_study(STUDY, groups, workers=workers, record=record):
-        for one in results:
-            rows.append(one.result)
+        for row, _ in results:
+            rows.append(row)
             if on_row is not None:
-                on_row(one.result)
+                on_row(row)
     return rows
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from planopt.errors import InputError, NoPlanError
 from planopt.parts import parts_of
 from planopt.planning.loop.log import Outcome
-from planopt.planning.loop.results import NOT_DONE, RunSummary, short_summary
+from planopt.planning.loop.results import NOT_DONE, RunSummary
 from planopt.problems.load import with_changes
 from planopt.problems.problem import Problem
 from planopt.problems.settings import (
@@ -125,10 +125,10 @@ def compare(
     resumed = 0
     for (number, seed), runs in zip(places, results, strict=True):
         variant = variants[number]
-        for setting, run in enumerate(runs):
-            resumed += run.resumed
+        for setting, (run, was_finished) in enumerate(runs):
+            resumed += was_finished
             # The stored run lacks the name and the changed keys of this study.
-            done = replace(run.result, problem=variant.problem.name, sweep=variant.sweep)
+            done = replace(run, problem=variant.problem.name, sweep=variant.sweep)
             driven[number, setting, seed] = done
             if on_run is not None:
                 on_run(done)
@@ -159,7 +159,13 @@ def _drive(item: Item, shared: Any) -> RunSummary:
             raise shared
         return task.run_summary(problem, seed, shared)
     except NoPlanError as error:
-        return short_summary(task.labels(problem), seed, Outcome.NO_PLAN, str(error), NOT_DONE)
+        return RunSummary(
+            *task.labels(problem),
+            seed=seed,
+            outcome=Outcome.NO_PLAN.value,
+            reason=str(error),
+            exit_code=NOT_DONE,
+        )
 
 
 OWN_OPTIONS = {
@@ -189,16 +195,9 @@ class Lists:
     sweep: Mapping[str, Sequence[Any]] | None = None
 
 
-def settings_of(
-    problems: Sequence[AnyProblem],
-    horizons: Sequence[int] | None = None,
-    planners: Sequence[str] | None = None,
-    costs_to_go: Sequence[str] | None = None,
-    sweep: Mapping[str, Sequence[Any]] | None = None,
-) -> list[AnyProblem]:
+def settings_of(problems: Sequence[AnyProblem], lists: Lists) -> list[AnyProblem]:
     """Return every setting that :func:`planopt.compare` runs on each seed, with the same errors."""
-    variants = variants_of(problems, Lists(horizons, planners, costs_to_go, sweep))
-    return [setting for variant in variants for setting in variant.settings]
+    return [each for variant in variants_of(problems, lists) for each in variant.settings]
 
 
 def own_settings(problems: Sequence[AnyProblem], lists: Lists) -> ComparisonSettings | None:

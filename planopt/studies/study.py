@@ -184,14 +184,6 @@ class Study(Generic[Item, Shared, Result]):
     key: Callable[[Item], Mapping[str, Any]]  # Everything that determines an item's result, as JSON
 
 
-@dataclass(frozen=True)
-class Finished(Generic[Result]):
-    """A result, and whether it was read from the record."""
-
-    result: Result
-    resumed: bool
-
-
 def run_study(
     study: Study[Item, Shared, Result],
     groups: Sequence[Sequence[Item]],
@@ -199,8 +191,11 @@ def run_study(
     workers: int = 1,
     backend: str = "loky",
     record: FinishedRuns | None = None,
-) -> Iterator[list[Finished[Result]]]:
-    """Compute all items; yield the results of each group, in order, as soon as it is finished."""
+) -> Iterator[list[tuple[Result, bool]]]:
+    """Compute all items; yield the results of each group, in order, as soon as it is finished.
+
+    Each result comes with whether it was read from the record.
+    """
     if workers < 1:
         raise InputError(
             f"{workers} is less than 1",
@@ -220,18 +215,18 @@ def _recorded(
     study: Study[Item, Shared, Result],
     groups: Sequence[Sequence[Item]],
     record: FinishedRuns,
-    results: Iterator[list[Finished[Result]]],
+    results: Iterator[list[tuple[Result, bool]]],
     *,
     elsewhere: bool,
-) -> Generator[list[Finished[Result]]]:
+) -> Generator[list[tuple[Result, bool]]]:
     """Yield results, store those from machines with other folders, remove partial files."""
     record.tidy()
     try:
         for group, found in zip(groups, results, strict=True):
-            for item, one in zip(group, found, strict=True) if elsewhere else ():
+            for item, (one, _) in zip(group, found, strict=True) if elsewhere else ():
                 key = study.key(item)
                 if not record.has(key):
-                    record.keep(key, one.result)
+                    record.keep(key, one)
             yield found
     finally:
         record.tidy()
@@ -326,7 +321,7 @@ def _group_results(
     terms: Sequence[type[Term]],
     rules: Sequence[type[Any]],
     parent: int,
-) -> list[Finished[Result]]:
+) -> list[tuple[Result, bool]]:
     """Compute the unfinished items of a group."""
     if os.getpid() != parent:
         for kind in planners:
@@ -336,7 +331,7 @@ def _group_results(
         for rule in rules:
             register_rule(rule)
     shared: list[Shared] = []
-    results: list[Finished[Result]] = []
+    results: list[tuple[Result, bool]] = []
     for item in group:
         found = None if record is None else record.find(study.key(item), study.kind)
         resumed = found is not None
@@ -346,7 +341,7 @@ def _group_results(
             found = study.work(item, shared[0])
             if record is not None:
                 record.keep(study.key(item), found)
-        results.append(Finished(found, resumed))
+        results.append((found, resumed))
     return results
 
 

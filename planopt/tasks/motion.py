@@ -124,10 +124,10 @@ class MotionTask(Task):
         from planopt.planning.initial_data import prepare
         from planopt.planning.scene import build_scenes
         from planopt.problems.plausibility import measured_warnings
-        from planopt.studies.compare import default_seeds, settings_of
+        from planopt.studies.compare import Lists, default_seeds, settings_of
 
         if problem.compare is not None:
-            settings_of([problem])
+            settings_of([problem], Lists())
             default_seeds(problem.compare)
         prepared, warnings = prepare(problem, 0), list(self.warnings(problem))
         try:

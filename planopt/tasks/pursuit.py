@@ -214,7 +214,7 @@ def claims(result: TaskResult) -> tuple[Claim, ...]:
 def verifier_data(result: TaskResult) -> tuple[PursuitData, PursuitLog]:
     """Return the problem and the log of a simulated result for the verifier."""
     problem, pursuit = cast("PursuitProblem", result.problem), cast("Pursuit", result.value)
-    given, uses = problem.given, pursuit.uses
+    given = problem.given
     keys = {"name", "start_m", "start_radius_m", "speed_max_m_s", "turn_rate_max_rad_s"}
     data = PursuitData(
         tuple(Robot(**each.model_dump(include=keys)) for each in given.pursuers),
@@ -228,14 +228,6 @@ def verifier_data(result: TaskResult) -> tuple[PursuitData, PursuitLog]:
         tuple(each.polygon for each in problem.obstacles),
         given.pursuit.clearance_m,
     )
-    reports = Reports(
-        np.array([use.pursuer for use in uses], dtype=np.intp),
-        np.array([use.evader for use in uses], dtype=np.intp),
-        np.array([use.time_s for use in uses]),
-        np.array([use.record.sampled_s for use in uses]),
-        np.array([use.record.reported_m for use in uses]).reshape(-1, 2),
-        np.array([use.record.error_m for use in uses]),
-    )
     return data, PursuitLog(
         pursuit.times_s,
         pursuit.pursuers,
@@ -244,13 +236,26 @@ def verifier_data(result: TaskResult) -> tuple[PursuitData, PursuitLog]:
         pursuit.evaders_m,
         pursuit.capture_s,
         pursuit.captors,
-        reports,
+        _reports(pursuit),
+    )
+
+
+def _reports(pursuit: Pursuit) -> Reports:
+    """Return the reports that the pursuers used."""
+    uses = pursuit.uses
+    return Reports(
+        np.array([use.pursuer for use in uses], dtype=np.intp),
+        np.array([use.evader for use in uses], dtype=np.intp),
+        np.array([use.time_s for use in uses]),
+        np.array([use.record.sampled_s for use in uses]),
+        np.array([use.record.reported_m for use in uses]).reshape(-1, 2),
+        np.array([use.record.error_m for use in uses]),
     )
 
 
 def _tables(problem: PursuitProblem, pursuit: Pursuit) -> dict[str, Data]:
     """Return the tables ``steps.csv`` and ``records.csv``."""
-    given, uses = problem.given, pursuit.uses
+    given, reports = problem.given, _reports(pursuit)
     pursuers, evaders = ([each.name for each in table] for table in (given.pursuers, given.evaders))
     count, rows = len(pursuers) + len(evaders), len(pursuit.times_s)
     states = (*pursuit.pursuers, *pursuit.evaders_m)
@@ -258,7 +263,6 @@ def _tables(problem: PursuitProblem, pursuit: Pursuit) -> dict[str, Data]:
     chased = np.full((count, rows), -1)
     aims_m = np.full((count, rows, 2), np.nan)
     chased[: len(pursuers), :-1], aims_m[: len(pursuers), :-1] = pursuit.chased, pursuit.aims_m
-    reported = np.array([use.record.reported_m for use in uses]).reshape(len(uses), 2)
     return {
         STEPS_FILE: {
             "robot": np.repeat([*pursuers, *evaders], rows),
@@ -272,13 +276,13 @@ def _tables(problem: PursuitProblem, pursuit: Pursuit) -> dict[str, Data]:
             "aim_y_m": aims_m[..., 1].ravel(),
         },
         RECORDS_FILE: {
-            "pursuer": np.array([pursuers[use.pursuer] for use in uses], dtype=np.str_),
-            "evader": np.array([evaders[use.evader] for use in uses], dtype=np.str_),
-            "t_s": np.array([use.time_s for use in uses]),
-            "sampled_s": np.array([use.record.sampled_s for use in uses]),
-            "reported_x_m": reported[:, 0],
-            "reported_y_m": reported[:, 1],
-            "error_m": np.array([use.record.error_m for use in uses]),
+            "pursuer": np.array(pursuers)[reports.pursuer],
+            "evader": np.array(evaders)[reports.evader],
+            "t_s": reports.time_s,
+            "sampled_s": reports.sampled_s,
+            "reported_x_m": reports.reported_m[:, 0],
+            "reported_y_m": reports.reported_m[:, 1],
+            "error_m": reports.error_m,
         },
     }
 

@@ -22,7 +22,7 @@ from planopt.files.writing import Patterns, replaced_results, strict_text, write
 from planopt.keys import Table, located
 from planopt.planning.check.check import CheckResult
 from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE, read_object
-from planopt.planning.loop.results import RunSummary, short_summary
+from planopt.planning.loop.results import RunSummary
 from planopt.planning.plan import Verdict
 from planopt.problems.tasks import TaskProblem, problem_from, task_of
 
@@ -205,8 +205,12 @@ class Task:
         rate = data.get("verified_rate") if simulated else float(result.exit_code == 0)
         reason = str(data.get("reason", data.get("message", "")))
         outcome = data["outcome"] if simulated else data["verdict"]
-        return replace(
-            short_summary(self.labels(problem), seed, outcome, reason, result.exit_code),
+        return RunSummary(
+            *self.labels(problem),
+            seed,
+            outcome,
+            reason,
+            result.exit_code,
             metrics=_numbers(data.get("metrics", {}) if simulated else _scalars(data)),
             rungs={str(name): int(count) for name, count in data.get("rungs", {}).items()},
             verified_rate=np.nan if rate is None else float(rate),
@@ -247,7 +251,7 @@ class Task:
         verdicts = {0: Verdict.VERIFIED, NOT_VERIFIED: Verdict.VIOLATED}
         row = {
             "outcome": "planned",
-            "verdict": verdicts.get(result.exit_code, Verdict.NONE).value,
+            "verdict": data.get("verdict", verdicts.get(result.exit_code, Verdict.NONE).value),
             "termination": data.get("termination", data.get("outcome", "")),
             "objective": None if objective is None else finite(objective),
             "sense": data.get("sense", sense),

@@ -21,7 +21,7 @@ from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.settings import ComparisonSettings, SettingGroup
 from planopt.report import comparison_text, draw_comparison
 from planopt.report.comparison_figure import layout_of
-from planopt.studies.compare import settings_of
+from planopt.studies.compare import Lists, settings_of
 from planopt.studies.comparison import run_columns
 from planopt.studies.comparison_rows import short_keys
 from planopt.studies.study import run_key
@@ -62,10 +62,10 @@ def test_groups_stand_one_after_the_other(problem, comparison) -> None:
 def test_settings_and_seeds_that_are_given_come_first(problem) -> None:
     """Seeds alone replace the problem's; settings replace the whole table."""
     assert [run.seed for run in compare(problem, seeds=[7]).runs] == [7] * 4
-    own = settings_of([problem])
-    assert len(own) == 4 and len(settings_of([problem], [1, 2])) == 2
+    own = settings_of([problem], Lists())
+    assert len(own) == 4 and len(settings_of([problem], Lists([1, 2]))) == 2
     other = replace(problem, name="other")
-    assert len(settings_of([problem, other])) == 2
+    assert len(settings_of([problem, other], Lists())) == 2
 
 
 def test_what_is_compared_decides_no_run(problem, comparison, tmp_path: Path) -> None:
@@ -95,7 +95,7 @@ def test_a_setting_is_there_once(problem) -> None:
 def test_every_figure_is_one_command(number: str) -> None:
     """The paper's figures carry their comparisons, of several settings that are allowed."""
     problem = load(f"fig{number}")
-    assert problem.compare is not None and len(settings_of([problem])) >= 4
+    assert problem.compare is not None and len(settings_of([problem], Lists())) >= 4
 
 
 def test_only_problems_with_settings_compare_without(capsys, tmp_path: Path) -> None:
@@ -139,7 +139,7 @@ def test_errors_of_settings_name_their_group(problem, group) -> None:
     """The table and the key within the problem that a setting breaks."""
     own = ComparisonSettings(settings=(SettingGroup(), SettingGroup(**group)))
     with refused():
-        settings_of([replace(problem, compare=own, file=None)])
+        settings_of([replace(problem, compare=own, file=None)], Lists())
 
 
 def test_what_changes_no_run_is_not_swept(problem) -> None:

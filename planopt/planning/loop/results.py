@@ -369,14 +369,17 @@ class RunSummary:
     reason: str  # Reason of the outcome as text
     # 0 if the task was done with every step verified, 3 if some were not, 4 if it was not done
     exit_code: int
-    metrics: dict[str, float]  # Over all robots, by name
-    rungs: dict[str, int]  # Number of steps released by each fallback, over all robots
-    verified_rate: float  # Share of released steps whose plan was verified; NaN if none can be
-    step_s: NDArray[np.float64]  # (steps x robots,) wall time of planning per step and robot
+    # Over all robots, by name
+    metrics: dict[str, float] = field(default_factory=dict[str, float])
+    # Number of steps released by each fallback, over all robots
+    rungs: dict[str, int] = field(default_factory=dict[str, int])
+    verified_rate: float = math.nan  # Share of released steps whose plan was verified, if any
+    # (steps x robots,) wall time of planning per step and robot
+    step_s: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     # (steps x robots,) predicted probability of connection after each step, and true connection;
     # empty for tasks without a channel
-    connectivity: NDArray[np.float64]
-    connected: NDArray[np.bool_]
+    connectivity: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    connected: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     problem: str = ""  # Name of the problem
     # Keys of the problem changed by a study, with their values
     sweep: Mapping[str, Any] = field(default_factory=dict[str, Any])
@@ -402,25 +405,6 @@ def _traces(run: Run) -> dict[str, NDArray[np.float64]]:
     if run.channel is not None:
         found |= {name: getattr(run.channel, name) for name in CHANNEL_TRACES}
     return found
-
-
-def short_summary(
-    labels: tuple[int, str, str | None], seed: int, outcome: str, reason: str, exit_code: int
-) -> RunSummary:
-    """Return the summary of a run without steps; labels are horizon, planner and cost-to-go."""
-    return RunSummary(
-        *labels,
-        seed=seed,
-        outcome=str(outcome),
-        reason=reason,
-        exit_code=exit_code,
-        metrics={},
-        rungs={},
-        verified_rate=np.nan,
-        step_s=np.zeros(0),
-        connectivity=np.zeros(0),
-        connected=np.zeros(0, dtype=np.bool_),
-    )
 
 
 def summary_of(run: Run) -> RunSummary:

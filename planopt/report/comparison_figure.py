@@ -238,9 +238,10 @@ def _draw_step_times(panel: Panel, layout: Layout) -> list[Artist]:
     """Draw median and 95 % quantile of the step time; return legend entries."""
     entries: list[Artist] = []
     for slot in layout.slots:
-        row = next(iter(slot.setting.rows.values()))
         # Runs without steps have NaN, which draws nothing.
-        median, slow = 1e3 * np.array([row.p50_step_s, row.p95_step_s], dtype=np.float64)
+        row = next(iter(slot.setting.rows.values()), None)
+        times_s = (None, None) if row is None else (row.p50_step_s, row.p95_step_s)
+        median, slow = 1e3 * np.array(times_s, dtype=np.float64)
         entries.append(_draw_mean(panel, slot, median, median, slow))
     dress(panel, "step time: median, up to 95 % quantile", layout.label, "step time [ms]")
     log_scale(panel, "y")

@@ -31,6 +31,12 @@ class MetricName:
 METRIC_NAMES = {
     "goal_time_s": MetricName("time to goal", "s"),
     "capture_time_s": MetricName("time to capture", "s", digits=2),
+    "cost_w": MetricName("power", "W", digits=3),
+    "energy_per_capture_j": MetricName("energy per capture", "J"),
+    "slot_width_s": MetricName("slot width", "ms", 1e3, 3),
+    "frame_s": MetricName("frame", "s", digits=4),
+    "bits_per_axis": MetricName("bits per axis", "1"),
+    "rate_divisor": MetricName("rate divisor", "1"),
     "path_m": MetricName("driven length", "m"),
     "realised_cost_m": MetricName("realised cost", "m"),
     "clairvoyant_cost_m": MetricName("clairvoyant cost", "m"),
@@ -149,7 +155,7 @@ def comparison_text(comparison: Comparison) -> str:
 
 def _names(comparison: Comparison, *, to_goal: bool) -> list[list[str]]:
     """Return the headings and cells that identify the settings."""
-    settings, swept = comparison.settings, list(short_keys(comparison.rows))
+    settings, swept = comparison.settings, list(short_keys(comparison.runs))
     if len(swept) > 1:
         return [["setting"], *([str(number + 1)] for number in range(len(settings)))]
     ones = [setting.one for setting in settings]
@@ -163,7 +169,7 @@ def _names(comparison: Comparison, *, to_goal: bool) -> list[list[str]]:
 
 def _listed(comparison: Comparison) -> list[str]:
     """Return descriptions of numbered settings; no line if at most one key is swept."""
-    names, several = short_keys(comparison.rows), bool(comparison.others)
+    names, several = short_keys(comparison.runs), bool(comparison.others)
     if len(names) < 2:
         return []
     lines = ["settings"]
@@ -229,13 +235,14 @@ def _columns(rows: Sequence[Row]) -> list[tuple[str, str]]:
 
 def _cells(setting: Setting, shown: Sequence[str]) -> list[str]:
     """Return the cells of a setting: runs, stalled runs, metrics and step times."""
-    one = next(iter(setting.rows.values()))
-    verified = MISSING if one.verified_rate is None else f"{100.0 * one.verified_rate:.1f}"
-    cells = [str(one.seeds), str(one.stalled)]
+    one = next(iter(setting.rows.values()), None)
+    rate = None if one is None else one.verified_rate
+    verified = MISSING if rate is None else f"{100.0 * rate:.1f}"
+    cells = [str(len(setting.runs)), str(setting.stalled)]
     for metric in shown:
         text = _mean(setting.rows, metric, interval=metric == shown[0]) if metric else verified
         cells.append(text)
-    times_s = (one.p50_step_s, one.p95_step_s)
+    times_s = (None, None) if one is None else (one.p50_step_s, one.p95_step_s)
     return [*cells, *(MISSING if s is None else f"{1e3 * s:.1f}" for s in times_s)]
 
 

@@ -73,12 +73,11 @@ class Setting:
 
 
 def settings_of_runs(runs: Sequence[RunSummary], rows: Sequence[Row]) -> list[Setting]:
-    """Group runs and rows by setting, in the order of the rows."""
-    found: dict[SettingKey, dict[str, Row]] = {}
+    """Group runs and rows by setting; a setting whose runs have no metrics has no rows."""
+    found: dict[SettingKey, dict[str, Row]] = {setting_of(run): {} for run in runs}
     for row in rows:
-        found.setdefault(setting_of(row), {})[row.metric] = row
-    groups = {setting_of(each[0]): each for each in runs_by_setting(runs)}
-    return [Setting(groups[key], rows) for key, rows in found.items() if key in groups]
+        found[setting_of(row)][row.metric] = row
+    return [Setting(each, found[setting_of(each[0])]) for each in runs_by_setting(runs)]
 
 
 def comparison_rows(runs: Sequence[RunSummary]) -> list[Row]:

@@ -12,6 +12,7 @@ import planopt
 from planopt import NoPlanError
 from planopt.problems.library import library_folder
 from planopt.problems.load import with_changes
+from planopt.report import comparison_text, draw_comparison
 
 TEXT = (library_folder() / "pursuit_design.toml").read_text()
 PLAIN = """
@@ -171,3 +172,6 @@ def test_designs_are_swept(tmp_path, run):
         planopt.load("pursuit_design"), sweep={"pursuit.deadline_s": [1e-3, 300.0]}
     )
     assert [one.outcome for one in found.runs] == ["no_plan", "verified"]
+    lines = [line.split() for line in comparison_text(found).splitlines()]
+    assert next(line for line in lines if line[:1] == ["0.001"])[1:5] == ["1", "1", "1", "-"]
+    assert len(draw_comparison(found).axes) >= 2

@@ -26,7 +26,6 @@ def field(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def near(tmp_path: Path) -> Path:
-    """The same with a goal two steps away."""
     path = tmp_path / "near.toml"
     text = OPEN_FIELD.replace("figures = true", "figures = false")
     path.write_text(text.replace("goal_m = [88.0, 30.0]", "goal_m = [32.0, 36.0]"))

@@ -239,7 +239,6 @@ def test_options_that_cannot_be_used(shared_log: Path, options, capsys) -> None:
 
 
 def written(path: Path, places: np.ndarray, power: np.ndarray) -> Path:
-    """Save a log of places and powers."""
     rows = [f"{x},{y},{p}" for (x, y), p in zip(places, power, strict=True)]
     path.write_text("\n".join(["x_m,y_m,power_dbm", *rows]))
     return path
@@ -256,7 +255,6 @@ def round_log(tmp_path: Path) -> Path:
 
 
 def fitted(log: Path, capsys, *options: str) -> dict:
-    """The JSON object that is printed."""
     assert main(["fit", str(log), "--json", *options]) in FITTED
     return json.loads(capsys.readouterr().out)
 

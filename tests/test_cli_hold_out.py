@@ -17,7 +17,6 @@ CHANNEL = ChannelParameters(-30.0, 3.0, 6.0, 60.0, 1.5, Station((0.0, 0.0)))
 
 
 def power_dbm(places: NDArray[np.float64], generator: np.random.Generator) -> NDArray[np.float64]:
-    """One draw of the channel."""
     covariance = shadow_covariance_db2(places, places, CHANNEL) + 2.25 * np.eye(len(places))
     path_loss = -30.0 - 30.0 * np.log10(np.hypot(*places.T))
     return path_loss + np.linalg.cholesky(covariance) @ generator.standard_normal(len(places))
@@ -38,7 +37,6 @@ def log(tmp_path: Path) -> Path:
 
 
 def run(log: Path, *options: str) -> int:
-    """Run the command."""
     return main(["fit", str(log), "--station", "0,0", "--floor", "-100", *options])
 
 

@@ -73,14 +73,12 @@ def yard(tmp_path_factory) -> Path:
 
 
 def imported(capsys, *arguments: object, code: int = 0) -> dict:
-    """The JSON object of the command."""
     assert main(["import", *map(str, arguments), "--json"]) == code
     return json.loads(capsys.readouterr().out)
 
 
 @pytest.fixture(scope="module")
 def made(yard: Path) -> Path:
-    """The problem file of both masts."""
     out = yard / "mine.toml"
     code = main(
         ["import", "--map", str(yard / "yard.yaml"), "--log", str(yard / "log.csv")]

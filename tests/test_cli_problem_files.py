@@ -1,7 +1,5 @@
 """``planopt init``, ``show`` and ``validate``."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Commands that are interrupted, terminated or killed: what is left, and what goes on."""
 
-from __future__ import annotations
-
 import json
 import os
 import random
@@ -31,14 +29,12 @@ COMPARE = ["--horizons", "1,2", "--costs-to-go", "geodesic"]
 
 
 def written(path: Path, steps: int, figures: bool = False) -> Path:
-    """The open field with runs of so many steps."""
     text = OPEN_FIELD.replace("max_steps = 200", f"max_steps = {steps}")
     path.write_text(text.replace("figures = true", f"figures = {str(figures).lower()}"))
     return path
 
 
 def started(*arguments: object) -> subprocess.Popen[str]:
-    """A command in a process of its own."""
     return subprocess.Popen(
         [*COMMAND, *map(str, arguments)],
         stdout=subprocess.PIPE,
@@ -49,7 +45,6 @@ def started(*arguments: object) -> subprocess.Popen[str]:
 
 
 def children(pid: int) -> list[int]:
-    """Processes that a process has started."""
     found = Path(f"/proc/{pid}/task/{pid}/children")
     return [int(child) for child in found.read_text().split()] if found.exists() else []
 
@@ -63,12 +58,10 @@ def is_running(pid: int) -> bool:
 
 
 def have_ended(pids: list[int]) -> bool:
-    """Whether none of these processes is running."""
     return not any(map(is_running, pids))
 
 
 def waited(condition, at_most_s: float = 120.0) -> None:
-    """Wait until something is so."""
     until = time.monotonic() + at_most_s
     while not condition():
         assert time.monotonic() < until, "waited in vain"
@@ -81,7 +74,6 @@ def kept_runs(out: Path) -> dict[str, int]:
 
 
 def hidden(folder: Path) -> list[str]:
-    """Temporary files and folders."""
     return [path.name for path in folder.rglob(".*")] if folder.exists() else []
 
 

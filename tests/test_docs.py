@@ -1,7 +1,5 @@
 """The README and the generated page of keys say what the code does; their code: test_docs_code."""
 
-from __future__ import annotations
-
 import ast
 import json
 import re
@@ -71,7 +69,6 @@ def test_exit_codes_and_verdicts() -> None:
 
 
 def keys_of(node: Any) -> Iterator[str]:
-    """Every key of every table of a schema."""
     for table in node["$defs"].values():
         yield from table["properties"]
 

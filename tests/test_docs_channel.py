@@ -1,7 +1,5 @@
 """The tables of the page on the channel have the options and methods there are."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import get_args

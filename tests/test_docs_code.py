@@ -4,8 +4,6 @@ A block that is not run has a comment on the line before it that says why:
 ``<!-- not run: takes an hour -->``. Its commands must still be there, with their options.
 """
 
-from __future__ import annotations
-
 import os
 import re
 import shlex
@@ -55,7 +53,6 @@ class Block:
 
 
 def blocks_of(page: Path) -> list[Block]:
-    """All blocks of a page that hold code."""
     text = page.read_text(encoding="utf-8")
     return [
         Block(
@@ -77,7 +74,6 @@ NOT_RUN = [block for block in BLOCKS if block.reason is not None]
 
 
 def name_of(thing: Path | Block) -> str:
-    """A page's name, and the line of a block."""
     return thing.name if isinstance(thing, Path) else f"{thing.page.name}:{thing.line}"
 
 

@@ -1,7 +1,5 @@
 """The gallery's pages of the paper's figures, and what no page may name."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -12,7 +12,6 @@ TRUE = np.array([[1.0, 1.0], [4.0, 2.0], [2.0, 4.0]])
 
 @pytest.fixture
 def beside(tmp_path: Path, monkeypatch) -> Path:
-    """The folder of the data."""
     monkeypatch.setenv("PLANOPT_DATA", str(tmp_path))
     return tmp_path / "lab"
 

@@ -1,7 +1,5 @@
 """Hostile files on the command line: one line of ours, exit code 2 at once, nothing written."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -64,7 +62,6 @@ program = "mean_db[2, 0] / 0.0"
 
 @pytest.fixture(autouse=True)
 def soon() -> Iterator[None]:
-    """No file keeps a command busy."""
     begun = time.process_time()
     yield
     assert time.process_time() - begun < 20.0

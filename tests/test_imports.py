@@ -1,7 +1,5 @@
 """What imports what, at run time: import-linter (``make imports``) checks the source."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -37,7 +37,6 @@ from planopt.robots.dynamics import rolled_out
 
 @pytest.fixture(autouse=True)
 def forgotten(monkeypatch):
-    """Forget own kinds after each test."""
     terms.registered_terms()
     monkeypatch.setattr(terms, "_kinds", dict(terms._kinds))
     monkeypatch.setattr(constraints.RULES, "registered", dict(constraints.RULES.registered))
@@ -45,7 +44,6 @@ def forgotten(monkeypatch):
 
 @pytest.fixture(scope="module")
 def base() -> Problem:
-    """The small problem, with two steps ahead."""
     return terms_problem(LEARNING, horizon=2)
 
 
@@ -68,7 +66,6 @@ def made(base: Problem, **parts) -> Problem:
 
 
 def expression_of(value) -> type:
-    """A class of terms with this expression."""
     return own_class(OwnTerm, expression=value)
 
 
@@ -149,7 +146,6 @@ def test_wrong_expressions(base, expression) -> None:
 
 
 def tried(value):
-    """Methods of a term that tries places."""
     return {"probes_end": True, "probe_values": lambda self, at, ways, chance: value(ways)}
 
 
@@ -213,7 +209,6 @@ class Maker:
 
 
 def planner_of(plan) -> type:
-    """A planner that plans so."""
     return type("Planning", (Maker,), {"plan": plan, "__module__": __name__})
 
 
@@ -433,7 +428,6 @@ class Half:
     kind, state_names, input_names = "half", ("x_m", "y_m"), ("a",)
 
     def step(self, state, control, step_s):
-        """Stay."""
         return state
 
 

@@ -1,7 +1,5 @@
 """The sample log that ships: it is what its script writes, and shows what its recipes promise."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Short texts of data with arrays: five lines at most, whatever is in them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

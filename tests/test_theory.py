@@ -1,7 +1,5 @@
 """Theory and its references: numbered equations, functions that exist, and nothing outside."""
 
-from __future__ import annotations
-
 import ast
 import re
 import subprocess
@@ -35,7 +33,6 @@ BARE = re.compile(r"(?<![\w.])\((\d+\.\d+)\)")
 
 @cache
 def equations() -> frozenset[str]:
-    """The numbers of all equations."""
     return frozenset(
         ".".join(found.groups())
         for page in PAGES

@@ -1,7 +1,5 @@
 """Wrong problem files of every kind: one line of ours, exit code 2, nothing written."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

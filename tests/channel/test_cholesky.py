@@ -59,7 +59,6 @@ def test_not_a_covariance(covariance):
 
 
 def threads():
-    """The number of threads of every loaded BLAS."""
     return {
         library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"
     }

@@ -14,14 +14,12 @@ ORIGIN = (48.1374, 11.5755)
 
 
 def written(tmp_path: Path, text: str) -> Path:
-    """A log file."""
     path = tmp_path / "log.csv"
     path.write_text(text, encoding="utf-8")
     return path
 
 
 def refused(path: Path, **options: object) -> InputError:
-    """The error that reading gives."""
     with pytest.raises(InputError) as caught:
         read_log(path, LogFormat(**options))  # pyright: ignore[reportArgumentType]
     return caught.value

@@ -1,7 +1,5 @@
 """Measurements: validation, selection, joining; tables and lists give the same answers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import fields, replace
 from typing import Any
@@ -18,7 +16,6 @@ OPTIONAL = ("resolution_db", "position_std_m", "time_s", "receiver")
 
 
 def some(count, start=0.0):
-    """Numbered measurements."""
     values = start + np.arange(count, dtype=float)
     return Measurements(np.column_stack([values, values]), values, values % 2 == 1)
 
@@ -139,7 +136,6 @@ COLUMNS = {
 
 
 def frame(columns: dict[str, Any]) -> Any:
-    """A DataFrame of pandas."""
     pandas = pytest.importorskip("pandas")
     return pandas.DataFrame(columns)
 
@@ -148,7 +144,6 @@ TABLES: dict[str, Callable[[dict[str, Any]], Any]] = {"dictionary": dict, "DataF
 
 
 def same(one: planopt.Measurements, other: planopt.Measurements) -> bool:
-    """Whether all fields agree, types included."""
     return all(
         np.array_equal(value, getattr(other, name)) and value.dtype == getattr(other, name).dtype
         for name, value in vars(one).items()

@@ -15,7 +15,6 @@ CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((50.0, 50.0), 10
 
 
 def design(measurements):
-    """Gamma and U, dense."""
     gamma = regressors(measurements.positions_m, CHANNEL.station)
     within = shadow_covariance_db2(measurements.positions_m, measurements.positions_m, CHANNEL)
     return gamma, within + CHANNEL.multipath_std_db**2 * np.eye(len(gamma))

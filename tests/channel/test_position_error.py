@@ -60,7 +60,6 @@ def surveyed(seed, count=150, targets=60):
 
 
 def without_errors(data):
-    """The same, as if positions were exact."""
     return Measurements(data.positions_m, data.power_dbm, data.censored)
 
 
@@ -81,7 +80,6 @@ def test_the_fit_does_not_take_errors_for_multipath():
 
 
 def inside(power, prediction):
-    """Which powers are in their 95 % intervals."""
     return np.abs(power - prediction.mean_db) < norm.ppf(0.975) * prediction.deviation_db
 
 

@@ -28,7 +28,6 @@ def measured(count, seed=0, censored=()):
 
 
 def part(measurements, selection):
-    """Some of the measurements."""
     return Measurements(
         measurements.positions_m[selection],
         measurements.power_dbm[selection],
@@ -37,7 +36,6 @@ def part(measurements, selection):
 
 
 def places(count=40, seed=9):
-    """Where to predict."""
     return np.random.default_rng(seed).uniform(-120.0, 120.0, (count, 2))
 
 

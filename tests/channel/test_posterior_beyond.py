@@ -46,7 +46,6 @@ def assert_close(found, exact, mean_db, deviation):
 
 
 def assert_same(one, other, tolerance=1e-10):
-    """The same predictions."""
     np.testing.assert_allclose(one.mean_db, other.mean_db, rtol=0.0, atol=tolerance)
     np.testing.assert_allclose(one.deviation_db, other.deviation_db, rtol=0.0, atol=tolerance)
 

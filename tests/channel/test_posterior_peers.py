@@ -28,13 +28,11 @@ AGREEMENT = 1e-10
 
 @pytest.fixture(params=list(CHANNELS))
 def channel(request):
-    """A channel."""
     return CHANNELS[request.param]
 
 
 @pytest.fixture(params=[3, 40, 300])
 def data(channel, request):
-    """Measurements of it."""
     return simulated(channel, 1, request.param, SIDE_M)
 
 
@@ -44,7 +42,6 @@ def places(count=60):
 
 
 def path_loss_dbm(channel, positions):
-    """The mean with theta known."""
     return regressors(positions, channel.station) @ [channel.k_pl_db, channel.n_pl]
 
 

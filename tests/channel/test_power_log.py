@@ -21,7 +21,6 @@ from planopt.world.geodesy import parse_origin
 
 
 def written(tmp_path, text, encoding="utf-8"):
-    """A log file."""
     path = tmp_path / "log.csv"
     path.write_bytes(text.encode(encoding))
     return path
@@ -269,7 +268,6 @@ LOG = """x_m,y_m,power_dbm,day,t_s
 
 @pytest.fixture
 def log(tmp_path):
-    """Five rows of two days."""
     path = tmp_path / "log.csv"
     path.write_text(LOG)
     return path

@@ -22,7 +22,6 @@ MORE = simulated(CHANNEL, 4, 25, 200.0)
 
 
 def assert_same(one, other):
-    """Equal predictions but for rounding."""
     np.testing.assert_allclose(one.mean_db, other.mean_db, rtol=1e-10)
     np.testing.assert_allclose(one.deviation_db, other.deviation_db, rtol=1e-10)
 

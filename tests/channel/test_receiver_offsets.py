@@ -33,7 +33,6 @@ def cooperative(seed, count, share=0.0):
 
 
 def without_offsets(data):
-    """As all by receiver 0."""
     return Measurements(data.positions_m, data.power_dbm - OFFSETS_DB[data.receiver], data.censored)
 
 
@@ -55,7 +54,6 @@ def explicit_columns(data, parameters):
 
 @pytest.fixture
 def wide(monkeypatch):
-    """A prior of the offsets that is nearly flat."""
     monkeypatch.setattr(measurements, "RECEIVER_OFFSET_STD_DB", 3000.0)
     monkeypatch.setattr(module, "RECEIVER_OFFSET_STD_DB", 3000.0)
 

@@ -51,7 +51,6 @@ def fits():
 
 
 def estimates(fits):
-    """xi, omega, beta of fits; ``(seeds, 3)``."""
     found = [fit.parameters for fit in fits]
     return np.array([[p.shadow_std_db, p.multipath_std_db, p.decorrelation_m] for p in found])
 

@@ -26,7 +26,6 @@ PLACES = np.random.default_rng(2).uniform(0.0, 30.0, (40, 2))
 
 
 def path_loss(parameters, places):
-    """Mean power."""
     return regressors(places, parameters.station) @ [parameters.k_pl_db, parameters.n_pl]
 
 

@@ -49,7 +49,6 @@ def pair_covariance(parameters, i, first, j, second, *, same):
 
 
 def dense_covariance(parameters, first, second=None):
-    """All pairs."""
     other = first if second is None else second
     return np.array(
         [

@@ -1,7 +1,5 @@
 """Positions drawn from a region, and moves of agents."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,7 +19,6 @@ def scattered(
 
 
 def swept(before: Motion, after: Motion, limits: MoveLimits) -> NDArray[np.float64]:
-    """Positions (9, n, 2) of agents during a step."""
     share, bend = np.linspace(0.0, 1.0, 9)[:, None, None], np.zeros_like(before.places_m)
     if limits.acceleration_m_s2 is not None:
         bend = 0.5 * limits.time_step_s * (before.velocities_m_s - after.velocities_m_s)

@@ -1,7 +1,5 @@
 """Assignment of agents: demands, flags and matching against sorting, enumeration and programmes."""
 
-from __future__ import annotations
-
 import itertools
 import math
 
@@ -106,7 +104,6 @@ def scene(region: ConvexRegion, seed: int, count: int) -> tuple[Network, NDArray
 
 
 def nearest(distances: NDArray[np.float64], wanted: int) -> NDArray[np.bool_]:
-    """Flags of the nearest agents, by sorting."""
     flags = np.zeros(len(distances), dtype=bool)
     flags[np.argsort(distances, kind="stable")[:wanted]] = True
     return flags
@@ -183,14 +180,12 @@ def test_bad_input() -> None:
 
 
 def drawn(seed: int, agents: int, demands: NDArray[np.intp]) -> NDArray[np.float64]:
-    """Distances between random agents and events."""
     generator = np.random.default_rng(seed)
     places = generator.random((agents, 2)), generator.random((len(demands), 2))
     return np.linalg.norm(places[0][:, None] - places[1], axis=2)
 
 
 def counts(found: Assignment, events: int) -> list[int]:
-    """How many respond to each event."""
     return np.bincount(found.event_of[found.event_of != NONE], minlength=events).tolist()
 
 

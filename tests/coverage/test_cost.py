@@ -1,7 +1,5 @@
 """The coverage cost and centroids against closed forms, sampling and differences."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -28,7 +26,6 @@ from planopt.world import Raster
 
 
 def bumps(at_m: NDArray[np.float64]) -> GaussianMixture:
-    """Two bumps over a floor."""
     means = at_m + np.array([[-15.0, -10.0], [25.0, 20.0]])
     return GaussianMixture(np.array([1.0, 2.0]), means, np.array([9.0, 6.0]), 1e-5)
 
@@ -41,14 +38,12 @@ def raster(region: ConvexRegion, generator: np.random.Generator) -> RasterDensit
 
 
 def densities(region: ConvexRegion) -> list[Density]:
-    """One density of each kind."""
     mixture = bumps(region.centre_m)
     line = CallableDensity(lambda q: np.asarray(1.0 + 0.005 * q[:, 0] ** 2), 50.0)
     return [UNIFORM, mixture, CallableDensity(mixture.at, 4.0), line, raster(region, rng(1))]
 
 
 def rng(seed: int) -> np.random.Generator:
-    """A generator of its own for each use."""
     return np.random.default_rng(seed)
 
 

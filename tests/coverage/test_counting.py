@@ -1,7 +1,5 @@
 """Counting against its bounds, its distribution and its limits."""
 
-from __future__ import annotations
-
 import math
 
 import networkx as nx
@@ -29,7 +27,6 @@ def network_of(graph: nx.Graph) -> Network:
 
 
 def random_network(seed: int) -> Network:
-    """A connected graph of one of several kinds."""
     generator = np.random.default_rng(seed)
     n = int(generator.integers(2, 70))
     kind = seed % 5
@@ -47,7 +44,6 @@ def random_network(seed: int) -> Network:
 
 
 def metropolis_weights(network: Network) -> NDArray[np.float64]:
-    """The weights written out."""
     joined = np.zeros((network.count, network.count))
     joined[network.directed] = 1.0
     larger = np.maximum.outer(network.degrees, network.degrees)

@@ -1,7 +1,5 @@
 """Coverage round obstacles against visibility graphs, closed forms and differences."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -36,7 +34,6 @@ OBSTACLES = (
 def free_places(
     region: GeodesicGround, count: int, generator: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Draw places where agents may be."""
     drawn = 100.0 * generator.random((10 * count, 2))
     return drawn[np.asarray(shapely.intersects(region.area.polygon, shapely.points(drawn)))][:count]
 

@@ -1,7 +1,5 @@
 """The control laws against closed forms, the cost's gradient, and paths round obstacles."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import shapely

@@ -1,7 +1,5 @@
 """Event sensors, estimates and rings against closed forms, differences and drawn noise."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -34,13 +32,11 @@ SENSOR = EventSensor(0.05, 1.0)
 def signal_at(
     sensor: EventSensor, places: NDArray[np.float64], event: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """The signal of an event without noise."""
     away = np.linalg.norm(places - event, axis=1) / sensor.scale_m
     return sensor.strength / (away**2 + 1.0)
 
 
 def drawn(sensor: EventSensor, places: NDArray[np.float64], repeats: int, seed: int) -> Readings:
-    """Means of repeated measurements of the event."""
     noise = np.random.default_rng(seed).standard_normal(len(places)) / math.sqrt(repeats)
     exact = signal_at(sensor, places, EVENT)
     return Readings(places, exact + sensor.noise_std * noise, np.full(len(places), float(repeats)))

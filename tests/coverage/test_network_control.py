@@ -1,7 +1,5 @@
 """A small run of every study of benchmarks/network_control.py."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

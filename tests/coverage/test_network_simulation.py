@@ -1,7 +1,5 @@
 """Networks at work: teams against sorting, counts against the truth, failures and losses."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -36,12 +34,10 @@ GAINS = Gains(0.5, 1.0)
 
 
 def demand_of(number: int) -> Demand:
-    """A demand for a number of agents."""
     return lambda agents: min(number, agents)
 
 
 def scene_of(count: int, *events: Event, wanted: int = 3) -> Scene:
-    """A scene of agents that all start at time 0."""
     return Scene(
         ConvexGround(REGION),
         np.zeros(count),
@@ -64,7 +60,6 @@ def scene_of(count: int, *events: Event, wanted: int = 3) -> Scene:
 
 
 def starts_of(scene: Scene, seed: int) -> NDArray[np.float64]:
-    """Random starts of its agents."""
     return scattered(REGION, len(scene.joins_s), np.random.default_rng(seed))
 
 

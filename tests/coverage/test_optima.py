@@ -1,7 +1,5 @@
 """Several starts against Lloyd's method, and bounds that no deployment is below."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Receding-horizon moves: the law where nothing binds, the reference programme, and limits kept."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

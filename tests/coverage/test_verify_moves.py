@@ -1,7 +1,5 @@
 """The verifier of moves, and links kept by laws and by learnt maps."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -34,12 +32,10 @@ RADIO = RadioLimits(np.array([[0.0, 0.0]]), KNOWN, KNOWN, -62.0, 0.9)
 
 
 def kinds(faults: tuple[Fault, ...]) -> set[str]:
-    """The kinds of some faults."""
     return {fault.kind for fault in faults}
 
 
 def places(*pairs: tuple[float, float]) -> Motion:
-    """Agents that stand at positions."""
     return Motion.at_rest(np.array(pairs, dtype=float))
 
 

@@ -1,7 +1,5 @@
 """Convex regions and their Voronoi cells against brute force."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np
@@ -73,7 +71,6 @@ def test_corners_turn_left(hexagon: ConvexRegion) -> None:
 
 
 def polygons_of(cells: Cells) -> NDArray[np.object_]:
-    """The cells as shapely polygons."""
     first = cells.inside.first
     spans = itertools.pairwise(first)
     return np.array([shapely.Polygon(cells.inside.corners_m[a:b]) for a, b in spans])

@@ -8,7 +8,6 @@ from planopt.files.compare import differences, digest, in_words, same_words
 
 
 def keys(said: object, found: object) -> list[str]:
-    """Where they disagree."""
     return [difference.key for difference in differences(said, found)]
 
 

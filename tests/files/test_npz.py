@@ -23,20 +23,17 @@ ARRAYS = {
 
 
 def npy(array: np.ndarray) -> bytes:
-    """An array as NumPy writes it."""
     stream = io.BytesIO()
     np.save(stream, array)
     return stream.getvalue()
 
 
 def with_header(text: str, content: bytes = b"") -> bytes:
-    """An npy file with a header of one's own."""
     header = text.encode()
     return b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + content
 
 
 def archive(path: Path, members: dict[str, bytes], method: int = zipfile.ZIP_DEFLATED) -> Path:
-    """A zip archive of `members`."""
     with zipfile.ZipFile(path, "w", method) as file:
         for name, content in members.items():
             file.writestr(f"{name}.npy", content)

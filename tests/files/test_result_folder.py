@@ -16,7 +16,6 @@ FILES = ("a.json", "b_*.npz", "*.png")
 
 
 def contents(folder: Path) -> dict[str, str]:
-    """Return the text of every file in `folder`."""
     return {p.name: "folder" if p.is_dir() else p.read_text() for p in folder.iterdir()}
 
 

@@ -20,7 +20,6 @@ STEPS = 3
 
 
 def given(count=4, seed=0):
-    """Numbers of all names."""
     rng = np.random.default_rng(seed)
     each = {name: rng.normal(size=(count, STEPS, width)) for name, width in WIDTHS.items()}
     return each | {"start_m": rng.normal(size=(count, 1, 2))}
@@ -35,7 +34,6 @@ def branching(path):
 
 
 def by_casadi(expression, values):
-    """The same by CasADi's own evaluation."""
     symbols = {name: ca.SX.sym(name, *each.shape[1:]) for name, each in values.items()}
     function = ca.Function("f", list(symbols.values()), [expression(PathSymbols(**symbols))])
     return [float(function(*row)) for row in zip(*values.values(), strict=True)]

@@ -53,7 +53,6 @@ JOINED = np.cumsum(np.linalg.norm(np.diff(np.vstack([START, PATH]), axis=0), axi
 
 
 def gain_of(name, posterior, region=REGION, start=START, per_m=1.0):
-    """A gain by its name, as the terms make it."""
     spread = posterior.theta_covariance
     match name:
         case "T":
@@ -77,7 +76,6 @@ GAINS = (*LEARNING, *MAPPING, "near the threshold", "no threshold")
 
 
 def exact(name, posterior=POSTERIOR, path=PATH, region=REGION, **settings):
-    """The value of a path by the exact posterior."""
     moments = posterior_moments(posterior, path, region=region)
     return float(gain_of(name, posterior, region, **settings).value(moments))
 
@@ -249,7 +247,6 @@ def local_path(path, posterior=POSTERIOR, count=15, rule=None):
 
 
 def local(name, path, posterior=POSTERIOR, count=15, rule=None):
-    """Value and derivatives of a gain."""
     near = local_path(path, posterior, count, rule)
     return by_positions(gain_of(name, posterior).derivatives(near), near.gates)
 

@@ -1,7 +1,5 @@
 """The measuring rule: what it takes, and the smooth gates that solvers climb in its place."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from path_scene import CHANNEL, drawn, partly_open

@@ -24,7 +24,6 @@ from planopt.planning.values.objective_value import ObjectiveValue
 
 @pytest.fixture
 def near_term(monkeypatch):
-    """A class of a term; forgotten after the test."""
     registered_terms()
     monkeypatch.setattr(registry, "_kinds", dict(registry._kinds))
 

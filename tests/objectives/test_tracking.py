@@ -23,7 +23,6 @@ TERM = TrackingTerm(0.008, 0.08, 1.0, form="additive", step_weights=WEIGHT)
 
 
 def context(posterior=POSTERIOR, target=TARGET, threshold=-73.0):
-    """What the term reads of a planning step."""
     return SimpleNamespace(
         target_m=target,
         thresholds_dbm=(threshold,),

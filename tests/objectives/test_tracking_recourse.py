@@ -1,7 +1,5 @@
 """Tries with recourse: against the filter by 4 by 4 matrices, and the effect of retreats."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A small valid problem as tables, which tests change one key at a time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

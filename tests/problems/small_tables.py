@@ -1,7 +1,5 @@
 """Tables of small problems, and changes of them by dotted key."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from copy import deepcopy
 from typing import Any

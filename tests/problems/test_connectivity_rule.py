@@ -1,7 +1,5 @@
 """Rules and dynamics of a file that must fit together, and saving them."""
 
-from __future__ import annotations
-
 import pytest
 from refusals import refused
 from terms_scene import TABLES, TRACKING
@@ -22,7 +20,6 @@ GOOD = {
 
 @pytest.fixture
 def learning(tables):
-    """The tables of a problem that learns."""
     del tables["robots"][0]["goal_m"], tables["constraints"]["p_min"]
     tables["problem"]["task"] = "learn"
     tables["objective"] = {"terms": [{"kind": "path_loss_learning"}]}
@@ -30,7 +27,6 @@ def learning(tables):
 
 
 def with_rule(tables, form, keys):
-    """The tables under a rule."""
     return {**tables, "constraints": {"connectivity": form, **keys}}
 
 
@@ -63,7 +59,6 @@ TRAM = {"name": "tram", "start_m": [30.0, 30.0], "velocity_m_s": [0.1, 0.0], "ra
 
 
 def loaded(tmp_path, *robots, **constraints):
-    """A problem of these robots beside a tram."""
     tables = {
         **TABLES,
         "problem": {**TABLES["problem"], "task": "track"},

@@ -1,7 +1,5 @@
 """Warnings about values that are valid but implausible, in words and as JSON."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -101,7 +99,6 @@ def log(tmp_path: Path) -> Path:
 
 
 def fitted(log: Path, columns: str, station: str, capsys, *options: str) -> tuple[int, dict]:
-    """The exit code and the JSON of a fit."""
     arguments = [f"--station={station}", "--columns", columns, "--json", *options]
     code = main(["fit", str(log), *arguments])
     return code, json.loads(capsys.readouterr().out)

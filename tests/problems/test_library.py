@@ -1,7 +1,5 @@
 """The problem library and what its files promise."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

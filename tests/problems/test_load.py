@@ -1,7 +1,5 @@
 """Loading files: what they hold, one clear error for what cannot be read, and fuzzing."""
 
-from __future__ import annotations
-
 import copy
 import json
 import os
@@ -23,7 +21,6 @@ OPEN_FIELD = (library_folder() / "open_field.toml").read_text(encoding="utf-8")
 
 
 def written(folder: Path, text: str | bytes) -> Path:
-    """`text` as the file ``p.toml`` in `folder`."""
     path = folder / "p.toml"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return path
@@ -163,7 +160,6 @@ VALUES = st.recursive(
 
 
 def places(value: object, path: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
-    """Path of every value in nested tables."""
     if isinstance(value, dict):
         items: list[tuple[Any, Any]] = list(value.items())
     elif isinstance(value, list):

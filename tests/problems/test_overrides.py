@@ -1,7 +1,5 @@
 """Single settings changed in a problem."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from functools import partial
@@ -116,7 +114,6 @@ def test_an_error_of_the_problem_itself_is_not_blamed_on_an_override() -> None:
 
 
 def robot(problem: Problem, **changes) -> Problem:
-    """The first robot with changes."""
     return replace(problem, robots=(replace(problem.robots[0], **changes), *problem.robots[1:]))
 
 

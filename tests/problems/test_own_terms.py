@@ -33,7 +33,6 @@ def corridor(monkeypatch):
 
 
 def with_terms(tables, *terms):
-    """The small problem with a custom objective."""
     del tables["robots"][0]["goal_m"]
     tables["problem"]["task"] = "custom"
     tables["objective"] = {"terms": list(terms)}

@@ -1,7 +1,5 @@
 """Problems made of public parts: the same as from a file, and refused in the same words."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Tables that are no valid problem: each is one error."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

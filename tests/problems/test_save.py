@@ -1,7 +1,5 @@
 """A problem as plain data and back."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -38,7 +36,6 @@ J_CH = {"variance_threshold_db2": 2.0, "closeness_per_m": 0.1}
 
 
 def there_and_back(problem: Problem) -> Problem:
-    """`problem` through JSON text."""
     return problem_from_dict(json.loads(json.dumps(problem_to_dict(problem))), file=problem.file)
 
 

@@ -1,7 +1,5 @@
 """The schema of problem files: defaults, ranges, strictness, descriptions."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

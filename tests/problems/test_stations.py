@@ -1,7 +1,5 @@
 """Several stations in problem files: keys, what is refused, saving."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -28,13 +26,11 @@ def changed(change: Change, folder: Path = Path()) -> Problem:
 
 
 def logged(tables: dict[str, Any]) -> None:
-    """One log of both stations' powers."""
     tables["channel"]["measurements"] = {"file": "log.csv", "censored_column": "weak"}
     tables["stations"][1]["power_column"] = "east_dbm"
 
 
 def raster(tables: dict[str, Any]) -> None:
-    """One map of both stations' gains."""
     tables["channel"]["truth"] = {
         "kind": "raster",
         "file": "gains.npz",
@@ -45,8 +41,6 @@ def raster(tables: dict[str, Any]) -> None:
 
 
 def both(*changes: Change) -> Change:
-    """One change after the other."""
-
     def change(tables: dict[str, Any]) -> None:
         for each in changes:
             each(tables)
@@ -55,7 +49,6 @@ def both(*changes: Change) -> Change:
 
 
 def set_in(*keys: Any) -> Change:
-    """Put the last of `keys` at the others."""
     *where, last, value = keys
 
     def change(tables: dict[str, Any]) -> None:

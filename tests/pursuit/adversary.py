@@ -1,7 +1,5 @@
 """The worst records that the bounds of a service allow."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

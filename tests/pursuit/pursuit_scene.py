@@ -20,7 +20,6 @@ class ExactRecords:
     """Where the evader is."""
 
     def record(self, track, place_m, time_s, last):
-        """Without age and error."""
         return Record(time_s, track.at(np.array(time_s)), 0.0)
 
 

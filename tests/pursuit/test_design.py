@@ -40,7 +40,6 @@ NETWORK = MoteNetwork(
 
 
 def radio(**changes):
-    """The network with some numbers changed."""
     return NETWORK.model_copy(update=changes)
 
 
@@ -62,7 +61,6 @@ def widest_s(task, bits):
 
 
 def fixed(task, bits):
-    """The task with so many bits."""
     return replace(task, bits_per_axis=bits)
 
 

@@ -22,7 +22,6 @@ def flood_blocks_per_round(service, border_relays):
 
 
 def grid(levels):
-    """A grid of that many levels."""
     return SnapshotService(levels, 1.0, 0.01, 3)
 
 

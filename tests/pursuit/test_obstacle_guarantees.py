@@ -31,7 +31,6 @@ from planopt.pursuit import (
 
 
 def arena(*polygons, clearance_m=1e-6, bounds_m=(0.0, 0.0, 60.0, 60.0)):
-    """An arena with these obstacles."""
     obstacles = tuple(Obstacle(f"o{number}", each) for number, each in enumerate(polygons))
     return arena_of(Workspace(bounds_m, obstacles), clearance_m)
 
@@ -128,7 +127,6 @@ def test_capture_among_obstacles(behaviour):
 
 
 def start(generator):
-    """A free place."""
     while True:
         place = generator.uniform(2.0, 62.0, 2)
         if PILLARS.is_free(place, EVADER_SHARE):

@@ -98,7 +98,6 @@ def test_lost_rounds():
 
 
 def many(pursuers, evaders, behaviour, **options):
-    """Pursuers and evaders at given places."""
     return simulate_pursuit(
         Scene(
             tuple(

@@ -1,7 +1,5 @@
 """The verifier of pursuits: honest runs pass, every kind of corruption is found for its reason."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import cache
 
@@ -58,8 +56,6 @@ def reports(**changes):
 
 
 def states(index, by, pursuer=0):
-    """A corruption of a pursuer's states."""
-
     def corrupt(facts, log):
         own = list(log.states)
         own[pursuer] = changed(own[pursuer], index, by)
@@ -69,22 +65,18 @@ def states(index, by, pursuer=0):
 
 
 def entries(key, index, by):
-    """A corruption of another array of the log."""
     return lambda facts, log: (facts, replace(log, **{key: changed(getattr(log, key), index, by)}))
 
 
 def stricter(**changes):
-    """A problem that the run was not made for."""
     return lambda facts, log: (replace(facts, **changes), log)
 
 
 def started_exactly(facts, log):
-    """A problem in which the start is not drawn."""
     return replace(facts, evaders=(replace(facts.evaders[0], start_radius_m=0.0),)), log
 
 
 def shortened(facts, log):
-    """A run that ends before its last step."""
     reports = log.reports
     kept = reports.time_s < log.times_s[-2]
     parts = {key: getattr(reports, key)[kept] for key in vars(reports)}

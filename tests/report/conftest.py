@@ -1,7 +1,5 @@
 """A small world, belief, plan, run and comparison, real objects with chosen numbers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -72,7 +70,6 @@ def problem() -> Problem:
 
 @pytest.fixture(scope="session")
 def measurements() -> Measurements:
-    """Thirty, of which the last five are censored."""
     generator = np.random.default_rng(3)
     power = generator.normal(-70.0, 6.0, 30)
     return Measurements(generator.uniform(0.0, 80.0, (30, 2)), power, np.arange(30) >= 25)
@@ -80,7 +77,6 @@ def measurements() -> Measurements:
 
 @pytest.fixture(scope="session")
 def fit() -> ChannelFit:
-    """The chosen parameters, one error unknown."""
     return ChannelFit(
         method="reml",
         status="ok",
@@ -102,7 +98,6 @@ def fit() -> ChannelFit:
 
 @pytest.fixture(scope="session")
 def belief(fit: ChannelFit, measurements: Measurements) -> Belief:
-    """From the measurements above."""
     return Belief(fit, condition(PARAMETERS, measurements))
 
 
@@ -143,7 +138,6 @@ def plan(belief: Belief) -> Plan:
 
 @pytest.fixture(scope="session")
 def solution(problem: Problem, belief: Belief, plan: Plan) -> Solution:
-    """The plan as an answer."""
     return Solution(problem, 0, belief, (plan,), (Aim(),))
 
 
@@ -169,7 +163,6 @@ def log() -> StepLog:
 
 @pytest.fixture(scope="session")
 def simulation(problem: Problem, belief: Belief, plan: Plan, log: StepLog) -> Run:
-    """The log as a run that reached the goal."""
     metrics = Metrics(12.0, 13.4, 5 / 6, 2.2, 0.78, 0.01, 5)
     run = RobotRun("rover", Outcome.STEP_LIMIT, "six steps", log, metrics)
     x, y = np.arange(0.5, 100.0), np.arange(0.5, 80.0)

@@ -1,7 +1,5 @@
 """Runs of a team in the small world, with chosen numbers: for tests of their pictures."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -20,7 +18,6 @@ TERMS = {
 
 
 def team_problem(problem: Any, task: str, robots: int, p_min: float) -> Any:
-    """The small problem with another task."""
     target = Target(name="visitor", start_m=(12.0, 12.0), velocity_m_s=(1.0, 0.5))
     return replace(
         problem,

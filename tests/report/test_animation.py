@@ -1,7 +1,5 @@
 """The animation of a run: its frames, as the file has them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +27,6 @@ def frames_of(path: Path) -> list[np.ndarray]:
 
 
 def coloured(frame: np.ndarray, colour: str) -> int:
-    """How many pixels have a colour exactly."""
     return int((frame == np.array(ImageColor.getrgb(colour))).all(axis=-1).sum())
 
 

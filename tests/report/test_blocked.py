@@ -1,7 +1,5 @@
 """What is seen and saved where a hard bound on connectivity forbids every way to a goal."""
 
-from __future__ import annotations
-
 import json
 import warnings
 from dataclasses import replace
@@ -41,7 +39,6 @@ def problem() -> Problem:
 
 @pytest.fixture(scope="module")
 def error(problem: Problem) -> BlockedError:
-    """Why there is no plan."""
     with pytest.raises(BlockedError) as caught:
         solve(problem, seed=1)
     return caught.value

@@ -22,19 +22,16 @@ from planopt.world import Raster
 
 @pytest.fixture
 def sheet():
-    """An empty figure and its only panel."""
     return new_figure(4.0, 4.0, maps_only=True)
 
 
 @pytest.fixture
 def figure(sheet):
-    """The figure."""
     return sheet[0]
 
 
 @pytest.fixture
 def panel(sheet):
-    """Its only panel."""
     return sheet[1][0]
 
 

@@ -1,7 +1,5 @@
 """Figures of plans and runs: units, curves and marks that equal the data, certificates."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

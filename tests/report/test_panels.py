@@ -20,7 +20,6 @@ from planopt.report.panel import new_figure
 
 @pytest.fixture
 def figure():
-    """A small empty figure."""
     return new_figure(2.0, 2.0)[0]
 
 

@@ -1,7 +1,5 @@
 """Dynamics from a CasADi function, and Runge-Kutta: order, bounds, clear errors."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -16,7 +14,6 @@ FREE = (-np.inf, np.inf)
 
 
 def wheels(**options) -> CasadiMap:
-    """The unicycle by its derivative."""
     x, u = ca.SX.sym("x", 3), ca.SX.sym("u", 2)
     slope = ca.vertcat(u[0] * ca.cos(x[2]), u[0] * ca.sin(x[2]), u[1])
     keys = {
@@ -109,7 +106,6 @@ def test_nothing_to_drive() -> None:
 
 
 def unicycle_slope(state, control):
-    """The unicycle as a differential equation."""
     return (control[0] * cosine(state[2]), control[0] * sine(state[2]), control[1])
 
 

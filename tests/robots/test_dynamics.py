@@ -1,7 +1,5 @@
 """The models' steps against an integrator, hulls against dense samples, limits, braking."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest
@@ -22,7 +20,6 @@ WHEELS = Unicycle(3.0, 2.5, -1.0)
 
 
 def slope_of(dynamics: Dynamics, state: NDArray[np.float64], control: NDArray[np.float64]):
-    """The continuous model, written out again."""
     if isinstance(dynamics, DoubleIntegrator):
         return np.array([state[2], state[3], control[0], control[1]])
     speed, rate = control

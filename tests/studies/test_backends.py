@@ -1,7 +1,5 @@
 """Clusters on this machine give the bits of one process, and resume what was kept."""
 
-from __future__ import annotations
-
 import signal
 from importlib.util import find_spec
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A comparison: complete, paired, and the same however many processes made it."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 from itertools import product
 
@@ -38,12 +36,10 @@ def seen() -> list:
 
 @pytest.fixture(scope="module")
 def comparison(problem, seen) -> Comparison:
-    """Four settings on six seeds, in this process."""
     return compare(problem, HORIZONS, costs_to_go=COSTS, seeds=SEEDS, on_run=seen.append)
 
 
 def rows_of(comparison: Comparison, horizon: int, cost_to_go: str) -> dict[str, Row]:
-    """One setting's rows by metric."""
     return {
         row.metric: row
         for row in comparison.rows
@@ -52,7 +48,6 @@ def rows_of(comparison: Comparison, horizon: int, cost_to_go: str) -> dict[str, 
 
 
 def runs_of(comparison: Comparison, horizon: int, cost_to_go: str) -> list:
-    """One setting's runs, seed by seed."""
     return [
         run for run in comparison.runs if (run.horizon, run.cost_to_go) == (horizon, cost_to_go)
     ]
@@ -157,7 +152,6 @@ def test_differences_are_paired_with_the_first_setting(comparison):
 
 
 def assert_same_run(one, other):
-    """But for measured times."""
     for name in ("connectivity", "connected"):
         assert np.array_equal(getattr(one, name), getattr(other, name))
     assert len(one.step_s) == len(other.step_s)

@@ -1,7 +1,5 @@
 """Studies go on where they were stopped: finished runs are taken, others are driven."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -21,7 +19,6 @@ from planopt.studies.study import FinishedRuns, run_key
 
 
 def short(name: str, steps: int = 2) -> Problem:
-    """A library problem whose runs are short."""
     problem = load(name)
     return replace(problem, planner=replace(problem.planner, max_steps=steps, horizon=2))
 
@@ -42,7 +39,6 @@ def driven(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, int]]:
 
 
 def compared(problem: Problem, folder: Path, horizons=(1, 2), **more) -> Comparison:
-    """Two horizons on two seeds, with a record."""
     if problem.task == "reach":
         more["costs_to_go"] = ["geodesic"]
     return compare(problem, horizons, finished=folder, **{"seeds": 2, **more})
@@ -103,7 +99,6 @@ def test_what_decides_a_run_is_in_its_key(tmp_path: Path, monkeypatch) -> None:
     assert key != run_key(replace(problem, stations=(station,)), 0)
 
     def moved(change: bytes) -> Problem:
-        """The problem with its map elsewhere."""
         tables = problem_to_dict(problem)
         content = Path(tables["channel"]["truth"]["file"]).read_bytes()
         (tmp_path / "map.npz").write_bytes(content + change)

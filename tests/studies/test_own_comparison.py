@@ -37,14 +37,12 @@ WANTED = [{}, {f"{GIVEN}.n_pl": 1.0}, {f"{GIVEN}.n_pl": 3.0}, {f"{GIVEN}.k_pl_db
 
 @pytest.fixture(scope="module")
 def problem() -> planopt.Problem:
-    """Fig. 1 with four settings on five seeds."""
     own = ComparisonSettings(seeds="100:105", settings=GROUPS)
     return replace(load("fig1"), compare=own)
 
 
 @pytest.fixture(scope="module")
 def comparison(problem: planopt.Problem) -> Comparison:
-    """What it says of itself."""
     return compare(problem)
 
 
@@ -195,7 +193,6 @@ def test_short_keys_tell_keys_apart(comparison) -> None:
 
 @pytest.fixture(scope="module")
 def bounded() -> Comparison:
-    """A planner with two horizons, and a bound."""
     problem = short("fig5", steps=4)
     return compare(problem, [1, 2], planners=["auto", "oracle_log"], seeds=5)
 

@@ -1,7 +1,5 @@
 """Sweeps over any keys, several problems, their files and their command."""
 
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace
@@ -29,13 +27,11 @@ SWEEP = {"constraints.p_min": [0.5, 0.9], "robots[0].speed_max_m_s": [1.0, 2.0]}
 
 @pytest.fixture(scope="module")
 def problem() -> planopt.Problem:
-    """The open field, two steps."""
     return short("open_field")
 
 
 @pytest.fixture(scope="module")
 def comparison(problem: planopt.Problem) -> Comparison:
-    """Four settings, two seeds."""
     return compare(problem, costs_to_go=["geodesic"], sweep=SWEEP, seeds=[3, 5])
 
 

@@ -1,7 +1,5 @@
 """Commands and problem files of the tests of tasks."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The task coverage: command, results, radio, and bad input."""
 
-from __future__ import annotations
-
 import csv
 import json
 from dataclasses import replace
@@ -118,8 +116,6 @@ def test_saved_problems_need_no_other_files(written, tmp_path):
 
 
 def cell(file: str, column: str, number: int, new: str):
-    """A change of a cell in a row of a table."""
-
     def change(folder: Path) -> None:
         rows = list(csv.reader((folder / file).read_text().splitlines()))
         rows[number][rows[0].index(column)] = new

@@ -1,7 +1,5 @@
 """The task pursuit: command, results, and bad input."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

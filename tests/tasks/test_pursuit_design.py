@@ -1,7 +1,5 @@
 """The task pursuit_design: command, saved folder, and what is impossible."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Saved results of every task: what agrees, what an edit changes, and damaged folders."""
 
-from __future__ import annotations
-
 import csv
 import json
 import random
@@ -32,7 +30,6 @@ ACCEPTED = {"wall_s", "step_s", "termination", "problem_file"}
 
 @pytest.fixture(scope="module", params=CASES)
 def saved(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a saved result."""
     action, text = CASES[request.param]
     folder = tmp_path_factory.mktemp("saved")
     (folder / "problem.toml").write_text(text)
@@ -74,7 +71,6 @@ def edited_json(file: Path, rng: random.Random) -> str:
 
 
 def edited_cell(file: Path, rng: random.Random) -> str:
-    """Change one cell of a table."""
     rows = list(csv.reader(file.read_text().splitlines()))
     row, column = rng.randrange(1, len(rows)), rng.randrange(len(rows[0]))
     cell = rows[row][column]

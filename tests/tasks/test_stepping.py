@@ -1,7 +1,5 @@
 """A user's own loop steps networks and pursuers; a simulation of the same problem acts alike."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from refusals import refused

@@ -10,6 +10,5 @@ from planopt.world import read_obstacles
 
 @pytest.fixture(scope="session")
 def munich() -> Workspace:
-    """The 742 footprints of central Munich."""
     file = Path(__file__).parents[2] / "problems" / "data" / "munich_buildings.json"
     return Workspace((-400.0, -400.0, 400.0, 400.0), read_obstacles(file))

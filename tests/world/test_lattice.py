@@ -1,7 +1,5 @@
 """The lattice: free nodes and moves against GEOS, shortest paths against networkx."""
 
-from __future__ import annotations
-
 import math
 
 import networkx as nx
@@ -46,7 +44,6 @@ def random_world(seed: int) -> Workspace:
 
 
 def brute_force(workspace: Workspace, lattice: Lattice, margin_m: float) -> NDArray[np.bool_]:
-    """Every move measured against every obstacle."""
     positions = node_positions(lattice)
     ny, nx = lattice.shape
     world = shapely.union_all([obstacle.polygon for obstacle in workspace.obstacles])

@@ -1,7 +1,5 @@
 """Curves and motions: distances against samples and closed forms."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -31,7 +29,6 @@ BOUNDS = (-10.0, -10.0, 10.0, 10.0)
 
 
 def index_of(*polygons: shapely.Polygon):
-    """An index of these polygons."""
     return index_obstacles(
         Workspace(BOUNDS, tuple(Obstacle(str(k), p) for k, p in enumerate(polygons)))
     )
@@ -142,7 +139,6 @@ DENSE = np.linspace(0.0, 1.0, 40001)
 
 
 def sampled_m(first, second) -> float:
-    """Least distance over many equal times."""
     return float(np.linalg.norm(first.at(DENSE) - second.at(DENSE), axis=1).min())
 
 

@@ -1,7 +1,5 @@
 """Lines from moving discs, and predicted discs that cover what they predict."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

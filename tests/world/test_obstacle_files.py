@@ -1,7 +1,5 @@
 """Obstacles from files and rings: GeoJSON, WKT, buildings, and what is no map."""
 
-from __future__ import annotations
-
 import json
 import math
 import time
@@ -27,14 +25,12 @@ TWO = {"type": "MultiPolygon", "coordinates": [[SQUARE, HOLE], [FAR]]}
 
 
 def saved(folder: Path, name: str, content: object) -> Path:
-    """Write text, or anything else as JSON."""
     path = folder / name
     path.write_text(content if isinstance(content, str) else json.dumps(content))
     return path
 
 
 def names_and_areas(path: Path) -> list[tuple[str, float]]:
-    """What a test compares."""
     return [(obstacle.name, obstacle.polygon.area) for obstacle in read_obstacles(path)]
 
 
@@ -252,7 +248,6 @@ TRIANGLE = [[30.0, 40.0], [40.0, 40.0], [40.0, 50.0], [30.0, 40.0]]
 
 
 def geojson(folder: Path, name: object = "a", ring: object = TRIANGLE, **more: object) -> Path:
-    """A file of one feature."""
     feature = {
         "type": "Feature",
         "properties": {"name": name},

@@ -1,7 +1,5 @@
 """Occupancy grids: their files by the rules of map_server, and the polygons of closed cells."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 
@@ -270,12 +268,10 @@ PATTERNS = arrays.arrays(np.bool_, st.tuples(st.integers(1, 9), st.integers(1, 9
 def grid_of(
     occupied: NDArray[np.bool_], resolution_m: float = 1.0, origin_m: tuple[float, float] = (0, 0)
 ) -> OccupancyGrid:
-    """A grid without unknown cells."""
     return OccupancyGrid(occupied, np.zeros_like(occupied), resolution_m, origin_m)
 
 
 def polygons_of(occupied: NDArray[np.bool_], **options) -> list[shapely.Polygon]:
-    """The polygons of the obstacles."""
     return [obstacle.polygon for obstacle in grid_obstacles(grid_of(occupied, **options), "a")]
 
 

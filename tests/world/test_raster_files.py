@@ -1,7 +1,5 @@
 """Maps on a grid: looked up, read and written in every format, and bad files."""
 
-from __future__ import annotations
-
 import builtins
 import contextlib
 import gc
@@ -150,7 +148,6 @@ ENDINGS = [".csv", ".npz", ".nc", ".tif", ".TIFF", ".NPZ"]
 
 
 def write(path: Path) -> Path:
-    """Both rasters in one file."""
     if path.suffix.lower() in (".tif", ".tiff"):
         pytest.importorskip("rasterio")
     write_rasters(path, {"mean_db": MEAN, "connectivity": CHANCE})
@@ -321,7 +318,6 @@ def test_netcdf4(tmp_path: Path) -> None:
 
 
 def geotiff(path: Path, **options: object) -> Path:
-    """One band of ones."""
     rasterio = pytest.importorskip("rasterio")
     shape = {"width": 3, "height": 2, "count": 1, "dtype": "float32"}
     with rasterio.open(path, "w", driver="GTiff", **(shape | options)) as file:

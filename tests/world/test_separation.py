@@ -1,7 +1,5 @@
 """Separating lines from pieces of obstacles and from moving discs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import shapely
@@ -38,7 +36,6 @@ def world(*polygons: shapely.Polygon) -> Workspace:
 
 
 def random_pieces(rng: np.random.Generator, number: int, offset: Array) -> PackedPieces:
-    """Convex hulls of random points."""
     hulls = [
         shapely.MultiPoint(
             offset + rng.uniform(-30, 30, 2) + rng.uniform(-4, 4, (int(rng.integers(3, 12)), 2))

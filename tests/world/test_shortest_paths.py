@@ -1,7 +1,5 @@
 """Shortest ways round obstacles: closed forms, and a visibility graph written out plainly."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -26,14 +24,12 @@ RING = shapely.box(9, 9, 21, 21).difference(shapely.box(9.01, 9.01, 20.99, 20.99
 
 
 def ways_of(*polygons, start=START, clearance=0.0, radius=60.0, inner=True):
-    """The ways round these obstacles."""
     obstacles = tuple(Obstacle(f"{k}", polygon) for k, polygon in enumerate(polygons))
     index = index_obstacles(Workspace(BOUNDS, obstacles))
     return index, shortest_paths(index, BOUNDS, start, clearance, radius, inner)
 
 
 def length_to(ways, x, y):
-    """How long the way to a place is."""
     return path_lengths_m(ways, np.array([[x, y]]))[0]
 
 

@@ -1,7 +1,5 @@
 """Scores, margins and serving power of several stations: closed forms, roots and draws."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -19,7 +17,6 @@ from planopt.channel.prediction import bound_margin_db, connection_probability
 
 
 def scores(stations: int, places: int = 40, spread: float = 2.5) -> np.ndarray:
-    """Seeded scores of stations at places."""
     return np.random.default_rng(stations).normal(scale=spread, size=(stations, places))
 
 
@@ -78,7 +75,6 @@ THRESHOLDS = (-80.0, -76.0, -83.0)
 
 
 def predictions(stations: int, places: int = 60) -> list[Prediction]:
-    """Seeded predictions of stations at places."""
     generator = np.random.default_rng(stations)
     return [
         Prediction(

@@ -34,7 +34,6 @@ THRESHOLD = -82.0
 
 
 def rng():
-    """A fresh source."""
     return np.random.default_rng(3)
 
 
@@ -143,7 +142,6 @@ def test_deadline_off_the_path(deadline):
 
 
 def by_small_steps(durations, drive, traffic, step=1e-3):
-    """The fluid followed in time."""
     waiting, delivered = traffic.waiting_bits, 0.0
     for duration, now in zip(durations, drive[1:], strict=True):
         for _ in range(round(duration / step)):

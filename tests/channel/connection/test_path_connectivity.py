@@ -33,7 +33,6 @@ CORRELATIONS = st.floats(-1.0, 1.0)
 
 
 def cdf(h, k, rho):
-    """One pair."""
     return float(bivariate_normal_cdf(np.array(h), np.array(k), np.array(rho)))
 
 
@@ -82,7 +81,6 @@ def test_infinite_scores(rho):
 
 
 def rng():
-    """A fresh source."""
     return np.random.default_rng(5)
 
 
@@ -243,7 +241,6 @@ def test_spanning_tree_by_enumeration(seed, count):
 
 
 def connects(edges, count):
-    """Whether the edges join all nodes."""
     group = list(range(count))
     for one, other in edges:
         group = [group[one] if label == group[other] else label for label in group]

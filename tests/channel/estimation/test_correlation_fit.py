@@ -97,7 +97,6 @@ def test_the_printed_set_and_its_repair():
 
 
 def bins(xi2, beta):
-    """Noisy log correlations of a channel."""
     return LogBins(LAGS, np.log(xi2) - LAGS / beta + SCATTER, WEIGHT)
 
 

@@ -25,7 +25,6 @@ CAMPUS = Path(__file__).parents[4] / "shared" / "data" / "campus"
 
 
 def values(fit):
-    """The five parameters."""
     p = fit.parameters
     return np.array([p.k_pl_db, p.n_pl, p.shadow_std_db, p.decorrelation_m, p.multipath_std_db])
 

@@ -18,7 +18,6 @@ CHANNEL = ChannelParameters(-40.0, 3.0, 1e-3, 1.0, 4.0, Station((50.0, 50.0), 10
 
 
 def model_of(measurements, station=CHANNEL.station):
-    """The full mean model."""
     return mean_model(measurements.positions_m, ~measurements.censored, station, True)
 
 
@@ -95,7 +94,6 @@ ORIGIN = Station((0.0, 0.0))
 
 
 def at(positions, censored=None):
-    """Measurements of -70 dBm at positions."""
     positions = np.asarray(positions, dtype=float).reshape(-1, 2)
     count = len(positions)
     flags = np.zeros(count, bool) if censored is None else np.asarray(censored)

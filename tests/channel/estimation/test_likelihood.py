@@ -38,7 +38,6 @@ def evaluate(data, point=POINT):
 
 
 def value(data, point=POINT):
-    """Log L."""
     return evaluate(data, point).log_likelihood
 
 

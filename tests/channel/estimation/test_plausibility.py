@@ -11,7 +11,6 @@ CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((50.0, 50.0), 10
 
 
 def powers(values):
-    """Measurements of these powers somewhere."""
     places = np.random.default_rng(0).uniform(0.0, 9.0, (len(values), 2))
     return Measurements(places, np.asarray(values, float), np.zeros(len(values), bool))
 

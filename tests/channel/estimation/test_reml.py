@@ -20,7 +20,6 @@ CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((50.0, 50.0), 10
 
 @one_blas_thread()
 def fitted(measurements, variance=40.0):
-    """Model, bounds and REML fit."""
     exact = ~measurements.censored
     model = mean_model(measurements.positions_m, exact, CHANNEL.station, True)
     limits = examine(measurements, CHANNEL.station).decorrelation_bounds_m
@@ -106,7 +105,6 @@ WIDE = np.full(3, 10.0)
 
 
 def quadratic(x):
-    """Value, gradient, curvature."""
     offset = x - TARGET
     return 0.5 * offset @ CURVATURE @ offset, CURVATURE @ offset, CURVATURE
 

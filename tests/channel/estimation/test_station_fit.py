@@ -77,7 +77,6 @@ METHODS = ["line", "joint"]
 
 
 def found(measurements, method, height_m=10.0):
-    """The position as an array."""
     return np.array(locate(measurements, method, height_m, np.inf).position_m)
 
 
@@ -140,7 +139,6 @@ def test_moving_the_scene_moves_the_station(method, motion):
 
 
 def distance(fit, station):
-    """From the estimated station to the true one."""
     return np.hypot(*np.subtract(fit.parameters.station.position_m, station))
 
 

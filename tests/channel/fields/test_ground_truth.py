@@ -110,7 +110,6 @@ def test_model_truth_of_another_multipath():
 
 
 def generator():
-    """The same each time."""
     return np.random.default_rng(8)
 
 

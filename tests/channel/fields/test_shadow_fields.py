@@ -87,7 +87,6 @@ def within_errors(draws, expected):
 
 
 def covariance(places, std, decorrelation):
-    """xi^2 exp(-d / beta), by hand."""
     return std**2 * np.exp(-np.hypot(*(places[:, None] - places).T) / decorrelation)
 
 
@@ -155,7 +154,6 @@ DRAWN = 800
 
 
 def measured(places, censored=()):
-    """Powers about -65 dBm at `places`."""
     places = np.array(places, dtype=float)
     power = -65.0 + np.random.default_rng(9).normal(0.0, 4.0, len(places))
     return Measurements(places, power, np.isin(np.arange(len(places)), censored))

@@ -16,7 +16,6 @@ THREE = LatentPrior.known_mean(np.array([-80.0, -82.0, -79.0]), COVARIANCE)
 
 
 def limits(upper):
-    """Mere upper limits."""
     return Intervals(np.asarray(upper), np.full(len(upper), np.inf))
 
 

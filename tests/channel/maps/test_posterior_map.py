@@ -15,7 +15,6 @@ PARAMETERS = ChannelParameters(-30.0, 2.5, 4.0, 15.0, 1.5, Station((50.0, 60.0),
 
 
 def measured(count: int) -> Measurements:
-    """At random places of 100 m by 80 m."""
     generator = np.random.default_rng(2)
     places = generator.uniform((0.0, 0.0), (100.0, 80.0), (count, 2))
     return Measurements(places, generator.normal(-70.0, 6.0, count), np.zeros(count, dtype=bool))

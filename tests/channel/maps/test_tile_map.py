@@ -16,7 +16,6 @@ NEEDED[:10, :12] = False
 
 
 def data(count, seed=0):
-    """Random measurements on the lattice's area."""
     generator = np.random.default_rng(seed)
     positions = generator.uniform(-10.0, 100.0, (count, 2))
     power = -80.0 + 4.0 * np.sin(positions[:, 0] / 15.0) + generator.standard_normal(count)
@@ -24,14 +23,12 @@ def data(count, seed=0):
 
 
 def fresh(posterior, neighbours):
-    """The lattice built from nothing."""
     lattice = TileMap(X, Y, NEEDED, neighbours=neighbours)
     lattice.refresh(posterior)
     return lattice
 
 
 def assert_same(one, two, tolerance=1e-9):
-    """Both lattices agree, NaN where not needed."""
     np.testing.assert_allclose(one.mean_db, two.mean_db, atol=tolerance, rtol=0.0)
     np.testing.assert_allclose(one.deviation_db, two.deviation_db, atol=tolerance, rtol=0.0)
 

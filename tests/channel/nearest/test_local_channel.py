@@ -21,7 +21,6 @@ PATH = np.array([40.0, 30.0]) + np.arange(6)[:, None] * [3.0, 2.0]
 
 
 def measured(count, seed=0, **columns):
-    """Smooth random data on a 100 m square."""
     generator = np.random.default_rng(seed)
     positions = generator.uniform(0.0, 100.0, (count, 2))
     power = -80.0 + 4.0 * np.sin(positions[:, 0] / 15.0) + generator.standard_normal(count)
@@ -29,7 +28,6 @@ def measured(count, seed=0, **columns):
 
 
 def assert_close(found, expected, mean_db, deviation_db):
-    """Mean and standard deviation agree to these."""
     np.testing.assert_allclose(found.mean_db, expected.mean_db, atol=mean_db, rtol=0.0)
     np.testing.assert_allclose(found.deviation_db, expected.deviation_db, atol=deviation_db)
 

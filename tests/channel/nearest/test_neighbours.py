@@ -15,7 +15,6 @@ CENTRES = np.random.default_rng(8).uniform(0.0, 1.0, (25, 2))
 
 
 def scattered(count, seed=2):
-    """Places of the unit square."""
     return np.random.default_rng(seed).uniform(0.0, 1.0, (count, 2))
 
 
@@ -54,7 +53,6 @@ def test_places_that_came_after_the_tree_are_found():
 
 
 def uneven(count, seed=0):
-    """Random uneven, dense to one side."""
     return np.random.default_rng(seed).uniform(0.0, 1.0, (count, 2)) ** [1.0, 3.0] * [100.0, 300.0]
 
 

@@ -20,7 +20,6 @@ CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12
 
 
 def settled(measurements, mean_db, start=None, tolerance=1e-6, block=48, near=64):
-    """Sites of the censored measurements."""
     rows = np.flatnonzero(measurements.censored)
     places = measurements.positions_m
     blocks = [own for own in place_blocks(places, block) if measurements.censored[own].any()]

@@ -1,7 +1,5 @@
 """Rows of the regression suite with chosen numbers."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -35,5 +33,4 @@ ROW = Row(
 
 
 def row(**changes: Any) -> Row:
-    """`ROW` with changes."""
     return replace(ROW, **changes)

@@ -1,7 +1,5 @@
 """The report's picture and text show the numbers that were scored."""
 
-from __future__ import annotations
-
 import numpy as np
 from bench_rows import row
 

@@ -1,7 +1,5 @@
 """The regression suite with networks, pursuits and designs."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

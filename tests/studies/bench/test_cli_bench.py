@@ -1,7 +1,5 @@
 """``planopt bench``: runs that go on, reports, frozen references, and the check of regressions."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import json
@@ -30,7 +28,6 @@ RUN = ["bench", "run", "--seeds", "1", "--run-seeds", "0", "--horizons", "2"]
 
 
 def ran(folder: Path, *more: str, problems: str = "outdoor_map") -> int:
-    """Run a small suite."""
     return main(
         [*RUN, "--problems", problems, "--planners", "auto,lattice", *more, "--out", str(folder)]
     )
@@ -38,7 +35,6 @@ def ran(folder: Path, *more: str, problems: str = "outdoor_map") -> int:
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two planners on one problem."""
     out = tmp_path_factory.mktemp("bench") / "out"
     assert ran(out) == 0
     return out
@@ -165,7 +161,6 @@ def test_freeze_does_not_overwrite_silently(folder: Path, tmp_path: Path, capsys
 
 @pytest.fixture
 def share(tmp_path: Path) -> Path:
-    """References of one problem."""
     known = {c: r for c, r in read_references().items() if r.problem == "outdoor_map"}
     file = tmp_path / "references.json"
     write_references(known, file)
@@ -260,7 +255,6 @@ class Liar:
         pass
 
     def plan(self, context, scorer, warm=None):
-        """A plan that claims."""
         path = held(context, [])
         found = scorer.assessed(scorer.candidate(path, Rung.PLAN, Termination.CONVERGED))
         return scorer.plan_from(replace(found, solve_s=1e-4), wall_s=1e-3)

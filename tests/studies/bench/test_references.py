@@ -1,7 +1,5 @@
 """References: regressions in words, and no silent change."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

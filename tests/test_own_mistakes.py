@@ -69,80 +69,9 @@ def expression_of(value) -> type:
     return own_class(OwnTerm, expression=value)
 
 
-@pytest.mark.parametrize("kind", [3, None, "", "a b", "x" * 101, property(lambda self: "x")])
-@pytest.mark.parametrize("parent", [OwnTerm, OwnRule])
-def test_kinds_are_words(parent, kind) -> None:
-    """Where the class is defined, so that no other problem suffers."""
-    with refused():
-        own_class(parent, kind=kind)
-
-
-def test_a_term_needs_a_kind(base) -> None:
-    """The class and the attribute are named."""
-
-    @dataclass(frozen=True)
-    class Nameless(OwnTerm):
-        """No kind."""
-
-    with refused():
-        made(base, objective=Nameless())
-
-
-def test_a_term_is_a_dataclass(base) -> None:
-    """What a constructor of its own keeps would not be saved."""
-
-    class Plain(OwnTerm):
-        """No dataclass."""
-
-        kind: ClassVar[str] = "plain"
-
-        def __init__(self, x) -> None:
-            object.__setattr__(self, "x", x)
-
-    with refused():
-        made(base, objective=Plain(2.0))
-
-
-@pytest.mark.parametrize("hint", ["np.ndarray", "Nowhere"])
-def test_fields_are_keys_of_a_table(base, hint) -> None:
-    """An annotation that no table can have names the class."""
-    found = type(
-        "Mine",
-        (OwnTerm,),
-        {
-            "kind": "wrong",
-            "x": 1.0,
-            "__annotations__": {"kind": "ClassVar[str]", "x": hint},
-            "__module__": __name__,
-        },
-    )
-    with refused():
-        made(base, objective=dataclass(frozen=True)(found)())
-
-
 def test_lists_in_a_term_become_tuples() -> None:
     """Terms are compared and hashed."""
     assert own_class(OwnTerm, x=0.0)(x=[1.0, 2.0]).x == (1.0, 2.0)
-
-
-@pytest.mark.parametrize(
-    "expression",
-    [
-        lambda self, path: path.speed_m_s,
-        lambda self, path: self.missing,
-        lambda self, path: None,
-        lambda self: 1.0,
-        lambda self, path: {}["x"],
-        lambda self, path: path.positions_m,
-        lambda self, path: 1.0 if path.start_m[0] > 3 else 0.0,
-        lambda self, path: 1 / 0,
-        lambda self, path: ca.SX.sym("z"),
-    ],
-)
-def test_wrong_expressions(base, expression) -> None:
-    """The term's key, the line of the class, and what an expression may be made of."""
-    with refused():
-        made(base, objective=expression_of(expression)())
 
 
 def tried(value):
@@ -290,15 +219,6 @@ def test_a_rule_may_count_something_else(base) -> None:
     assert plan.certificate.rule.achieved == pytest.approx(plan.connectivity[1:].sum(), abs=1e-6)
 
 
-def test_rules_with_a_missing_half() -> None:
-    """What a rule that asks for something else must define."""
-    with refused():
-        own_class(OwnRule, asks_p_min=False)
-    own_class(OwnRule)
-    with refused():
-        planopt.ConnectivityRule("wrong")
-
-
 X, U = ca.SX.sym("x", 2), ca.SX.sym("u", 2)
 MAP = {
     "function": ca.Function("f", [X, U], [X + U]),
@@ -311,34 +231,6 @@ MAP = {
 }
 
 
-@pytest.mark.parametrize(
-    ("key", "value"),
-    [
-        ("function", lambda x, u: x),
-        ("function", None),
-        ("function", ca.Function("f", [X, U, ca.SX.sym("t")], [X])),
-        ("function", ca.Function("f", [X, U], [])),
-        ("function", ca.Function("f", [X, U], [X.T])),
-        ("state_names", "xy"),
-        ("input_names", (1, 2)),
-        ("state_bounds", (-1, 1)),
-        ("state_bounds", ((None, None),) * 2),
-        ("input_bounds", ((-1, 0, 1),) * 2),
-        ("input_bounds", (("a", "b"),) * 2),
-        ("input_bounds", ((1.0, -1.0),) * 2),
-        ("rest_input", 0.0),
-        ("rest_input", (np.nan, 0.0)),
-        ("speed_max_m_s", "fast"),
-        ("speed_max_m_s", 0.0),
-        ("substeps", 2.5),
-    ],
-)
-def test_wrong_casadi_maps(key, value) -> None:
-    """The attribute is the key."""
-    with refused():
-        CasadiMap(**{**MAP, key: value})
-
-
 def test_maps_of_lists_and_arrays() -> None:
     """Lists and arrays are as good as tuples."""
     given = CasadiMap(
@@ -347,14 +239,6 @@ def test_maps_of_lists_and_arrays() -> None:
     assert given.state_names == ("x_m", "y_m")
     arrays = {key: np.array(MAP[key]) for key in ("state_bounds", "input_bounds", "rest_input")}
     assert CasadiMap(**{**MAP, **arrays}).rest_input == (0.0, 0.0)
-
-
-@pytest.mark.parametrize("after", [X + U / 0, X + U * ca.sqrt(U[0]), X + U + 0.5])
-def test_maps_that_cannot_be_driven(base, after) -> None:
-    """NaN and a rest input that moves the robot are found when the problem is made."""
-    car = CasadiMap(**{**MAP, "function": ca.Function("f", [X, U], [after])})
-    with refused():
-        made(base, robots=replace(base.robots[0], dynamics=car))
 
 
 def test_maps_that_fail_on_the_way(base) -> None:
@@ -431,26 +315,6 @@ class Half:
         return state
 
 
-@pytest.mark.parametrize(
-    "function",
-    [
-        lambda places_m: places_m.nothing,
-        lambda x, y: x,
-        -50.0,
-        np.zeros((4, 4)),
-        lambda places_m: np.full(len(places_m), 500.0),
-        lambda places_m: np.full(len(places_m), -1e9),
-        lambda places_m: np.full(len(places_m), -60.0 + 1j),
-        lambda places_m: np.full(len(places_m), "-60"),
-    ],
-)
-def test_wrong_truths(base, function) -> None:
-    """The key, and the line of the function."""
-    with refused():
-        channel = replace(base.channel, truth=FunctionTruth(power_dbm=function))
-        solve(made(base, channel=channel), seed=0)
-
-
 def test_faults_of_planopt_stay_what_they_are(monkeypatch, base) -> None:
     """Only a user's own code is a user's fault."""
     monkeypatch.setattr(LearningTerm, "values", lambda self, paths: paths.nothing)
@@ -489,8 +353,106 @@ def with_stations(base: Problem, names: list[str]) -> Problem:
     return made(base, stations=stations, channel=replace(base.channel, truth=FUNCTION_TRUTH))
 
 
+@dataclass(frozen=True)
+class Nameless(OwnTerm):
+    """No kind."""
+
+
+class Plain(OwnTerm):
+    """No dataclass."""
+
+    kind: ClassVar[str] = "plain"
+
+    def __init__(self, x) -> None:
+        object.__setattr__(self, "x", x)
+
+
+def hinted(hint: str) -> type:
+    """A term with a field of this annotation."""
+    hints = {"kind": "ClassVar[str]", "x": hint}
+    fields = {"kind": "wrong", "x": 1.0, "__annotations__": hints, "__module__": __name__}
+    return dataclass(frozen=True)(type("Mine", (OwnTerm,), fields))
+
+
+def with_truth(base: Problem, function) -> None:
+    truth = FunctionTruth(power_dbm=function)
+    solve(made(base, channel=replace(base.channel, truth=truth)), seed=0)
+
+
+def with_map(base: Problem, after) -> Problem:
+    car = CasadiMap(**{**MAP, "function": ca.Function("f", [X, U], [after])})
+    return with_robot(base, {"dynamics": car})
+
+
+def rule_named(_, parts: dict) -> planopt.ConnectivityRule:
+    own_class(OwnRule, **parts)
+    return planopt.ConnectivityRule("wrong")
+
+
+def mapped(base: Problem, changes: dict) -> None:
+    belief = solve(base, planner="lattice", seed=0).belief
+    arguments = [belief.posterior, base.workspace.bounds_m, 1.0, -80.0]
+    for number, value in changes.items():
+        arguments[number] = belief if value == "belief" else value
+    posterior_map(*arguments)
+
+
+KINDS = (3, None, "", "a b", "x" * 101, property(lambda self: "x"))
+EXPRESSIONS = (
+    lambda self, path: path.speed_m_s,
+    lambda self, path: self.missing,
+    lambda self, path: None,
+    lambda self: 1.0,
+    lambda self, path: {}["x"],
+    lambda self, path: path.positions_m,
+    lambda self, path: 1.0 if path.start_m[0] > 3 else 0.0,
+    lambda self, path: 1 / 0,
+    lambda self, path: ca.SX.sym("z"),
+)
+MAPS = (
+    {"function": lambda x, u: x},
+    {"function": None},
+    {"function": ca.Function("f", [X, U, ca.SX.sym("t")], [X])},
+    {"function": ca.Function("f", [X, U], [])},
+    {"function": ca.Function("f", [X, U], [X.T])},
+    {"state_names": "xy"},
+    {"input_names": (1, 2)},
+    {"state_bounds": (-1, 1)},
+    {"state_bounds": ((None, None),) * 2},
+    {"input_bounds": ((-1, 0, 1),) * 2},
+    {"input_bounds": (("a", "b"),) * 2},
+    {"input_bounds": ((1.0, -1.0),) * 2},
+    {"rest_input": 0.0},
+    {"rest_input": (np.nan, 0.0)},
+    {"speed_max_m_s": "fast"},
+    {"speed_max_m_s": 0.0},
+    {"substeps": 2.5},
+)
+TRUTHS = (
+    lambda places_m: places_m.nothing,
+    lambda x, y: x,
+    -50.0,
+    np.zeros((4, 4)),
+    lambda places_m: np.full(len(places_m), 500.0),
+    lambda places_m: np.full(len(places_m), -1e9),
+    lambda places_m: np.full(len(places_m), -60.0 + 1j),
+    lambda places_m: np.full(len(places_m), "-60"),
+)
+
 # A function of the problem and a value, and wrong values.
 MISTAKES = [
+    *(
+        (lambda _, v, parent=parent: own_class(parent, kind=v), KINDS)
+        for parent in (OwnTerm, OwnRule)
+    ),
+    (lambda base, v: made(base, objective=v), (Nameless(), Plain(2.0))),
+    (lambda base, v: made(base, objective=hinted(v)()), ("np.ndarray", "Nowhere")),
+    (lambda base, v: made(base, objective=expression_of(v)()), EXPRESSIONS),
+    (lambda _, v: CasadiMap(**{**MAP, **v}), MAPS),
+    (with_map, (X + U / 0, X + U * ca.sqrt(U[0]), X + U + 0.5)),
+    (with_truth, TRUTHS),
+    (rule_named, ({"asks_p_min": False}, {})),
+    (mapped, ({0: "belief"}, {1: 3}, {2: "1"}, {3: None}, {2: True})),
     (lambda _, v: casadi_term(v, 2), (3.0, ca.SX.sym("x"))),
     (lambda _, v: casadi_term(v, 2), (lambda path: path.nowhere,)),
     (lambda _, v: casadi_term(lambda path: path.start_m[0], v), ("2", 0)),
@@ -539,21 +501,6 @@ def test_a_mistake_is_explained(base, make, value) -> None:
     """The key, the value, and what to give."""
     with refused():
         make(base, value)
-
-
-def test_a_map_is_that_of_a_posterior(base) -> None:
-    """The key of the argument that is wrong, and where the right one is."""
-    run = planopt.simulate(base, seed=0)
-    posterior, bounds = run.belief.posterior, base.workspace.bounds_m
-    for arguments in (
-        (run.belief, bounds, 1.0, -80.0),
-        (posterior, 3, 1.0, -80.0),
-        (posterior, bounds, "1", -80.0),
-        (posterior, bounds, 1.0, None),
-        (posterior, bounds, True, -80.0),
-    ):
-        with refused():
-            posterior_map(*arguments)
 
 
 def test_remedies_of_check(base, tmp_path) -> None:

@@ -55,85 +55,37 @@ sweet_spot_m = 1.0
 """
 )
 
-# The text of the file that is replaced, and what replaces it.
+# The text of the file that is replaced, and what replaces it; more in problems/test_refused.py.
 REPLACED = [
     ("[0.0, 0.0, 50.0, 40.0]", "[nan, 0.0, 50.0, 40.0]"),
-    ("[0.0, 0.0, 50.0, 40.0]", "[0.0, 0.0, inf, 40.0]"),
-    ("[0.0, 0.0, 50.0, 40.0]", "[50.0, 0.0, 0.0, 40.0]"),
-    ("[0.0, 0.0, 50.0, 40.0]", "[0.0, 0.0, 0.0, 0.0]"),
-    ("[0.0, 0.0, 50.0, 40.0]", "[0.0, 0.0, 50.0]"),
-    ("[0.0, 0.0, 50.0, 40.0]", "[0.0, 0.0, 50.0, 40.0, 1.0]"),
     ("[0.0, 0.0, 50.0, 40.0]", "[0.0, 0.0, 9e6, 9e6]"),
-    ("[0.0, 0.0, 50.0, 40.0]", '"wide"'),
+    ("[0.0, 0.0, 50.0, 40.0]", "[0.0, 0.0, 50.0, 40.0]\nobstacles = [3]"),
+    ("[0.0, 0.0, 50.0, 40.0]", "[0, 0, 50, 40]\nobstacles = [{wkt = 'POINT (1 2)'}]"),
+    ("[0.0, 0.0, 50.0, 40.0]", "[0, 0, 50, 40]\nobstacles = [{file = 'none.geojson'}]"),
+    ("[0.0, 0.0, 50.0, 40.0]", "[0, 0, 50, 40]\nobstacles = [{polygon = [[9, 9], [9, 9]]}]"),
     ("cell_m = 1.0", "cell_m = 1e-9"),
-    ('kind = "model"', 'kind = "modle"'),
-    ("n_pl = 2.4", "n_pl = 0.0"),
-    ("cell_m = 1.0", "cell_m = 1.0\nfloor_db = -60.0"),
-    ("count = 50", "count = 0"),
     ("count = 50", "count = 1979-05-27"),
-    ("count = 50", 'count = 50\nfile = "log.csv"'),
     ("count = 50", 'file = "."'),
-    ("speed_max_m_s = 1.0", "speed_max_m_s = true"),
-    ("speed_max_m_s = 1.0", "speed_max_m_s = -1.0"),
     ("speed_max_m_s = 1.0", "speed_max_m_s = 1e-300"),
     ("speed_max_m_s = 1.0", "speed_max_m_s = 0.002"),
-    ("speed_max_m_s = 1.0", "max_speed_m_s = 1.0"),
-    ("start_m = [5.0, 5.0]", "start_m = [-5.0, 5.0]"),
-    ("start_m = [5.0, 5.0]", "start_m = [nan, 5.0]"),
-    ("goal_m = [45.0, 15.0]", "goal_m = [55.0, 15.0]"),
-    ("goal_m = [45.0, 15.0]\n", ""),
     ("[[robots]]", "[robots]"),
     ("position_m = [25.0, 5.0]", "position_m = [1e12, 5.0]"),
-    ("threshold_dbm = -55.0", "threshold_dbm = -inf"),
-    ("[constraints]", "[constraint]"),
-    ("p_min = 0.8", "pmin = 0.8"),
-    ("p_min = 0.8", "p_min = 1.0"),
-    ("p_min = 0.8", "p_min = 0.0"),
     ("p_min = 0.8", "p_min = 0.8\np_min = 0.9"),
-    ("p_min = 0.8", 'p_min = 0.8\nconnectivity = "outage"'),
-    ("p_min = 0.8", 'p_min = 0.8\nconnectivity = "stated_times"\nconnected_times_s = [1e6]'),
-    ("step_s = 1.0", "step_s = 0.0"),
     ("step_s = 1.0", "step_s = inf"),
-    ("horizon = 3", "horizon = 0"),
-    ("horizon = 3", "horizon = 1000000"),
-    ("horizon = 3", "horizon = 3.0"),
     ("horizon = 3", "horizon = " + "9" * 5000),
-    ("horizon = 3", "horizon = 3\nmax_steps = 0"),
     ("horizon = 3", "horizon = 3\nbudget_s = nan"),
-    ("horizon = 3", 'horizon = 3\nname = "lawnmower"'),
-    ("schema = 1", "schema = 2"),
     ('name = "wrong"', 'name = "böse"'),
     ('name = "wrong"', 'name = "wrong"\ntask = "reech"'),
     ("[planner]", "[objective]\ncost_to_go = 'straight'\n[planner]"),
 ]
-
-POLYGONS = [
-    "{polygon = [[10, 10], [20, 20], [20, 10], [10, 20]]}",
-    "{polygon = [[10, 10], [10, 10], [10, 10]]}",
-    "{polygon = [[10, 10], [15, 15], [20, 20]]}",
-    "{polygon = []}",
-    "{polygon = [[10, nan], [20, 20], [20, 10]]}",
-    "{polygon = [[1, 1], [10, 1], [10, 10], [1, 10]]}",
-    "{wkt = 'POINT (1 2)'}",
-    "{wkt = 'POLYGON ((10 10, 12 10, inf 12, 10 10))'}",
-    "{file = 'none.geojson'}",
-    "{}",
-    "3",
-]
-
 VELOCITY = "velocity_m_s = [0.5, 0.0]"
 SLOW = 'name = "a"\ndynamics = "double_integrator"\nacceleration_max_m_s2 = 1e-300'
-TWIN = '[[robots]]\nname = "a"\nstart_m = [9.0, 9.0]\nspeed_max_m_s = 1.0\n[[stations]]'
 TRACKED = [
-    ('name = "a"', 'name = "a"\ngoal_m = [9.0, 9.0]'),
-    ('kind = "tracking"', 'kind = "tracker"'),
     ("sweet_spot_m = 1.0", "sweet_spot = 1.0"),
     ("sweet_spot_m = 1.0", "sweet_spot_m = 1.0\nweight = -1.0"),
-    ("p_min = 0.8", "goal_radius_m = 2.0"),
     (VELOCITY, "velocity_m_s = [nan, 0.0]"),
     (VELOCITY, f"{VELOCITY}\nposition_std_m = 1e-300"),
     ('name = "a"', SLOW),
-    ("[[stations]]", TWIN),
 ]
 
 WHOLE = {
@@ -165,14 +117,6 @@ def test_a_wrong_value(whole: str, old: str, new: str, tmp_path: Path, capsys) -
     """The message names the key, or what does not fit."""
     assert old in whole
     refuses(capsys, tmp_path, whole.replace(old, new, 1).encode())
-
-
-@pytest.mark.parametrize("entry", POLYGONS)
-def test_a_wrong_obstacle(entry: str, tmp_path: Path, capsys) -> None:
-    """Crossing itself, without area, not there, or where the robot is."""
-    world = f"bounds_m = [0.0, 0.0, 50.0, 40.0]\nobstacles = [{entry}]"
-    text = REACH.replace("bounds_m = [0.0, 0.0, 50.0, 40.0]", world)
-    refuses(capsys, tmp_path, text.encode())
 
 
 @pytest.mark.parametrize("name", WHOLE)

@@ -93,7 +93,7 @@ def log(tmp_path: Path) -> Path:
     lon = LONGITUDE + places[:, 0] / METRES_PER_DEGREE / np.cos(np.radians(LATITUDE))
     table = np.column_stack([lat, lon, *places.T, power, -power, 10.0 ** (power / 10.0)])
     path = tmp_path / "log.csv"
-    header = "lat,lon,x,y,dbm,loss,mw"
+    header = "lat,lon,x,y,dbm,loss,linear"
     np.savetxt(path, table, "%.12g", delimiter=",", header=header, comments="")
     return path
 
@@ -123,7 +123,7 @@ def test_a_station_in_degrees(log: Path, capsys) -> None:
     [
         ("x=lon,y=lat,power=dbm", "look like degrees"),
         ("x=x,y=y,power=loss", "write the minus sign"),
-        ("x=x,y=y,power=mw", "look like milliwatts"),
+        ("x=x,y=y,power=linear", "look like milliwatts"),
     ],
 )
 def test_logs_in_other_units(columns: str, words: str, log: Path, capsys) -> None:

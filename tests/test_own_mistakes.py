@@ -353,18 +353,26 @@ def with_stations(base: Problem, names: list[str]) -> Problem:
     return made(base, stations=stations, channel=replace(base.channel, truth=FUNCTION_TRUTH))
 
 
-@dataclass(frozen=True)
-class Nameless(OwnTerm):
-    """No kind."""
+def nameless() -> OwnTerm:
+    """A term without a kind."""
+
+    @dataclass(frozen=True)
+    class Nameless(OwnTerm):
+        pass
+
+    return Nameless()
 
 
-class Plain(OwnTerm):
-    """No dataclass."""
+def plain() -> OwnTerm:
+    """A term that is no dataclass."""
 
-    kind: ClassVar[str] = "plain"
+    class Plain(OwnTerm):
+        kind: ClassVar[str] = "plain"
 
-    def __init__(self, x) -> None:
-        object.__setattr__(self, "x", x)
+        def __init__(self, x) -> None:
+            object.__setattr__(self, "x", x)
+
+    return Plain(2.0)
 
 
 def hinted(hint: str) -> type:
@@ -445,7 +453,7 @@ MISTAKES = [
         (lambda _, v, parent=parent: own_class(parent, kind=v), KINDS)
         for parent in (OwnTerm, OwnRule)
     ),
-    (lambda base, v: made(base, objective=v), (Nameless(), Plain(2.0))),
+    (lambda base, v: made(base, objective=v()), (nameless, plain)),
     (lambda base, v: made(base, objective=hinted(v)()), ("np.ndarray", "Nowhere")),
     (lambda base, v: made(base, objective=expression_of(v)()), EXPRESSIONS),
     (lambda _, v: CasadiMap(**{**MAP, **v}), MAPS),

@@ -22,6 +22,7 @@ from planopt.commands.import_problem import import_problem
 from planopt.commands.map import map_log
 from planopt.commands.options import option
 from planopt.commands.output import print_out, standard_output, stopping
+from planopt.commands.path import export_path
 from planopt.commands.planning import check, simulate, solve
 from planopt.commands.problem_files import init, list_problems, schema, show_problem, validate
 from planopt.errors import InputError, OutputError, PlanoptError, require_text
@@ -45,6 +46,7 @@ app.command()(fit)
 app.command("map")(map_log)
 app.command("import")(import_problem)
 app.command()(check)
+app.command("path")(export_path)
 app.add_typer(bench, name="bench")
 app.command()(schema)
 app.command()(init)

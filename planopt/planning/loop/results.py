@@ -134,6 +134,39 @@ class Result(ABC):
         belief = self._belief_of(robot)
         masks.save_masks(self.problem, belief, path_of("folder", folder, A_FOLDER), limits, cell_m)
 
+    def save_path(
+        self,
+        file: Path | str,
+        *,
+        robot: int | str = 0,
+        origin_deg: tuple[float, float] | None = None,
+        altitude_m: float = 0.0,
+    ) -> None:
+        """Write the path of a robot for other programs: the plan, or the driven path of a run.
+
+        Parameters
+        ----------
+        file
+            File ending in ``.json`` (nav_msgs/Path), ``.geojson``, ``.plan`` (QGroundControl) or
+            ``.csv``.
+        robot
+            Number or name of the robot.
+        origin_deg
+            Latitude and longitude of (0, 0), for files in degrees; default: that of the log.
+        altitude_m
+            Altitude of the waypoints above the start.
+
+        Raises
+        ------
+        InputError
+            The ending or the robot is unknown, or the file needs an origin.
+        OutputError
+            The file cannot be written.
+        """
+        files = import_module("planopt.planning.files.path_files")
+        path = files.path_of_result(self, robot)
+        files.save_path(path, path_of("file", file, "give a file name"), origin_deg, altitude_m)
+
     @abstractmethod
     def _belief_of(self, robot: int) -> Belief:
         """Return the channel estimate of a robot."""

@@ -1,0 +1,50 @@
+"""``planopt path``: the path of a saved plan or run for other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from planopt.commands.options import JsonOption, option
+from planopt.commands.output import progress, show
+from planopt.errors import InputError
+
+
+def export_path(
+    result: Annotated[
+        Path, typer.Argument(metavar="PATH", help="The folder given as --out, or its JSON file.")
+    ],
+    out: Annotated[
+        Path,
+        option("--out", "FILE", "Ends in .json (ROS), .geojson, .plan (QGroundControl) or .csv."),
+    ],
+    robot: Annotated[
+        str | None, option("--robot", "NAME", "Robot; default: the first one.")
+    ] = None,
+    origin: Annotated[
+        str | None,
+        option("--origin", "LAT,LON", "Position of (0, 0) in degrees; default: that of the log."),
+    ] = None,
+    altitude: Annotated[
+        float, option("--altitude", "M", "Altitude above the start, for drones.")
+    ] = 0.0,
+    json: JsonOption = False,
+) -> int:
+    """Write the path of a saved plan or run for ROS, GeoJSON, QGroundControl or as CSV."""
+    from planopt.planning.files.path_files import path_of_result, save_path
+    from planopt.planning.loop.results import Run, Solution
+    from planopt.tasks.calls import load_result
+    from planopt.world.geodesy import parse_origin
+
+    place = None if origin is None else parse_origin(origin)
+    with progress("reading"):
+        found = load_result(result)
+    if not isinstance(found, Solution | Run):
+        raise InputError("is no plan or run of robots", file=result, remedy="name one of a motion")
+    path = path_of_result(found, 0 if robot is None else robot)
+    save_path(path, out, place, altitude)
+    data = {"file": str(out), "robot": path.robot, "positions": len(path.t_s)}
+    show(json, data, f"{out}: {len(path.t_s)} positions of {path.robot}")
+    return 0

@@ -145,7 +145,7 @@ def qgroundcontrol_text(path: RobotPath) -> str:
         "plannedHomePosition": [latitude, longitude, 0.0],
         "items": items,
     }
-    plan = {
+    plan: dict[str, Any] = {
         "fileType": "Plan",
         "version": 1,
         "groundStation": "QGroundControl",

@@ -123,9 +123,11 @@ def library_cases(
             costs = task.compared_costs_to_go(problem)
         for horizon in ahead if task.plans_ahead else ():
             task.overridden(problem, horizon=horizon)
+        # Designs have no random numbers.
+        planned = each[:1] if task.simulate is None else each
         for seed in sorted({*each, *driven}):
             for kind, seeds_of_kind, settings in (
-                (PLAN, each, [(cost, horizon) for cost in costs for horizon in ahead]),
+                (PLAN, planned, [(cost, horizon) for cost in costs for horizon in ahead]),
                 (RUN, driven, [(own_cost, own)]),
             ):
                 allowed = chosen[name, kind]

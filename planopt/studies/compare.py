@@ -202,10 +202,9 @@ def settings_of(problems: Sequence[AnyProblem], lists: Lists) -> list[AnyProblem
 
 def own_settings(problems: Sequence[AnyProblem], lists: Lists) -> ComparisonSettings | None:
     """Return the table ``compare`` of a single problem if there are no lists, or None."""
-    (first, *others) = problems
-    if others or not isinstance(first, Problem) or lists != Lists():
+    if len(problems) > 1 or lists != Lists():
         return None
-    return first.compare
+    return getattr(problems[0], "compare", None)
 
 
 def default_seeds(own: ComparisonSettings | None, problems: Sequence[AnyProblem] = ()) -> range:

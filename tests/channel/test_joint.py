@@ -2,13 +2,10 @@
 
 import numpy as np
 import pytest
-from refusals import refused
 from simulated_channel import simulated
 
-from planopt import InputError
 from planopt.channel import (
     ChannelParameters,
-    JointPrediction,
     Measurements,
     Station,
     condition,
@@ -66,27 +63,3 @@ def test_repeated_places():
     np.testing.assert_allclose(latent[:, :3], latent[:, 3:], atol=1e-3)
     power = sample_power(posterior, twice, 50, np.random.default_rng(2))
     assert np.abs(power[:, :3] - power[:, 3:]).min() > 0.0
-
-
-@pytest.mark.parametrize(
-    "positions", [np.zeros((0, 2)), np.zeros(2), np.zeros((3, 3)), np.array([[0.0, np.nan]])]
-)
-def test_no_path(positions):
-    """Empty, of another shape, or not finite: an error of ours that names the argument."""
-    with refused():
-        joint_prediction(condition(CHANNEL, NOTHING), positions)
-
-
-@pytest.mark.parametrize(
-    ("mean", "covariance"),
-    [
-        (np.zeros(0), np.zeros((0, 0))),
-        (np.zeros(2), np.eye(3)),
-        (np.array([np.inf]), np.eye(1)),
-        (np.zeros(1), np.array([[np.nan]])),
-    ],
-)
-def test_no_prediction(mean, covariance):
-    """A prediction is of at least one place, of matching shapes, and finite."""
-    with pytest.raises(InputError):
-        JointPrediction(mean, covariance)

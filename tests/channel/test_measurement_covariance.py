@@ -128,8 +128,6 @@ def test_age_ends_in_path_loss_alone():
     assert (late.deviation_db**2 >= 4.0**2 + 1.5**2 - 1e-9).all()
     early = posterior.predict(PLACES)
     assert (early.deviation_db <= late.deviation_db + 1e-9).all()
-    with refused():
-        at_time(posterior, np.nan)
 
 
 @pytest.mark.parametrize("parameters", [DRIFTING, STEADY])

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from simulated_channel import simulated, subset
 
-from planopt import InputError
 from planopt.channel import (
     ChannelParameters,
     MarginalPosterior,
@@ -169,12 +168,3 @@ def test_coverage_where_much_is_censored():
         error = np.abs(rest.power_dbm - prediction.mean_db)
         inside.append(np.mean(error < 1.96 * prediction.deviation_db))
     assert 0.92 < np.mean(inside) < 0.98
-
-
-def test_bad_places():
-    """Positions that cannot be used, and no measurements."""
-    data = simulated(FIG_3, 1, 20, 50.0)
-    with pytest.raises(InputError):
-        marginalise(FIG_3, data).predict(np.zeros(3))
-    with pytest.raises(InputError):
-        marginalise(FIG_3, subset(data, np.arange(0)))

@@ -1,16 +1,13 @@
 """Parameters, checks of arguments, path loss and the kernel."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
-from refusals import refused
 from scipy.spatial.distance import cdist
 from sklearn.gaussian_process.kernels import ConstantKernel, Matern
 
-from planopt import InputError
-from planopt.channel import ChannelParameters, Station, scattered_field_db, shadow_field_db
+from planopt.channel import ChannelParameters, Station
 from planopt.channel.measurements import pairwise_distance_m, shadow_covariance_db2
 from planopt.channel.parameters import (
     MIN_DISTANCE_M,
@@ -18,85 +15,16 @@ from planopt.channel.parameters import (
     PRIOR_N_PL_STD,
     mean_model,
     regressors,
-    require_count,
-    require_finite,
-    require_places,
     station_distance_m,
 )
 
 CHANNEL = ChannelParameters(-30.0, 2.5, 4.0, 20.0, 2.0, Station((0.0, 0.0)))
 
 
-@pytest.mark.parametrize(
-    ("name", "value"),
-    [
-        ("k_pl_db", math.nan),
-        ("n_pl", math.inf),
-        ("shadow_std_db", -1.0),
-        ("shadow_std_db", math.nan),
-        ("decorrelation_m", 0.0),
-        ("decorrelation_m", math.inf),
-        ("multipath_std_db", -1.0),
-        ("forgetting_s", 0.0),
-        ("forgetting_s", math.nan),
-    ],
-)
-def test_no_such_channel(name, value):
-    """The error names the parameter."""
-    with pytest.raises(InputError) as caught:
-        replace(CHANNEL, **{name: value})
-    assert caught.value.key == name
-
-
 def test_what_may_be_zero_or_endless():
     """No shadowing, no multipath, no drift, and power that rises with distance."""
     still = ChannelParameters(0.0, -1.0, 0.0, 1.0, 0.0, Station((0.0, 0.0), -2.0))
     assert math.isinf(still.forgetting_s)
-
-
-@pytest.mark.parametrize(
-    ("position_m", "height_m"),
-    [((math.nan, 0.0), 0.0), ((0.0, math.inf), 0.0), ((0.0, 0.0), math.nan), ((1e160, 0.0), 0.0)],
-)
-def test_no_such_place(position_m, height_m):
-    """A station is somewhere."""
-    with refused():
-        Station(position_m, height_m)
-
-
-def test_what_is_not_is_named():
-    """The key stands in the message."""
-    with refused():
-        require_places(np.zeros((1, 2)), 2)
-    with refused():
-        require_places(np.array([[0.0, -1e160]]))
-    with refused():
-        require_finite(float("nan"), "threshold_dbm")
-    with refused():
-        require_count(0, "count")
-
-
-@pytest.mark.parametrize(
-    ("std", "beta", "cell", "key"),
-    [
-        (-1.0, 5.0, 1.0, "shadow_std_db"),
-        (np.nan, 5.0, 1.0, "shadow_std_db"),
-        (4.0, 0.0, 1.0, "decorrelation_m"),
-        (4.0, -5.0, 1.0, "decorrelation_m"),
-        (4.0, np.inf, 1.0, "decorrelation_m"),
-        (4.0, 5.0, 0.0, "cell_m"),
-    ],
-)
-def test_what_is_no_field_is_refused(std, beta, cell, key):
-    """By its name, on a lattice and at places."""
-    generator = np.random.default_rng(0)
-    with pytest.raises(InputError) as caught:
-        shadow_field_db((4, 4), cell, std, beta, generator)
-    assert caught.value.key == key
-    if key != "cell_m":
-        with pytest.raises(InputError) as caught:
-            scattered_field_db(np.zeros((2, 2)), std, beta, generator)
-        assert caught.value.key == key
 
 
 def test_distance_is_three_dimensional():

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from refusals import refused
 
 from planopt.channel import (
     ChannelParameters,
@@ -10,7 +9,6 @@ from planopt.channel import (
     Station,
     at_time,
     condition,
-    joint_prediction,
     receiver_offsets,
 )
 from planopt.channel.channel_map import TileMap
@@ -160,16 +158,6 @@ def test_lattice_and_neighbours_need_no_factor():
     for lattice, posterior in zip(whole, (exact, found), strict=True):
         lattice.refresh(posterior)
     assert_close(*whole, 2e-3, 1e-4)
-
-
-def test_what_needs_a_factor_says_so():
-    """Joint predictions and theta by least squares."""
-    data = measured(20)
-    posterior = condition(PARAMETERS, data, exact_limit=19)
-    with refused():
-        joint_prediction(posterior, PLACES)
-    with refused():
-        condition(PARAMETERS, data, theta="least_squares", exact_limit=19)
 
 
 def test_continues():

@@ -4,9 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from refusals import refused
 
-from planopt import InputError
 from planopt.channel import (
     ChannelParameters,
     Measurements,
@@ -79,16 +77,3 @@ def test_curves_perturb_what_they_say():
         curve = sensitivity_curves(TRUE, MEASURED, PLACES, [0.5])[name]
         direct = mean_squared_error_db2(TRUE, expected, MEASURED, PLACES).mean()
         assert curve == pytest.approx([direct])
-
-
-@pytest.mark.parametrize(("name", "error"), [("beta", 0.1), ("n_pl", -1.0), ("n_pl", np.nan)])
-def test_bad_perturbation(name, error):
-    """An unknown name, or an error that leaves nothing."""
-    with pytest.raises(InputError):
-        perturbed(TRUE, name, error)
-
-
-def test_too_many_measurements_are_refused():
-    """Before memory is asked for: 60,000 would take 29 GB a matrix."""
-    with refused():
-        mean_squared_error_db2(TRUE, TRUE, np.zeros((60_000, 2)), PLACES)

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from refusals import refused
 from scipy.stats import binomtest
 from simulated_channel import simulated
 
@@ -109,38 +108,6 @@ def test_deadline_cuts():
     assert (start == 0.0).all()
 
 
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"positions_m": PATH[:1]},
-        {"times_s": TIMES[:-1]},
-        {"times_s": TIMES[::-1]},
-        {"times_s": np.where(TIMES > 5.0, np.nan, TIMES)},
-        {"threshold_dbm": np.nan},
-        {"count": 1},
-        {"count": 0},
-    ],
-)
-def test_bad_arguments(changes):
-    """The argument is named."""
-    arguments = {
-        "positions_m": PATH,
-        "times_s": TIMES,
-        "threshold_dbm": THRESHOLD,
-        "count": 10,
-        "generator": rng(),
-    }
-    with refused():
-        longest_outage(independent()[0], **{**arguments, **changes})
-
-
-@pytest.mark.parametrize("deadline", [-1.0, 9.5, np.nan])
-def test_deadline_off_the_path(deadline):
-    """What happens after the path's end is not guessed."""
-    with refused():
-        delivered_data(independent()[0], PATH, TIMES, THRESHOLD, Traffic(1.0), deadline, 10, rng())
-
-
 def by_small_steps(durations, drive, traffic, step=1e-3):
     waiting, delivered = traffic.waiting_bits, 0.0
     for duration, now in zip(durations, drive[1:], strict=True):
@@ -174,16 +141,6 @@ def test_fluid_against_small_steps(traffic):
     assert (lost >= 0.0).all()
 
 
-@pytest.mark.parametrize(
-    "numbers",
-    [(0.0,), (1.0, -1.0), (1.0, 0.0, -1.0), (1.0, 5.0, 0.0, 4.0), (1.0, 0.0, 0.0, np.nan)],
-)
-def test_bad_traffic(numbers):
-    """Rates and sizes out of range."""
-    with refused():
-        Traffic(*numbers)
-
-
 def test_intervals_cover():
     """Of 400 samples of an exponential law at least 92 % of each interval hold the truth."""
     generator = np.random.default_rng(0)
@@ -208,10 +165,3 @@ def test_exceedance_is_scipys(limit):
     assert found.value == above / 10
     assert found.low == pytest.approx(expected.low, abs=1e-12)
     assert found.high == pytest.approx(expected.high, abs=1e-12)
-
-
-@pytest.mark.parametrize("draws", [np.zeros(1), np.zeros((3, 2))])
-def test_no_distribution(draws):
-    """At least two draws of one number."""
-    with refused():
-        SampledDistribution(draws)

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from refusals import refused
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal, norm
 from simulated_channel import simulated
@@ -307,9 +306,3 @@ def test_posterior_on_a_curve_by_simulation(disconnected_now):
         error = np.sqrt(expected * (1.0 - expected) / count)
         assert abs(searching.mean() - expected) < 4.0 * error + 2e-4
     assert abs(driven.mean() - found.expected_distance_m) < 4.0 * driven.std() / np.sqrt(count)
-
-
-def test_impossible_condition():
-    """A place that is surely connected cannot be given as not."""
-    with refused():
-        first_passage(PRIOR, CURVE, -1000.0, np.random.default_rng(0), disconnected_now=True)

@@ -5,11 +5,8 @@ import math
 
 import numpy as np
 import pytest
-from refusals import refused
 from scipy.optimize import curve_fit, linprog, minimize
-from simulated_channel import simulated
 
-from planopt.channel import ChannelParameters, Station, fit_channel
 from planopt.channel.estimation.channel_fit import covariance_bounds
 from planopt.channel.estimation.correlation_fit import (
     BINS,
@@ -214,17 +211,6 @@ def test_robust_errors_are_the_spread(loss):
         rates.append(1.0 / found.decorrelation_m)
         errors.append(found.standard_errors[2] / found.decorrelation_m**2)
     assert np.std(rates) == pytest.approx(np.mean(errors), rel=0.35)
-
-
-def test_losses_that_cannot_be_had():
-    """Only convex has a choice, and only of the three."""
-    measurements = simulated(
-        ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((50.0, 50.0))), 0, 30, 300.0
-    )
-    with refused():
-        fit_channel(measurements, Station((50.0, 50.0)), "convex", loss="cauchy")
-    with refused():
-        fit_channel(measurements, Station((50.0, 50.0)), "reml", loss="huber")
 
 
 NLS_LAGS = np.linspace(0.5, 80.0, 60)

@@ -205,8 +205,6 @@ def test_places_hardly_apart_are_one_place(extent_m, method):
     told = Measurements(places, rng.normal(-70.0, 3.0, 40), np.zeros(40, bool))
     with refused():
         fit_channel(told, Station((50.0, 50.0)), method)
-    with refused():
-        fit_channel(told, Station((50.0, 50.0)), "magic")
 
 
 def test_what_cannot_be_told_apart_is_said():

@@ -100,12 +100,6 @@ def at(positions, censored=None):
     return Measurements(positions, np.full(count, -70.0), flags)
 
 
-def test_nothing_measured():
-    """No measurements at all is bad input."""
-    with refused():
-        examine(at([]), ORIGIN)
-
-
 def test_a_measurement_at_the_station_is_named():
     """The error carries the index of the measurement; a height makes it usable."""
     measurements = at([[1, 0], [2, 0], [0, 0], [5, 5]])

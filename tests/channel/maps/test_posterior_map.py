@@ -45,22 +45,6 @@ def test_nearest_measurements_agree_with_all(monkeypatch: pytest.MonkeyPatch) ->
     np.testing.assert_allclose(near.deviation_db.values, exact.deviation_db.values, rtol=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("bounds", "cell"),
-    [
-        ((0.0, 0.0, 0.0, 5.0), 1.0),
-        ((0.0, 0.0, 5.0, float("nan")), 1.0),
-        ((0.0, 0.0, 5.0, 5.0), 0.0),
-        ((0.0, 0.0, 5.0, 5.0), float("inf")),
-        ((0.0, 0.0, 5000.0, 5000.0), 0.1),
-    ],
-)
-def test_bad_grids(bounds: tuple[float, float, float, float], cell: float) -> None:
-    """Errors name the argument, before memory is asked for."""
-    with refused():
-        posterior_map(condition(PARAMETERS, measured(3)), bounds, cell, -72.0)
-
-
 def test_default_grid() -> None:
     """About 200 cells along the longer side of what was measured; a line is widened."""
     places = np.array([[3e6, 10.0], [3e6 + 500.0, 10.0], [3e6 + 20.0, 10.0]])
@@ -71,13 +55,6 @@ def test_default_grid() -> None:
     np.testing.assert_allclose(box[:2], measured(50).positions_m.min(axis=0))
     np.testing.assert_allclose(box[2:], measured(50).positions_m.max(axis=0))
     assert 190 <= (box[2] - box[0]) / default_cell_m(box) <= 211
-
-
-@pytest.mark.parametrize("threshold", [float("nan"), float("-inf")])
-def test_a_threshold_that_is_no_power(threshold: float) -> None:
-    """No map of NaN."""
-    with refused():
-        posterior_map(condition(PARAMETERS, measured(3)), (0.0, 0.0, 5.0, 5.0), 1.0, threshold)
 
 
 def test_as_xarray() -> None:

@@ -4,10 +4,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from refusals import refused
 from scipy import stats
 
-from planopt import InputError
 from planopt.channel.calibration import (
     EDGES,
     FEWEST_GROUPS,
@@ -46,13 +44,6 @@ def test_root_and_floor():
     assert found.low == 0.0
     root = found.root()
     assert (root.value, root.low, root.high) == pytest.approx((4.5**0.5, 0.0, found.high**0.5))
-
-
-@pytest.mark.parametrize(("over", "under"), [([1.0], [2.0]), ([0.0, 0.0], [0.0, 0.0]), ([], [])])
-def test_no_interval(over, under):
-    """One group, or nothing to divide by."""
-    with pytest.raises(InputError):
-        grouped_ratio(np.array(over), np.array(under))
 
 
 def test_bins_partition_the_predictions():
@@ -122,9 +113,3 @@ def test_interval_holds_where_steps_belong_together(share, together):
     assert held >= 0.93 * 400
     if together and share < 0.99:
         assert ordinary < 0.85 * 400
-
-
-def test_lengths_must_agree():
-    """Three predictions of two outcomes are refused."""
-    with refused():
-        reliability(np.zeros(3), np.zeros(2, dtype=bool), np.zeros(3, dtype=int))

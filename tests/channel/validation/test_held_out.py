@@ -137,22 +137,6 @@ def test_only_limits_have_no_error():
         learn_path_loss(measurements, CHANNEL.station)
 
 
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda data: deal(np.array([0, 1, 2, 2]), 1, np.random.default_rng(0)),
-        lambda data: deal(np.array([0, 1, 2, 2]), 4, np.random.default_rng(0)),
-        lambda data: held_out_predictions(data, np.zeros(40, int), lambda _: {}),
-        lambda data: held_out_predictions(data, np.arange(3), lambda _: {}),
-        lambda data: held_out_report(data, np.zeros(3, int), np.zeros(40, int), dict),
-    ],
-)
-def test_folds_and_groups_that_do_not_belong_are_refused(make):
-    """One fold, more than groups, one label too few."""
-    with pytest.raises(InputError):
-        make(simulated(CHANNEL, 3, 40, 200.0))
-
-
 def test_channel_and_marginal_beat_path_loss():
     """On the model's own channel, with one fit a fold for both."""
     measurements = simulated(CHANNEL, 3, 160, 200.0, 0.1)

@@ -37,6 +37,7 @@ from planopt.coverage.density import checked_mass as checked_mass
 from planopt.coverage.deploy import Deployer as Deployer
 from planopt.coverage.events import Event as Event
 from planopt.coverage.events import Sensing as Sensing
+from planopt.coverage.events import free_ring_places as free_ring_places
 from planopt.coverage.events import packed_places as packed_places
 from planopt.coverage.events import ring_angles as ring_angles
 from planopt.coverage.events import ring_places as ring_places

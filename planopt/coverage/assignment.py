@@ -58,14 +58,17 @@ def capped_demand(share: float, most: int, remaining: int) -> Demand:
     return lambda n: max(min(n - remaining, most, math.ceil(round(share * n, 9))), 0)
 
 
-def accuracy_demand(sensor: EventSensor, accuracy_m: float, measurements: int = 1) -> Demand:
+def accuracy_demand(
+    sensor: EventSensor, accuracy_m: float, measurements: int = 1, strength_known: bool = True
+) -> Demand:
     """Return the demand for the fewest agents that locate an event with the required accuracy."""
     # Agents are at equal angles (two agents 90 degrees apart) on the most informative ring. The
     # Cramer-Rao bound on the mean squared error is ``4 sigma^2 / (P m g^2)`` with g the slope of
     # the signal on the ring.
     slope = sensor.strength * float(sensor.slope(np.array(sensor.best_distance_m)))
     exact = 4.0 * sensor.noise_std**2 / (measurements * slope**2 * accuracy_m**2)
-    least = max(math.ceil(exact - 1e-9), LEAST_ON_RING)
+    # From three agents on, equal angles make the estimates of position and strength independent.
+    least = max(math.ceil(exact - 1e-9), LEAST_ON_RING if strength_known else LEAST_ON_RING + 1)
     return lambda agents: min(least, agents)
 
 

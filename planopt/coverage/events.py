@@ -14,7 +14,9 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.arrays import Floats, Indices, Mask
+from planopt.coverage.geodesic import Ground
 from planopt.coverage.localisation import (
+    SINGULAR,
     Drift,
     EventEstimate,
     EventSensor,
@@ -26,6 +28,12 @@ from planopt.coverage.localisation import (
     single_readings,
 )
 from planopt.coverage.voronoi import ConvexRegion
+
+BEARINGS = 72
+"""Number of bearings among which positions on a partly blocked ring are chosen."""
+
+EXCHANGES = 20
+"""Maximum number of rounds in which every bearing is exchanged."""
 
 LOOSE = 0.02
 """Extra separation of bodies packed around an event, as a share of the least one."""
@@ -59,6 +67,54 @@ def ring_places(agents_m: Floats, event_m: Floats, radius_m: float) -> Floats:
     return event_m + radius_m * np.stack((np.cos(at), np.sin(at)), axis=1)
 
 
+def free_ring_places(
+    agents_m: Floats,
+    event_m: Floats,
+    radius_m: float,
+    ground: Ground,
+    strength_known: bool,
+) -> Floats:
+    """Return the most informative positions (k, 2) on the allowed part of a ring.
+
+    An exchange of one bearing at a time minimises the trace of the position's covariance, with the
+    strength as a further unknown if it is not known. A ring that is free all round, or too short
+    for the agents, gives :func:`ring_places`.
+    """
+    count, bearings = len(agents_m), ring_angles(BEARINGS)
+    units = np.stack((np.cos(bearings), np.sin(bearings)), axis=1)
+    free = np.flatnonzero(ground.allows(event_m + radius_m * units))
+    if not count <= len(free) < BEARINGS:
+        return ring_places(agents_m, event_m, radius_m)
+    # Rows are derivatives of a reading; position and strength are scaled to equal slopes.
+    rows = units if strength_known else np.column_stack((units, np.ones(BEARINGS)))
+    prior = SINGULAR * np.eye(rows.shape[1])  # Keeps the matrices of too few agents invertible
+    each = rows[:, :, None] * rows[:, None, :]
+    chosen = free[np.linspace(0, len(free) - 1, count).round().astype(np.intp)]
+    best = np.inf
+    for _ in range(EXCHANGES):
+        for slot in range(count):
+            rest = chosen[np.arange(count) != slot]
+            others, left = each[rest].sum(axis=0), free[~np.isin(free, rest)]
+            chosen[slot] = left[_errors(prior + others + each[left]).argmin()]
+        value = float(_errors(prior + each[chosen].sum(axis=0)))
+        if value >= best * (1.0 - 1e-9):
+            break
+        best = value
+    return _nearest_slots(agents_m, event_m + radius_m * units[chosen])
+
+
+def _errors(information: Floats) -> Floats:
+    """Return the traces (...) of the position's covariance for information matrices (..., d, d)."""
+    covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
+    return np.asarray(covariance[..., 0, 0] + covariance[..., 1, 1], dtype=np.float64)
+
+
+def _nearest_slots(agents_m: Floats, places_m: Floats) -> Floats:
+    """Return the positions (k, 2) in the order of agents, with the least sum of squared moves."""
+    squares = ((agents_m[:, None] - places_m) ** 2).sum(axis=2)
+    return places_m[cast("Indices", linear_sum_assignment(squares)[1])]
+
+
 def packed_places(agents_m: Floats, event_m: Floats, body_radius_m: float) -> Floats:
     """Return a position for each agent of a team of bodies packed around an event."""
     # Positions are the nodes of a hexagonal lattice nearest to the event. The event is at a node or
@@ -75,17 +131,20 @@ def packed_places(agents_m: Floats, event_m: Floats, body_radius_m: float) -> Fl
     kept = np.take_along_axis(away, order, axis=1)
     best = min(range(3), key=lambda one: (round(float(kept[one, -1] / side), 9), kept[one].sum()))
     places = event_m + lattice[order[best]] - middles[best]
-    squares = ((agents_m[:, None] - places) ** 2).sum(axis=2)
-    slots = cast("Indices", linear_sum_assignment(squares)[1])
-    return places[slots]
+    return _nearest_slots(agents_m, places)
 
 
 def event_places(
-    agents_m: Floats, event_m: Floats, stand_off_m: float | None, body_radius_m: float
+    agents_m: Floats,
+    event_m: Floats,
+    stand_off_m: float | None,
+    body_radius_m: float,
+    ground: Ground,
+    strength_known: bool,
 ) -> Floats:
     """Return target positions of agents ``(k, 2)`` that respond to an event."""
     if stand_off_m is not None:
-        return ring_places(agents_m, event_m, stand_off_m)
+        return free_ring_places(agents_m, event_m, stand_off_m, ground, strength_known)
     if body_radius_m > 0.0:
         return packed_places(agents_m, event_m, body_radius_m)
     return np.repeat(event_m[None], len(agents_m), axis=0)

@@ -385,7 +385,14 @@ class NetworkController:
             if not team.any():
                 continue
             ends = scene.ground.nearest(
-                event_places(agents[team], watch.place_m, scene.stand_off_m, scene.body_radius_m)
+                event_places(
+                    agents[team],
+                    watch.place_m,
+                    scene.stand_off_m,
+                    scene.body_radius_m,
+                    scene.ground,
+                    scene.sensing is None or scene.sensing.strength_known,
+                )
             )
             own[team] = scene.ground.steered(agents[team], ends, share)
             # On a path around an obstacle the target is the next corner, which does not move.

@@ -222,9 +222,7 @@ def build(given: CoverageFile, folder: Path, file: Path | None) -> CoverageProbl
         if sensing is None:
             raise InputError("is left out", key="sensor", remedy="events need [sensor]")
         events.append(event)
-        demands.append(
-            demand_of(table.demand, f"{key}.demand", sensing.sensor, ground.area_m2, agents)
-        )
+        demands.append(demand_of(table.demand, f"{key}.demand", sensing, ground.area_m2, agents))
     _require_agents(events, joins, leaves)
     if given.assignment.stand_off and agents < LEAST_ON_RING:
         raise InputError(

@@ -21,7 +21,6 @@ from planopt.coverage.control.movers import Gains, Partition
 from planopt.coverage.density import Density, GaussianMixture, RasterDensity, UniformDensity
 from planopt.coverage.events import Sensing
 from planopt.coverage.limits import MoveLimits
-from planopt.coverage.localisation import EventSensor
 from planopt.coverage.network import Counting, LinkModel
 from planopt.errors import InputError
 from planopt.keys import SMALLEST, Distance, FileName, Length, Metres, Name, Pair, Quad, Table
@@ -440,7 +439,7 @@ def density_of(table: DensityTable, folder: Path) -> Density:
 
 
 def demand_of(
-    table: DemandTable, key: str, sensor: EventSensor, area_m2: float, agents: int
+    table: DemandTable, key: str, sensing: Sensing, area_m2: float, agents: int
 ) -> Demand:
     """Return the demand that a table describes; raise if the agents cannot meet it."""
     if isinstance(table, NumberTable):
@@ -469,7 +468,9 @@ def demand_of(
             )
         return capped_demand(table.share, table.most, table.remaining)
     if isinstance(table, AccuracyTable):
-        demand = accuracy_demand(sensor, table.accuracy_m, table.measurements)
+        demand = accuracy_demand(
+            sensing.sensor, table.accuracy_m, table.measurements, sensing.strength_known
+        )
         if demand(10**9) > agents:
             raise InputError(
                 f"needs {demand(10**9)} agents, there are {agents}",

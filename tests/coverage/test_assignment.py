@@ -70,6 +70,9 @@ def test_accuracy_meets_its_bound() -> None:
     assert demand(1000) == least == 4
     assert demand(3) == 3
     assert accuracy_demand(EventSensor(noise, strength), wanted, measurements=4)(1000) == 2
+    # Two agents leave three unknowns undetermined.
+    unknown = accuracy_demand(EventSensor(noise, strength), wanted, 4, strength_known=False)
+    assert unknown(1000) == 3 and unknown(2) == 2
 
 
 def test_trade_off_is_the_minimum() -> None:

@@ -1,6 +1,7 @@
 """Event sensors, estimates and rings against closed forms, differences and drawn noise."""
 
 import math
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -9,12 +10,14 @@ from scipy.optimize import least_squares
 
 from planopt import InputError
 from planopt.coverage import (
+    ConvexGround,
     Drift,
     EventSensor,
     Readings,
     convex_region,
     cramer_rao_m2,
     fisher_information,
+    free_ring_places,
     locate_event,
     measure,
     packed_places,
@@ -105,6 +108,36 @@ def test_ring_keeps_the_order() -> None:
                     gap = (gap + np.pi) % (2.0 * np.pi) - np.pi
                     least = min(least, float((gap**2).sum()))
             assert (off**2).sum() <= least + 0.05 * agents
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("event", [(0.3, 0.4), (0.1, 5.0), (5.0, 5.0)])
+def test_ring_in_the_free_region(event: tuple[float, float], known: bool) -> None:
+    """Three agents stand as well as the best of all free triples, also in a corner."""
+    ground = ConvexGround(convex_region(np.array([[0, 0], [10, 0], [10, 10], [0, 10.0]])))
+    there, radius = np.array(event), SENSOR.best_distance_m
+
+    def error_m2(bearings: NDArray[np.float64]) -> NDArray[np.float64]:
+        units = np.stack((np.cos(bearings), np.sin(bearings)), axis=-1)
+        rows = units if known else np.concatenate((units, np.ones((*units.shape[:-1], 1))), axis=-1)
+        information = np.swapaxes(rows, -1, -2) @ rows + 1e-9 * np.eye(rows.shape[-1])
+        return np.trace(np.linalg.inv(information)[..., :2, :2], axis1=-2, axis2=-1)
+
+    turn = ring_angles(72)
+    inside = ground.allows(there + radius * np.stack((np.cos(turn), np.sin(turn)), axis=1))
+    best = error_m2(np.array(list(combinations(turn[inside], 3)))).min()
+    agents = there + np.random.default_rng(2).uniform(0.0, 1.0, (3, 2))
+    ring = free_ring_places(agents, there, radius, ground, known)
+    assert ground.allows(ring).all()
+    away = ring - there
+    assert np.linalg.norm(away, axis=1) == pytest.approx(radius)
+    found = error_m2(np.arctan2(away[:, 1], away[:, 0]))
+    assert found <= 1.02 * best
+    # Projected into a corner, an equal ring is worse.
+    if event == (0.3, 0.4) and known:
+        near = ground.nearest(ring_places(agents, there, radius))
+        bounds = [cramer_rao_m2(fisher_information(SENSOR, at, there)) for at in (ring, near)]
+        assert bounds[0] < 0.9 * bounds[1]
 
 
 def monte_carlo(sensor: EventSensor, places: NDArray[np.float64], repeats: int, runs: int) -> float:

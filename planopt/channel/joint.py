@@ -382,10 +382,10 @@ def longest_outage(
         An argument is invalid.
     """
     places, times = _path(positions_m, times_s)
-    connected = _connected(posterior, places, threshold_dbm, count, generator)
+    missed = ~_connected(posterior, places, threshold_dbm, count, generator)[:, 1:]
     return LongestOutage(
-        SampledDistribution(longest_runs(leg_lengths_m(places), connected)),
-        SampledDistribution(longest_runs(np.diff(times), connected)),
+        SampledDistribution(longest_run(leg_lengths_m(places), missed)),
+        SampledDistribution(longest_run(np.diff(times), missed)),
     )
 
 
@@ -430,16 +430,13 @@ def delivered_data(
     )
 
 
-def longest_runs(
-    leg_sizes: Floats,  # (h - 1,)
-    connected: Mask,  # (count, h)
-) -> Floats:
-    """Return the largest sum of `leg_sizes` over consecutive disconnected legs; ``(count,)``."""
-    current = np.zeros(len(connected))
-    longest = np.zeros(len(connected))
-    for size, now in zip(leg_sizes, connected[:, 1:].T, strict=True):
-        current = np.where(now, 0.0, current + size)
-        longest = np.maximum(longest, current)
+def longest_run(sizes: Floats, missed: Mask, begun: float = 0.0) -> Floats:
+    """Return the largest sum of `sizes` over consecutive `missed` steps, both (..., N)."""
+    # `begun` is added to a sequence that begins with the first step.
+    longest, run = np.zeros(missed.shape[:-1]), np.full(missed.shape[:-1], begun)
+    for step in range(missed.shape[-1]):
+        run = np.where(missed[..., step], run + sizes[..., step], 0.0)
+        longest = np.maximum(longest, run)
     return longest
 
 

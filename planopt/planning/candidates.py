@@ -16,14 +16,14 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.prediction import Prediction, connection_probability
+from planopt.channel.prediction import Prediction
 from planopt.errors import InputError
 from planopt.parts import part_of
-from planopt.planning.certificate import Certificate, plan_message
+from planopt.planning.certificate import Certificate
 from planopt.planning.free_space import leaving_path
 from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_drive, shifted_path
 from planopt.planning.proof.context import VerifierContext
-from planopt.planning.proof.verify import verify
+from planopt.planning.proof.verify import Judgement, verify
 from planopt.planning.tolerances import margins_asked_db
 from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Drive, rolled_out
@@ -87,18 +87,29 @@ class Candidate:
     lattice_objective: float  # Objective of the step's initial guess
     rung: Rung
     termination: Termination
-    certificate: Certificate | None = None  # None before verification
-    verdict: Verdict = Verdict.FEASIBLE_UNVERIFIED
+    found: Judgement | None = None  # None before verification
     solve_s: float = 0.0
     iterations: int = 0
     kkt_residual: float | None = None
     multipliers: dict[str, NDArray[np.float64]] = field(
         default_factory=dict[str, NDArray[np.float64]]
     )
-    # Whether clearance, bounds, dynamics and distances from moving obstacles are satisfied
-    sound: bool = False
-    power: Prediction | None = None  # Verifier's prediction at the N + 1 positions
     drive: Drive | None = None  # States and inputs; None for the single integrator
+
+    @property
+    def certificate(self) -> Certificate | None:
+        """Certificate; None before verification."""
+        return None if self.found is None else self.found.certificate
+
+    @property
+    def verdict(self) -> Verdict:
+        """Verdict; unverified before verification."""
+        return Verdict.FEASIBLE_UNVERIFIED if self.found is None else self.found.verdict
+
+    @property
+    def sound(self) -> bool:
+        """Return whether clearance, bounds, dynamics and distances at equal times are satisfied."""
+        return self.found is not None and self.found.sound
 
     @property
     def relaxes(self) -> bool:
@@ -194,13 +205,7 @@ class Scorer:
         """Return the candidate with the verifier's findings."""
         path = np.vstack([self.position_m, candidate.path_m])
         found = verify(self.context, path, candidate.kkt_residual, candidate.drive)
-        return replace(
-            candidate,
-            certificate=found.certificate,
-            verdict=found.verdict,
-            sound=found.sound,
-            power=found.power,
-        )
+        return replace(candidate, found=found)
 
     def standing(self, horizon: int) -> Candidate:
         """Return a stationary candidate; if unsound, the reservation, or a path out of an obstacle.
@@ -224,31 +229,23 @@ class Scorer:
 
     def plan_from(self, chosen: Candidate, wall_s: float) -> Plan:
         """Return a verified candidate as a plan."""
-        if chosen.certificate is None or chosen.power is None:
+        if chosen.found is None:
             raise AssertionError("only assessed candidates are released")
-        power, problem = chosen.power, self.problem
-        positions = np.vstack([self.position_m, chosen.path_m])
-        threshold = problem.stations[0].threshold_dbm
-        return Plan(
-            robot=problem.robots[0].name,
-            t_s=problem.planner.step_s * np.arange(len(positions), dtype=np.float64),
-            positions_m=positions,
-            mean_dbm=power.mean_db,
-            deviation_db=power.deviation_db,
-            connectivity=connection_probability(power.mean_db, power.deviation_db, threshold),
-            objective=chosen.objective,
-            lattice_objective=chosen.lattice_objective,
-            termination=chosen.termination,
-            verdict=chosen.verdict,
-            rung=chosen.rung,
-            certificate=chosen.certificate,
+        plan = chosen.found.plan(
+            self.problem,
+            np.vstack([self.position_m, chosen.path_m]),
+            chosen.objective,
+            chosen.lattice_objective,
+            chosen.rung,
+            chosen.termination,
+            chosen.drive,
+        )
+        return replace(
+            plan,
             wall_s=wall_s,
             solve_s=chosen.solve_s,
             iterations=chosen.iterations,
             multipliers=chosen.multipliers,
-            message=plan_message(chosen.certificate, positions),
-            sense=problem.sense,
-            drive=chosen.drive,
         )
 
 

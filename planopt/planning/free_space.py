@@ -21,7 +21,7 @@ from planopt.world.clearance import (
 )
 from planopt.world.lattice import RoadMap, build_lattice, build_road_map, moves_from, nearest_node
 from planopt.world.moving_discs import MovingDiscs, paths_gap_m
-from planopt.world.workspace import Obstacle, Workspace
+from planopt.world.workspace import Obstacle
 
 
 def build_roads(problem: Problem, anchor_m: NDArray[np.float64]) -> RoadMap:
@@ -131,13 +131,17 @@ def leaving_path(
     ends = np.vstack([position_m, (position_m + lengths[:, None, None] * moves).reshape(-1, 2)])
     wanted = problem.constraints.clearance_m + CLEARANCE_PAD_M
     away = clearance_m(index, ends)
-    outside = _outside_m(problem.workspace, ends)
+    low, high = np.reshape(problem.workspace.bounds_m, (2, 2))
+    outside: NDArray[np.float64] = np.linalg.norm(
+        np.maximum(np.maximum(low - ends, ends - high), 0.0), axis=1
+    )
     paths = np.repeat(ends[:, None], horizon + 1, axis=1)
     paths[:, 0] = position_m
     gap = paths_gap_m(moving, paths)
     deep, others = _inside_m(index, ends)
     static = np.maximum(wanted - away, 0.0) + outside + deep
-    if static[0] + _too_near_now_m(moving, position_m) == 0.0:
+    now = np.linalg.norm(position_m - moving.centres_m[:, 0], axis=-1)
+    if static[0] + np.max(moving.apart_m[:, 0] - now, initial=0.0) == 0.0:
         return None
     lacks = static + _too_near_m(moving, paths)
     swept = segment_clearance_m(others, np.broadcast_to(position_m, ends.shape), ends)
@@ -172,14 +176,6 @@ def _inside_m(
     return deep, ObstacleIndex(others, polygons, shapely.STRtree(polygons))
 
 
-def _too_near_now_m(moving: MovingDiscs, position_m: NDArray[np.float64]) -> float:
-    """Return the separation shortfall of a position (2,) to moving discs before the first step."""
-    if not len(moving):
-        return 0.0
-    away = np.linalg.norm(position_m - moving.centres_m[:, 0], axis=-1)
-    return float(np.maximum(moving.apart_m[:, 0] - away, 0.0).max())
-
-
 def _too_near_m(moving: MovingDiscs, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the separation shortfall of paths (c, N + 1, 2) after the first step; (c,)."""
     if not len(moving):
@@ -188,10 +184,3 @@ def _too_near_m(moving: MovingDiscs, paths_m: NDArray[np.float64]) -> NDArray[np
     centres, apart = moving.centres_m[:, 1:places], moving.apart_m[:, : places - 1]
     away = np.linalg.norm(paths_m[:, None, 1:] - centres, axis=-1)
     return np.maximum(apart - away, 0.0).max(axis=(1, 2))
-
-
-def _outside_m(workspace: Workspace, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the distance of each position (n, 2) outside the bounds; (n,)."""
-    bounds = np.reshape(workspace.bounds_m, (2, 2))
-    beyond = np.maximum(np.maximum(bounds[0] - places_m, places_m - bounds[1]), 0.0)
-    return np.linalg.norm(beyond, axis=1)

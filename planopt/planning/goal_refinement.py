@@ -153,9 +153,10 @@ class GoalRefinement:
                 if lines is None:
                     return
                 task = replace(task, lines=lines)
-            if candidate.power is None:
+            power = None if candidate.found is None else candidate.found.power
+            if power is None:
                 return
-            planned = Prediction(candidate.power.mean_db[1:], candidate.power.deviation_db[1:])
+            planned = Prediction(power.mean_db[1:], power.deviation_db[1:])
             lacking = np.where(free, 0.0, -rows.margins_db(planned))
             if candidate.sound and not (lacking > 0.0).any():
                 return

@@ -7,7 +7,6 @@ the previous plan or stopping is released.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from time import perf_counter
 
@@ -41,15 +40,6 @@ CLOSE_SHARE = 0.01
 
 MERGED_STEPS = 2.0
 """A guess within this many longest steps of a refined path is assumed to converge to it."""
-
-
-def is_worth_following(
-    start: Guess, best: Guess, refined_m: Sequence[NDArray[np.float64]], longest_m: float
-) -> bool:
-    """Return whether a batch-optimised guess may lead to a better plan."""
-    if start.value < best.value - CLOSE_SHARE * abs(best.value):
-        return False
-    return all(np.abs(start.path_m - path).max() > MERGED_STEPS * longest_m for path in refined_m)
 
 
 def driven_starts(
@@ -173,10 +163,14 @@ class FallbackCascade:
         if number >= min(self._followed, len(starts)):
             return True
         # Only batch-optimised guesses have values that predict those of their refinements.
-        refined = [candidate.path_m for candidate in verified]
-        longest = self._problem.step_length_m
-        return can_climb(self._problem) and not is_worth_following(
-            starts[number], starts[0], refined, longest
+        start, best, longest_m = starts[number], starts[0], self._problem.step_length_m
+        if not can_climb(self._problem):
+            return False
+        if start.value < best.value - CLOSE_SHARE * abs(best.value):
+            return True
+        return any(
+            np.abs(start.path_m - candidate.path_m).max() <= MERGED_STEPS * longest_m
+            for candidate in verified
         )
 
     def _by_way_to_good_place(

@@ -151,9 +151,9 @@ class Plan:
     verdict: Verdict
     rung: Rung
     certificate: Certificate
-    wall_s: float
-    solve_s: float
-    iterations: int
+    wall_s: float = 0.0
+    solve_s: float = 0.0
+    iterations: int = 0
     multipliers: dict[str, NDArray[np.float64]] = field(
         default_factory=dict[str, NDArray[np.float64]]
     )
@@ -325,3 +325,15 @@ def data_of_steps_mbit(problem: Problem, first: int, count: int) -> NDArray[np.f
         return np.zeros(count)
     ends_s = np.minimum(step_s * np.arange(first, first + count + 1), rule.deadline_s)
     return rule.rate_mbit_s * np.diff(ends_s)
+
+
+def data_pace_mbit(problem: Problem, history: History, count: int) -> float:
+    """Return the data required of `count` steps: missing data spread over the time left."""
+    rule = problem.constraints.rule
+    data_mbit, deadline_s, rate_mbit_s = rule.data_mbit, rule.deadline_s, rule.rate_mbit_s
+    left_s = (deadline_s or 0.0) - history.steps * problem.planner.step_s
+    missing = max((data_mbit or 0.0) - history.delivered_mbit, 0.0)
+    if rate_mbit_s is None or left_s <= 0.0 or missing == 0.0:
+        return 0.0
+    most = float(data_of_steps_mbit(problem, history.steps, count).sum())
+    return missing * most / (rate_mbit_s * left_s)

@@ -100,11 +100,6 @@ BAD = Certificate(
 WORSE = Certificate(2.0, 0.4, 0.0, 1e-8, "exact", (2, 3), (1.0, 5.0), (-0.5, -4.0))
 
 
-def test_one_robot_keeps_its_own() -> None:
-    """Nothing is renamed where there is one robot."""
-    assert worst_of_robots({"a": BAD}) is BAD
-
-
 def test_worst_in_each_respect() -> None:
     """Least clearance and connectivity, largest defects, every missed step once."""
     worst = worst_of_robots({"a": GOOD, "b": BAD, "c": WORSE})

@@ -98,17 +98,6 @@ def test_an_expression_of_another_horizon_is_refused():
         solve(problem, horizon=3)
 
 
-def test_no_straight_way_is_better():
-    """Nothing of a fan of straight ways beats the plan for learning."""
-    problem = terms_problem(LEARNING)
-    plan, context, scorer = planned(problem)
-    for heading in np.linspace(0.0, 2.0 * np.pi, 40):
-        step = 1.999 * np.array([np.cos(heading), np.sin(heading)])
-        way = context.position_m + step * np.arange(1, 6)[:, None]
-        if scorer.assessed(scorer.candidate(way, Rung.PLAN, Termination.CONVERGED)).sound:
-            assert scorer.objective(way) <= plan.objective + 1e-9
-
-
 def test_lattice_planner_takes_the_best_start():
     """Without polish the plan is the best start, and its worth the lattice's."""
     plan, *_ = planned(terms_problem(TRACKING, name="lattice"))

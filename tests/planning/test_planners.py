@@ -100,19 +100,6 @@ def test_never_below_the_greedy_rollout(terms, seed):
     assert auto >= greedy - 1e-9
 
 
-def test_dense_search_is_the_best_of_its_places():
-    """Of random places within the step none is much better."""
-    problem, situation, scorer, ground = scene(LEARNING, horizon=1)
-    plan = OneStepPlanner(problem, ground).plan(situation, scorer)
-    rng = np.random.default_rng(0)
-    angle, radius = rng.uniform(0, 2 * np.pi, 150), 2.0 * np.sqrt(rng.uniform(0, 1, 150))
-    places = situation.position_m + radius[:, None] * np.column_stack(
-        [np.cos(angle), np.sin(angle)]
-    )
-    best = max(scorer.objective(place[None]) for place in places)
-    assert plan.objective >= 0.99 * best
-
-
 def test_greedy_steps_do_not_come_back_to_a_place():
     """Measured places, and those of the plan itself, are left out; for tracking they are not."""
     problem, situation, scorer, ground = scene(INFORMATION, horizon=6)
@@ -241,17 +228,6 @@ def test_plans_are_verified_by_what_is_known(name):
     np.testing.assert_allclose(
         plan.connectivity[1:], belief.posterior.connectivity(path, -40.0), atol=1e-12
     )
-
-
-def test_unaware_plans_as_if_the_threshold_were_nothing():
-    """With a threshold far below all powers the planner that knows the channel does the same."""
-    problem = terms_problem(TRACKING, horizon=3)
-    situation, belief = context_of(problem)
-    unaware = plan_of("unaware", problem, situation, belief)
-    deaf = (replace(problem.stations[0], threshold_dbm=-400.0),)
-    lossless = replace(problem, stations=deaf)
-    auto = plan_of("auto", lossless, replace(situation, problem=lossless), belief)
-    assert np.abs(unaware.positions_m - auto.positions_m).max() < 1e-3
 
 
 def test_path_loss_only_does_not_look_at_measured_powers():

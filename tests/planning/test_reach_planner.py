@@ -154,28 +154,6 @@ def test_mirrored_scene_costs_the_same(name):
     assert other.objective == pytest.approx(plan.objective, rel=1e-3)
 
 
-def test_ten_times_as_large():
-    """Lengths and speed times ten, effort per speed squared a hundredth: same seconds."""
-    problem = small_problem(WALL, horizon=10)
-    large = small_problem(
-        shapely.transform(WALL, lambda q: 10.0 * q),
-        bounds_m=(0.0, 0.0, 400.0, 300.0),
-        start_m=(50.0, 150.0),
-        goal_m=(350.0, 150.0),
-        speed_max_m_s=20.0,
-        clearance_m=5.0,
-        goal_radius_m=10.0,
-        effort_weight_s2_m2=0.001,
-        horizon=10,
-    )
-    plan = planned(problem)
-    planner = ReachPlanner(large, build_scene(large))
-    other = planner.plan(belief_of(large, scale=10.0), np.array([50.0, 150.0]))
-    assert other.verdict is Verdict.VERIFIED
-    assert other.lattice_objective == pytest.approx(plan.lattice_objective, rel=1e-3)
-    assert other.objective == pytest.approx(plan.objective, rel=1e-2)
-
-
 def test_wall_between_samples():
     """A wall thinner than a step is gone round, not jumped: beside it in the middle of its side."""
     problem = small_problem(WALL, start_m=(19.0, 15.0), goal_m=(21.0, 15.0), horizon=15)

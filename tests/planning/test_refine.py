@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from reach_tasks import goal_nlp
 from scenes import (
-    CUP,
-    WALL,
     bad_band,
     bad_disc,
     belief_of,
@@ -44,55 +42,6 @@ def refiner_of(problem, power_at=good_everywhere, lines=4):
         nlp, scene, situation, scorer, reach_cost, start, ahead, cost, Budget()
     )
     return refiner, scorer, start
-
-
-@pytest.mark.parametrize("polygon", [WALL, CUP])
-def test_first_attempt_is_good(polygon):
-    """Verified, cheaper than the lattice path, with the solver's effort and residual."""
-    problem = small_problem(polygon, start_m=(12.0, 15.0), horizon=10)
-    refiner, scorer, start = refiner_of(problem)
-    first = next(refiner.attempts(None))
-    assert first.verdict is Verdict.VERIFIED
-    assert first.rung is Rung.PLAN
-    assert first.objective == scorer.objective(first.path_m) < scorer.objective(start.path_m)
-    assert first.iterations > 0 and first.solve_s > 0.0
-    assert first.kkt_residual < 1e-3
-    assert set(first.multipliers) == {"speed", "line_end", "line_start", "connectivity"}
-
-
-def test_attempts_end():
-    """However often the caller is not content, and every one of them has been judged."""
-    refiner, _, _ = refiner_of(small_problem(CUP, start_m=(18.0, 15.0), horizon=8))
-    attempts = list(refiner.attempts(None))
-    assert 1 < len(attempts) <= 4 * (refine.REPAIRS + 1)
-    assert all(attempt.certificate is not None for attempt in attempts)
-    assert {attempt.rung for attempt in attempts} == {Rung.PLAN, Rung.COLD_RETRY}
-
-
-def test_shifted_plan_is_tried():
-    """A cheaper last plan comes first, a dearer one last, one of another length not at all."""
-    problem = small_problem(WALL, start_m=(12.0, 15.0), horizon=10)
-    refiner, _, _ = refiner_of(problem)
-    good = next(refiner.attempts(None)).path_m
-    polished_from = []
-    polish = refine.polish_path
-
-    def noting(nlp, task):
-        polished_from.append(task.path_m)
-        return polish(nlp, task)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(refine, "polish_path", noting)
-        # As a plan is shifted: standing at its end.
-        next(refiner.attempts(np.vstack([good[:-1], good[-2]])))
-        # Its last step leads on, as far as a step may.
-        assert (polished_from[0][:-1] == good[:-1]).all()
-        assert 1.0 < np.linalg.norm(polished_from[0][-1] - good[-2]) <= problem.step_length_m
-        polished_from.clear()
-        dear = np.tile((12.0, 15.0), (10, 1))
-        list(refiner.attempts(dear))
-        assert not (polished_from[0][:-1] == dear[:-1]).all()
-        assert any((path[:-1] == dear[:-1]).all() for path in polished_from)
 
 
 @pytest.mark.parametrize("width_m", [3.0, 6.0])

@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from planopt.channel.ground_truth import Truth
 from planopt.channel.measurements import SAME_PLACE_M, Measurements
 from planopt.channel.posterior import Belief, condition
-from planopt.channel.prediction import Prediction, connection_probability
+from planopt.channel.prediction import Prediction
 from planopt.errors import InputError
 from planopt.files.compare import differences, in_words
 from planopt.objectives.moments import Region
-from planopt.planning.certificate import BlockedError, holes_on, plan_message
+from planopt.planning.certificate import BlockedError, holes_on
 from planopt.planning.files.belief_file import Arrays, SavedBelief, station_prefix
 from planopt.planning.files.result_json import PlanRecord, RobotPlan
 from planopt.planning.files.run_tables import KNOWLEDGE_COLUMNS, KNOWLEDGE_FILE, STEPS_FILE
@@ -42,7 +42,7 @@ from planopt.planning.reservations import beside, others_of
 from planopt.planning.stepping import Planning, PlanStep, Stepper, TeamMoment
 from planopt.planning.target_watch import watch_target
 from planopt.planning.values.context import Aim, counts_others, places_of_others, step_context
-from planopt.planning.values.exploration import steering_way, workspace_region
+from planopt.planning.values.exploration import workspace_region
 from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.planning.values.reach_cost import ReachCost
 from planopt.problems.problem import Problem, problem_of_robot
@@ -289,40 +289,27 @@ def _verified_again(
     if region is None:
         objective = _reach_cost(context, replace(saved, path_m=path_m, drive=drive), power)
     else:
-        objective = _terms_value(context, region, aim, path_m)
-    holes = ()
-    route_m = np.zeros((0, 2))
-    if problem.task == "reach" and isinstance(record, RobotPlan) and record.route is not None:
+        step = step_context(replace(context, state=path_m[0]), region, aim)
+        objective = ObjectiveValue(step)(path_m[1:])
+    plan = verification.plan(
+        problem,
+        path_m,
+        objective,
+        record.lattice_objective,
+        record.rung,
+        record.termination,
+        drive,
+    )
+    plan = replace(plan, pivot=saved.pivot)
+    if not isinstance(record, RobotPlan):
+        return plan
+    plan = replace(plan, wall_s=record.wall_s, solve_s=record.solve_s, iterations=record.iterations)
+    if problem.task == "reach" and record.route is not None:
         route_m = record.route.positions_m
         places = np.vstack([path_m, route_m])
-        ahead = search_prediction(context.law, places)
-        holes = holes_on(problem, ahead, places)
-    plan = Plan(
-        robot=problem.robots[0].name,
-        t_s=problem.planner.step_s * np.arange(len(path_m), dtype=np.float64),
-        positions_m=path_m,
-        mean_dbm=power.mean_db,
-        deviation_db=power.deviation_db,
-        connectivity=connection_probability(
-            power.mean_db, power.deviation_db, problem.stations[0].threshold_dbm
-        ),
-        objective=objective,
-        lattice_objective=record.lattice_objective,
-        termination=record.termination,
-        verdict=verification.verdict,
-        rung=record.rung,
-        certificate=verification.certificate,
-        wall_s=record.wall_s if isinstance(record, RobotPlan) else 0.0,
-        solve_s=record.solve_s if isinstance(record, RobotPlan) else 0.0,
-        iterations=record.iterations if isinstance(record, RobotPlan) else 0,
-        message=plan_message(verification.certificate, path_m),
-        pivot=saved.pivot,
-        sense=problem.sense,
-        drive=drive,
-        route_m=route_m,
-        holes=holes,
-    )
-    if not isinstance(record, RobotPlan) or record.bound_cost is None:
+        holes = holes_on(problem, search_prediction(context.law, places), places)
+        plan = replace(plan, route_m=route_m, holes=holes)
+    if record.bound_cost is None:
         return plan
     bound = verified_bound(problem, context.posteriors, plan, saved.potential, robots)
     return replace(plan, bound=bound)
@@ -336,8 +323,7 @@ def _reach_cost(context: VerifierContext, saved: SavedPlan, power: Prediction) -
             return power
         return search_prediction(context.law, places_m)
 
-    pivot = saved.pivot
-    ahead = None if pivot is None else partial(_same_pivot, pivot)
+    ahead = None if saved.pivot is None else partial(_same_pivot, saved.pivot)
     priced = saved.record.rung is not Rung.DIRECT
     cost = ReachCost(context.problem, saved.path_m[0], certified, ahead, priced)
     return cost(saved.path_m[1:], saved.drive)
@@ -345,18 +331,6 @@ def _reach_cost(context: VerifierContext, saved: SavedPlan, power: Prediction) -
 
 def _same_pivot(pivot: Pivot, _end_m: NDArray[np.float64]) -> Pivot:
     return pivot
-
-
-def _terms_value(
-    context: VerifierContext, region: Region, aim: Aim, path_m: NDArray[np.float64]
-) -> float:
-    """Return the weighted sum of the terms of a path."""
-    base = replace(context, state=path_m[0])
-    step = step_context(base, region, aim)
-    if aim.steering_turns_m is not None:
-        steering = steering_way(base.problem, base.index, aim.steering_turns_m)
-        step = replace(step, steering=steering)
-    return ObjectiveValue(step)(path_m[1:])
 
 
 def plan_reasons(problem: Problem, plan: Plan) -> list[str]:

@@ -244,10 +244,10 @@ def _worst(name: str) -> Source:
 
 
 def _message(solution: Solution) -> str:
-    plans = solution.plans
-    if len(plans) == 1:
-        return plans[0].message
-    return "; ".join(f"{plan.robot}: {plan.message}" for plan in plans if plan.message)
+    plans, alone = solution.plans, len(solution.plans) == 1
+    return "; ".join(
+        plan.message if alone else f"{plan.robot}: {plan.message}" for plan in plans if plan.message
+    )
 
 
 def _gain(solution: Solution) -> float:
@@ -275,7 +275,14 @@ class PlanRecord(Question):
     wall_s: Annotated[Computed, _total("wall_s")]
     solve_s: Annotated[Computed, _total("solve_s")]
     iterations: Annotated[Computed, _total("iterations")]
-    certificate: Annotated[Computed, Source(lambda solution: _certificate(solution.plans))]
+    certificate: Annotated[
+        Computed,
+        Source(
+            lambda solution: certificate_json(
+                worst_of_robots({plan.robot: plan.certificate for plan in solution.plans})
+            )
+        ),
+    ]
     robots: list[RobotPlan] = Field(min_length=1)
     rung: Annotated[Computed, _worst("rung")]
     lattice_objective: Annotated[Computed, _total("lattice_objective")]
@@ -339,10 +346,6 @@ def _blocked(ways: Iterable[BlockedWay]) -> dict[str, Any]:
 
 def _holes(holes: Iterable[Hole]) -> list[dict[str, Any]]:
     return [HoleRecord.written(hole) for hole in holes]
-
-
-def _certificate(plans: Iterable[Plan]) -> dict[str, Any]:
-    return certificate_json(worst_of_robots({plan.robot: plan.certificate for plan in plans}))
 
 
 def certificate_json(certificate: Certificate) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from scipy.special import chdtri  # pyright: ignore[reportUnknownVariableType]
 from planopt.channel.calibration import ReliabilityBin, reliability
 from planopt.channel.connectivity_law import serving_power_dbm
 from planopt.channel.ground_truth import Truth, true_power_dbm
+from planopt.channel.joint import longest_run
 from planopt.planning.certificate import Hole, holes_along
 from planopt.planning.loop.log import (
     ChannelLog,
@@ -22,7 +23,6 @@ from planopt.planning.loop.log import (
     TargetLog,
 )
 from planopt.planning.plan import Plan, Rung, Verdict
-from planopt.planning.proof.connectivity_rules import longest_run
 from planopt.planning.proof.motion import is_at_goal, stands
 from planopt.planning.proof.rule import rule_of
 from planopt.planning.reservations import (
@@ -75,7 +75,7 @@ def metrics_of(
         goal_time_s=float(log.t_s[arrival]) if arrival is not None else nothing,
         path_m=float(lengths.sum()),
         true_connected_share=float(connected.mean()) if connected.size else nothing,
-        longest_outage_m=longest_outage_m(lengths, connected) if connected.size else nothing,
+        longest_outage_m=float(longest_run(lengths, ~connected)) if connected.size else nothing,
         predicted_min_connectivity=float(log.connectivity[1:].min()) if connected.size else nothing,
         polish_gain=_mean_of_known(gains),
         measured_steps=sum(learnt),
@@ -121,7 +121,7 @@ def run_metrics(
     found["predicted_min_connectivity"] = float(min(m.predicted_min_connectivity for m in each))
     found["polish_gain"] = _mean_of_known([m.polish_gain for m in each])
     found["measured_steps"] = float(sum(m.measured_steps for m in each))
-    found |= rule_metrics(problem, [run.log for run in runs])
+    found |= rule_of(problem).run_metrics(problem, [run.log.connected[1:] for run in runs])
     step_s = problem.planner.step_s
     motions = [driven_motion(run.log.positions_m, run.drive, step_s) for run in runs]
     if len(motions) > 1 and problem.constraints.separation_m > 0.0:
@@ -148,12 +148,6 @@ def nis_interval(count: int) -> tuple[float, float]:
     return float(chdtri(2 * count, 0.975)) / count, float(chdtri(2 * count, 0.025)) / count
 
 
-def rule_metrics(problem: Problem, logs: Sequence[StepLog]) -> dict[str, float]:
-    """Return the metric of the connectivity rule for the worst robot; NaN without steps."""
-    connected = [log.connected[1:] for log in logs]
-    return rule_of(problem).run_metrics(problem, connected)
-
-
 def run_reliability(runs: Sequence[RobotRun]) -> tuple[ReliabilityBin, ...]:
     """Tabulate predicted against true connection over the steps of all robots of a run."""
     predicted = np.concatenate([run.log.connectivity[1:] for run in runs])
@@ -165,12 +159,6 @@ def run_holes(run: RobotRun) -> tuple[Hole, ...]:
     """Return the segments of the executed path whose steps missed p_min when they were planned."""
     log = run.log
     return holes_along(log.positions_m, log.connectivity, log.relaxation_db > 0.0)
-
-
-def longest_outage_m(lengths_m: NDArray[np.float64], connected: NDArray[np.bool_]) -> float:
-    """Return the length of the longest path segment out of contact."""
-    # Shapes: lengths_m (n,); connected (n,).
-    return float(longest_run(lengths_m, ~connected))
 
 
 def true_serving_dbm(
@@ -248,8 +236,11 @@ def robot_run(
     # Shapes: track_m, true_dbm (steps + 1, 2).
     log = step_log(problem, track_m, true_dbm, plans)
     drive = driven(problem.robots[0], plans)
-    reached = ended[0] is Outcome.REACHED and problem.robots[0].goal_m is not None
-    arrival = _arrival(problem, track_m if drive is None else drive.states) if reached else None
+    arrival: int | None = None
+    if ended[0] is Outcome.REACHED and problem.robots[0].goal_m is not None:
+        states = track_m if drive is None else drive.states
+        away = [not (is_at_goal(problem, state[:2]) and stands(problem, state)) for state in states]
+        arrival = int(np.flatnonzero(away).max(initial=-1)) + 1
     return RobotRun(
         robot=problem.robots[0].name,
         outcome=ended[0],
@@ -258,9 +249,3 @@ def robot_run(
         metrics=metrics_of(log, plans, learnt, arrival),
         drive=drive,
     )
-
-
-def _arrival(problem: Problem, states: NDArray[np.float64]) -> int:
-    """Return the number of the step after which a robot stays at its goal."""
-    away = [not (is_at_goal(problem, state[:2]) and stands(problem, state)) for state in states]
-    return int(np.flatnonzero(away).max(initial=-1)) + 1

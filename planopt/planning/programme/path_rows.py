@@ -70,32 +70,16 @@ class MotionShape:
 
 @dataclass(frozen=True)
 class PathShape:
-    """Structure of a programme over a path.
-
-    Attributes
-    ----------
-    horizon, lines
-        Horizon N, and number of separating lines per segment.
-    structure
-        Coupling of the stages by the value.
-    bounded, summed
-        Whether each stage's connectivity or a sum over stages is bounded; not both.
-    motion
-        Structure of the rows of the robot's dynamics; None for the single integrator.
-    charged
-        Whether a goal cost is subtracted, for a robot with dynamics.
-    slacked
-        Whether slacks may relax the connectivity bounds.
-    """
+    """Structure of a programme over a path."""
 
     horizon: int
-    lines: int
-    structure: Structure
-    bounded: bool = False
-    summed: bool = False
-    motion: MotionShape | None = None
-    charged: bool = False
-    slacked: bool = True
+    lines: int  # Separating lines per segment
+    structure: Structure  # Coupling of the stages by the value
+    bounded: bool = False  # Whether each stage's connectivity is bounded
+    summed: bool = False  # Whether a sum over stages is bounded instead
+    motion: MotionShape | None = None  # Rows of the dynamics; None for the single integrator
+    charged: bool = False  # Whether a goal cost is subtracted, for a robot with dynamics
+    slacked: bool = True  # Whether slacks may relax the connectivity bounds
 
     @property
     def bounds(self) -> int:

@@ -6,7 +6,7 @@ their channels are drawn independently, with the same seeds for every path.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar
 
@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import betaincinv  # pyright: ignore[reportUnknownVariableType]
 
-from planopt.channel.joint import JointPrediction
+from planopt.channel.joint import JointPrediction, longest_run
 from planopt.channel.path_connectivity import JointConnectivity, joint_connectivity
 from planopt.errors import InputError
 from planopt.planning.certificate import RuleResult
-from planopt.planning.plan import History, data_of_steps_mbit
+from planopt.planning.plan import History, data_of_steps_mbit, data_pace_mbit
 from planopt.planning.proof.rule import ROUNDING, BySlack, PathCase, Rule
 from planopt.planning.tolerances import RULE_TOLERANCE
 from planopt.problems.problem import Problem
@@ -33,6 +33,7 @@ class EachStep(Rule):
 
     kind: ClassVar[str] = "each_step"
     keys: ClassVar[tuple[str, ...]] = ("connected_times_s",)
+    metric: ClassVar[str] = "stated_times_connected"
     by_step: ClassVar[bool] = True
     holds_steps: ClassVar[bool] = True
     stated: tuple[int, ...] = ()  # Counted steps of the run, 1 is the first; empty for all
@@ -89,17 +90,13 @@ class EachStep(Rule):
     def run_metrics(
         self, problem: Problem, connected: Sequence[NDArray[np.bool_]]
     ) -> dict[str, float]:
+        """Return the connected fraction of the stated times, if there are any."""
+        return super().run_metrics(problem, connected) if self.stated else {}
+
+    def over_run(self, problem: Problem, connected: NDArray[np.bool_]) -> float:
         """Return the connected fraction of the stated times so far."""
-        if not self.stated:
-            return {}
         stated = np.unique(np.array(self.stated))
-        kept = [now[stated[stated <= len(now)] - 1] for now in connected]
-        return {"stated_times_connected": min(_connected_share(now) for now in kept)}
-
-
-def _connected_share(connected: NDArray[np.bool_]) -> float:
-    """Return the connected fraction of steps (n,); NaN without steps."""
-    return float(connected.mean()) if connected.size else float("nan")
+        return super().over_run(problem, connected[stated[stated <= len(connected)] - 1])
 
 
 @dataclass(frozen=True)
@@ -109,6 +106,7 @@ class Average(Rule):
     kind: ClassVar[str] = "average"
     method: ClassVar[str] = "mean"
     subject: ClassVar[str] = "the share of steps connected on average"
+    metric: ClassVar[str] = "least_connected_share"
 
     def achieved(
         self, probability: NDArray[np.float64], history: History
@@ -116,12 +114,6 @@ class Average(Rule):
         """Return the expected connected fraction."""
         steps = history.steps + probability.shape[-1]
         return (history.connected_steps + probability.sum(axis=-1)) / steps
-
-    def run_metrics(
-        self, problem: Problem, connected: Sequence[NDArray[np.bool_]]
-    ) -> dict[str, float]:
-        """Return the connected fraction of steps."""
-        return {"least_connected_share": min(_connected_share(now) for now in connected)}
 
 
 DRAWS, SEED = 10_000, 0
@@ -156,18 +148,15 @@ def share_at_least(count: int, of: int) -> float:
     return float(np.asarray(betaincinv(count, of - count + 1, DOUBT), dtype=np.float64))
 
 
-def drawn_by_slack(
-    rule: Rule,
-    case: PathCase,
-    is_kept: Callable[[NDArray[np.bool_]], NDArray[np.bool_]],  # (n, N) connected to (n,)
-) -> BySlack:
-    """Return a lower bound of the probability that a rule holds, from drawn channels."""
+def drawn_by_slack(rule: Rule, case: PathCase, least: float) -> BySlack:
+    """Return a lower bound of the probability that a rule's value is at least `least`; 1 for 0."""
     drawn_dbm = case.context.law.sample(case.positions_m[1:], DRAWS, SEED)
     threshold, p_min = case.problem.stations[0].threshold_dbm, case.problem.constraints.p_min
 
     def result(slack_db: float) -> RuleResult:
-        kept = int(is_kept(drawn_dbm >= threshold - slack_db).sum())
-        achieved = share_at_least(kept, len(drawn_dbm))
+        connected = (drawn_dbm >= threshold - slack_db).astype(np.float64)
+        kept = int((rule.valued(connected, case.history) >= least).sum())
+        achieved = share_at_least(kept, DRAWS) if least > 0.0 else 1.0
         return RuleResult(rule.kind, achieved, p_min, "probability", DRAWN)
 
     return result
@@ -211,7 +200,7 @@ class Joint(Rule):
         if len(case.context.posteriors) == 1:
             (prediction,) = case.context.law.along(path_m)
             return lambda slack_db: joint_result(prediction, threshold - slack_db, p_min)
-        return drawn_by_slack(self, case, lambda connected: np.all(connected, axis=1))
+        return drawn_by_slack(self, case, least=1.0)
 
 
 def joint_result(prediction: JointPrediction, threshold_dbm: float, p_min: float) -> RuleResult:
@@ -246,6 +235,7 @@ class Outage(Rule):
     kind: ClassVar[str] = "outage"
     method: ClassVar[str] = "steps below p_min in a row"
     subject: ClassVar[str] = "the longest outage"
+    metric: ClassVar[str] = "longest_outage_s"
     keys: ClassVar[tuple[str, ...]] = ("outage_max_m", "outage_max_s")
     keys_required: ClassVar[int] = 1
     holds_steps: ClassVar[bool] = True
@@ -258,11 +248,10 @@ class Outage(Rule):
     @classmethod
     def of(cls, problem: Problem, legs_m: NDArray[np.float64]) -> Outage:
         """Return the rule for these steps."""
-        p_min, rule = problem.constraints.p_min, problem.constraints.rule
-        if rule.outage_max_m is not None:
-            return cls(p_min, legs_m, rule.outage_max_m)
-        step_s = problem.planner.step_s
-        return cls(p_min, np.full(legs_m.shape, step_s), rule.outage_max_s or 0.0, step_s)
+        p_min, rule, step_s = problem.constraints.p_min, problem.constraints.rule, None
+        if rule.outage_max_m is None:
+            legs_m, step_s = np.full(legs_m.shape, problem.planner.step_s), problem.planner.step_s
+        return cls(p_min, legs_m, rule.outage_max_m or rule.outage_max_s or 0.0, step_s)
 
     def _begun(self, history: History) -> float:
         return history.outage_m if self.step_s is None else history.outage_steps * self.step_s
@@ -271,8 +260,8 @@ class Outage(Rule):
         self, probability: NDArray[np.float64], history: History
     ) -> float | NDArray[np.float64]:
         """Return the negated longest outage, including an ongoing outage of the run."""
-        missed = probability < self.p_min - RULE_TOLERANCE
-        return -longest_run(self.sizes, missed, self._begun(history))
+        below = probability < self.p_min - RULE_TOLERANCE
+        return -longest_run(self.sizes, below, self._begun(history))
 
     def required(self, p_min: float, history: History, count: int) -> float:
         """Return the negated limit."""
@@ -291,36 +280,15 @@ class Outage(Rule):
                 run = float(self.sizes[last + 1 : step + 1].sum())
         return held
 
-    def missed_words(self, result: RuleResult) -> tuple[str, str]:
-        """Return the value in words, and the limit's key in its unit."""
-        return self.subject, f"constraints.outage_max_{result.unit}"
-
     def by_slack(self, case: PathCase) -> BySlack:
         """Return the longest outage in its unit."""
         result_at, unit = super().by_slack(case), "m" if self.step_s is None else "s"
         return lambda slack_db: replace(result_at(slack_db), unit=unit)
 
-    def run_metrics(
-        self, problem: Problem, connected: Sequence[NDArray[np.bool_]]
-    ) -> dict[str, float]:
+    def over_run(self, problem: Problem, connected: NDArray[np.bool_]) -> float:
         """Return the longest outage in seconds."""
-        step_s = problem.planner.step_s
-        each = [float(longest_run(np.full(len(now), step_s), ~now)) for now in connected]
-        return {"longest_outage_s": max(each) if len(connected[0]) else float("nan")}
-
-
-def longest_run(
-    sizes: NDArray[np.float64], missed: NDArray[np.bool_], begun: float = 0.0
-) -> NDArray[np.float64]:
-    """Return the largest sum of `sizes` over consecutive `missed` steps, both (..., N).
-
-    `begun` is added to a sequence that begins with the first step.
-    """
-    longest, run = np.zeros(missed.shape[:-1]), np.full(missed.shape[:-1], begun)
-    for step in range(missed.shape[-1]):
-        run = np.where(missed[..., step], run + sizes[..., step], 0.0)
-        longest = np.maximum(longest, run)
-    return longest
+        longest = longest_run(np.full(len(connected), problem.planner.step_s), ~connected)
+        return float(longest) if len(connected) else float("nan")
 
 
 @dataclass(frozen=True)
@@ -330,36 +298,22 @@ class Data(Rule):
     kind: ClassVar[str] = "data"
     unit: ClassVar[str] = "Mbit"
     method: ClassVar[str] = "expectation"
+    subject: ClassVar[str] = "the probability that the plan keeps pace with constraints.data_mbit"
+    metric: ClassVar[str] = "data_mbit"
     keys: ClassVar[tuple[str, ...]] = ("data_mbit", "deadline_s", "rate_mbit_s")
     keys_required: ClassVar[int] = 3
     asks_p_min: ClassVar[bool] = False
     problem: Problem
-    # Validated as present and positive
-    data_mbit: float
-    deadline_s: float
-    rate_mbit_s: float
 
     @classmethod
     def of(cls, problem: Problem, legs_m: NDArray[np.float64]) -> Data:
         """Return the rule of a problem."""
-        rule = problem.constraints.rule
-        amounts = (rule.data_mbit, rule.deadline_s, rule.rate_mbit_s)
-        return cls(problem, *(amount or 0.0 for amount in amounts))
+        return cls(problem)
 
     @classmethod
     def check(cls, problem: Problem) -> None:
         """Raise an InputError for an amount of data that no plan can be proved to deliver."""
-        _require_shown(problem, "for data", "leave it out to ask for the expectation")
-        rule = cls.of(problem, np.zeros(0))
-        most_mbit = rule.rate_mbit_s * rule.deadline_s
-        if rule.data_mbit > most_mbit * (1.0 + ROUNDING):
-            raise InputError(
-                f"is {rule.data_mbit:g}, more than the {most_mbit:g} Mbit that rate_mbit_s "
-                "delivers by deadline_s when always connected",
-                file=problem.file,
-                key="constraints.data_mbit",
-                remedy="lessen it, or allow more time",
-            )
+        _require_deliverable(problem)
 
     def achieved(
         self, probability: NDArray[np.float64], history: History
@@ -369,18 +323,9 @@ class Data(Rule):
 
     def required(self, p_min: float, history: History, count: int) -> float:
         """Return the sufficient expectation; for a probability, by Markov's inequality."""
-        needed = self.pace_mbit(history, count)
+        needed = data_pace_mbit(self.problem, history, count)
         most = float(data_of_steps_mbit(self.problem, history.steps, count).sum())
         return needed if p_min == 0.0 or needed == 0.0 else most - (1.0 - p_min) * (most - needed)
-
-    def pace_mbit(self, history: History, count: int) -> float:
-        """Return the data required of `count` steps: missing data spread over the time left."""
-        left_s = self.deadline_s - history.steps * self.problem.planner.step_s
-        missing = max(self.data_mbit - history.delivered_mbit, 0.0)
-        if left_s <= 0.0 or missing == 0.0:
-            return 0.0
-        most = float(data_of_steps_mbit(self.problem, history.steps, count).sum())
-        return missing * most / (self.rate_mbit_s * left_s)
 
     def correlates(self, p_min: float) -> bool:
         """Return whether a probability is required."""
@@ -388,28 +333,38 @@ class Data(Rule):
 
     def by_slack(self, case: PathCase) -> BySlack:
         """Return the expectation, or a lower bound of the probability from drawn channels."""
-        p_min = case.problem.constraints.p_min
+        p_min, count = case.problem.constraints.p_min, len(case.positions_m) - 1
         if p_min == 0.0:
             return super().by_slack(case)
         # The sum over whole steps may differ from the requirement by rounding.
-        needed = self.pace_mbit(case.history, len(case.positions_m) - 1) * (1.0 - ROUNDING)
-        if needed == 0.0:
-            return lambda slack_db: RuleResult(self.kind, 1.0, p_min, "probability", DRAWN)
-        return drawn_by_slack(
-            self, case, lambda links: self.valued(links.astype(np.float64), case.history) >= needed
-        )
+        needed = data_pace_mbit(self.problem, case.history, count) * (1.0 - ROUNDING)
+        return drawn_by_slack(self, case, needed)
 
     def missed_words(self, result: RuleResult) -> tuple[str, str]:
         """Return the expectation or the probability in words, and its bound."""
-        if result.unit == self.unit:
-            words = "the expected data delivered by the plan"
-            return words, "keeping pace with constraints.data_mbit"
-        words = "the probability that the plan keeps pace with constraints.data_mbit"
-        return words, self.bound_key
+        if result.unit != self.unit:
+            return super().missed_words(result)
+        words = "the expected data delivered by the plan"
+        return words, "keeping pace with constraints.data_mbit"
 
-    def run_metrics(
-        self, problem: Problem, connected: Sequence[NDArray[np.bool_]]
-    ) -> dict[str, float]:
+    def over_run(self, problem: Problem, connected: NDArray[np.bool_]) -> float:
         """Return the data delivered by the deadline."""
-        each = [float(data_of_steps_mbit(problem, 0, len(now)) @ now) for now in connected]
-        return {"data_mbit": min(each)}
+        return float(data_of_steps_mbit(problem, 0, len(connected)) @ connected)
+
+
+def _require_deliverable(problem: Problem) -> None:
+    """Raise an InputError for more data than a permanent connection delivers by the deadline."""
+    _require_shown(problem, "for data", "leave it out to ask for the expectation")
+    rule = problem.constraints.rule
+    data_mbit, most_mbit = (
+        rule.data_mbit or 0.0,
+        (rule.rate_mbit_s or 0.0) * (rule.deadline_s or 0.0),
+    )
+    if data_mbit > most_mbit * (1.0 + ROUNDING):
+        raise InputError(
+            f"is {data_mbit:g}, more than the {most_mbit:g} Mbit that rate_mbit_s delivers by "
+            "deadline_s when always connected",
+            file=problem.file,
+            key="constraints.data_mbit",
+            remedy="lessen it, or allow more time",
+        )

@@ -33,18 +33,12 @@ class Apart:
     reasons: tuple[str, ...]
 
 
-def verify_apart(discs: MovingDiscs, motion: TimedMotion, planned: int | None = None) -> Apart:
-    """Verify a motion against moving obstacles and robots.
-
-    Parameters
-    ----------
-    discs
-        Moving obstacles and other robots over T steps.
-    motion
-        Motion of the robot over at most T steps; it rests afterwards.
-    planned
-        Number N of planned steps, followed by braking. None if all steps are planned.
-    """
+def verify_apart(
+    discs: MovingDiscs,
+    motion: TimedMotion,
+    planned: int | None = None,  # Number N of planned steps, before braking; None: all
+) -> Apart:
+    """Verify a motion of at most T steps, rest afterwards, against discs over T steps."""
     if not len(discs):
         return Apart(None, None, ())
     planned = motion.steps if planned is None else planned
@@ -98,23 +92,11 @@ class MotionFinding:
 def verify_motion(
     problem: Problem,
     index: ObstacleIndex,
-    start: NDArray[np.float64],
-    positions_m: NDArray[np.float64],
-    drive: Drive | None,
+    start: NDArray[np.float64],  # (s,) state of the robot
+    positions_m: NDArray[np.float64],  # (N + 1, 2)
+    drive: Drive | None,  # None for the single integrator
 ) -> MotionFinding:
-    """Verify the motion of the problem's first robot along a finite path.
-
-    Parameters
-    ----------
-    problem, index
-        Problem and index of its obstacles.
-    start
-        ``(s,)`` state of the robot.
-    positions_m
-        ``(N + 1, 2)`` positions of the path.
-    drive
-        States and inputs along the path; None for the single integrator.
-    """
+    """Verify the motion of the problem's first robot along a finite path."""
     if problem.robots[0].moves_freely:
         return _straight(problem, index, start, positions_m)
     dynamics = problem.robots[0].dynamics

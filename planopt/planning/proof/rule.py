@@ -82,7 +82,7 @@ class Rule(ABC):
     greatest: ClassVar[bool] = False
     asks_p_min: ClassVar[bool] = True  # Whether p_min = 0 disables the rule
     subject: ClassVar[str] = ""  # Description of the value
-    bound_key: ClassVar[str] = "constraints.p_min"  # Key of the bound
+    metric: ClassVar[str] = ""  # Name of its value over a run, if that is reported
 
     @classmethod
     def of(cls, problem: Problem, legs_m: NDArray[np.float64]) -> Rule:
@@ -167,13 +167,19 @@ class Rule(ABC):
 
     def missed_words(self, result: RuleResult) -> tuple[str, str]:
         """Return the value in words, and the key of its bound."""
-        return self.subject, self.bound_key
+        limit = next((key for key in self.keys if key.endswith(f"_max_{result.unit}")), None)
+        return self.subject, "constraints.p_min" if limit is None else f"constraints.{limit}"
 
     def run_metrics(
         self, problem: Problem, connected: Sequence[NDArray[np.bool_]]
     ) -> dict[str, float]:
         """Return the worst robot's metric by name; `connected` has one mask (n,) per robot."""
-        return {}
+        each = [self.over_run(problem, now) for now in connected]
+        return {self.metric: (max if self.greatest else min)(each)} if self.metric else {}
+
+    def over_run(self, problem: Problem, connected: NDArray[np.bool_]) -> float:
+        """Return one robot's metric over the steps (n,) of a run; NaN without steps."""
+        return float(connected.mean()) if connected.size else float("nan")
 
 
 def rule_of(problem: Problem, legs_m: NDArray[np.float64] | None = None) -> Rule:
@@ -330,5 +336,5 @@ class OwnRule(Rule):
 
     def missed_words(self, result: RuleResult) -> tuple[str, str]:
         """Return the name of the rule, and the key of its bound."""
-        key = self.bound_key if self.asks_p_min else "the rule"
+        key = "constraints.p_min" if self.asks_p_min else "the rule"
         return f"what constraints.connectivity {self.kind!r} counts", key

@@ -110,7 +110,8 @@ def best_by_ways(
     places, margins = places[near], margins[near]
     clear = is_clear(clearance_m(index, places), clearance) | (places == start_m).all(axis=1)
     short = margins < 0.0
-    bound = _bound_below(start_m, reach_m, places[short], margins[short])
+    away = np.linalg.norm(places[short] - start_m, axis=1)
+    bound = np.array([margins[short][away <= reach].max(initial=-np.inf) for reach in reach_m])
     split = np.flatnonzero(~clear & ~short)
     split = split[np.argsort(-margins[split])[:SPLIT_NODES]]
     about = _about(index, bounds_m, places[split], clearance, spacing_m)
@@ -119,17 +120,6 @@ def best_by_ways(
     values = np.concatenate([margins[clear & ~short], at_about[at_about >= 0.0]])
     order = np.argsort(-values)
     return _best_reached(ways, reach_m, good[order], values[order], bound)
-
-
-def _bound_below(
-    start_m: NDArray[np.float64],
-    reach_m: NDArray[np.float64],
-    places_m: NDArray[np.float64],
-    margins_db: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    """Return the best margin of positions (n, 2) within each straight-line distance; (k,)."""
-    away = np.linalg.norm(places_m - start_m, axis=1)
-    return np.array([margins_db[away <= reach].max(initial=-np.inf) for reach in reach_m])
 
 
 def _about(

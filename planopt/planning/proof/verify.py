@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 
 from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
 from planopt.objectives.reach import outage_share
-from planopt.planning.certificate import Certificate, RuleResult
-from planopt.planning.plan import History, Verdict
+from planopt.planning.certificate import Certificate, RuleResult, plan_message
+from planopt.planning.plan import History, Plan, Rung, Termination, Verdict
 from planopt.planning.proof.context import (
     VerifierContext,
     certified_prediction,
@@ -235,43 +235,55 @@ STANDING = "the plan stands still short of the goal without a moving obstacle in
 
 @dataclass(frozen=True)
 class Judgement:
-    """Verdict on a path, and the underlying prediction.
-
-    Attributes
-    ----------
-    certificate, verdict
-        Values documented at their types.
-    power
-        Prediction at every position, the robot's first; None if the path is not finite.
-    sound
-        Whether clearance, bounds, dynamics and distances to moving obstacles are satisfied.
-    """
+    """Verdict on a path, and the underlying prediction."""
 
     certificate: Certificate
     verdict: Verdict
-    power: Prediction | None
+    power: Prediction | None  # At every position, the robot's first; None for a path not finite
+    # Whether clearance, bounds, dynamics and distances to moving obstacles are satisfied
     sound: bool = False
+
+    def plan(
+        self,
+        problem: Problem,
+        positions_m: NDArray[np.float64],  # (N + 1, 2)
+        objective: float,
+        lattice_objective: float,
+        rung: Rung,
+        termination: Termination,
+        drive: Drive | None,
+    ) -> Plan:
+        """Return a verified path as a plan."""
+        if self.power is None:
+            raise AssertionError("a path that is not finite is never released")
+        mean, deviation = self.power.mean_db, self.power.deviation_db
+        threshold = problem.stations[0].threshold_dbm
+        return Plan(
+            robot=problem.robots[0].name,
+            t_s=problem.planner.step_s * np.arange(len(positions_m), dtype=np.float64),
+            positions_m=positions_m,
+            mean_dbm=mean,
+            deviation_db=deviation,
+            connectivity=connection_probability(mean, deviation, threshold),
+            objective=objective,
+            lattice_objective=lattice_objective,
+            termination=termination,
+            verdict=self.verdict,
+            rung=rung,
+            certificate=self.certificate,
+            message=plan_message(self.certificate, positions_m),
+            sense=problem.sense,
+            drive=drive,
+        )
 
 
 def verify(
     context: VerifierContext,
     positions_m: NDArray[np.float64],
-    kkt_residual: float | None = None,
-    drive: Drive | None = None,
+    kkt_residual: float | None = None,  # Copied into the certificate
+    drive: Drive | None = None,  # None for the single integrator
 ) -> Judgement:
-    """Verify a path (N + 1, 2) of the context's robot.
-
-    Parameters
-    ----------
-    context
-        Problem, belief, state, history and moving obstacles.
-    positions_m
-        Positions of the path, the robot's current one first.
-    kkt_residual
-        KKT residual to be copied into the certificate.
-    drive
-        States and inputs along the path; None for the single integrator.
-    """
+    """Verify a path (N + 1, 2) of the context's robot, its current position first."""
     problem = context.problem
     if not np.isfinite(positions_m).all():
         broken = Certificate(0.0, 0.0, float("inf"), kkt_residual, "exact", reasons=("not finite",))

@@ -26,6 +26,7 @@ from planopt.planning.search.local_ranking import (
     can_climb,
     climb_paths,
     distinct,
+    headings_and_speeds,
 )
 from planopt.planning.tolerances import CLEARANCE_PAD_M, CLEARANCE_TOLERANCE_M, STEP_PAD_M
 from planopt.planning.values.context import StepContext
@@ -305,7 +306,8 @@ def varied_paths(
         width = NARROWING**number
         moved = _nudged(start_m, np.repeat(paths, NUDGED, axis=0), longest_m, width, generator)
         again = np.concatenate([np.repeat(paths, BENT, axis=0), moved])
-        turn, speed = _commands_of(start_m, again, longest_m)
+        heading, speed = np.split(headings_and_speeds(start_m, again, longest_m).T, 2)
+        turn = np.diff(heading, axis=0, prepend=0.0)
         count = BENT * len(paths)
         turn[:, :count] += _bends(horizon, count, BEND_RAD * width, generator)
         speed[:, :count] *= 1.0 + SPEED_SHARE * width * generator.normal(size=(1, count))
@@ -350,23 +352,6 @@ def _bends(
         at = generator.integers(1, horizon, count)
         turn[at, np.arange(count)] += width_rad * generator.normal(size=count)
     return turn
-
-
-def _commands_of(
-    start_m: NDArray[np.float64], paths_m: NDArray[np.float64], longest_m: float
-) -> Commands:
-    """Return turns and speeds ``(N, c)`` that reproduce the paths (c, N, 2)."""
-    begin = np.broadcast_to(start_m, (len(paths_m), 1, 2))
-    legs = np.diff(np.concatenate([begin, paths_m], axis=1), axis=1)
-    length = np.hypot(legs[:, :, 0], legs[:, :, 1])
-    heading = np.arctan2(legs[:, :, 1], legs[:, :, 0])
-    # A step of zero length keeps the last heading.
-    moved = (length > 0.0) * np.arange(int(paths_m.shape[1]))
-    last = np.maximum.accumulate(moved, axis=1)
-    heading = np.take_along_axis(heading, last, axis=1)
-    turn = np.diff(heading, axis=1, prepend=0.0)
-    turn = (turn + math.pi) % (2.0 * math.pi) - math.pi
-    return turn.T.copy(), np.minimum(length / longest_m, 1.0).T.copy()
 
 
 CLIMBING = 12

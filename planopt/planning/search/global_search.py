@@ -245,17 +245,13 @@ class GlobalSearch:
         order = sorted(range(len(costs)), key=lambda k: (missing[k], costs[k]))
         if self._problem.constraints.rule.slack_max_db is not None:
             return all_nodes[order[0]]
-        begin = self._nearest_cost_m(context, ways)
+        joined, lengths = first_moves(self._scene.ground, self._problem, context.position_m)
+        begin = float((lengths + ways.cost_m[joined]).min())
         least = LEAST_PROGRESS * (begin - ways.cost_m[cheapest[-1]])
         for k in order:
             if begin - ways.cost_m[all_nodes[k][-1]] >= least:
                 return all_nodes[k]
         return cheapest
-
-    def _nearest_cost_m(self, context: StepContext, ways: CostToGo) -> float:
-        """Return the cost-to-go of the robot."""
-        nodes, lengths = first_moves(self._scene.ground, self._problem, context.position_m)
-        return float((lengths + ways.cost_m[nodes]).min())
 
     def _cost_s(self, context: StepContext, ways: CostToGo, nodes: NDArray[np.intp]) -> float:
         """Return the total cost of a path and of the route from its end."""

@@ -403,11 +403,7 @@ class LatticeValues:
         if not np.isfinite(total[row, column]):
             return None
         rows, columns = without_margin(self.windows[-1])
-        return self.path_to((row + rows.start, column + columns.start))
-
-    def path_to(self, end: Node) -> NDArray[np.intp]:
-        """Return the nodes (N, 2) as (iy, ix) of the best path that ends at `end`."""
-        nodes = [end]
+        nodes = [(row + rows.start, column + columns.start)]
         for stage in range(len(self.values) - 2, -1, -1):
             nodes.append(self._best_source(stage, nodes[-1]))
         return np.array(nodes[::-1], dtype=np.intp)

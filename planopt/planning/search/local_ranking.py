@@ -241,7 +241,7 @@ def climb_paths(
     budget: Budget = UNLIMITED,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Climb from `paths_m` (c, N, 2); return paths and values, best first, none below its guess."""
-    x = _headings_and_speeds(start_m, paths_m, longest_m)
+    x = headings_and_speeds(start_m, paths_m, longest_m)
     value, by_place = slope(paths_m)
     at = _Climbers(
         paths_m,
@@ -271,7 +271,7 @@ def _stepped(
     turn = np.diff(probed[:, :half], axis=1, prepend=0.0)
     paths = drive(turn.T.copy(), speed.T.copy())
     value, by_place = slope(paths)
-    x = _headings_and_speeds(start_m, paths, longest_m)
+    x = headings_and_speeds(start_m, paths, longest_m)
     # Headings of the same direction may differ by full turns.
     x[:, :half] += 2.0 * math.pi * np.round((probed[:, :1] - x[:, :1]) / (2.0 * math.pi))
     new = replace(at, paths_m=paths, x=x, value=value, slope=_by_command(by_place, x, longest_m))
@@ -329,7 +329,7 @@ def _updated(at: _Climbers, new: _Climbers, gained: NDArray[np.bool_]) -> _Climb
     return replace(new, inverse_hessian=hessian, untouched=untouched)
 
 
-def _headings_and_speeds(
+def headings_and_speeds(
     start_m: NDArray[np.float64], paths_m: NDArray[np.float64], longest_m: float
 ) -> NDArray[np.float64]:
     """Return headings, continuous along a path, and relative speeds; (c, 2 N)."""

@@ -43,7 +43,7 @@ from planopt.planning.values.context import (
     places_of_others,
     step_context,
 )
-from planopt.planning.values.exploration import SteeringWay, steering_way, workspace_region
+from planopt.planning.values.exploration import SteeringWay, workspace_region
 from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.motion import TimedMotion
@@ -131,11 +131,7 @@ class Member:
         """Return the objective of a plan's path for other external inputs."""
         index, place = self.ground.index, plan.positions_m[0]
         base = verifier_context(self.problem, index, belief.posteriors, place, history)
-        context = step_context(base, self.region, aim)
-        if aim.steering_turns_m is not None:
-            steering = steering_way(self.problem, index, aim.steering_turns_m)
-            context = replace(context, steering=steering)
-        return ObjectiveValue(context)(plan.positions_m[1:])
+        return ObjectiveValue(step_context(base, self.region, aim))(plan.positions_m[1:])
 
 
 def _valued_alone(plan: Plan, context: StepContext) -> Plan:

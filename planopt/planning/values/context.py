@@ -29,7 +29,7 @@ from planopt.objectives.terms.term import Structure
 from planopt.objectives.tracking import Held
 from planopt.planning.proof.context import VerifierContext, search_power, search_prediction
 from planopt.planning.tolerances import STANDSTILL_M
-from planopt.planning.values.exploration import SteeringWay, explores, region_near
+from planopt.planning.values.exploration import SteeringWay, explores, region_near, steering_way
 from planopt.problems.problem import Problem
 from planopt.targets.information_filter import TargetModel
 
@@ -338,7 +338,8 @@ class StepContext(VerifierContext):
 
 
 def step_context(base: VerifierContext, region: Region, aim: Aim) -> StepContext:
-    """Return the context of a step with the external inputs of its objective, before steering."""
+    """Return the context of a step with the external inputs of its objective."""
+    turns_m = aim.steering_turns_m
     return StepContext(
         base.problem,
         base.index,
@@ -350,6 +351,7 @@ def step_context(base: VerifierContext, region: Region, aim: Aim) -> StepContext
         base.goal_grid,
         region=region,
         target_m=aim.target_m,
+        steering=None if turns_m is None else steering_way(base.problem, base.index, turns_m),
         information=aim.information,
         pending=aim.pending,
         held=aim.held,

@@ -226,8 +226,9 @@ def left_to_learn(
     """
     nodes = node_positions(lattice)[reachable_nodes(problem, index, lattice, here_m)]
     rule = MeasuringRule.of(posteriors, problem.channel.measure_spacing_m)
-    threshold = _threshold_db2(problem)
-    if threshold is not None:
+    limits = [term.variance_threshold for term in problem.terms if explores(term)]
+    known = [limit for limit in limits if limit is not None]
+    if known and len(known) == len(limits):
         places = _beside(problem, index, nodes, workspace_region(problem).grid_m)
         places = places[rule.is_open(places)]
         if not len(places):
@@ -235,7 +236,7 @@ def left_to_learn(
         variance = np.max(
             [search_power(station, places).deviation_db ** 2 for station in posteriors], axis=0
         )
-        return places[variance > threshold]
+        return places[variance > min(known)]
     left = nodes[rule.is_open(nodes)]
     if len(left) or not len(nodes):
         return left
@@ -284,10 +285,3 @@ def _beside(
     nearest = nodes_m[PlaceTree(nodes_m).nearest(places, 1)[0][:, 0]]
     wanted = problem.constraints.clearance_m + CLEARANCE_PAD_M
     return places[segments_clear(index, nearest, places, wanted)]
-
-
-def _threshold_db2(problem: Problem) -> float | None:
-    """Return the smallest variance threshold if every measuring term has one."""
-    limits = [term.variance_threshold for term in problem.terms if explores(term)]
-    known = [limit for limit in limits if limit is not None]
-    return min(known) if known and len(known) == len(limits) else None

@@ -1,4 +1,4 @@
-"""Longest outage and delivered data: enumeration, the closed loop's metric, conservation."""
+"""Longest outage and delivered data: enumeration, stretches one by one, conservation."""
 
 import dataclasses
 import itertools
@@ -20,9 +20,8 @@ from planopt.channel import (
     joint_prediction,
     longest_outage,
 )
-from planopt.channel.joint import SampledDistribution, longest_runs, sent_and_lost
+from planopt.channel.joint import SampledDistribution, longest_run, sent_and_lost
 from planopt.channel.path_connectivity import prefix_probabilities
-from planopt.planning.loop.metrics import longest_outage_m
 
 CHANNEL = ChannelParameters(-30.0, 3.0, 5.0, 15.0, 1.5, Station((0.0, 0.0)))
 NOTHING = Measurements(np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=bool))
@@ -38,13 +37,25 @@ def rng():
 
 @settings(max_examples=60)
 @given(st.integers(0, 10**6), st.integers(2, 12))
-def test_runs_are_the_closed_loops_metric(seed, count):
-    """Each drive as planopt.planning.loop.metrics counts it."""
+def test_the_longest_run_is_that_of_all_stretches(seed, count):
+    """Of each drive, one by one."""
     generator = np.random.default_rng(seed)
     legs = generator.uniform(0.0, 5.0, count - 1)
     connected = generator.random((5, count)) < 0.5
-    expected = [longest_outage_m(legs, drive[1:]) for drive in connected]
-    np.testing.assert_allclose(longest_runs(legs, connected), expected)
+    expected = [
+        max(
+            (
+                sum(size for size, _ in run)
+                for now, run in itertools.groupby(
+                    zip(legs, drive[1:], strict=True), lambda leg: leg[1]
+                )
+                if not now
+            ),
+            default=0.0,
+        )
+        for drive in connected
+    ]
+    np.testing.assert_allclose(longest_run(legs, ~connected[:, 1:]), expected)
 
 
 def independent():
@@ -64,8 +75,8 @@ def test_independent_places_by_enumeration():
     found = longest_outage(posterior, PATH, TIMES, THRESHOLD, 40_000, rng())
     sent = delivered_data(posterior, PATH, TIMES, THRESHOLD, traffic, 9.0, 40_000, rng())
     exact = [
-        (found.metres, longest_runs(LEGS, padded)),
-        (found.seconds, longest_runs(np.diff(TIMES), padded)),
+        (found.metres, longest_run(LEGS, ~padded[:, 1:])),
+        (found.seconds, longest_run(np.diff(TIMES), ~padded[:, 1:])),
         (sent.delivered_bits, np.minimum(9.0, 2.0 * (drives @ np.diff(TIMES)))),
     ]
     for sampled, values in exact:

@@ -4,13 +4,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from planopt import Verdict
 from planopt.extend import Rung
 from planopt.planning.loop.log import StepLog
-from planopt.planning.loop.metrics import longest_outage_m, metrics_of
+from planopt.planning.loop.metrics import metrics_of
 
 
 def log_of(positions, connected, connectivity=None, step_s=0.5):
@@ -69,50 +67,3 @@ def test_a_run_of_no_step():
     assert np.isnan(metrics.true_connected_share) and np.isnan(metrics.longest_outage_m)
     assert np.isnan(metrics.predicted_min_connectivity) and np.isnan(metrics.polish_gain)
     assert metrics.measured_steps == 0
-
-
-def brute_force_outage(lengths, connected):
-    """Longest run of consecutive steps that all end without a connection, over all runs."""
-    runs = [
-        sum(lengths[a:b])
-        for a in range(len(lengths))
-        for b in range(a + 1, len(lengths) + 1)
-        if not any(connected[a:b])
-    ]
-    return max(runs, default=0.0)
-
-
-STEPS = st.lists(st.tuples(st.floats(0.0, 10.0), st.booleans()), max_size=15)
-
-
-@settings(deadline=None)
-@given(STEPS)
-def test_longest_outage_is_the_longest_of_all_runs(steps):
-    """By listing every run of steps."""
-    lengths, connected = [s[0] for s in steps], [s[1] for s in steps]
-    found = longest_outage_m(np.array(lengths), np.array(connected, dtype=bool))
-    assert found == pytest.approx(brute_force_outage(lengths, connected), abs=1e-12)
-
-
-@settings(deadline=None)
-@given(STEPS, st.integers(0, 14))
-def test_an_outage_more_is_no_shorter(steps, which):
-    """Losing one more connection never shortens the longest outage; reversing keeps it."""
-    if not steps:
-        return
-    lengths = np.array([s[0] for s in steps])
-    connected = np.array([s[1] for s in steps])
-    before = longest_outage_m(lengths, connected)
-    assert longest_outage_m(lengths[::-1], connected[::-1]) == pytest.approx(before)
-    connected[which % len(steps)] = False
-    assert longest_outage_m(lengths, connected) >= before
-    assert longest_outage_m(lengths, np.zeros(len(steps), dtype=bool)) == pytest.approx(
-        lengths.sum()
-    )
-
-
-def test_a_stand_without_connection_neither_ends_nor_lengthens_an_outage():
-    """Two steps of an outage with a stand between them are one outage."""
-    lengths = np.array([2.0, 0.0, 3.0, 1.0])
-    assert longest_outage_m(lengths, np.array([False, False, False, True])) == 5.0
-    assert longest_outage_m(lengths, np.array([False, True, False, True])) == 3.0

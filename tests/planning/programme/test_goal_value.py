@@ -5,10 +5,9 @@ from dataclasses import replace
 import casadi as ca
 import numpy as np
 import pytest
-from reach_tasks import bowl_margins, constant_margins, goal_nlp, outage_of, scored
+from reach_tasks import constant_margins, scored
 from scipy.stats import norm
 
-from planopt.extend import Termination
 from planopt.planning.programme.goal_value import (
     PIVOT_ROUNDING_M,
     STEP_ROUNDING_M,
@@ -17,7 +16,6 @@ from planopt.planning.programme.goal_value import (
     ValueSource,
 )
 from planopt.planning.programme.path_nlp import curvature
-from planopt.planning.programme.solver import Bounds
 from planopt.targets.rounding import Derivatives
 
 N = 4
@@ -75,30 +73,6 @@ def test_value_gradient_and_hessian(stands):
         return VALUE(at.reshape(N, 2)).value.gradient.ravel()
 
     np.testing.assert_allclose(hessian, differences(gradient, flat, 1e-6), atol=1e-4)
-
-
-@pytest.mark.parametrize(("horizon", "lines"), [(1, 0), (1, 2), (2, 1), (5, 0)])
-def test_every_structure_solves(horizon, lines):
-    """One step, no lines: as many variables and multipliers as the structure says."""
-    nlp = goal_nlp(horizon, lines)
-    margins = scored(bowl_margins([0.0, 0.0], 100.0))
-    nlp.source.use(
-        GoalValue(np.zeros(2), np.array([9.0, 0.0]), 0.1, 1.0, outage_of(horizon, 0.5), margins)
-    )
-    parameters = np.zeros(5 + 4 * horizon * lines)
-    parameters[2] = 1.0
-    plain = horizon + (2 * horizon - 1) * lines
-    lower = np.concatenate([np.full(horizon, -np.inf), np.zeros(plain)])
-    upper = np.concatenate([np.ones(horizon), np.full(plain, np.inf)])
-    bound = np.full(2 * horizon, 50.0)
-    found = nlp.solve(
-        np.zeros(2 * horizon), parameters, Bounds(-bound, bound), Bounds(lower, upper)
-    )
-    assert found.termination == Termination.CONVERGED
-    expected = np.outer(np.arange(1, horizon + 1), [1.0, 0.0])
-    np.testing.assert_allclose(found.positions_m, expected, atol=1e-4)
-    assert found.others.shape == (0,)
-    assert found.row_multipliers.shape == (plain + horizon,)
 
 
 FLAT = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0])

@@ -20,7 +20,7 @@ import test_rules
 
 from planopt.planning.proof.rule import Rule
 
-HISTORY = "planopt.planning.plan"
+HISTORY, OUTAGE = "planopt.planning.plan", "planopt.channel.joint"
 RULE, RULES = "planopt.planning.proof.rule", "planopt.planning.proof.connectivity_rules"
 VERIFY, RESULT = "planopt.planning.proof.verify", "planopt.planning.certificate"
 USERS = (HISTORY, RULE, RULES, VERIFY, RESULT)
@@ -36,23 +36,23 @@ MUTANTS = (
     (RULES, "history.steps + 1 + np", "1 + np"),
     (RULES, "history.steps + 1 + np", "history.steps + np"),
     (RULES, "probability, 1.0).min", "probability, 1.0).max"),
-    (RULES, "self.data_mbit - history.delivered_mbit", "self.data_mbit"),
-    (RULES, "missing * most /", "missing * self.rate_mbit_s * left_s /"),
-    (RULES, "if left_s <= 0.0 or", "if left_s > 0.0 or"),
-    (RULES, "- history.steps * self.problem.planner.step_s", ""),
+    (HISTORY, "(data_mbit or 0.0) - history.delivered_mbit", "(data_mbit or 0.0)"),
+    (HISTORY, "missing * most /", "missing * rate_mbit_s * left_s /"),
+    (HISTORY, "or left_s <= 0.0 or", "or left_s > 0.0 or"),
+    (HISTORY, "- history.steps * problem.planner.step_s", ""),
     (RULES, "(1.0 - p_min) * (most", "p_min * (most"),
     (RULES, "return probability @", "return np.ones_like(probability) @"),
-    (RULES, "case.history) >= needed", "case.history) <= needed"),
-    (RULES, "if needed == 0.0:", "if needed >= 0.0:"),
+    (RULES, "case.history) >= least", "case.history) <= least"),
+    (RULES, "if least > 0.0 else 1.0", "if least < 0.0 else 1.0"),
     (RULES, "sample(case.positions_m[1:]", "sample(case.positions_m[:-1]"),
     (RULES, "history.connected_steps + p", "p"),
     (RULES, "history.steps + p", "p"),
     (RULES, "probability.sum(axis=-1)", "probability.max(axis=-1)"),
-    (RULES, "run + sizes", "sizes"),
-    (RULES, "missed[..., step], run", "~missed[..., step], run"),
-    (RULES, "np.full(missed.shape[:-1], begun)", "np.zeros(missed.shape[:-1])"),
-    (RULES, "np.maximum(longest, run)", "run"),
-    (RULES, "missed, self._begun(history)", "missed, 0.0"),
+    (OUTAGE, "run + sizes", "sizes"),
+    (OUTAGE, "missed[..., step], run", "~missed[..., step], run"),
+    (OUTAGE, "np.full(missed.shape[:-1], begun)", "np.zeros(missed.shape[:-1])"),
+    (OUTAGE, "np.maximum(longest, run)", "run"),
+    (RULES, "below, self._begun(history)", "below, 0.0"),
     (RULES, "probability < self.p_min", "probability > self.p_min"),
     (RULES, "return -self.limit", "return -2.0 * self.limit"),
     (RULES, "1.0 - (1.0 - probability).sum(axis=-1)", "probability.prod(axis=-1)"),

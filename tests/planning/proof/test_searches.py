@@ -95,18 +95,6 @@ def test_cost_to_go_against_networkx(polygons, price):
     np.testing.assert_array_equal(grid.nodes_m[grid.goal], GOAL)
 
 
-def test_nodes_are_all_that_keep_the_clearance():
-    """Every place of the grid through the goal that shapely says is clear, and no other."""
-    problem = small_problem(WALL, CUP)
-    grid, _ = grid_with(problem)
-    places = shapely.points(np.stack(np.meshgrid(np.arange(41.0), np.arange(31.0)), -1))
-    away = shapely.distance(shapely.union_all([WALL, CUP]), places)
-    assert len(grid.nodes_m) == (away >= 0.5 - 1e-9).sum()
-    assert (
-        shapely.distance(shapely.union_all([WALL, CUP]), shapely.points(grid.nodes_m)).min() >= 0.5
-    )
-
-
 def test_shares_are_interpolated_between_coarse_places():
     """A linear share is met exactly up to the last coarse row; weights are a mean's."""
     problem = small_problem(CUP)
@@ -307,18 +295,6 @@ def test_best_place_is_not_behind_walls():
     assert best < -4.0
     free = best_margin_within_reach(index_of(), outside, inside, 7.0, 0.6)
     assert free == pytest.approx(0.0, abs=0.3)
-
-
-def test_more_steps_are_never_worse():
-    """A small good place near the start stays found however many steps are asked about."""
-    peak = nearness_to((11.0, 17.0))
-    steps = np.arange(1, 301)
-    bests = best_margins_by_step(
-        index_of(), BOUNDS, lambda q: peak(q) + 3.0, ORIGIN, 2.0, steps, 0.5
-    )
-    assert (np.diff(bests) >= 0.0).all()
-    assert bests[0] < 0.0 < bests[3]
-    assert bests[-1] == pytest.approx(3.0, abs=0.5)
 
 
 def spot(x, y, radius):

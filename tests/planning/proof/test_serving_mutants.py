@@ -51,9 +51,9 @@ MUTANTS = (
         "law.probability(self.positions_m[1:], 0)",
     ),
     (LAW, "serving_power_dbm(np.stack(drawn)", "serving_power_dbm(np.stack(drawn[:1])"),
-    (RULES, "threshold - slack_db).sum", "threshold + slack_db).sum"),
+    (RULES, "threshold - slack_db).astype", "threshold + slack_db).astype"),
     (RULES, "drawn_dbm >= threshold", "drawn_dbm < threshold"),
-    (RULES, "np.all(connected, axis=1)", "np.any(connected, axis=1)"),
+    (RULES, "case, least=1.0)", "case, least=0.0)"),
     (LAW, "[seed, number] if number else seed", "seed"),
 )
 

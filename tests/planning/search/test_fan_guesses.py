@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -20,14 +19,12 @@ from planopt.planning.search.fan_guesses import (
     ONWARD,
     TURNS_RAD,
     FanGuesses,
-    arc_turn,
     commands_via,
-    driven_paths,
     fan_paths,
     rough_clearance,
 )
 from planopt.planning.search.local_ranking import LocalRanking
-from planopt.world import clearance_m, inside_bounds, swept_clearance_m
+from planopt.world import inside_bounds, swept_clearance_m
 
 
 def fan_of(horizon, position_m=None):
@@ -57,48 +54,12 @@ def test_every_way_is_free(horizon, position_m):
         assert np.linalg.norm(np.diff(path, axis=0), axis=1).max() <= problem.step_length_m
 
 
-def test_ways_in_the_open_are_straight_and_even_arcs():
-    """Nothing is in the way: at full speed, the turn the same at every step."""
-    ways, context, *_ = fan_of(3, (8.0, 20.0))
-    legs = np.diff(np.concatenate([np.full((len(ways), 1, 2), [8.0, 20.0]), ways], axis=1), axis=1)
-    np.testing.assert_allclose(
-        np.linalg.norm(legs, axis=2), context.problem.step_length_m, atol=1e-5
-    )
-    heading = np.unwrap(np.arctan2(legs[..., 1], legs[..., 0]), axis=1)
-    turn = np.diff(heading, axis=1)
-    wanted = np.repeat(math.pi * np.asarray(TURNS_RAD) / 2.0, HEADINGS)
-    np.testing.assert_allclose(turn, np.column_stack([wanted, wanted]), atol=1e-9)
-
-
 def test_ways_go_on_at_a_wall():
     """From beside the obstacle straight ways at it turn aside instead of standing still."""
     ways, context, *_ = fan_of(10, (15.0, 20.0))
     ahead = ways[0]
     assert np.linalg.norm(ahead[-1] - context.position_m) > 3.0 * context.problem.step_length_m
     assert (np.linalg.norm(np.diff(ahead, axis=0), axis=1) > 0.0).sum() >= 7
-
-
-def test_slow_ways_are_short():
-    """Speed is a share of the largest."""
-    _, context, ground, rough = fan_of(4)
-    turn, speed = np.zeros((4, 1)), np.array([[1.0], [0.5], [0.0], [0.25]])
-    way = driven_paths(context, ground.index, rough, turn, speed)[0]
-    np.testing.assert_allclose(
-        way[:, 0] - context.position_m[0], 2.0 * np.cumsum(speed[:, 0]), atol=1e-5
-    )
-
-
-def test_rough_clearance_is_near_the_exact_one():
-    """Within a cell of it, and false beyond the bounds."""
-    *_, ground, rough = fan_of(1)
-    places = np.random.default_rng(0).uniform(0.0, 40.0, (500, 2))
-    exact = clearance_m(ground.index, places)
-    for wanted in (0.5, 2.0):
-        free = rough.is_free(places, wanted)
-        assert free[exact > wanted + rough.cell_m].all()
-        assert not free[exact < wanted - rough.cell_m].any()
-    assert not rough.is_free(np.array([[-0.1, 5.0], [5.0, 40.1]]), 0.0).any()
-    assert rough.is_free(np.array([[0.0, 0.0], [40.0, 40.0]]), 0.5).all()
 
 
 START = np.array([3.0, 1.0])
@@ -134,14 +95,6 @@ def test_out_of_reach_there_is_none():
     assert commands[0].shape == (5, 1)
 
 
-@pytest.mark.parametrize(("chord", "steps"), [(3.0, 4), (0.0, 5), (1.0, 2), (4.0, 4)])
-def test_arcs_have_their_chord(chord, steps):
-    """Unit steps that turn evenly."""
-    heading = arc_turn(chord, steps) * np.arange(steps)
-    end = np.array([np.cos(heading).sum(), np.sin(heading).sum()])
-    assert np.linalg.norm(end) == pytest.approx(chord, abs=1e-5)
-
-
 INFORMATION = {"kind": "mapping", "form": "information"}
 
 
@@ -164,25 +117,6 @@ def test_ways_are_better_than_the_fan(horizon):
     assert scorer.objective(found[0]) >= LocalRanking(context, fan)(fan).max() - 1e-9
     for way, again in zip(found, search.find_paths(context, []), strict=True):
         np.testing.assert_array_equal(way, again)
-
-
-@pytest.mark.parametrize("terms", [(LEARNING,), (INFORMATION,)])
-def test_a_redundant_obstacle_changes_nothing(terms):
-    """One inside another obstacle, or beyond all steps."""
-    context, belief = context_of(terms_problem(*terms))
-    plan = plan_for(context, belief)
-    workspace = context.problem.workspace
-    known = workspace.obstacles[0]
-    more = (
-        replace(known, name="inner", polygon=shapely.box(19.0, 15.0, 21.0, 20.0)),
-        replace(known, name="far", polygon=shapely.box(36.0, 36.0, 38.0, 38.0)),
-    )
-    problem = replace(
-        context.problem,
-        workspace=replace(workspace, obstacles=(*workspace.obstacles, *more)),
-    )
-    other = plan_for(replace(context, problem=problem), belief)
-    np.testing.assert_allclose(other.positions_m, plan.positions_m, atol=1e-6)
 
 
 @pytest.mark.parametrize("terms", [(LEARNING,), (INFORMATION,)])

@@ -146,32 +146,6 @@ def test_staying_at_the_goal_is_free_and_nowhere_else():
     assert found.cost_s > costs[9] + 3.0 * STEP_S
 
 
-def test_nowhere_to_go():
-    """No first node, or no node with a finite way on: None."""
-    road_map = random_road_map(np.random.default_rng(0))
-    count = len(road_map.nodes_m)
-    nothing = np.zeros(count)
-    assert search(road_map, [], [], 3, 0, nothing, nothing) is None
-    assert search(road_map, [0], [0.1], 3, 0, nothing, np.full(count, np.inf)) is None
-    assert search(road_map, [0], [0.1], 3, 0, np.full(count, np.inf), nothing) is None
-
-
-@settings(max_examples=20, deadline=None)
-@given(st.integers(0, 10_000))
-def test_costs_move_with_penalties_as_they_must(seed):
-    """Dearer nodes never make it cheaper; a constant on the terminal cost only shifts the cost."""
-    generator = np.random.default_rng(seed)
-    road_map = random_road_map(generator)
-    count = len(road_map.nodes_m)
-    penalty, terminal = generator.uniform(0.0, 2.0, (2, count))
-    task = ([int(road_map.number[1, 1])], [0.2], 4, 0)
-    plain = search(road_map, *task, penalty, terminal)
-    dearer = search(road_map, *task, penalty + generator.uniform(0.0, 1.0, count), terminal)
-    shifted = search(road_map, *task, penalty, terminal + 7.0)
-    assert dearer.cost_s >= plain.cost_s
-    assert shifted.cost_s == pytest.approx(plain.cost_s + 7.0)
-
-
 def rewarded(polygon, horizon, start=(10.3, 10.2), seed=0, move_value=None):
     """A search over random rewards, the rewards (N, ny, nx), the ground and its first nodes."""
     problem = small_problem(polygon)

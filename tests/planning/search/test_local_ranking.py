@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from terms_scene import ENERGY, LEARNING, TRACKING, context_of, terms_problem
 
-from planopt.channel import condition
 from planopt.objectives.stage_power import CUSP_ROUNDING
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.values.objective_value import ObjectiveValue
@@ -74,20 +73,6 @@ def test_ways_that_miss_the_bound_come_last():
     np.testing.assert_allclose(values[kept], worths[kept])
     badly = (chance < 0.4).any(axis=1)
     assert values[kept].min() > values[badly].max()
-
-
-def test_order_of_measurements_changes_nothing():
-    """A channel is a set of measurements."""
-    context, _ = context_of(terms_problem(LEARNING, mapping("information")))
-    before = context.posterior
-    order = np.random.default_rng(0).permutation(len(before.measurements))
-    shuffled = condition(before.parameters, before.measurements.take(order))
-    ways = ways_of(context)
-    np.testing.assert_allclose(
-        LocalRanking(replace(context, posteriors=(shuffled,)), ways)(ways),
-        LocalRanking(context, ways)(ways),
-        rtol=1e-4,
-    )
 
 
 STEP_M = 1e-2

@@ -10,7 +10,6 @@ from planopt import Measurements
 from planopt.channel import ChannelParameters, Station, condition
 from planopt.channel.connectivity_law import ConnectivityLaw
 from planopt.channel.kriging import predict
-from planopt.channel.posterior import extend
 from planopt.planning.search.node_margins import NodeField, NodeMargins
 
 PARAMETERS = ChannelParameters(-35.0, 2.8, 5.0, 4.0, 2.0, Station((3.0, -4.0), 6.0))
@@ -63,18 +62,6 @@ def test_many_measurements_are_near_and_exact_where_corrected(road_map, margins)
     np.testing.assert_allclose(margins.margin_db[nodes], wanted[nodes], atol=1e-9)
     others = np.setdiff1d(np.arange(len(before)), nodes)
     np.testing.assert_array_equal(margins.margin_db[others], before[others])
-
-
-def test_a_new_belief_forgets_the_corrections(road_map, margins):
-    """After a refresh every margin is the new belief's, and exact values count as new again."""
-    posterior = condition(PARAMETERS, data(200))
-    margins.refresh(ConnectivityLaw((posterior,), (0.0,), 0.5))
-    everyone = np.arange(len(road_map.nodes_m))
-    margins.correct(everyone)
-    more = extend(posterior, data(3, seed=9))
-    margins.refresh(ConnectivityLaw((more,), (0.0,), 0.5))
-    assert margins.correct(everyone)
-    np.testing.assert_allclose(margins.margin_db, exact(more, road_map.nodes_m), atol=1e-9)
 
 
 def test_places_have_the_power_of_the_nearest_node_of_the_window():

@@ -78,18 +78,3 @@ def test_a_way_of_longest_moves_takes_as_many_steps(step_length_m, direction, co
     nodes = np.array([35.0, 0.7]) + spacing * np.outer(np.arange(count + 1), direction)
     path = np.vstack([nodes[1:], nodes[-1:], nodes[-1:]])
     np.testing.assert_allclose(retime(nodes[0], path, NOTHING, step_length_m), path, atol=1e-9)
-
-
-@settings(deadline=None)
-@given(POINTS, st.floats(0.05, 12.0), st.floats(0.0, 6.28))
-def test_turning_the_world_turns_the_path(path, step, angle):
-    """The result moves with the world."""
-    path = np.array(path)
-    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-    # Doubling is exact, so that no rounding decides how many steps there are.
-    np.testing.assert_array_equal(
-        retime(START, 2.0 * path, NOTHING, 2.0 * step), 2.0 * retime(START, path, NOTHING, step)
-    )
-    found = retime(START, path @ turn.T, NOTHING, step)
-    walked = length_of(np.vstack([START, found]))
-    assert walked <= length_of(np.vstack([START, path])) + 1e-9

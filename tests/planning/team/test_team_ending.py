@@ -85,19 +85,6 @@ def test_who_stands_with_places_left_to_measure_has_stalled(term) -> None:
     assert ended == (Outcome.COMPLETED, "all 1 steps driven")
 
 
-def test_circling_is_a_stall() -> None:
-    """Two longest steps about one place for `STALL_STEPS` steps, learning nothing."""
-    problem = terms_problem(LEARNING, max_steps=99)
-    track = [HERE + (1.5 * (k % 2), 0.0) for k in range(STALL_STEPS + 1)]
-    connected = no_packet(STALL_STEPS)
-    silent = driven(problem, track, [False] * STALL_STEPS)
-    outcome, reason = terms_ending(problem, connected, [silent])
-    assert outcome is Outcome.STALLED
-    assert reason.startswith("within 4 m of one place for 30 steps, with nothing new to learn")
-    once = driven(problem, track, [False] * (STALL_STEPS - 1) + [True])
-    assert terms_ending(problem, connected, [once]) is None
-
-
 def everything_measured(problem):
     """What is believed once all of the workspace has been measured."""
     context, _ = context_of(problem)

@@ -113,13 +113,3 @@ def test_what_a_solver_counts_is_the_worth(name):
         found = evaluate(path).value.value - evaluate(nothing).value.value
         near = 0.15 if name == "path" else 0.05
         assert found == pytest.approx(worth(path), rel=0.02, abs=near)
-
-
-@pytest.mark.parametrize("name", TERMS)
-def test_a_measurement_more_never_hurts(name):
-    """What a path collects does not fall when it drives on."""
-    context, _ = context_of(terms_problem(TERMS[name]))
-    worth = ObjectiveValue(context)
-    for path in paths(context).values():
-        values = [worth(path[:count]) for count in range(1, 6)]
-        assert np.diff(values).min() >= -1e-9

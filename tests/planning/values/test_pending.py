@@ -81,15 +81,6 @@ def test_anticipated_measurements_change_no_mean():
     assert len(situation.posterior.measurements) == len(belief.posterior.measurements)
 
 
-def test_the_same_path_twice_brings_little():
-    """The second robot is not paid for what the first brings: by the spacing, nothing at all."""
-    situation, _ = context_of(terms_problem(mapping("information")))
-    path = paths(situation)[0]
-    assert ObjectiveValue(beside(situation, path))(path) == 0.0
-    near = ObjectiveValue(beside(situation, path))(path + 0.8)
-    assert 0.0 < near < 0.8 * ObjectiveValue(situation)(path + 0.8)
-
-
 @pytest.mark.parametrize("stations", [1, 2])
 @pytest.mark.parametrize("terms", COUNTING)
 def test_searches_and_solvers_count_the_others(terms, stations):

@@ -14,7 +14,8 @@ import numpy as np
 from planopt import Measurements, Plan, Problem, load
 from planopt.channel import Belief, Truth, condition, measure
 from planopt.channel.posterior import update
-from planopt.planning.initial_data import Prepared, free_places, prepare
+from planopt.planning.free_space import free_places
+from planopt.planning.initial_data import Prepared, prepare
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import Scene, build_scene
 from planopt.problems.load import with_overrides

@@ -21,8 +21,9 @@ from planopt.channel.posterior import update
 from planopt.channel.prediction import bound_margin_db
 from planopt.objectives.moments import Region
 from planopt.planning.candidates import Scorer
+from planopt.planning.free_space import free_places
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.initial_data import draw_truth, free_places, learn
+from planopt.planning.initial_data import draw_truth, learn
 from planopt.planning.proof.context import search_power, verifier_context
 from planopt.planning.scene import Ground, build_ground
 from planopt.planning.values.context import Aim, StepContext, step_context

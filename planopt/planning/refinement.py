@@ -104,14 +104,6 @@ def candidate_of(
     )
 
 
-def motion_shape(problem: Problem, lines: int) -> MotionShape | None:
-    """Return the structure of the rows of the dynamics; None for the single integrator."""
-    robot = problem.robots[0]
-    if robot.moves_freely:
-        return None
-    return MotionShape(robot.dynamics, problem.planner.step_s, problem.planner.horizon, lines)
-
-
 def motion_task(
     problem: Problem,
     ground: Ground,
@@ -132,15 +124,6 @@ def standstill_m(problem: Problem, state: NDArray[np.float64]) -> NDArray[np.flo
     """Return a resting position (2,) reached by braking from `state` (s,), or slightly beyond."""
     points = problem.robots[0].dynamics.stop_points(tuple(state), problem.planner.step_s)
     return np.array(points[-1] if points else state[:2], dtype=np.float64)
-
-
-def refined_drive(
-    problem: Problem, state: NDArray[np.float64], inputs: NDArray[np.float64] | None
-) -> Drive | None:
-    """Return the trajectory of a solver's inputs; None for the single integrator."""
-    if inputs is None:
-        return None
-    return rolled_out(problem.robots[0].dynamics, state, inputs, problem.planner.step_s)
 
 
 LOCAL_PAD_DB = 0.04
@@ -189,7 +172,9 @@ def lacks(
         return False
     power = context.predicted(point.path_m)
     if rows.weight is not None:
-        missing = _slack_of_sum(rows, power) > MARGIN_TOLERANCE_DB
+        # The shortfall of the sum in dB, to first order.
+        short_db = (rows.total - rows.sum_of(power)) / _per_db(rows, power)
+        missing = short_db > MARGIN_TOLERANCE_DB
         return bool(point.slack_db[0] <= GIVEN_UP_DB and missing)
     margins = rows.margins_db(power)
     unsure = firmly and not is_search_exact(context.posterior)
@@ -279,11 +264,6 @@ def _per_db(rows: RuleRows, power: Prediction) -> float:
     return max(float(rows.weight @ density), 1e-3 * float(rows.weight.max(initial=0.0)), 1e-9)
 
 
-def _slack_of_sum(rows: RuleRows, power: Prediction) -> float:
-    """Return the shortfall of the sum in dB, to first order."""
-    return (rows.total - rows.sum_of(power)) / _per_db(rows, power)
-
-
 LINES_PER_SEGMENT = 2
 """Number of convex pieces that each segment is separated from; the verifier checks all."""
 
@@ -311,13 +291,16 @@ class GuessRefinement:
         settings = self._problem.planner
         lines = LINES_PER_SEGMENT + moving_count(discs) + tail_count(discs, settings.horizon)
         if lines not in self._built:
+            robot, motion = self._problem.robots[0], None
+            if not robot.moves_freely:
+                motion = MotionShape(robot.dynamics, settings.step_s, settings.horizon, lines)
             shape = PathShape(
                 settings.horizon,
                 lines,
                 structure_of(self._problem),
                 has_step_rows(self._problem),
                 has_sum_row(self._problem),
-                motion_shape(self._problem, lines),
+                motion,
                 charged=self._problem.task == "reach",
             )
             self._built[lines] = build_path_nlp(
@@ -368,7 +351,10 @@ class GuessRefinement:
         for attempt in range(REPAIRS + allocations):
             begun = perf_counter()
             point = polish_path(nlp, task)
-            drive = refined_drive(problem, scorer.state, point.inputs)
+            drive: Drive | None = None
+            if point.inputs is not None:
+                dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
+                drive = rolled_out(dynamics, scorer.state, point.inputs, step_s)
             spent_s = perf_counter() - begun
             lattice = scorer.sense * guess.value
             candidate = candidate_of(scorer, point, rung, lattice, spent_s, drive)

@@ -16,12 +16,12 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import Belief
 from planopt.errors import InputError
 from planopt.parts import parts_of
+from planopt.planning.free_space import with_drawn_starts
 from planopt.planning.initial_data import (
     UserMeasurements,
     measurements_by_station,
     prepare,
     team_seeds,
-    with_drawn_starts,
     with_measurements,
 )
 from planopt.planning.loop.results import Solution

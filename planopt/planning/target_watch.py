@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.objectives.tracking import Held
-from planopt.planning.initial_data import free_target_path
+from planopt.planning.free_space import free_target_path
 from planopt.planning.values.context import Aim, target_model
 from planopt.problems.problem import Problem
 from planopt.problems.settings import Packets

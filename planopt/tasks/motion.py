@@ -270,7 +270,8 @@ def _allows(problem: Problem, planner: str) -> bool:
 
 def _run_answer(problem: Problem, seed: int, shared: Any, recorded: States) -> dict[str, Any]:
     """Return the row of the first steps of a closed loop, planned from `recorded` states if any."""
-    from planopt.planning.initial_data import team_seeds, with_drawn_starts
+    from planopt.planning.free_space import with_drawn_starts
+    from planopt.planning.initial_data import team_seeds
     from planopt.planning.loop.drive import first_steps, true_world
     from planopt.planning.target_watch import watch_target
     from planopt.planning.team.couriers import planning

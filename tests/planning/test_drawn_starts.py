@@ -10,7 +10,8 @@ import shapely
 
 from planopt import InputError, check, load, simulate, solve
 from planopt.channel import condition
-from planopt.planning.initial_data import prepare, with_drawn_starts
+from planopt.planning.free_space import with_drawn_starts
+from planopt.planning.initial_data import prepare
 from planopt.problems import (
     GivenParameters,
     SampledMeasurements,

@@ -25,8 +25,9 @@ from planopt.channel.posterior import predict
 from planopt.channel.prediction import bound_margin_db
 from planopt.extend import Rung, Termination
 from planopt.planning import refinement
+from planopt.planning.free_space import free_places
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.initial_data import free_places, prepare
+from planopt.planning.initial_data import prepare
 from planopt.planning.programme import path_nlp
 from planopt.planning.programme.path_polish import polish_path
 from planopt.planning.programme.solver import NlpPoint

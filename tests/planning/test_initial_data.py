@@ -15,7 +15,8 @@ import planopt
 from planopt import InputError, Measurements, Problem, load
 from planopt.channel import Nakagami, true_power_dbm
 from planopt.cli import main
-from planopt.planning.initial_data import draw_truth, free_places, learn, prepare
+from planopt.planning.free_space import free_places
+from planopt.planning.initial_data import draw_truth, learn, prepare
 from planopt.problems import (
     FittedTruth,
     LoggedMeasurements,

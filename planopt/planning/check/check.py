@@ -33,7 +33,7 @@ from planopt.planning.files.saved import (
     contents,
     saved_from,
 )
-from planopt.planning.initial_data import with_drawn_starts
+from planopt.planning.free_space import with_drawn_starts
 from planopt.planning.loop.results import Run, Solution
 from planopt.planning.plan import Plan, Verdict
 from planopt.problems.library import SUFFIX, library_folder

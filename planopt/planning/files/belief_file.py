@@ -62,10 +62,6 @@ def _parameters(values: Callable[[Belief, str], object]) -> Callable[[Belief], o
     return lambda own: [values(own, name) for name in PARAMETER_NAMES]
 
 
-def _station(own: Belief) -> list[float]:
-    return [*own.fit.parameters.station.position_m, own.fit.parameters.station.height_m]
-
-
 STORED = (
     *(_measurement(column.name) for column in fields(Measurements)),
     _Stored(
@@ -74,7 +70,9 @@ STORED = (
         (len(PARAMETER_NAMES),),
     ),
     _Stored("forgetting_s", lambda own: own.fit.parameters.forgetting_s, (), "f", TINY, np.inf),
-    _Stored("station", _station, (3,)),
+    _Stored(
+        "station", lambda own: (*(at := own.fit.parameters.station).position_m, at.height_m), (3,)
+    ),
     _Stored("first_measurements", lambda own: own.fit.measurements, (), "iu", 0.0),
     _Stored("theta", lambda own: own.posterior.theta),
     _Stored("theta_covariance", lambda own: own.posterior.theta_covariance),

@@ -12,12 +12,12 @@ import numpy as np
 from planopt.channel.cholesky import one_blas_thread
 from planopt.errors import InputError
 from planopt.parts import calling
+from planopt.planning.free_space import with_drawn_starts
 from planopt.planning.initial_data import (
     Prepared,
     UserMeasurements,
     prepare,
     team_seeds,
-    with_drawn_starts,
     with_measurements,
 )
 from planopt.planning.loop.drive import drive, true_world
@@ -72,7 +72,7 @@ def simulate(
         with calling(make, "", key="planner.name"):
             foreseen = make(problem, truths[0], true_m)
     world = true_world(problem, truths, lambda: [scene.road_map for scene in scenes or ()])
-    plans = planning(problem, scenes if problem.task == "reach" else None, seeds, foreseen)
+    plans = planning(problem, scenes, seeds, foreseen)
     return drive(
         problem,
         seed,

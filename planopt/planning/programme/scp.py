@@ -366,7 +366,7 @@ class _Climb:
             predicted = self._predicted(model, found.step)
             if predicted <= PROMISE_TOLERANCE * max(1.0, abs(value)) or region < SMALLEST_REGION:
                 last = found
-                if self._missing(rows) <= ROW_TOLERANCE:
+                if self._excess(rows).max(initial=0.0) <= ROW_TOLERANCE:
                     termination = Termination.CONVERGED
                     break
                 if self._penalty >= LARGEST_PENALTY:
@@ -417,9 +417,6 @@ class _Climb:
         """Return the violation of each row's bounds, cones excluded."""
         lower, upper = self._row_bounds.lower, self._row_bounds.upper
         return np.delete(np.maximum(np.maximum(lower - rows, rows - upper), 0.0), self._cones.row)
-
-    def _missing(self, rows: NDArray[np.float64]) -> float:
-        return float(self._excess(rows).max(initial=0.0))
 
     def _merit(self, value: float, rows: NDArray[np.float64]) -> float:
         return value + self._penalty * float(self._excess(rows).sum())

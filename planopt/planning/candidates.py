@@ -197,7 +197,7 @@ class Scorer:
         """Return 1 for maximisation, -1 for minimisation."""
         return 1.0 if self.problem.sense == "max" else -1.0
 
-    def worth(self, candidate: Candidate) -> float:
+    def score(self, candidate: Candidate) -> float:
         """Return the objective value, negated if it is minimised."""
         return self.sense * candidate.objective
 
@@ -291,34 +291,34 @@ def held(context: VerifierContext, path: list[NDArray[np.float64]]) -> NDArray[n
     return np.asarray([*path, *[last] * (horizon - len(path))])[:horizon]
 
 
-def verified_of(tried: Sequence[Candidate]) -> list[Candidate]:
+def verified_of(candidates: Sequence[Candidate]) -> list[Candidate]:
     """Return the verified candidates in their original order."""
-    return [candidate for candidate in tried if candidate.verdict is Verdict.VERIFIED]
+    return [candidate for candidate in candidates if candidate.verdict is Verdict.VERIFIED]
 
 
 def best_of(
-    scorer: Scorer, tried: Sequence[Candidate], warm: Plan | None, least: float = -math.inf
+    scorer: Scorer, candidates: Sequence[Candidate], warm: Plan | None, least: float = -math.inf
 ) -> Candidate:
     """Return the best verified candidate, otherwise the safest fallback.
 
     An unverified candidate is released only if its value is at least `least`.
     """
-    verified = verified_of(tried)
+    verified = verified_of(candidates)
     if verified:
-        return with_effort(max(verified, key=scorer.worth), tried)
-    sound = [c for c in tried if c.sound and scorer.worth(c) >= least]
+        return with_effort(max(verified, key=scorer.score), candidates)
+    sound = [c for c in candidates if c.sound and scorer.score(c) >= least]
     if not scorer.problem.robots[0].moves_freely:
         sound.sort(key=lambda candidate: candidate.missing_db)
     if any(candidate.hopeless for candidate in sound):
-        return with_effort(sound[0], tried)
+        return with_effort(sound[0], candidates)
     fallback = without_guess(scorer, warm)
     chosen = fallback if fallback.verdict is Verdict.VERIFIED or not sound else sound[0]
-    return with_effort(chosen, tried)
+    return with_effort(chosen, candidates)
 
 
-def with_effort(chosen: Candidate, tried: Sequence[Candidate]) -> Candidate:
+def with_effort(chosen: Candidate, candidates: Sequence[Candidate]) -> Candidate:
     """Add the solver's time and iterations of all candidates, and its last termination."""
-    refined = [c for c in tried if c.termination is not Termination.LATTICE_ONLY]
+    refined = [c for c in candidates if c.termination is not Termination.LATTICE_ONLY]
     return replace(
         chosen,
         solve_s=sum(c.solve_s for c in refined),

@@ -147,8 +147,11 @@ def leaving_path(
     gap = paths_gap_m(moving, paths)
     deep, others = _inside_m(index, ends)
     static = np.maximum(wanted - away, 0.0) + outside + deep
-    now = np.linalg.norm(position_m - moving.centres_m[:, 0], axis=-1)
-    if static[0] + np.max(moving.apart_m[:, 0] - now, initial=0.0) == 0.0:
+    too_near_m = 0.0
+    if len(moving):
+        now_m = np.linalg.norm(position_m - moving.centres_m[:, 0], axis=-1)
+        too_near_m = float(np.max(moving.apart_m[:, 0] - now_m, initial=0.0))
+    if static[0] + too_near_m == 0.0:
         return None
     lacks = static + _too_near_m(moving, paths)
     swept = segment_clearance_m(others, np.broadcast_to(position_m, ends.shape), ends)

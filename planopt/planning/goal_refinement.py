@@ -171,7 +171,7 @@ class GoalRefinement:
         begun_s: float,
     ) -> Candidate:
         """Return the verified candidate of a task with these bounds of the constrained steps."""
-        bound_db = np.where(rows.asked, bound_db, -np.inf)
+        bound_db = np.where(rows.bounded, bound_db, -np.inf)
         point = polish_path(self.nlp, replace(task, bound_db=bound_db))
         solve_s = perf_counter() - begun_s
         candidate = candidate_of(self.scorer, point, rung, self.lattice_objective, solve_s)

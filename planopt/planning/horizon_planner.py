@@ -77,7 +77,7 @@ def driven_start(scorer: Scorer, context: StepContext, drive: Drive) -> Guess:
     apart = verify_apart(scorer.context.moving, swept)
     clear = not (moved.reasons or apart.reasons)
     missing = rule_missing(context, path)
-    return Guess(path, scorer.worth(candidate), missing, drive, clear)
+    return Guess(path, scorer.score(candidate), missing, drive, clear)
 
 
 DRIVEN_ROUNDS = 12
@@ -110,7 +110,7 @@ class FallbackCascade:
         budget: Budget,
     ) -> Candidate:
         """Return the first verified candidate of the guesses and fallbacks, else the safest one."""
-        tried: list[Candidate] = []
+        candidates: list[Candidate] = []
         verified: list[Candidate] = []
         for number, start in enumerate(starts):
             unrefined = replace(
@@ -124,37 +124,37 @@ class FallbackCascade:
                 for candidate in self.refinement.candidates(context, scorer, start, rung, budget):
                     if candidate.verdict is Verdict.VERIFIED:
                         verified.append(candidate)
-                    tried.append(candidate)
+                    candidates.append(candidate)
                 if budget.spent and not verified:
                     unrefined = replace(unrefined, termination=Termination.TIME_LIMIT)
-            if any(c.sound and c.hopeless for c in tried):
+            if any(c.sound and c.hopeless for c in candidates):
                 break
-            if budget.proven and any(c.sound for c in tried):
+            if budget.proven and any(c.sound for c in candidates):
                 break
-            if not any(scorer.worth(c) >= scorer.worth(unrefined) for c in verified):
+            if not any(scorer.score(c) >= scorer.score(unrefined) for c in verified):
                 unrefined = scorer.assessed(unrefined)
                 if unrefined.relaxes and self._problem.task == "reach":
                     unrefined = replace(unrefined, rung=Rung.RELAXED)
-                tried.append(unrefined)
+                candidates.append(unrefined)
                 if unrefined.verdict is Verdict.VERIFIED:
                     verified.append(unrefined)
             if verified and self._is_settled(starts, number + 1, verified):
                 break
         if not verified and not self._driven and not budget.spent:
-            found = self._by_way_to_good_place(context, scorer, tried, budget)
+            found = self._by_good_place(context, scorer, candidates, budget)
             verified += verified_of(found)
-            tried += found
+            candidates += found
         for _ in range(self._rounds):
             if not verified or budget.spent:
                 break
-            best = max(scorer.worth(candidate) for candidate in verified)
+            best = max(scorer.score(candidate) for candidate in verified)
             found = self._once_more(context, scorer, starts, verified, budget)
             verified += verified_of(found)
-            tried += found
-            gained = max(scorer.worth(candidate) for candidate in verified) - best
+            candidates += found
+            gained = max(scorer.score(candidate) for candidate in verified) - best
             if gained <= SETTLED_SHARE * abs(best):
                 break
-        return best_of(scorer, tried, warm)
+        return best_of(scorer, candidates, warm)
 
     def _is_settled(self, starts: list[Guess], number: int, verified: list[Candidate]) -> bool:
         """Return whether guess `number` needs no refinement, given the verified candidates."""
@@ -173,15 +173,15 @@ class FallbackCascade:
             for candidate in verified
         )
 
-    def _by_way_to_good_place(
-        self, context: StepContext, scorer: Scorer, tried: list[Candidate], budget: Budget
+    def _by_good_place(
+        self, context: StepContext, scorer: Scorer, candidates: list[Candidate], budget: Budget
     ) -> list[Candidate]:
         """Return candidates that lead straight to a reachable position that meets the bound."""
         found: list[Candidate] = []
-        for path in paths_to_good_place(scorer, tried):
+        for path in paths_to_good_place(scorer, candidates):
             way = scorer.candidate(path, Rung.COLD_RETRY, Termination.LATTICE_ONLY)
             if self.refinement is not None:
-                start = Guess(path, scorer.worth(way), rule_missing(context, path))
+                start = Guess(path, scorer.score(way), rule_missing(context, path))
                 refined = self.refinement.candidates(
                     context, scorer, start, Rung.COLD_RETRY, budget
                 )
@@ -202,7 +202,7 @@ class FallbackCascade:
         """Refine the best candidate again, with the measurements and lines nearest to it."""
         if self.refinement is None:
             return []
-        best = max(verified, key=scorer.worth)
+        best = max(verified, key=scorer.score)
         again = Guess(best.path_m, starts[0].value, 0.0, best.drive, charge=starts[0].charge)
         rung = best.rung if best.rung is Rung.COLD_RETRY else Rung.PLAN
         return self.refinement.candidates(context, scorer, again, rung, budget)
@@ -223,7 +223,7 @@ class HorizonPlanner:
         budget = budget_from(self.problem, begun)
         shifted = shifted_path(self.problem, scorer.index, context.position_m, warm)
         starts = self._search.find_guesses(context, shifted, budget)
-        way = self._way_out(context, starts)
+        way = self._exit_path(context, starts)
         if way is not None:
             out = Guess(way, scorer.objective(way), rule_missing(context, way))
             if context.measuring.takes(way).any():
@@ -236,7 +236,7 @@ class HorizonPlanner:
         chosen = self.cascade.first_verified(context, scorer, starts, warm, budget)
         return scorer.plan_from(chosen, wall_s=perf_counter() - begun)
 
-    def _way_out(self, context: StepContext, starts: list[Guess]) -> NDArray[np.float64] | None:
+    def _exit_path(self, context: StepContext, starts: list[Guess]) -> NDArray[np.float64] | None:
         """Return the path (N, 2) to the nearest unmeasured position if no guess measures anything.
 
         None if no term uses measurements, or if no unmeasured position is left.
@@ -246,9 +246,9 @@ class HorizonPlanner:
             term.is_measured or term.structure == "chain" for term in terms
         ):
             return None
-        worth = ObjectiveValue(context)
+        score = ObjectiveValue(context)
         for start in starts:
-            gains = zip(terms, worth.by_term(start.path_m), strict=True)
+            gains = zip(terms, score.by_term(start.path_m), strict=True)
             if any(gain > 0.0 for term, gain in gains if term.is_measured):
                 return None
         return path_to_unmeasured(context, self.ground)

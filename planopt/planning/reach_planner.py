@@ -156,14 +156,16 @@ class ReachPlanner:
             raise self._blocked(step, start)
         return Outlook(context, step, start, perf_counter() - begun)
 
-    def beside(self, outlook: Outlook, discs: MovingDiscs) -> Course | None:
+    def clear_course(self, outlook: Outlook, discs: MovingDiscs) -> Course | None:
         """Return a course to the goal that keeps clear of moving discs; None if there is none."""
-        search = partial(self._search.beside, discs=discs)
+        search = partial(self._search.clear_course, discs=discs)
         return _course(outlook, search)
 
-    def aside(self, outlook: Outlook, others_m: NDArray[np.float64], steps: int) -> Course | None:
+    def refuge_course(
+        self, outlook: Outlook, others_m: NDArray[np.float64], steps: int
+    ) -> Course | None:
         """Return a course to a refuge off the others' positions (k, 2); None if there is none."""
-        search = partial(self._search.aside, others_m=others_m, steps=steps)
+        search = partial(self._search.refuge_course, others_m=others_m, steps=steps)
         return _course(outlook, search)
 
     def release(
@@ -202,8 +204,8 @@ class ReachPlanner:
                 if self._nlp is not None and _moves(scorer, start.path_m):
                     shared = (step, scorer, cost, start, ahead, lattice.objective, budget)
                     refinement = GoalRefinement(self._nlp, self.scene, *shared)
-                tried = list(self._candidates(scorer, refinement, lattice, warm, budget))
-                chosen = best_of(scorer, tried, warm, scorer.worth(lattice))
+                candidates = list(self._candidates(scorer, refinement, lattice, warm, budget))
+                chosen = best_of(scorer, candidates, warm, scorer.score(lattice))
             pivot = cost.pivot_of(chosen.path_m)
         plan = scorer.plan_from(chosen, wall_s=perf_counter() - begun)
         route = np.zeros((0, 2)) if start is None else start.route_m
@@ -412,7 +414,7 @@ class DrivenReach:
         node_margin_db: NDArray[np.float64] | None,
     ) -> Pivot:
         """Return the pivot visible from the resting position (2,) with the least cost-to-go."""
-        problem, cost_m = self._problem, start.ways.cost_m
+        problem, cost_m = self._problem, start.cost_to_go.cost_m
         views = [(int(start.nodes[-1]), start.path_m[-1])]
         for place in places_m:
             nodes, lengths = first_moves(self._scene.ground, problem, place)

@@ -151,11 +151,11 @@ def with_bounds(task: PathTask, context: StepContext, rows: RuleRows) -> PathTas
     bound = np.where(kept, np.minimum(wanted, local), wanted)
     limit, weight = _slack(context, task.scale, np.where(np.isfinite(exact), -exact, 0.0))
     if not context.problem.constraints.rule.by_step:
-        weight = weight if np.isinf(limit).any() else weight / max(int(rows.asked.sum()), 1)
+        weight = weight if np.isinf(limit).any() else weight / max(int(rows.bounded.sum()), 1)
     return replace(
         task,
-        bound_db=np.where(rows.asked, bound, -np.inf),
-        slack_limit_db=np.where(rows.asked, limit, 0.0),
+        bound_db=np.where(rows.bounded, bound, -np.inf),
+        slack_limit_db=np.where(rows.bounded, limit, 0.0),
         slack_weight=weight,
     )
 
@@ -188,7 +188,7 @@ def recentred(task: PathTask, context: StepContext, rows: RuleRows, point: Refin
     if rows.weight is not None:
         return replace(task, total_bound=_wanted_total(task, context, rows)[0])
     wanted = _wanted(task, context, rows)[0]
-    return replace(task, bound_db=np.where(rows.asked, wanted, -np.inf))
+    return replace(task, bound_db=np.where(rows.bounded, wanted, -np.inf))
 
 
 def moved(
@@ -347,7 +347,7 @@ class GuessRefinement:
         correlates = rule_of(problem).correlates(problem.constraints.p_min)
         allocations = ALLOCATIONS if correlates else 0
         found: list[Candidate] = []
-        tried: list[tuple[float, RuleResult]] = []
+        earlier: list[tuple[float, RuleResult]] = []
         for attempt in range(REPAIRS + allocations):
             begun = perf_counter()
             point = polish_path(nlp, task)
@@ -366,7 +366,7 @@ class GuessRefinement:
                 task = _driven_from(recentred(task, context, rows, point), drive)
                 continue
             improvable = guess.clear and guess.missing_db == 0.0 and not allocations
-            if improvable and scorer.worth(candidate) < guess.value:
+            if improvable and scorer.score(candidate) < guess.value:
                 # The guess itself will be verified instead.
                 return [*found, candidate]
             candidate = scorer.assessed(candidate)
@@ -382,7 +382,7 @@ class GuessRefinement:
             result = None if candidate.certificate is None else candidate.certificate.rule
             if not allocations or result is None:
                 return found
-            again = rows_again(context, rows, candidate.path_m, tried, result)
+            again = rows_again(context, rows, candidate.path_m, earlier, result)
             if again is None:
                 return found
             rows, allocations = again, allocations - 1

@@ -57,7 +57,7 @@ def planned_motion(problem: Problem, plan: Plan) -> TimedMotion:
     return braked_motion(plan.positions_m, plan.drive, problem.planner.step_s)
 
 
-def beside(problem: Problem, driven: int, others: Mapping[int, TimedMotion]) -> MovingDiscs:
+def discs_to_avoid(problem: Problem, driven: int, others: Mapping[int, TimedMotion]) -> MovingDiscs:
     """Return the discs to avoid: moving obstacles, and other robots if a separation is required."""
     obstacles = obstacles_ahead(problem, driven)
     if not others or problem.constraints.separation_m == 0.0:
@@ -80,12 +80,12 @@ def others_of(motions: Sequence[TimedMotion], number: int) -> dict[int, TimedMot
     return {other: motion for other, motion in enumerate(motions) if other != number}
 
 
-def beside_each_other(problem: Problem, driven: int, plans: Sequence[Plan]) -> list[Plan]:
+def with_separations(problem: Problem, driven: int, plans: Sequence[Plan]) -> list[Plan]:
     """Return the plans of one step with their mutual separations added."""
     motions = [planned_motion(problem, plan) for plan in plans]
     found: list[Plan] = []
     for number, plan in enumerate(plans):
-        moving = beside(problem, driven, others_of(motions, number))
+        moving = discs_to_avoid(problem, driven, others_of(motions, number))
         apart = verify_apart(moving, motions[number], len(plan.positions_m) - 1)
         certificate = replace(plan.certificate, min_separation_m=apart.min_separation_m)
         found.append(replace(plan, certificate=certificate))

@@ -41,16 +41,16 @@ class Ground:
 
 
 def build_ground(
-    problem: Problem, anchor_m: NDArray[np.float64], beside: Ground | None = None
+    problem: Problem, anchor_m: NDArray[np.float64], shared: Ground | None = None
 ) -> Ground:
     """Return the geometry of a problem, with a lattice node at `anchor_m` (2,).
 
-    If the ground `beside` of another robot is given, its obstacles are reused.
+    If the ground `shared` of another robot is given, its obstacles are reused.
     """
     workspace = problem.workspace
     return Ground(
-        index_obstacles(workspace) if beside is None else beside.index,
-        pack_pieces(workspace) if beside is None else beside.pieces,
+        index_obstacles(workspace) if shared is None else shared.index,
+        pack_pieces(workspace) if shared is None else shared.pieces,
         build_roads(problem, anchor_m),
     )
 
@@ -68,7 +68,7 @@ class Scene:
 
     ground: Ground  # Geometry with a lattice node at the goal
     goal_node: int  # Index of this node
-    ways: CostToGo  # Shortest paths around obstacles to the goal
+    cost_to_go: CostToGo  # Shortest paths around obstacles to the goal
 
     @property
     def index(self) -> ObstacleIndex:
@@ -89,12 +89,12 @@ class Scene:
 def build_scene(
     problem: Problem,
     place_m: NDArray[np.float64] | None = None,  # (2,) the robot's position; None: the start
-    beside: Ground | None = None,
+    shared: Ground | None = None,
 ) -> Scene:
     """Return the geometry of a problem's first robot; raise a NoPlanError if no path exists."""
     clearance, goal_m = problem.constraints.clearance_m, problem.goal_m
     goal = np.asarray(goal_m)
-    ground = build_ground(problem, goal, beside)
+    ground = build_ground(problem, goal, shared)
     road_map = ground.road_map
     lattice = road_map.lattice
     row, column = nearest_node(lattice, goal)
@@ -109,15 +109,15 @@ def build_scene(
             f"robots[0].goal_m {list(goal_m)} is nearer than constraints.clearance_m "
             f"{clearance:g} + {CLEARANCE_PAD_M:g} m to an obstacle"
         )
-    ways = lattice_paths(road_map, goal_node)
-    scene = Scene(ground, goal_node, ways)
+    cost_to_go = lattice_paths(road_map, goal_node)
+    scene = Scene(ground, goal_node, cost_to_go)
     here = np.asarray(problem.robots[0].start_m) if place_m is None else place_m
     nodes, _ = first_moves(ground, problem, here)
     if nodes.size == 0 and place_m is not None:
         # The robot must first leave a newly discovered obstacle.
         return scene
-    if nodes.size == 0 or not np.isfinite(scene.ways.cost_m[nodes]).any():
-        raise NoPlanError(_why_no_way(problem, lattice.spacing_m, here))
+    if nodes.size == 0 or not np.isfinite(scene.cost_to_go.cost_m[nodes]).any():
+        raise NoPlanError(_why_no_path(problem, lattice.spacing_m, here))
     return scene
 
 
@@ -131,8 +131,8 @@ def build_scenes(
     for number, robot in enumerate(problem.robots):
         try:
             here = None if places_m is None else places_m[number]
-            beside = scenes[0].ground if scenes else None
-            scenes.append(build_scene(problem_of_robot(problem, number), here, beside))
+            shared = scenes[0].ground if scenes else None
+            scenes.append(build_scene(problem_of_robot(problem, number), here, shared))
         except NoPlanError as error:
             if len(problem.robots) == 1:
                 raise
@@ -141,7 +141,7 @@ def build_scenes(
     return tuple(scenes)
 
 
-def _why_no_way(problem: Problem, spacing_m: float, place_m: NDArray[np.float64]) -> str:
+def _why_no_path(problem: Problem, spacing_m: float, place_m: NDArray[np.float64]) -> str:
     """Return whether obstacles cut the goal off or the lattice is too coarse, in words."""
     start_m = tuple(place_m.tolist())
     what = "start_m" if start_m == problem.robots[0].start_m else "the place"
@@ -196,11 +196,11 @@ class PathsFrom:
         self._wanted_m = problem.constraints.clearance_m + CLEARANCE_PAD_M
         nodes, lengths = first_moves(ground, problem, position_m)
         self.length_m = np.full(len(ground.road_map.nodes_m), np.inf)
-        self._ways: CostToGo | None = None
+        self._cost_to_go: CostToGo | None = None
         if len(nodes):
             nearest = int(np.argmin(lengths))
-            self._ways = lattice_paths(ground.road_map, int(nodes[nearest]), limit_m=limit_m)
-            self.length_m = self._ways.cost_m + float(lengths[nearest])
+            self._cost_to_go = lattice_paths(ground.road_map, int(nodes[nearest]), limit_m=limit_m)
+            self.length_m = self._cost_to_go.cost_m + float(lengths[nearest])
 
     def straight(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return whether the straight line to each position (n, 2) is collision-free."""
@@ -209,9 +209,9 @@ class PathsFrom:
 
     def turns_m(self, node: int, end_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the turns (m, 2) of the path to a position (2,) next to `node`, ends included."""
-        if self._ways is None:
+        if self._cost_to_go is None:
             raise AssertionError("no node is reachable")
-        nodes = route_from(self._ground.road_map, self._ways, node, math.inf)[::-1]
+        nodes = route_from(self._ground.road_map, self._cost_to_go, node, math.inf)[::-1]
         corners = np.vstack([self._position_m, self._ground.road_map.nodes_m[nodes], end_m])
         return taut_turns(self._ground, self._wanted_m, corners)
 

@@ -96,7 +96,7 @@ def test_ways_are_as_long_as_round_the_wall():
     nodes = scene.road_map.nodes_m
     there = int(np.argmin(np.linalg.norm(nodes - (19.0, 15.0), axis=1)))
     taut = 2.0 * 10.0
-    assert taut - 1.5 <= scene.ways.cost_m[there] <= 1.1 * taut + 3.0
+    assert taut - 1.5 <= scene.cost_to_go.cost_m[there] <= 1.1 * taut + 3.0
 
 
 def test_first_moves_keep_speed_and_clearance():

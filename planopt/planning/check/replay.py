@@ -38,7 +38,7 @@ from planopt.planning.proof.bounds import verified_bound
 from planopt.planning.proof.context import VerifierContext, search_prediction, verifier_context
 from planopt.planning.proof.searches import GoalGrid
 from planopt.planning.proof.verify import verify
-from planopt.planning.reservations import beside, others_of
+from planopt.planning.reservations import discs_to_avoid, others_of
 from planopt.planning.stepping import Planning, PlanStep, Stepper, TeamMoment
 from planopt.planning.target_watch import watch_target
 from planopt.planning.values.context import Aim, counts_others, places_of_others, step_context
@@ -213,7 +213,7 @@ def _planning(saved: Saved) -> Planning:
             plans: list[Plan] = []
             aims: list[Aim] = []
             for number, own in enumerate(owns):
-                moving = beside(problem, step, others_of(motions, number))
+                moving = discs_to_avoid(problem, step, others_of(motions, number))
                 posteriors = at.beliefs[number].posteriors
                 under = verifier_context(
                     own,

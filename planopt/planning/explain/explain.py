@@ -39,7 +39,7 @@ from planopt.planning.initial_data import prepare
 from planopt.planning.loop.results import Solution
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.proof.context import connectivity_law
-from planopt.planning.reservations import beside, others_of, planned_motion
+from planopt.planning.reservations import discs_to_avoid, others_of, planned_motion
 from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.solve import solve, solve_on
@@ -103,7 +103,7 @@ def _explain_solution(solution: Solution) -> Explanation:
     ends_s = process_time() + EXPLAINED_S
     for number, plan in enumerate(solution.plans):
         if plan.verdict is not Verdict.VERIFIED:
-            moving = beside(problem, 0, others_of(motions, number))
+            moving = discs_to_avoid(problem, 0, others_of(motions, number))
             case = Case(problem, number, belief.posteriors, plan, moving)
             plan_again = partial(_planned, belief=belief, seed=solution.seed, number=number)
             found += explain_violated(case, Trials(plan_again, ends_s))
@@ -244,7 +244,7 @@ BISECTIONS, CLEARANCES, BISECTED_DIGITS = 16, 8, 12
 MOST_OBSTACLES = 60
 """Maximum number of obstacles up to which removing each one is tried."""
 
-SHORTER, STEPS_TRIED = 0.9, 20
+SHORTER, STEPS_TESTED = 0.9, 20
 """Refinement factor of the time step, and with it the lattice, and number of refinements."""
 
 
@@ -312,7 +312,7 @@ def _clearance(problem: Problem, trials: Trials, widest: float) -> list[Relaxati
 def _step(problem: Problem, trials: Trials) -> list[Relaxation]:
     """Propose a shorter time step, which makes the lattice fine enough to find the path."""
     key = Key("planner.step_s", "s", problem.planner.step_s, 0.0)
-    for power in range(1, STEPS_TRIED + 1):
+    for power in range(1, STEPS_TESTED + 1):
         step_s = rounded(key.value * SHORTER**power, DIGITS, down=True)
         try:
             if not trials.are_over and is_open(key.changed(problem, step_s)):

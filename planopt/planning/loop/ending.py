@@ -205,8 +205,8 @@ def _stuck(problem: Problem, connected: NDArray[np.bool_], robot: Progress) -> s
         verdicts = [plan.verdict for plan in robot.plans[recent]]
         if any(verdict is Verdict.VERIFIED for verdict in verdicts):
             return None
-    beside = problem.constraints.separation_m > 0.0 or counts_others(problem)
-    apart = len(problem.robots) > 1 and beside
+    interacts = problem.constraints.separation_m > 0.0 or counts_others(problem)
+    apart = len(problem.robots) > 1 and interacts
     alone = not apart and term.sensor is None and problem.planner.name != "random"
     return standstill(robot.problem, robot.states, robot.learnt, robot.plans[-1], alone=alone)
 

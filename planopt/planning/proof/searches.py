@@ -82,13 +82,13 @@ MarginAt = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 Places = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Positions (n, 2) and their margins (n,) in dB."""
 
-FIRST_WAYS = 64
+FIRST_PATHS = 64
 """Number of best positions whose path lengths are computed first; it then grows fourfold."""
 SPLIT_NODES = 100
 """Number of good nodes too close to obstacles that are replaced by clear positions nearby."""
 
 
-def best_by_ways(
+def best_by_paths(
     index: ObstacleIndex,
     bounds_m: tuple[float, float, float, float],
     margin_db: MarginAt,
@@ -102,11 +102,11 @@ def best_by_ways(
 
     Lengths are computed only for positive margins; a negative value is an upper bound.
     """
-    ways = shortest_paths(index, bounds_m, start_m, clearance, float(reach_m[-1]), inner=True)
+    paths = shortest_paths(index, bounds_m, start_m, clearance, float(reach_m[-1]), inner=True)
     places = np.concatenate([at for at, _ in looked])
     margins = np.concatenate([values for _, values in looked])
     # A node too close to an obstacle represents the clear positions around it.
-    near = is_near_joined(ways, places, spacing_m)
+    near = is_near_joined(paths, places, spacing_m)
     places, margins = places[near], margins[near]
     clear = is_clear(clearance_m(index, places), clearance) | (places == start_m).all(axis=1)
     short = margins < 0.0
@@ -119,7 +119,7 @@ def best_by_ways(
     good = np.concatenate([places[clear & ~short], about[at_about >= 0.0]])
     values = np.concatenate([margins[clear & ~short], at_about[at_about >= 0.0]])
     order = np.argsort(-values)
-    return _best_reached(ways, reach_m, good[order], values[order], bound)
+    return _best_reached(paths, reach_m, good[order], values[order], bound)
 
 
 def _about(
@@ -139,7 +139,7 @@ def _about(
 
 
 def _best_reached(
-    ways: ShortestPaths,
+    paths: ShortestPaths,
     reach_m: NDArray[np.float64],
     places_m: NDArray[np.float64],
     margins_db: NDArray[np.float64],
@@ -149,16 +149,16 @@ def _best_reached(
 
     If there is none, return the bound `bound_db` (k,) of the other positions.
     """
-    by_air = np.linalg.norm(places_m - ways.start_m, axis=1)
+    by_air = np.linalg.norm(places_m - paths.start_m, axis=1)
     length = np.full(len(places_m), np.nan)
     best: list[float] = []
     for k, reach in enumerate(reach_m):
         candidates = np.flatnonzero(by_air <= reach)
-        here, begin, count = float(bound_db[k]), 0, FIRST_WAYS
+        here, begin, count = float(bound_db[k]), 0, FIRST_PATHS
         while begin < len(candidates):
             chunk = candidates[begin : begin + count]
             new = chunk[np.isnan(length[chunk])]
-            length[new] = path_lengths_m(ways, places_m[new])
+            length[new] = path_lengths_m(paths, places_m[new])
             reached = chunk[length[chunk] <= reach]
             if len(reached):
                 here = float(margins_db[reached[0]])
@@ -231,7 +231,7 @@ def best_margins_by_step(
     if best[-1] < 0.0 or may_reach is not None or not index.obstacles:
         return tuple(best)
     reaches = step_length_m * steps.astype(np.float64)
-    return best_by_ways(index, bounds_m, margin_db, start_m, clearance, reaches, looked, spacing)
+    return best_by_paths(index, bounds_m, margin_db, start_m, clearance, reaches, looked, spacing)
 
 
 def _reached(

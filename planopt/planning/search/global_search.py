@@ -65,7 +65,7 @@ class GlobalStart:
     # (b, 2) first part of the route: connected and reachable in N steps
     beyond_m: NDArray[np.float64]
     # Cost-to-go of the nodes, in metres; infinite where it was not computed
-    ways: CostToGo
+    cost_to_go: CostToGo
     metre_cost: NDArray[np.float64]  # (n,) cost of a metre at every node
     is_blocked: bool  # Whether path or route violate a hard bound
     is_direct: bool = False  # Whether it is released unchanged, after detours
@@ -89,7 +89,7 @@ class GlobalSearch:
         rule = constraints.rule
         start = np.asarray(problem.robots[0].start_m, dtype=np.float64)
         nodes, lengths = first_moves(scene.ground, problem, start)
-        self._direct_m = float((lengths + scene.ways.cost_m[nodes]).min(initial=np.inf))
+        self._direct_m = float((lengths + scene.cost_to_go.cost_m[nodes]).min(initial=np.inf))
         self._forbids = rule.every_step and rule.slack_max_db is not None
         self._is_alone = (
             rule.is_plain
@@ -104,25 +104,27 @@ class GlobalSearch:
         """Return the guess from the robot's position; None if no node is reachable."""
         problem, scene = self._problem, self._scene
         self.margins.refresh(context.law, context.power)
-        ways = scene.ways
+        cost_to_go = scene.cost_to_go
         if self._has_wandered(context.history):
-            nodes = self._shortest(context, ways)
-            return None if nodes is None else self._start(context, ways, nodes, direct=True)
+            nodes = self._shortest(context, cost_to_go)
+            return None if nodes is None else self._start(context, cost_to_go, nodes, direct=True)
         if problem.reach.cost_to_go == "connected":
-            ways = self._ways_from(context.position_m)
-        nodes = self._cheapest(context, ways, None, priced=True)
+            cost_to_go = self._cost_to_go_from(context.position_m)
+        nodes = self._cheapest(context, cost_to_go, None, priced=True)
         if nodes is None:
             return None
         if self._gets_nowhere(context, nodes):
             # The fastest path around obstacles ignores the outage price.
-            nodes = self._cheapest(context, ways, None, priced=self._forbids, effort_s2_m2=0.0)
+            nodes = self._cheapest(
+                context, cost_to_go, None, priced=self._forbids, effort_s2_m2=0.0
+            )
             if nodes is None:
                 return None
         if not problem.constraints.rule.every_step:
-            nodes = self._within_rule(context, ways, nodes)
-        return self._start(context, ways, nodes)
+            nodes = self._within_rule(context, cost_to_go, nodes)
+        return self._start(context, cost_to_go, nodes)
 
-    def beside(
+    def clear_course(
         self, position_m: NDArray[np.float64], start: GlobalStart, discs: MovingDiscs
     ) -> tuple[GlobalStart, NDArray[np.float64], TimedPath] | None:
         """Return a path to the goal that keeps clear of moving discs; None if there is none."""
@@ -134,7 +136,7 @@ class GlobalSearch:
         metre_cost = np.append(start.metre_cost, 1.0 + price * float(here[0]))
         costs = TimedCosts(
             scene.road_map,
-            start.ways,
+            start.cost_to_go,
             scene.goal_node,
             problem.planner.step_s,
             problem.step_length_m - STEP_PAD_M,
@@ -145,14 +147,14 @@ class GlobalSearch:
         found = search_timed(costs, position_m, nodes, lengths, discs, problem.planner.horizon)
         return None if found is None else self._given(position_m, start, found, discs.steps)
 
-    def aside(
+    def refuge_course(
         self,
         position_m: NDArray[np.float64],
         start: GlobalStart,
         others_m: NDArray[np.float64],
         steps: int,
     ) -> tuple[GlobalStart, NDArray[np.float64], TimedPath] | None:
-        """Return a path to a refuge off the others' positions (k, 2); as :meth:`beside`."""
+        """Return a path to a refuge off the others' positions (k, 2); as :meth:`clear_course`."""
         problem, scene = self._problem, self._scene
         found = search_room(
             scene.road_map,
@@ -196,7 +198,7 @@ class GlobalSearch:
         allowed = (1.0 + self._problem.reach.outage_price) * self._direct_m
         return history.has_circled or history.steps * self._problem.step_length_m > allowed
 
-    def _ways_from(self, position_m: NDArray[np.float64]) -> CostToGo:
+    def _cost_to_go_from(self, position_m: NDArray[np.float64]) -> CostToGo:
         """Return the cost-to-go to the goal near the robot and near the end of its plan.
 
         The search radius follows from the cost-to-go one step ago; if it is too small, the search
@@ -206,13 +208,13 @@ class GlobalSearch:
         node = node_at(scene.road_map, position_m)
         back_m = BACK_STEPS * self._problem.step_length_m
         limit_m = self._here_m + 2.0 * back_m
-        ways = lattice_paths(scene.road_map, scene.goal_node, metre_cost, limit_m=limit_m)
-        here_m = float(ways.cost_m[node]) if node >= 0 else np.inf
+        cost_to_go = lattice_paths(scene.road_map, scene.goal_node, metre_cost, limit_m=limit_m)
+        here_m = float(cost_to_go.cost_m[node]) if node >= 0 else np.inf
         if here_m + back_m > limit_m:
-            ways = lattice_paths(scene.road_map, scene.goal_node, metre_cost)
-            here_m = float(ways.cost_m[node]) if node >= 0 else np.inf
+            cost_to_go = lattice_paths(scene.road_map, scene.goal_node, metre_cost)
+            here_m = float(cost_to_go.cost_m[node]) if node >= 0 else np.inf
         self._here_m = here_m if self._is_alone else np.inf
-        return ways
+        return cost_to_go
 
     def _metre_cost(self) -> NDArray[np.float64]:
         """Return the cost per metre at every node, in metres."""
@@ -220,7 +222,7 @@ class GlobalSearch:
         return np.where(self.margins.outside, FORBIDDEN, charged) if self._forbids else charged
 
     def _within_rule(
-        self, context: StepContext, ways: CostToGo, cheapest: NDArray[np.intp]
+        self, context: StepContext, cost_to_go: CostToGo, cheapest: NDArray[np.intp]
     ) -> NDArray[np.intp]:
         """Return the cheapest path that satisfies the rule and makes enough progress.
 
@@ -230,7 +232,7 @@ class GlobalSearch:
         places = self._scene.road_map.nodes_m
 
         def search(guide: Guide) -> list[NDArray[np.float64]]:
-            nodes = self._cheapest(context, ways, guide, priced=True)
+            nodes = self._cheapest(context, cost_to_go, guide, priced=True)
             if nodes is None:
                 return []
             path = places[nodes]
@@ -241,19 +243,19 @@ class GlobalSearch:
         find_guided(context, search, lambda path: rule_missing(context, path) == 0.0)
         all_nodes = list(found.values())
         missing = [round(rule_missing(context, places[nodes]), 2) for nodes in all_nodes]
-        costs = [self._cost_s(context, ways, nodes) for nodes in all_nodes]
+        costs = [self._cost_s(context, cost_to_go, nodes) for nodes in all_nodes]
         order = sorted(range(len(costs)), key=lambda k: (missing[k], costs[k]))
         if self._problem.constraints.rule.slack_max_db is not None:
             return all_nodes[order[0]]
         joined, lengths = first_moves(self._scene.ground, self._problem, context.position_m)
-        begin = float((lengths + ways.cost_m[joined]).min())
-        least = LEAST_PROGRESS * (begin - ways.cost_m[cheapest[-1]])
+        begin = float((lengths + cost_to_go.cost_m[joined]).min())
+        least = LEAST_PROGRESS * (begin - cost_to_go.cost_m[cheapest[-1]])
         for k in order:
-            if begin - ways.cost_m[all_nodes[k][-1]] >= least:
+            if begin - cost_to_go.cost_m[all_nodes[k][-1]] >= least:
                 return all_nodes[k]
         return cheapest
 
-    def _cost_s(self, context: StepContext, ways: CostToGo, nodes: NDArray[np.intp]) -> float:
+    def _cost_s(self, context: StepContext, cost_to_go: CostToGo, nodes: NDArray[np.intp]) -> float:
         """Return the total cost of a path and of the route from its end."""
         problem, road_map = self._problem, self._scene.road_map
         places = np.vstack([context.position_m, road_map.nodes_m[nodes]])
@@ -268,21 +270,21 @@ class GlobalSearch:
         share = np.concatenate([here, self.margins.outage_share[nodes]])
         lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
         charged = problem.reach.outage_price * charged_length_m(lengths, share)
-        return cost + self._rate * (charged + float(ways.cost_m[nodes[-1]]))
+        return cost + self._rate * (charged + float(cost_to_go.cost_m[nodes[-1]]))
 
-    def _shortest(self, context: StepContext, ways: CostToGo) -> NDArray[np.intp] | None:
+    def _shortest(self, context: StepContext, cost_to_go: CostToGo) -> NDArray[np.intp] | None:
         """Return the nodes (N,) of the fastest path, or of the shortest path if that is shorter."""
         places, position = self._scene.road_map.nodes_m, context.position_m
-        fastest = self._cheapest(context, ways, None, priced=False, effort_s2_m2=0.0)
+        fastest = self._cheapest(context, cost_to_go, None, priced=False, effort_s2_m2=0.0)
         if fastest is None:
             return None
         joined, lengths = first_moves(self._scene.ground, self._problem, position)
-        ahead = lengths + ways.cost_m[joined]
+        ahead = lengths + cost_to_go.cost_m[joined]
         legs = np.linalg.norm(np.diff(np.vstack([position, places[fastest]]), axis=0), axis=1)
-        if float(legs.sum() + ways.cost_m[fastest[-1]]) <= float(ahead.min()) + STANDSTILL_M:
+        if float(legs.sum() + cost_to_go.cost_m[fastest[-1]]) <= float(ahead.min()) + STANDSTILL_M:
             return fastest
         first = int(np.argmin(ahead))
-        nodes = route_from(self._scene.road_map, ways, int(joined[first]), np.inf)
+        nodes = route_from(self._scene.road_map, cost_to_go, int(joined[first]), np.inf)
         if lengths[first] <= STANDSTILL_M and len(nodes) > 1:
             nodes = nodes[1:]
         horizon = self._problem.planner.horizon
@@ -298,7 +300,7 @@ class GlobalSearch:
     def _cheapest(
         self,
         context: StepContext,
-        ways: CostToGo,
+        cost_to_go: CostToGo,
         guide: Guide | None,
         *,
         priced: bool,
@@ -333,7 +335,7 @@ class GlobalSearch:
                 effort_s2_m2,
                 scene.goal_node,
                 np.zeros(len(places)) if guide is None else self._penalty_s(guide),
-                self._rate * ways.cost_m,
+                self._rate * cost_to_go.cost_m,
                 surcharge if priced else None,
                 moving,
             )
@@ -346,12 +348,12 @@ class GlobalSearch:
     def _penalty_s(self, guide: Guide) -> NDArray[np.float64]:
         """Return the penalties (N, n) of ending steps at nodes; credits are negative."""
         margins, threshold = self.margins, self._problem.stations[0].threshold_dbm
-        penalty = np.zeros((len(guide.asked), len(margins.mean_db)))
-        if guide.asked.any():
+        penalty = np.zeros((len(guide.bounded), len(margins.mean_db)))
+        if guide.bounded.any():
             margin = bound_margin_db(margins.mean_db, margins.deviation_db, threshold, guide.level)
             missing = np.maximum(MARGIN_PAD_DB - margin, 0.0)
             below = np.where(missing > 0.0, OUT_OF_BOUND_STEP_S, 0.0) + MISSING_DB_S * missing
-            penalty[guide.asked] = below
+            penalty[guide.bounded] = below
         if guide.credit.any():
             chance = connection_probability(margins.mean_db, margins.deviation_db, threshold)
             step_s = self._rate * self._problem.step_length_m
@@ -361,16 +363,16 @@ class GlobalSearch:
     def _start(
         self,
         context: StepContext,
-        ways: CostToGo,
+        cost_to_go: CostToGo,
         nodes: NDArray[np.intp],
         *,
         direct: bool = False,
     ) -> GlobalStart:
         """Return the initial guess that consists of these nodes."""
         problem, road_map = self._problem, self._scene.road_map
-        route = route_from(road_map, ways, int(nodes[-1]), np.inf)
+        route = route_from(road_map, cost_to_go, int(nodes[-1]), np.inf)
         soon = route_from(
-            road_map, ways, int(nodes[-1]), problem.planner.horizon * problem.step_length_m
+            road_map, cost_to_go, int(nodes[-1]), problem.planner.horizon * problem.step_length_m
         )
         margin = self.margins.margin_db[nodes]
         outside = self.margins.outside
@@ -387,8 +389,10 @@ class GlobalSearch:
             margin_db=margin,
             route_m=road_map.nodes_m[route[1:]],
             beyond_m=road_map.nodes_m[soon],
-            ways=ways,
-            metre_cost=np.ones(len(outside)) if ways is self._scene.ways else self._metre_cost(),
+            cost_to_go=cost_to_go,
+            metre_cost=np.ones(len(outside))
+            if cost_to_go is self._scene.cost_to_go
+            else self._metre_cost(),
             is_blocked=self._forbids and bool(outside[nodes].any() or outside[route].any()),
             is_direct=direct,
         )

@@ -68,7 +68,7 @@ class StageRewards:
         # Blocked or unreachable nodes keep these values.
         self._chance, self._fixed = np.zeros(shape), np.full(shape, -np.inf)
         # Rewards of unconstrained steps.
-        self._unbounded = self._fixed if guide.asked.all() else self._fixed.copy()
+        self._unbounded = self._fixed if guide.bounded.all() else self._fixed.copy()
         self._credit = self._largest * guide.credit
         self._look_at(field.window)
 
@@ -85,7 +85,7 @@ class StageRewards:
         self._look_at((nodes[:, 0], nodes[:, 1]))
 
     def _rewards(self, where: Window | Nodes, stage: int | NDArray[np.intp]) -> NDArray[np.float64]:
-        reward = np.where(self._guide.asked[stage], self._fixed[where], self._unbounded[where])
+        reward = np.where(self._guide.bounded[stage], self._fixed[where], self._unbounded[where])
         if self._credit.any():
             reward += self._credit[stage] * self._chance[where]
         for term in self._context.problem.terms:
@@ -108,7 +108,7 @@ class StageRewards:
         self._chance[where] = np.where(known, chance, 0.0)
         fixed = np.zeros_like(mean) if self._alone is None else self._alone[where]
         self._unbounded[where] = np.where(known, fixed, -np.inf)
-        if self._guide.asked.any():
+        if self._guide.bounded.any():
             margin = bound_margin_db(mean, deviation, radio.threshold_dbm, self._guide.level)
             missing = np.maximum(MARGIN_PAD_DB - margin, 0.0)
             cost = MISSING_DB_SHARE * missing + problem.planner.horizon * (missing > 0.0)
@@ -293,7 +293,7 @@ class GuessSearch:
 
     def _loses(self, rewards: StageRewards, path: NDArray[np.intp], guide: Guide) -> bool:
         """Return whether the path loses value after its nodes are predicted more accurately."""
-        if not (guide.asked.any() or guide.credit.any()):
+        if not (guide.bounded.any() or guide.credit.any()):
             return False
         before = float(rewards.along(path).sum())
         if not self._field.correct(path):

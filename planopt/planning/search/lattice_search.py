@@ -334,8 +334,8 @@ class StageFrame:
         rows, columns = np.nonzero(listed[without_margin(widest)])
         rows, columns = rows + widest[0].start, columns + widest[1].start
         up = np.maximum(first[0].start - rows, rows - first[0].stop + 1)
-        beside = np.maximum(first[1].start - columns, columns - first[1].stop + 1)
-        stage = (np.maximum(np.maximum(up, beside), 0) + REACH - 1) // REACH
+        sideways = np.maximum(first[1].start - columns, columns - first[1].stop + 1)
+        stage = (np.maximum(np.maximum(up, sideways), 0) + REACH - 1) // REACH
         order = np.argsort(stage.astype(np.int16), kind="stable")
         rows, columns = rows[order], columns[order]
         stages = np.arange(len(self._windows))
@@ -422,9 +422,9 @@ class LatticeValues:
         height, width = value.shape
         best, source = -np.inf, node
         for move, (dx, dy) in enumerate(MOVES_BY_NUMBER):
-            at, beside = row - dy - rows.start, column - dx - columns.start
-            if 0 <= at < height and 0 <= beside < width and not blocked[move]:
-                arriving = value.item(at, beside) + values[move] - surcharge[move]
+            at, sideways = row - dy - rows.start, column - dx - columns.start
+            if 0 <= at < height and 0 <= sideways < width and not blocked[move]:
+                arriving = value.item(at, sideways) + values[move] - surcharge[move]
                 if arriving > best:
                     best, source = arriving, (node[0] - dy, node[1] - dx)
         return source

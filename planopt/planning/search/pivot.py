@@ -41,7 +41,7 @@ class Ahead:
         self._problem = problem
         self._scene = scene
         self._start = start
-        self._has_all_ways = False
+        self._is_complete = False
         self._node_margin_db = node_margin_db
         self.pivot = self._seen_from(int(start.nodes[-1]), None)
         # Lattice path, refined path and released path are evaluated repeatedly.
@@ -71,7 +71,7 @@ class Ahead:
         if is_seen and to_pivot * pivot.metre_cost + pivot.cost_m <= cost_m:
             return pivot
         place = self._scene.road_map.nodes_m[node]
-        return Pivot(place, float(self._start.ways.cost_m[node]), metre)
+        return Pivot(place, float(self._start.cost_to_go.cost_m[node]), metre)
 
     def leading(self, end_m: NDArray[np.float64]) -> Pivot:
         """Return a pivot of the route from `end_m` (2,) that a path of N steps cannot reach.
@@ -95,12 +95,14 @@ class Ahead:
             return None
         metre = start.metre_cost[nodes]
         metre = 0.5 * (metre + metre[np.argmin(lengths)])
-        total = lengths * metre + start.ways.cost_m[nodes]
+        total = lengths * metre + start.cost_to_go.cost_m[nodes]
         best = int(np.argmin(total))
-        if not np.isfinite(total[best]) and not self._has_all_ways:
+        if not np.isfinite(total[best]) and not self._is_complete:
             # The search did not expand these nodes.
-            ways = lattice_paths(self._scene.road_map, self._scene.goal_node, start.metre_cost)
-            self._start, self._has_all_ways = replace(start, ways=ways), True
+            cost_to_go = lattice_paths(
+                self._scene.road_map, self._scene.goal_node, start.metre_cost
+            )
+            self._start, self._is_complete = replace(start, cost_to_go=cost_to_go), True
             return self._join(end_m)
         return int(nodes[best]), float(total[best]), float(metre[best])
 
@@ -126,7 +128,7 @@ def find_pivot(
 ) -> Pivot:
     """Return the farthest route point visible from the guess's end, or one out of reach."""
     end = int(start.nodes[-1])
-    way = route_from(scene.road_map, start.ways, end, LOOKAHEAD_STEPS * step_length_m)
+    way = route_from(scene.road_map, start.cost_to_go, end, LOOKAHEAD_STEPS * step_length_m)
     places = scene.road_map.nodes_m[way]
     origin = places[0] if origin_m is None else origin_m
     chosen = 0
@@ -145,7 +147,7 @@ def find_pivot(
         room = LATTICE_DETOUR * len(start.nodes) * step_length_m
         enough = int(np.argmax(ahead >= room)) if ahead.max() >= room else len(ahead) - 1
         chosen = max(farthest_seen, enough)
-    cost_m = start.ways.cost_m
+    cost_m = start.cost_to_go.cost_m
     straight = float(np.linalg.norm(places[chosen] - origin))
     # From the guess's end both cost computations agree, whatever lies between.
     joining = float(np.linalg.norm(places[0] - origin)) * float(start.metre_cost[end])

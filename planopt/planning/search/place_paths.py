@@ -77,10 +77,10 @@ class ProbedPlaces:
         places = self._places(context)
         seen = free_ends(self._problem, self._ground, context.position_m, places)
         seen[0] = True
-        ways = [*self._straight(context.position_m, places[seen])]
-        ways += self._round(context, places[~seen])
-        paths = np.array(ways)
-        guessed = self._chance(context, self._beside(field, paths.reshape(-1, 2)))
+        routes = [*self._straight(context.position_m, places[seen])]
+        routes += self._round(context, places[~seen])
+        paths = np.array(routes)
+        guessed = self._chance(context, self._near_power(field, paths.reshape(-1, 2)))
         guessed = np.nan_to_num(guessed).reshape(paths.shape[:2])
         kept = self._best(context, paths, guessed, COMPARED)
         paths, guessed = paths[kept], guessed[kept]
@@ -110,7 +110,7 @@ class ProbedPlaces:
             missing = np.maximum(constraints.p_min - each, 0.0).sum(axis=1)
         return np.lexsort((-value, np.round(missing, 3)))[:count]
 
-    def _beside(self, field: NodeField, places_m: NDArray[np.float64]) -> Prediction:
+    def _near_power(self, field: NodeField, places_m: NDArray[np.float64]) -> Prediction:
         """Return the power at the free node nearest to each position (n, 2)."""
         power = field.nearest(places_m)
         blocked = np.flatnonzero(np.isnan(power.mean_db))
@@ -151,8 +151,8 @@ class ProbedPlaces:
         length = np.linalg.norm(away, axis=1)
         driven = self._longest_m * np.arange(1, horizon + 1)
         share = np.minimum(1.0, driven / np.maximum(length, 1e-12)[:, None])
-        ways = here_m + share[..., None] * away[:, None]
-        return np.where((share >= 1.0)[..., None], places_m[:, None], ways)
+        routes = here_m + share[..., None] * away[:, None]
+        return np.where((share >= 1.0)[..., None], places_m[:, None], routes)
 
     def _round(
         self, context: StepContext, hidden_m: NDArray[np.float64]
@@ -164,12 +164,12 @@ class ProbedPlaces:
         away = np.linalg.norm(hidden_m - target[-1], axis=1)
         hidden_m = hidden_m[np.argsort(away, kind="stable")[:MOST_HIDDEN]]
         reach_m = horizon * self._longest_m
-        ways = PathsFrom(self._problem, self._ground, context.position_m, reach_m)
+        routes = PathsFrom(self._problem, self._ground, context.position_m, reach_m)
         nodes = self._ground.road_map.nodes_m
-        beside = self._nodes.nearest(hidden_m, 1)[0][:, 0]
+        next_to = self._nodes.nearest(hidden_m, 1)[0][:, 0]
         found: list[NDArray[np.float64]] = []
-        for node in np.unique(beside[np.isfinite(ways.length_m[beside])]):
-            turns = ways.turns_m(int(node), nodes[node])
+        for node in np.unique(next_to[np.isfinite(routes.length_m[next_to])]):
+            turns = routes.turns_m(int(node), nodes[node])
             stops = stops_along(turns, self._longest_m)[1:]
             if 0 < len(stops) <= horizon:
                 found.append(held(context, list(stops)))
@@ -187,32 +187,32 @@ def path_to_unmeasured(context: StepContext, ground: Ground) -> NDArray[np.float
     left = left_to_learn(problem, ground.index, lattice, here, context.anticipated)
     if not len(left):
         return None
-    ways = PathsFrom(problem, ground, here)
-    beside = PlaceTree(nodes).nearest(left, 1)[0][:, 0]
+    routes = PathsFrom(problem, ground, here)
+    next_to = PlaceTree(nodes).nearest(left, 1)[0][:, 0]
     longest = problem.step_length_m - STEP_PAD_M
-    steps = _steps(ways, left, here, beside, nodes, longest)
+    steps = _steps(routes, left, here, next_to, nodes, longest)
     near = np.flatnonzero(steps <= steps.min() + STEPS_MORE)
     if not np.isfinite(steps[near]).all():
         return None
     single = left[near][:, None]
     best = int(near[(LocalRanking(context, single)(single) / steps[near]).argmax()])
-    stops = stops_along(ways.turns_m(int(beside[best]), left[best]), longest)[1:]
+    stops = stops_along(routes.turns_m(int(next_to[best]), left[best]), longest)[1:]
     horizon = problem.planner.horizon
     return np.concatenate([stops, np.repeat(stops[-1:], horizon, axis=0)])[:horizon]
 
 
 def _steps(
-    ways: PathsFrom,
+    routes: PathsFrom,
     places_m: NDArray[np.float64],
     here_m: NDArray[np.float64],
-    beside: NDArray[np.intp],
+    next_to: NDArray[np.intp],
     nodes_m: NDArray[np.float64],
     longest_m: float,
 ) -> NDArray[np.float64]:
     """Return the number of steps to each position, straight or via its nearest node; (n,)."""
-    aside: NDArray[np.float64] = np.linalg.norm(nodes_m[beside] - places_m, axis=1)
+    aside: NDArray[np.float64] = np.linalg.norm(nodes_m[next_to] - places_m, axis=1)
     straight: NDArray[np.float64] = np.linalg.norm(places_m - here_m, axis=1)
-    length = np.where(ways.straight(places_m), straight, ways.length_m[beside] + aside)
+    length = np.where(routes.straight(places_m), straight, routes.length_m[next_to] + aside)
     return np.maximum(np.ceil(length / longest_m), 1.0)
 
 
@@ -239,9 +239,9 @@ def paths_to_good_place(scorer: Scorer, probed: Sequence[Candidate]) -> list[NDA
     length = problem.step_length_m - STEP_PAD_M
     clear = problem.constraints.clearance_m + CLEARANCE_PAD_M
     bounds = problem.workspace.bounds_m
-    ways = shortest_paths(index, bounds, scorer.position_m, clear, step * length, inner=False)
-    place = _good_place(scorer, ways, step, clear)
-    turns = None if place is None else turns_m(ways, place)
+    routes = shortest_paths(index, bounds, scorer.position_m, clear, step * length, inner=False)
+    place = _good_place(scorer, routes, step, clear)
+    turns = None if place is None else turns_m(routes, place)
     if turns is None:
         return []
     horizon = problem.planner.horizon
@@ -253,7 +253,7 @@ def paths_to_good_place(scorer: Scorer, probed: Sequence[Candidate]) -> list[NDA
 
 
 def _good_place(
-    scorer: Scorer, ways: ShortestPaths, step: int, clear_m: float
+    scorer: Scorer, routes: ShortestPaths, step: int, clear_m: float
 ) -> NDArray[np.float64] | None:
     """Return the nearest position (2,) that meets the bound, with the pad if possible."""
     nodes = FINE_NODES if step <= FINE_STEPS else COARSE_NODES
@@ -264,7 +264,7 @@ def _good_place(
     around = np.stack(np.meshgrid(fractions, fractions), axis=-1).reshape(1, -1, 2)
     found: list[NDArray[np.float64]] = []
     for _ in range(REFINEMENTS + 1):
-        places, margins, length = _reached(scorer, ways, places, clear_m)
+        places, margins, length = _reached(scorer, routes, places, clear_m)
         if not len(places):
             break
         found.append(np.column_stack([places, margins, length]))
@@ -278,17 +278,17 @@ def _good_place(
 
 
 def _reached(
-    scorer: Scorer, ways: ShortestPaths, places_m: NDArray[np.float64], clear_m: float
+    scorer: Scorer, routes: ShortestPaths, places_m: NDArray[np.float64], clear_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Return the reachable positions (n, 2), their margins and path lengths, best first."""
-    away = np.linalg.norm(places_m - ways.start_m, axis=1)
-    places = places_m[(away <= ways.radius_m) & inside_bounds(scorer.problem.workspace, places_m)]
+    away = np.linalg.norm(places_m - routes.start_m, axis=1)
+    places = places_m[(away <= routes.radius_m) & inside_bounds(scorer.problem.workspace, places_m)]
     places = places[is_clear(clearance_m(scorer.index, places), clear_m)]
     if not len(places):
         return places, np.zeros(0), np.zeros(0)
     margins = scorer.margins_db(search_prediction(scorer.context.law, places))
-    probed = _promise(margins, np.linalg.norm(places - ways.start_m, axis=1))[:MEASURED]
-    length = path_lengths_m(ways, places[probed])
+    probed = _promise(margins, np.linalg.norm(places - routes.start_m, axis=1))[:MEASURED]
+    length = path_lengths_m(routes, places[probed])
     probed, length = probed[np.isfinite(length)], length[np.isfinite(length)]
     order = _promise(margins[probed], length)
     return places[probed[order]], margins[probed[order]], length[order]
@@ -313,9 +313,9 @@ def _in_fewest_steps(
     between = np.arange(0.0, driven[-1], length_m / STEP_PLACES)
     at = np.unique(np.concatenate([driven, between]))
     places = np.stack([np.interp(at, driven, way[:, axis]) for axis in (0, 1)], axis=1)
-    beside, beside_at = _crossings(way, driven, length_m)
-    order = np.argsort(np.concatenate([at, beside_at]), kind="stable")
-    places = np.concatenate([places, beside])[order]
+    next_to, crossed_at = _crossings(way, driven, length_m)
+    order = np.argsort(np.concatenate([at, crossed_at]), kind="stable")
+    places = np.concatenate([places, next_to])[order]
     steps = np.full(len(places), np.inf)
     steps[0] = 0.0
     came = np.zeros(len(places), dtype=np.intp)

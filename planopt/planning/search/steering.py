@@ -31,7 +31,7 @@ from planopt.planning.search.global_search import FORBIDDEN
 from planopt.planning.search.node_margins import LatticeMap, NodeMargins
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.planning.values.context import StepContext
-from planopt.planning.values.exploration import SteeringWay, steering_way, workspace_region
+from planopt.planning.values.exploration import SteeringPath, steering_path, workspace_region
 from planopt.problems.problem import Problem
 from planopt.world.clearance import segments_clear
 from planopt.world.lattice import lattice_paths, route_from
@@ -58,14 +58,14 @@ class Steering:
         self._map = TileMap(x, y, needed, TILE, NEIGHBOURS)
         nodes = ground.road_map.nodes_m
         self._nearest = PlaceTree(nodes).nearest(places, 1)[0][:, 0]
-        beside = nodes[self._nearest]
+        next_to = nodes[self._nearest]
         # A cell too close to an obstacle is unreachable.
         wanted = problem.constraints.clearance_m + CLEARANCE_PAD_M
-        clear = segments_clear(ground.index, beside, places, wanted)
-        away: NDArray[np.float64] = np.linalg.norm(beside - places, axis=1)
-        self._beside_m = np.where(clear, away, np.inf)
+        clear = segments_clear(ground.index, next_to, places, wanted)
+        away: NDArray[np.float64] = np.linalg.norm(next_to - places, axis=1)
+        self._away_m = np.where(clear, away, np.inf)
 
-    def find_way(self, context: StepContext) -> SteeringWay | None:
+    def find_path(self, context: StepContext) -> SteeringPath | None:
         """Return the steering path; None if no reachable cell exceeds the variance threshold."""
         (own,), (posterior,) = context.stations, context.anticipated
         if posterior is own:
@@ -77,17 +77,17 @@ class Steering:
         above = variance - self._term.variance_threshold_db2
         is_open = context.measuring.is_open(self._places_m)
         counted = np.where(is_open, np.maximum(above, 0.0), 0.0)
-        return self.way_to_best(counted, context.position_m)
+        return self.path_to_best(counted, context.position_m)
 
-    def way_to_best(
+    def path_to_best(
         self, above_db2: NDArray[np.float64], position_m: NDArray[np.float64]
-    ) -> SteeringWay | None:
+    ) -> SteeringPath | None:
         """Return the path to the cell with the largest J_CH for these excess variances."""
-        ways = PathsFrom(self._problem, self._ground, position_m)
-        distance = ways.length_m[self._nearest] + self._beside_m
+        paths = PathsFrom(self._problem, self._ground, position_m)
+        distance = paths.length_m[self._nearest] + self._away_m
         reachable = np.isfinite(distance)
         straight = np.linalg.norm(self._places_m - position_m, axis=1)
-        distance = np.where(ways.straight(self._places_m), straight, distance)
+        distance = np.where(paths.straight(self._places_m), straight, distance)
         score = np.zeros_like(above_db2)
         nearness = np.exp(-self._term.closeness_per_m * distance[reachable])
         score[reachable] = above_db2[reachable] * nearness
@@ -95,13 +95,13 @@ class Steering:
         if score[best] == 0.0:
             return None
         road_map, node = self._ground.road_map, int(self._nearest[best])
-        lengths = lattice_paths(road_map, node).cost_m + self._beside_m[best]
+        lengths = lattice_paths(road_map, node).cost_m + self._away_m[best]
         # Unreachable nodes get the largest finite distance; no search visits them.
         farthest = float(lengths[np.isfinite(lengths)].max())
         lattice = np.full(road_map.lattice.shape, farthest)
         lattice[road_map.rows, road_map.columns] = np.minimum(lengths, farthest)
-        turns = ways.turns_m(node, self._places_m[best])
-        return steering_way(self._problem, self._ground.index, turns, lattice)
+        turns = paths.turns_m(node, self._places_m[best])
+        return steering_path(self._problem, self._ground.index, turns, lattice)
 
 
 FIRST_RADIUS_STEPS, WIDER = 16.0, 2.0
@@ -116,7 +116,7 @@ class ConnectionSteering:
         self._map = LatticeMap(ground.road_map.lattice)
         self._radius_m = FIRST_RADIUS_STEPS * problem.step_length_m
 
-    def find_way(self, context: StepContext) -> SteeringWay | None:
+    def find_path(self, context: StepContext) -> SteeringPath | None:
         """Return the path to the start of the shortest search; None without a position to probe."""
         road_map, here = self._ground.road_map, context.position_m
         widest = context.workspace_diagonal_m
@@ -125,17 +125,17 @@ class ConnectionSteering:
         while True:
             radius = self._radius_m
             last = radius >= widest
-            ways = PathsFrom(self._problem, self._ground, here, math.inf if last else radius)
-            near = np.flatnonzero(np.isfinite(ways.length_m))
+            paths = PathsFrom(self._problem, self._ground, here, math.inf if last else radius)
+            near = np.flatnonzero(np.isfinite(paths.length_m))
             near = near[rule.is_open(road_map.nodes_m[near])]
             if len(near):
                 chance = self._chance(context, near, radius)
-                length = self._term.search_length_m(context, ways.length_m[near], chance)
+                length = self._term.search_length_m(context, paths.length_m[near], chance)
                 best = int(length.argmin())
                 if last or length[best] <= radius:
                     node = int(near[best])
-                    turns = ways.turns_m(node, road_map.nodes_m[node])
-                    return steering_way(self._problem, self._ground.index, turns)
+                    turns = paths.turns_m(node, road_map.nodes_m[node])
+                    return steering_path(self._problem, self._ground.index, turns)
             elif last:
                 return None
             self._radius_m *= WIDER
@@ -170,7 +170,7 @@ class GoalSteering:
         nodes, lengths = first_moves(ground, problem, self._goal_m)
         self._goal_node = int(nodes[lengths.argmin()]) if len(nodes) else None
 
-    def find_way(self, context: StepContext) -> SteeringWay | None:
+    def find_path(self, context: StepContext) -> SteeringPath | None:
         """Return the cheapest path by the current belief; None if obstacles enclose the goal."""
         road_map, here = self._ground.road_map, context.position_m
         nodes, lengths = first_moves(self._ground, self._problem, here)
@@ -178,18 +178,18 @@ class GoalSteering:
             return None
         self._margins.refresh(context.law)
         metre_cost = np.where(self._margins.outside & self._bounded, FORBIDDEN, 1.0)
-        ways = lattice_paths(road_map, self._goal_node, metre_cost)
-        cost = lengths * metre_cost[nodes] + ways.cost_m[nodes]
+        paths = lattice_paths(road_map, self._goal_node, metre_cost)
+        cost = lengths * metre_cost[nodes] + paths.cost_m[nodes]
         first = int(nodes[cost.argmin()])
-        if not np.isfinite(ways.cost_m[first]):
+        if not np.isfinite(paths.cost_m[first]):
             return None
-        along = route_from(road_map, ways, first, math.inf)
+        along = route_from(road_map, paths, first, math.inf)
         corners = np.vstack([here, road_map.nodes_m[along], self._goal_m])
         # Robot and goal get the cost of their nearest nodes.
         at_corner = metre_cost[np.concatenate([[first], along, [self._goal_node]])]
-        farthest = float(ways.cost_m[np.isfinite(ways.cost_m)].max())
+        farthest = float(paths.cost_m[np.isfinite(paths.cost_m)].max())
         lattice = np.full(road_map.lattice.shape, farthest)
-        lattice[road_map.rows, road_map.columns] = np.minimum(ways.cost_m, farthest)
+        lattice[road_map.rows, road_map.columns] = np.minimum(paths.cost_m, farthest)
         legs = np.linalg.norm(np.diff(corners, axis=0), axis=1)
         spent = np.append(0.0, np.cumsum(legs * 0.5 * (at_corner[1:] + at_corner[:-1])))
 
@@ -199,7 +199,7 @@ class GoalSteering:
             return self._leg_costs_m(corners[corner], ahead, metre_cost) <= allowed
 
         turns = taut_turns(self._ground, self._wanted_m, corners, is_cheap)
-        return steering_way(self._problem, self._ground.index, turns, lattice)
+        return steering_path(self._problem, self._ground.index, turns, lattice)
 
     def _leg_costs_m(
         self,

@@ -26,7 +26,7 @@ DELAYS_STEPS = (16, 64, 200)
 MOST_PLACES = 12_000
 """Maximum number of nodes per stage, lowest cost first."""
 
-ROUTES_TRIED = 4
+ROUTES_TESTED = 4
 """Number of routes tested in each stage, from the nodes of lowest cost."""
 
 
@@ -35,7 +35,7 @@ class TimedCosts:
     """Costs of lattice motion to a goal."""
 
     road_map: RoadMap  # Lattice, its cost-to-go without other robots, goal
-    ways: CostToGo
+    cost_to_go: CostToGo
     goal_node: int
     step_s: float  # Duration and maximum length of a step, effort weight
     step_m: float
@@ -45,10 +45,10 @@ class TimedCosts:
     surcharge_s_m: NDArray[np.float64]
 
 
-def route_nodes(ways: CostToGo, node: int) -> NDArray[np.intp]:
+def route_nodes(cost_to_go: CostToGo, node: int) -> NDArray[np.intp]:
     """Return the nodes of the shortest path from `node` to the goal, both included."""
     nodes = [node]
-    while (following := int(ways.next_node[nodes[-1]])) >= 0:
+    while (following := int(cost_to_go.next_node[nodes[-1]])) >= 0:
         nodes.append(following)
     return np.asarray(nodes, dtype=np.intp)
 
@@ -112,7 +112,7 @@ def search_timed(
     cost = step_cost_s(lengths, costs.step_s, costs.effort_s2_m2) + lengths * (
         half[nodes] + half[-1]
     )
-    to_go = costs.rate_s_m * costs.ways.cost_m
+    to_go = costs.rate_s_m * costs.cost_to_go.cost_m
     least = float((cost + to_go[nodes]).min(initial=np.inf))
     aside: TimedPath | None = None
     for delay in DELAYS_STEPS:
@@ -136,14 +136,14 @@ def search_room(
     if not len(first_nodes):
         return None
     here = int(first_nodes[np.argmin(first_length_m)])
-    ways = lattice_paths(road_map, here)
+    cost_to_go = lattice_paths(road_map, here)
     away = PlaceTree(others_m).nearest(road_map.nodes_m, 1)[1][:, 0]
     longest = float(road_map.lengths_m.max())
-    cost = np.where(away >= np.hypot(least_m + CLEARANCE_PAD_M, longest), ways.cost_m, np.inf)
+    cost = np.where(away >= np.hypot(least_m + CLEARANCE_PAD_M, longest), cost_to_go.cost_m, np.inf)
     room = int(np.argmin(cost))
     if not np.isfinite(cost[room]):
         return None
-    nodes = route_nodes(ways, room)[::-1]
+    nodes = route_nodes(cost_to_go, room)[::-1]
     # A robot already at a node would postpone its departure forever.
     nodes = nodes[1:] if len(nodes) > 1 and first_length_m.min() <= STANDSTILL_M else nodes
     waits = np.repeat(nodes[-1:], max(least_stages - len(nodes), 0))
@@ -162,7 +162,7 @@ def _search_within(
 
     The space-time search ends when all other robots have stopped; a static search does the rest.
     """
-    to_go = costs.rate_s_m * costs.ways.cost_m
+    to_go = costs.rate_s_m * costs.cost_to_go.cost_m
     stages: list[tuple[NDArray[np.intp], NDArray[np.intp]]] = [
         (nodes, np.zeros(len(nodes), dtype=np.intp))
     ]
@@ -173,8 +173,8 @@ def _search_within(
         if not len(nodes):
             return aside
         if k >= least_stages:
-            for row in np.argsort(cost + to_go[nodes], kind="stable")[:ROUTES_TRIED]:
-                route = route_nodes(costs.ways, int(nodes[row]))
+            for row in np.argsort(cost + to_go[nodes], kind="stable")[:ROUTES_TESTED]:
+                route = route_nodes(costs.cost_to_go, int(nodes[row]))
                 if _is_free(costs, discs, k, route):
                     total = float(cost[row] + to_go[nodes[row]])
                     return TimedPath(_nodes_to(stages, int(row)), route[1:], total)
@@ -184,12 +184,12 @@ def _search_within(
         if k < last:
             nodes, cost, came = _next_stage(costs, nodes, cost, discs, k, limit_s)
             stages.append((nodes, came))
-    ways = _ways_beside_standing(costs, discs)
-    total = cost + costs.rate_s_m * ways.cost_m[nodes]
+    cost_to_go = _cost_to_go_past_standing(costs, discs)
+    total = cost + costs.rate_s_m * cost_to_go.cost_m[nodes]
     row = int(np.argmin(total))
     if not np.isfinite(total[row]):
         return aside
-    route = route_nodes(ways, int(nodes[row]))
+    route = route_nodes(cost_to_go, int(nodes[row]))
     if not _is_free(costs, discs, last, route):
         return aside
     return TimedPath(_nodes_to(stages, row), route[1:], float(total[row]))
@@ -202,7 +202,7 @@ def _is_free(costs: TimedCosts, discs: MovingDiscs, step: int, route: NDArray[np
     return is_apart(discs, on, step)
 
 
-def _ways_beside_standing(costs: TimedCosts, discs: MovingDiscs) -> CostToGo:
+def _cost_to_go_past_standing(costs: TimedCosts, discs: MovingDiscs) -> CostToGo:
     """Return the cost-to-go with all discs at their last positions.
 
     Nodes near a disc are blocked, so that no move between other nodes comes too close to it.
@@ -230,7 +230,7 @@ def _next_stage(
     Moves of the lattice are symmetric.
     """
     road_map, count = costs.road_map, len(costs.road_map.nodes_m)
-    half, to_go = 0.5 * costs.surcharge_s_m, costs.rate_s_m * costs.ways.cost_m
+    half, to_go = 0.5 * costs.surcharge_s_m, costs.rate_s_m * costs.cost_to_go.cost_m
     targets = road_map.sources[nodes]
     lengths = road_map.lengths_m
     arriving = cost[:, None] + step_cost_s(lengths, costs.step_s, costs.effort_s2_m2)

@@ -137,10 +137,10 @@ class Couriers:
                 self._arrived.append(number)
         alone = self._alone(outlooks)
         order: list[int] = sorted(self._order, key=lambda number: number in self._arrived)
-        tried: list[list[int]] = []
+        searched: list[list[int]] = []
         waiting: list[Course] = []
-        while order not in tried:
-            tried.append(order)
+        while order not in searched:
+            searched.append(order)
             found, late = self._in_order(at, order, alone)
             if late is None:
                 self._order = order
@@ -164,7 +164,7 @@ class Couriers:
         for number in self._order:
             if number == first:
                 continue
-            course = self._planners[number].aside(alone[number].outlook, passing, steps)
+            course = self._planners[number].refuge_course(alone[number].outlook, passing, steps)
             if course is None:
                 return None
             if is_apart(_discs(self._problem, found, steps), course.places_m):
@@ -220,7 +220,7 @@ class Couriers:
             return alone
         obstacles = obstacles_ahead(self._problem, at.driven)
         discs = joined_discs(robots, _lasting(obstacles, robots.steps))
-        return self._planners[number].beside(alone.outlook, discs)
+        return self._planners[number].clear_course(alone.outlook, discs)
 
 
 def _discs(problem: Problem, courses: Mapping[int, Course], steps: int) -> MovingDiscs:

@@ -25,10 +25,10 @@ from planopt.planning.plan import BEGINNING, History, Plan, Verdict
 from planopt.planning.planners import Planner, asked_plan, planner_for
 from planopt.planning.proof.context import SEARCH_EXACT_LIMIT, verifier_context
 from planopt.planning.reservations import (
-    beside,
-    beside_each_other,
+    discs_to_avoid,
     planned_motion,
     reserved_motion,
+    with_separations,
 )
 from planopt.planning.scene import Ground, build_ground
 from planopt.planning.search.steering import ConnectionSteering, GoalSteering, Steering
@@ -43,13 +43,13 @@ from planopt.planning.values.context import (
     places_of_others,
     step_context,
 )
-from planopt.planning.values.exploration import SteeringWay, workspace_region
+from planopt.planning.values.exploration import SteeringPath, workspace_region
 from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.motion import TimedMotion
 from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
 
-Steer = Callable[[StepContext], SteeringWay | None]
+Steer = Callable[[StepContext], SteeringPath | None]
 """Function from a step context to the robot's steering path."""
 
 STEERINGS: Mapping[Steers, Callable[[Problem, Ground, Any], Any]] = {
@@ -81,12 +81,12 @@ def plan_in_turn(
         reserved = reserved_motion(problem, number, moment.states[number], moment.warm[number])
         made[number] = plan_one(
             number,
-            beside(problem, moment.driven, others),
+            discs_to_avoid(problem, moment.driven, others),
             reserved.places_m[: problem.planner.horizon + 1],
             made,
         )
     plans = [made[number] for number in range(len(order))]
-    return beside_each_other(problem, moment.driven, plans)
+    return with_separations(problem, moment.driven, plans)
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +127,7 @@ class Member:
         steered = None if context.steering is None else context.steering.turns_m
         return plan, replace(watched, steering_turns_m=steered, pending=pending)
 
-    def worth(self, plan: Plan, belief: Belief, aim: Aim, history: History) -> float:
+    def value(self, plan: Plan, belief: Belief, aim: Aim, history: History) -> float:
         """Return the objective of a plan's path for other external inputs."""
         index, place = self.ground.index, plan.positions_m[0]
         base = verifier_context(self.problem, index, belief.posteriors, place, history)
@@ -142,10 +142,10 @@ def _valued_alone(plan: Plan, context: StepContext) -> Plan:
     """
     if len(context.posterior.measurements) <= SEARCH_EXACT_LIMIT:
         return plan
-    worth = ObjectiveValue(replace(context))(plan.positions_m[1:])
+    value = ObjectiveValue(replace(context))(plan.positions_m[1:])
     unrefined = plan.lattice_objective == plan.objective
-    start = worth if unrefined else plan.lattice_objective
-    return replace(plan, objective=worth, lattice_objective=start)
+    start = value if unrefined else plan.lattice_objective
+    return replace(plan, objective=value, lattice_objective=start)
 
 
 def build_team(
@@ -165,7 +165,7 @@ def build_team(
         else:
             planner = FollowingPlanner(foreseen_m[number])
         steerings = (
-            STEERINGS[term.steers](own, ground, term).find_way
+            STEERINGS[term.steers](own, ground, term).find_path
             for term in own.terms
             if term.steers is not None
         )
@@ -186,9 +186,9 @@ def plan_together(
     stuck = [number for number in order if plans[number].verdict is not Verdict.VERIFIED]
     if stuck and len(team) > 1 and problem.constraints.separation_m > 0.0:
         again = stuck + [number for number in order if number not in stuck]
-        tried, tried_aims = _in_order(problem, team, moment, again, {})
-        if keep_apart(problem, tried) and _verified(tried) > _verified(plans):
-            plans, aims = tried, tried_aims
+        second, second_aims = _in_order(problem, team, moment, again, {})
+        if keep_apart(problem, second) and _verified(second) > _verified(plans):
+            plans, aims = second, second_aims
     if counts_others(problem) and len(team) > 1:
         for _ in range(problem.planner.rounds - 1):
             plans, aims = _again_in_turn(problem, team, moment, plans, aims)
@@ -261,7 +261,7 @@ def _again_in_turn(
         old, known = plans[number], dict(enumerate(plans)) | dict(made)
         plan, aim = _planned(team, moment, number, moving, reserved_m, known)
         before = moment.beliefs[number], aim, moment.histories[number]
-        better = plan.objective > team[number].worth(old, *before)
+        better = plan.objective > team[number].value(old, *before)
         better |= old.verdict is not Verdict.VERIFIED
         if plan.verdict is not Verdict.VERIFIED or not better:
             return old

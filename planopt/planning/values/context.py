@@ -29,7 +29,7 @@ from planopt.objectives.terms.term import Structure
 from planopt.objectives.tracking import Held
 from planopt.planning.proof.context import VerifierContext, search_power, search_prediction
 from planopt.planning.tolerances import STANDSTILL_M
-from planopt.planning.values.exploration import SteeringWay, explores, region_near, steering_way
+from planopt.planning.values.exploration import SteeringPath, explores, region_near, steering_path
 from planopt.problems.problem import Problem
 from planopt.targets.information_filter import TargetModel
 
@@ -146,7 +146,7 @@ class StepContext(VerifierContext):
     target_m: NDArray[np.float64] | None = None
     region: Region  # Region of the map, for terms that average over it
     # The steering path; None if no term steers or nothing to steer to is reachable
-    steering: SteeringWay | None = None
+    steering: SteeringPath | None = None
     # (4, 4) J_{t|t} of the station's filter; None without a target
     information: NDArray[np.float64] | None = None
     pending: Pending = NOTHING_PENDING  # Positions at which the other robots measure
@@ -351,7 +351,7 @@ def step_context(base: VerifierContext, region: Region, aim: Aim) -> StepContext
         base.goal_grid,
         region=region,
         target_m=aim.target_m,
-        steering=None if turns_m is None else steering_way(base.problem, base.index, turns_m),
+        steering=None if turns_m is None else steering_path(base.problem, base.index, turns_m),
         information=aim.information,
         pending=aim.pending,
         held=aim.held,

@@ -43,7 +43,7 @@ else:
 
 
 @dataclass(frozen=True, eq=False)
-class SteeringWay:
+class SteeringPath:
     """Path from a robot's position to its steering target."""
 
     # (m, 2), m at least 2: the robot's position, the turns, and the end
@@ -122,15 +122,15 @@ class SteeringWay:
         return (self.rest_m[0] - distance).sum(axis=-1)
 
 
-def steering_way(
+def steering_path(
     problem: Problem,
     index: ObstacleIndex,
     turns_m: NDArray[np.float64],
     lattice_m: NDArray[np.float64] | None = None,
-) -> SteeringWay:
+) -> SteeringPath:
     """Return the path through `turns_m` (m, 2) along which a problem's terms steer."""
     in_order = any(term.steers == "goal" for term in problem.terms)
-    return SteeringWay(turns_m, index, problem.constraints.clearance_m, lattice_m, in_order)
+    return SteeringPath(turns_m, index, problem.constraints.clearance_m, lattice_m, in_order)
 
 
 PLACES = 200
@@ -229,7 +229,7 @@ def left_to_learn(
     limits = [term.variance_threshold for term in problem.terms if explores(term)]
     known = [limit for limit in limits if limit is not None]
     if known and len(known) == len(limits):
-        places = _beside(problem, index, nodes, workspace_region(problem).grid_m)
+        places = _joined(problem, index, nodes, workspace_region(problem).grid_m)
         places = places[rule.is_open(places)]
         if not len(places):
             return places
@@ -244,7 +244,7 @@ def left_to_learn(
     around = np.stack(np.meshgrid(share, share), axis=-1).reshape(-1, 1, 2)
     between = (nodes + around).reshape(-1, 2)
     between = between[rule.is_open(between)]
-    return _beside(problem, index, nodes, between)
+    return _joined(problem, index, nodes, between)
 
 
 def reachable_nodes(
@@ -272,7 +272,7 @@ def reachable_nodes(
     return np.isin(part, part[rows[clear], columns[clear]]) & lattice.free
 
 
-def _beside(
+def _joined(
     problem: Problem,
     index: ObstacleIndex,
     nodes_m: NDArray[np.float64],

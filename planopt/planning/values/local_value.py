@@ -60,9 +60,9 @@ def local_value(
     # Each position keeps the turn visible from its initial value: small moves keep it visible.
     steering = context.steering
     ahead = None if steering is None else steering.next_turns(path_m)
-    tried = None
+    probed = None
     if any(term.steers == "connection" for term in problem.terms):
-        tried = context.probing.takes(path_m)
+        probed = context.probing.takes(path_m)
     rows = rows if rows is not None else rule_rows(context, path_m)
     z = rows.quantile
     bounded = has_step_rows(problem)
@@ -77,7 +77,7 @@ def local_value(
             anticipated,
             gates,
             ahead,
-            tried,
+            probed,
         )
         margins, total = None, None
         if bounded:

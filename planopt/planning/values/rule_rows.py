@@ -43,7 +43,7 @@ class RuleRows:
 
     threshold_dbm: float  # Power threshold of connection
     level: NDArray[np.float64]  # (N,) required probability of each step
-    asked: NDArray[np.bool_]  # (N,) whether the step is bounded
+    bounded: NDArray[np.bool_]  # (N,) whether the step is bounded
     # (N,) weights of the probabilities in the sum; None if no sum is bounded
     weight: NDArray[np.float64] | None = None
     total: float = 0.0  # Lower bound of the sum
@@ -56,7 +56,7 @@ class RuleRows:
     def margins_db(self, power: Prediction) -> NDArray[np.float64]:
         """Return the margin of each step at its own level; infinite for unconstrained steps."""
         margins = power.mean_db - self.quantile * power.deviation_db - self.threshold_dbm
-        return np.where(self.asked, margins, np.inf)
+        return np.where(self.bounded, margins, np.inf)
 
     def sum_of(self, power: Prediction) -> float:
         """Return the weighted sum of connection probabilities at predicted powers."""
@@ -85,8 +85,8 @@ def rule_rows(context: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
     power = context.predicted(path_m)
     if rule.holds_steps:
         keeps = margins_asked_db(problem, power) >= 0.0
-        asked = rule.held(keeps, history) & problem.constraints.asks_connection
-        return RuleRows(threshold, np.where(asked, p_min, UNASKED), asked)
+        bounded = rule.held(keeps, history) & problem.constraints.asks_connection
+        return RuleRows(threshold, np.where(bounded, p_min, UNASKED), bounded)
     chance = connection_probability(power.mean_db, power.deviation_db, threshold)
     achieved, slope = rule.slopes(chance, history)
     least = rule.required(p_min, history, count)
@@ -129,13 +129,13 @@ def rows_again(
     context: StepContext,
     rows: RuleRows,
     path_m: NDArray[np.float64],
-    tried: list[tuple[float, RuleResult]],
+    earlier: list[tuple[float, RuleResult]],
     result: RuleResult,
 ) -> RuleRows | None:
     """Return rows corrected by a path's (N, 2) verified result; None if the risk is used up.
 
     The correction is the secant between the last feasible and the last infeasible path, or half of
-    it if two successive paths are on the same side. The path is appended to `tried`.
+    it if two successive paths are on the same side. The path is appended to `earlier`.
     """
     rule, history = rule_of(context.problem), context.history
     if not rule.correlates(context.problem.constraints.p_min) or rows.weight is None:
@@ -147,17 +147,17 @@ def rows_again(
     if kept and (found >= USED_UP_SHARE * allowed or not is_held):
         return None
     chance = connection_probability(power.mean_db, power.deviation_db, rows.threshold_dbm)
-    tried.append((float(rule.valued(chance, history)), result))
-    within = [(value, 1.0 - one.achieved) for value, one in tried if not one.is_missed]
-    beyond = [(value, 1.0 - one.achieved) for value, one in tried if one.is_missed]
+    earlier.append((float(rule.valued(chance, history)), result))
+    within = [(value, 1.0 - one.achieved) for value, one in earlier if not one.is_missed]
+    beyond = [(value, 1.0 - one.achieved) for value, one in earlier if one.is_missed]
     if within and beyond:
         (low, low_risk), (high, high_risk) = within[-1], beyond[-1]
         share = AIMED_SHARE * (allowed - low_risk) / max(high_risk - low_risk, 1e-12)
-        if len(tried) > 2 and tried[-1][1].is_missed == tried[-2][1].is_missed:
+        if len(earlier) > 2 and earlier[-1][1].is_missed == earlier[-2][1].is_missed:
             share = 0.5
         value = low + share * (high - low)
     else:
-        value = scaled_value(rule, context, tried[-1][0], len(path_m), result)
+        value = scaled_value(rule, context, earlier[-1][0], len(path_m), result)
     achieved, slope = rule.slopes(chance, history)
     return replace(rows, weight=slope, total=value - float(achieved) + float(slope @ chance))
 
@@ -174,9 +174,9 @@ def step_rows(context: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
     chance = connection_probability(power.mean_db, power.deviation_db, rows.threshold_dbm)
     spare = (rows.sum_of(power) - rows.total) / max(float(rows.weight.sum()), 1e-9)
     level = chance - spare
-    asked = (rows.weight > 0.0) & (level > LEAST_LEVEL)
+    bounded = (rows.weight > 0.0) & (level > LEAST_LEVEL)
     level = np.clip(level, LEAST_LEVEL, 1.0 - LEAST_LEVEL)
-    return RuleRows(rows.threshold_dbm, np.where(asked, level, UNASKED), asked)
+    return RuleRows(rows.threshold_dbm, np.where(bounded, level, UNASKED), bounded)
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +184,7 @@ class Guide:
     """Required steps, level and credits that guide a search."""
 
     level: float  # Required probability of the bounded steps
-    asked: NDArray[np.bool_]  # (N,) mask of the bounded steps
+    bounded: NDArray[np.bool_]  # (N,) mask of the bounded steps
     # (N,) reward of a connection at each step relative to the largest reward of a step; multiplied
     # by its probability
     credit: NDArray[np.float64]

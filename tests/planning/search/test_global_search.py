@@ -119,7 +119,7 @@ def test_cost_to_go_against_networkx(price, charge, slack_max_db):
                 graph.add_edge(node, source, weight=metres)
     lengths = nx.single_source_dijkstra_path_length(graph, scene.goal_node)
     expected = np.array([lengths.get(node, np.inf) for node in range(len(road_map.nodes_m))])
-    assert start.ways.cost_m == pytest.approx(expected, rel=0.01)
+    assert start.cost_to_go.cost_m == pytest.approx(expected, rel=0.01)
 
 
 @pytest.mark.parametrize("charge", ["below_p_min", "everywhere"])
@@ -182,9 +182,9 @@ def test_nodes_far_behind_are_left_out_and_change_no_path(jump, monkeypatch):
     again, fresh = search.find_start(context), search_of(problem)[0].find_start(context)
     assert again is not None and fresh is not None
     assert (again.nodes == fresh.nodes).all() and (again.route_m == fresh.route_m).all()
-    known = np.isfinite(again.ways.cost_m)
+    known = np.isfinite(again.cost_to_go.cost_m)
     assert known.all() == jump and known[away <= 3.0 * problem.step_length_m].all()
-    assert (again.ways.cost_m[known] == fresh.ways.cost_m[known]).all()
+    assert (again.cost_to_go.cost_m[known] == fresh.cost_to_go.cost_m[known]).all()
     ahead = [Ahead(problem, scene, start, None)(far) for start in (again, fresh)]
     assert ahead[0].cost_m == ahead[1].cost_m
     assert (ahead[0].position_m == ahead[1].position_m).all()

@@ -102,7 +102,7 @@ def test_cheapest_path_to_a_goal_against_enumeration_by_stages(horizon):
     ends = road_map.nodes_m[nodes]
     kept = steps_apart(discs, 0, np.broadcast_to(AT, ends.shape), ends)
     nodes, lengths = nodes[kept], lengths[kept]
-    terminal = scene.ways.cost_m
+    terminal = scene.cost_to_go.cost_m
     none = np.zeros(len(road_map.nodes_m))
     steps = nodes, lengths, horizon, 1.0, 0.1
     table, goal = move_table(road_map.lattice), scene.goal_node

@@ -29,7 +29,7 @@ def start_at(scene, node, ways=None, horizon=4, metre_cost=None):
         margin_db=np.zeros(horizon),
         route_m=np.zeros((0, 2)),
         beyond_m=np.zeros((0, 2)),
-        ways=scene.ways if ways is None else ways,
+        cost_to_go=scene.cost_to_go if ways is None else ways,
         metre_cost=np.ones(len(scene.road_map.nodes_m)) if metre_cost is None else metre_cost,
         is_blocked=False,
     )
@@ -57,16 +57,18 @@ def test_from_every_node(polygons, horizon):
     room = LATTICE_DETOUR * horizon * step
     hidden = 0
     for node in range(0, len(places), 13):
-        if not np.isfinite(scene.ways.cost_m[node]):
+        if not np.isfinite(scene.cost_to_go.cost_m[node]):
             continue
         pivot = find_pivot(scene, start_at(scene, node, None, horizon), None, step, clearance)
-        way = route_from(scene.road_map, scene.ways, node, LOOKAHEAD_STEPS * step)
+        way = route_from(scene.road_map, scene.cost_to_go, node, LOOKAHEAD_STEPS * step)
         on_way = np.flatnonzero((places[way] == pivot.position_m).all(axis=1))
         assert len(on_way) == 1
         index = int(on_way[0])
-        assert pivot.cost_m == scene.ways.cost_m[way[index]]
+        assert pivot.cost_m == scene.cost_to_go.cost_m[way[index]]
         ahead = np.linalg.norm(places[way] - places[node], axis=1)
-        assert to_go_m(pivot, places[node]) == pytest.approx(scene.ways.cost_m[node], rel=1e-12)
+        assert to_go_m(pivot, places[node]) == pytest.approx(
+            scene.cost_to_go.cost_m[node], rel=1e-12
+        )
         assert 1.0 <= pivot.metre_cost <= (1.0 + LATTICE_DETOUR if index <= 1 else np.inf)
         in_sight = [sight(polygons, places[node], p) >= clearance for p in places[way]]
         last_seen = (in_sight.index(False) if False in in_sight else len(way)) - 1

@@ -27,7 +27,7 @@ def found_beside(problem, discs):
     search, belief, _ = search_of(problem)
     here = np.asarray(problem.robots[0].start_m)
     start = search.find_start(context_of(problem, belief, here))
-    return start, search.beside(here, start, discs)
+    return start, search.clear_course(here, start, discs)
 
 
 def least_m(places_m, discs):

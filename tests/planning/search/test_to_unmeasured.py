@@ -68,9 +68,9 @@ def test_other_terms_decide_for_themselves():
     """Who tracks a target as well is not sent away from it."""
     problem, context, _, ground = scene(TRACKING, INFORMATION, horizon=1)
     planner = HorizonPlanner(problem, ground)
-    assert planner._way_out(context, []) is None
+    assert planner._exit_path(context, []) is None
     problem, context, _, ground = scene(INFORMATION, ENERGY, horizon=1)
-    assert HorizonPlanner(problem, ground)._way_out(context, []) is not None
+    assert HorizonPlanner(problem, ground)._exit_path(context, []) is not None
 
 
 def test_with_all_measured_there_is_no_way():

@@ -88,7 +88,7 @@ def _worth_together(solution):
     total, made = 0.0, []
     for member, plan, aim in zip(members, solution.plans, solution.aims, strict=True):
         given = replace(aim, pending=Pending(tuple(made)))
-        total += member.worth(plan, solution.belief, given, BEGINNING)
+        total += member.value(plan, solution.belief, given, BEGINNING)
         made.append(plan.positions_m[1:])
     return total
 

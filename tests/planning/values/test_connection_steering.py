@@ -54,7 +54,7 @@ def measured(places_m, power_dbm):
 def steered(context, ground):
     """The way that a search is steered along."""
     problem = context.problem
-    return ConnectionSteering(problem, ground, problem.terms[0]).find_way(context)
+    return ConnectionSteering(problem, ground, problem.terms[0]).find_path(context)
 
 
 def oracle(context, ground):

@@ -14,7 +14,7 @@ from terms_scene import LEARNING, context_of, scorer_of, terms_problem
 from planopt import InputError, check, load, load_result, simulate
 from planopt.planning.proof.context import search_prediction
 from planopt.planning.search.steering import GoalSteering
-from planopt.planning.values.exploration import SteeringWay
+from planopt.planning.values.exploration import SteeringPath
 from planopt.problems import problem_to_dict
 from planopt.problems.problem import problem_from_tables
 from planopt.world import index_obstacles
@@ -47,7 +47,7 @@ def test_the_way_round_an_obstacle_is_the_shortest():
     """By two corners, 0.5 m away; the lattice costs 4 % at most."""
     problem = to_goal(GOAL)
     situation, ground, steering = scene(problem)
-    way = steering.find_way(situation)
+    way = steering.find_path(situation)
     # Below the block: its corners, and the start and the goal 3 m above them.
     shortest = 2 * np.hypot(8.0, 3.5) + 4.0
     assert shortest <= way.rest_m[0] <= 1.04 * shortest
@@ -80,10 +80,10 @@ def test_the_way_goes_round_a_hole():
             total += below.mean() * np.linalg.norm(end - start)
         return total
 
-    found = steering.find_way(situation)
+    found = steering.find_path(situation)
     ground = scorer_of(*context_of(problem))[1]
     unasked = replace(problem, constraints=replace(problem.constraints, p_min=0.0))
-    short = GoalSteering(unasked, ground, problem.terms[0]).find_way(situation)
+    short = GoalSteering(unasked, ground, problem.terms[0]).find_path(situation)
     assert short.rest_m[0] < found.rest_m[0]
     assert out_m(found.turns_m) < 0.7 * out_m(short.turns_m)
 
@@ -92,7 +92,7 @@ def test_places_go_on_in_the_order_of_the_turns():
     """The last turn is in sight from everywhere, and across the hole."""
     index = index_obstacles(with_obstacles(to_goal(GOAL)).workspace)
     turns = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0], [10.0, 0.0]])
-    way = SteeringWay(turns, index, 0.5, in_order=True)
+    way = SteeringPath(turns, index, 0.5, in_order=True)
     places = np.array([[0.0, 0.0], [1.0, 4.0], [5.0, 9.0], [9.5, 3.0]])
     np.testing.assert_array_equal(way.next_turns(places), [1, 1, 2, 3])
     np.testing.assert_array_equal(replace(way, in_order=False).next_turns(places), [3] * 4)

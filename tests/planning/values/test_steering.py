@@ -11,7 +11,7 @@ from terms_scene import context_of, scorer_of, terms_problem
 
 from planopt import Obstacle
 from planopt.planning.search.steering import Steering
-from planopt.planning.values.exploration import SteeringWay
+from planopt.planning.values.exploration import SteeringPath
 from planopt.world import clearance_m, index_obstacles, swept_clearance_m
 
 TWO_LAYER = {
@@ -41,7 +41,7 @@ def test_without_obstacles_the_target_is_that_of_the_equation(decay):
     variance = context.posterior.predict(unmeasured).deviation_db ** 2
     near = np.exp(-decay * np.linalg.norm(unmeasured - at, axis=1))
     best = int((np.maximum(0.0, variance - 2.0) * near).argmax())
-    way = Steering(problem, ground, problem.terms[0]).find_way(context)
+    way = Steering(problem, ground, problem.terms[0]).find_path(context)
     np.testing.assert_allclose(way.end_m, unmeasured[best])
     np.testing.assert_allclose(way.turns_m, [at, unmeasured[best]])
     # One step ahead the nearest place to it is the best: the inner layer of the equation.
@@ -77,12 +77,12 @@ def test_one_step_ahead_reaches_its_target_round_obstacles(obstacle, shortest_m)
     angle = 2.0 * np.pi * np.arange(72) / 72
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
     rings = (np.linspace(0.05, 1.0, 20)[:, None, None] * circle).reshape(-1, 2)
-    first = steering.way_to_best(above, position)
+    first = steering.path_to_best(above, position)
     assert swept_clearance_m(ground.index, first.turns_m).min() >= 0.5
     assert first.rest_m[0] >= shortest_m
     left, steps = first.rest_m[0], 0
     while np.linalg.norm(position - goal) > 0.11 and steps < 60:
-        way = steering.way_to_best(above, position)
+        way = steering.path_to_best(above, position)
         reach = np.linalg.norm(position - goal)
         ends = position + min(problem.step_length_m, max(reach, 0.1)) * rings
         starts = np.broadcast_to(position, ends.shape)
@@ -104,7 +104,7 @@ def test_distance_is_that_of_the_shortest_way():
     """About one corner: the two straight legs; from behind the obstacle back by the start."""
     wall = Obstacle("wall", shapely.box(5.0, 0.0, 6.0, 9.0))
     index = index_obstacles(replace(terms_problem(TWO_LAYER).workspace, obstacles=(wall,)))
-    way = SteeringWay(np.array([[0.0, 5.0], [5.5, 10.0], [10.0, 5.0]]), index, 0.5)
+    way = SteeringPath(np.array([[0.0, 5.0], [5.5, 10.0], [10.0, 5.0]]), index, 0.5)
     legs = [np.hypot(5.5, 5.0), np.hypot(4.5, 5.0)]
     np.testing.assert_allclose(way.rest_m, [sum(legs), legs[1], 0.0])
     places = np.array([[2.0, 8.0], [8.0, 9.0], [1.0, 8.5], [9.0, 1.0]])
@@ -128,4 +128,4 @@ def test_places_that_the_clearance_keeps_out_are_never_targets():
     for place in np.flatnonzero(near < 0.5):
         above = np.zeros(len(near))
         above[place] = 1.0
-        assert steering.way_to_best(above, context.position_m) is None
+        assert steering.path_to_best(above, context.position_m) is None

@@ -25,7 +25,7 @@ from planopt import Problem, load
 from planopt.channel import ChannelParameters
 from planopt.channel.calibration import FEWEST_GROUPS
 from planopt.planning.initial_data import prepare
-from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.solve import simulate
 from planopt.studies.comparison_rows import mean_interval
 from planopt.world import clearance_m, index_obstacles
 

@@ -16,7 +16,7 @@ from closed_loop_scenes import MAX_STEPS, random_problem
 
 from planopt import InputError, NoPlanError, Plan, Problem, Verdict, check
 from planopt.extend import Rung
-from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.solve import simulate
 
 OBJECTION = re.compile(r"^run\.json, key (plans.*), the plan for step \d+: (.*)$", re.DOTALL)
 NUMBER = re.compile(r"-?\d+(\.\d+)?(e[+-]?\d+)?")

@@ -27,9 +27,9 @@ from planopt import Problem, load
 from planopt.channel import measure
 from planopt.channel.posterior import extend
 from planopt.planning.initial_data import prepare
-from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.metrics import true_serving_dbm
 from planopt.planning.scene import Ground, build_ground
+from planopt.planning.solve import simulate
 
 LEAST_M = 30.0
 """Starts are at least so far from the nearest connected node, by the shortest path."""

@@ -23,7 +23,7 @@ from planopt.channel import condition, true_power_dbm
 from planopt.objectives.information import Information
 from planopt.objectives.moments import posterior_moments
 from planopt.planning.initial_data import prepare
-from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.solve import simulate
 from planopt.planning.values.exploration import workspace_region
 from planopt.studies.comparison_rows import mean_interval
 

@@ -24,8 +24,8 @@ from planopt import NoPlanError, load
 from planopt.objectives import ReachObjective
 from planopt.planning.initial_data import prepare
 from planopt.planning.loop.clairvoyant import clairvoyant_path, realised_cost_m
-from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.scene import build_scene
+from planopt.planning.solve import simulate
 from planopt.problems.objective import OutageCharge
 from planopt.problems.tasks import MOTION
 from planopt.studies.bench_cases import library_names

@@ -87,7 +87,7 @@ def test_an_output_folder_that_cannot_be_written(
     def work(*_: object, **__: object) -> None:
         raise AssertionError("work was done")
 
-    for module in ("planning.solve.solve", "planning.loop.closed_loop.simulate"):
+    for module in ("planning.solve.solve", "planning.solve.simulate"):
         monkeypatch.setattr(f"planopt.{module}", work)
     monkeypatch.setattr("planopt.studies.compare.compare", work)
     (tmp_path / "file").write_text("mine")

@@ -16,7 +16,7 @@ from dataclasses import replace
 import numpy as np
 
 from planopt import load
-from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.solve import simulate
 from planopt.report import draw_run
 
 

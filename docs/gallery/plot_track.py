@@ -15,7 +15,7 @@ target a robot sees well, near the station it is heard.
 from dataclasses import replace
 
 from planopt import load
-from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.solve import simulate
 from planopt.report import draw_run
 
 problem = load("outdoor_track")

@@ -83,13 +83,8 @@ def is_joined(problem: Problem, clearance_m: float, without: Obstacle | None = N
     )
 
 
-def obstacles_met(
-    problem: Problem, index: ObstacleIndex, path_m: NDArray[np.float64], first: int = 0
-) -> list[str]:
-    """Return a reason for every position and segment of a path (n, 2) that violates clearance.
-
-    The path begins after step `first`.
-    """
+def obstacles_met(problem: Problem, index: ObstacleIndex, path_m: NDArray[np.float64]) -> list[str]:
+    """Return a reason for every position and segment of a path (n, 2) that violates clearance."""
     reasons: list[str] = []
     inside: set[int] = set()
     for step, place in enumerate(path_m):
@@ -97,9 +92,7 @@ def obstacles_met(
         if obstacle is not None:
             inside.add(step)
             x, y = place
-            reasons.append(
-                f"step {first + step}: ({x:.3f}, {y:.3f}) lies in obstacle {obstacle.name}"
-            )
+            reasons.append(f"step {step}: ({x:.3f}, {y:.3f}) lies in obstacle {obstacle.name}")
     clearance = swept_clearance_m(index, path_m)
     near = ~is_clear(clearance, problem.constraints.clearance_m, CLEARANCE_TOLERANCE_M)
     lines = segment_lines(path_m[:-1], path_m[1:])
@@ -108,7 +101,7 @@ def obstacles_met(
             continue
         nearest = index.obstacles[int(np.asarray(index.tree.nearest(lines[segment])))]
         reasons.append(
-            f"step {first + segment + 1}: the segment comes within {clearance[segment]:.3f} m of "
+            f"step {segment + 1}: the segment comes within {clearance[segment]:.3f} m of "
             f"obstacle {nearest.name}"
         )
     return reasons

@@ -162,7 +162,7 @@ class MotionTask(Task):
 
     def run_summary(self, problem: Problem, seed: int, shared: Any) -> RunSummary:
         """Simulate a problem and return the summary of the run."""
-        from planopt.planning.loop.closed_loop import simulate
+        from planopt.planning.solve import simulate
 
         return summary_of(simulate(problem, seed=seed, **shared))
 
@@ -327,7 +327,7 @@ def _worst(labels: type[Verdict] | type[Termination], named: Iterable[str]) -> s
 TASK = MotionTask(
     model=ProblemFile,
     solve="planopt.planning.solve:solve",
-    simulate="planopt.planning.loop.closed_loop:simulate",
+    simulate="planopt.planning.solve:simulate",
     override=with_overrides,
     controller="planopt.planning.solve:Planner",
     figures=_figures,

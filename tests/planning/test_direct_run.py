@@ -9,9 +9,9 @@ import pytest
 
 from planopt import Problem, Run
 from planopt.extend import Rung
-from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.global_search import GlobalSearch
+from planopt.planning.solve import simulate
 from planopt.problems import DoubleIntegrator, Unicycle
 from planopt.problems.problem import problem_from_tables
 from planopt.robots.dynamics import rolled_out

@@ -15,12 +15,11 @@ from terms_scene import TRACKING
 from planopt import Obstacle, Problem, Verdict, check, explain
 from planopt.channel import Prediction
 from planopt.extend import Dynamics
-from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Pivot, shifted_drive
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
-from planopt.planning.solve import solve
+from planopt.planning.solve import simulate, solve
 from planopt.planning.values.reach_cost import ReachCost, resting_places_m
 from planopt.problems import DoubleIntegrator, SingleIntegrator, Unicycle
 from planopt.robots.dynamics import rolled_out

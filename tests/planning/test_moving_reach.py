@@ -22,8 +22,8 @@ from planopt import (
 )
 from planopt.extend import Rung
 from planopt.planning.free_space import leaving_path
-from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
+from planopt.planning.solve import simulate
 from planopt.problems import DoubleIntegrator, Unicycle, problem_from_dict, problem_to_dict
 from planopt.problems.problem import problem_at
 from planopt.world import NOTHING_MOVES, centres_at, index_obstacles

@@ -11,10 +11,9 @@ import pytest
 
 from planopt import ConnectivityRule, NoPlanError, Plan, Problem, Run, Verdict, check, load
 from planopt.planning.initial_data import prepare
-from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
-from planopt.planning.solve import solve
+from planopt.planning.solve import simulate, solve
 from tests.planning.scenes import WALL, bad_disc, belief_of, small_problem
 from tests.planning.two_stations import (
     alone,

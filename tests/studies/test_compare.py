@@ -9,10 +9,10 @@ import scipy.stats
 from refusals import refused
 
 from planopt import Comparison, InputError, compare, load
-from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Metrics, Outcome
 from planopt.planning.loop.metrics import COSTS as COST_METRICS
 from planopt.planning.loop.results import summary_of
+from planopt.planning.solve import simulate
 from planopt.studies.comparison_rows import Row, log_ratios, mean_interval, tabulate
 
 HORIZONS, COSTS, SEEDS = (1, 6), ("geodesic", "connected"), 6

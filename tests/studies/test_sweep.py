@@ -15,8 +15,8 @@ from planopt import Comparison, InputError, compare, load
 from planopt.cli import main
 from planopt.commands.compare import seed_range, swept
 from planopt.files.typed_json import encoded
-from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.results import RunSummary, summary_of
+from planopt.planning.solve import simulate
 from planopt.problems.load import with_changes
 from planopt.report import comparison_text, draw_comparison
 from planopt.report.comparison_figure import layout_of

@@ -235,12 +235,21 @@ STANDING = "the plan stands still short of the goal without a moving obstacle in
 
 @dataclass(frozen=True)
 class Judgement:
-    """Verdict on a path, and the underlying prediction."""
+    """Verdict on a path, and the underlying prediction.
+
+    Attributes
+    ----------
+    certificate, verdict
+        Values documented at their types.
+    power
+        Prediction at every position, the robot's first; None if the path is not finite.
+    sound
+        Whether clearance, bounds, dynamics and distances to moving obstacles are satisfied.
+    """
 
     certificate: Certificate
     verdict: Verdict
-    power: Prediction | None  # At every position, the robot's first; None for a path not finite
-    # Whether clearance, bounds, dynamics and distances to moving obstacles are satisfied
+    power: Prediction | None
     sound: bool = False
 
     def plan(

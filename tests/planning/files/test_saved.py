@@ -15,8 +15,7 @@ from planopt.planning.files import saved as saved_module
 from planopt.planning.files.belief_file import known_before_steps
 from planopt.planning.files.run_tables import KNOWLEDGE_COLUMNS, STEP_COLUMNS
 from planopt.planning.files.saved import read_saved
-from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.solve import solve
+from planopt.planning.solve import simulate, solve
 
 HEADER = (
     "robot,step,t_s,x_m,y_m,predicted_db,deviation_db,connectivity,true_db,connected,rung,verdict"

@@ -19,8 +19,8 @@ from planopt import InputError, Run, Verdict, load
 from planopt.channel import LogFormat, true_power_dbm
 from planopt.extend import Rung
 from planopt.planning.files.result_json import run_json
-from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome, StepLog
+from planopt.planning.solve import simulate
 from planopt.problems import LoggedMeasurements
 
 SEEDS = (0, 1, 2)

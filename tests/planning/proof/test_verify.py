@@ -42,11 +42,10 @@ from planopt.channel.connectivity_law import UncertainParameters, mixture_quanti
 from planopt.channel.kriging import predict
 from planopt.channel.prediction import bound_margin_db
 from planopt.planning.certificate import Certificate
-from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.plan import History
 from planopt.planning.proof.context import uncertain_law
 from planopt.planning.proof.verify import UNCOMPARED
-from planopt.planning.solve import solve
+from planopt.planning.solve import simulate, solve
 from planopt.world import index_obstacles
 
 

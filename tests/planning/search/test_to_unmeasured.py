@@ -12,10 +12,10 @@ from terms_scene import ENERGY, TRACKING, context_of, scorer_of, terms_problem
 
 from planopt import Obstacle, Verdict
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.planners import OneStepPlanner
 from planopt.planning.scene import PathsFrom
 from planopt.planning.search.place_paths import path_to_unmeasured
+from planopt.planning.solve import simulate
 from planopt.world import swept_clearance_m
 
 INFORMATION = {"kind": "mapping", "form": "information"}

@@ -10,8 +10,8 @@ from scenes import BAD, GOOD, prepared_of, small_problem
 
 import planopt
 from planopt.extend import Rung
-from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
+from planopt.planning.solve import simulate
 
 SEPARATION_M = 5.0
 BELOW = shapely.box(8, 0, 32, 13)

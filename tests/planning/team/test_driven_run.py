@@ -11,7 +11,7 @@ from terms_scene import LEARNING, TABLES, TRACKING
 
 from planopt import Problem, Verdict
 from planopt.extend import Rung
-from planopt.planning.loop.closed_loop import simulate
+from planopt.planning.solve import simulate
 from planopt.problems.problem import problem_from_tables
 
 

@@ -14,9 +14,8 @@ from terms_scene import ENERGY, LEARNING, TRACKING, terms_problem
 from planopt import InputError, Verdict, check, load
 from planopt.objectives.information import Information
 from planopt.objectives.moments import posterior_moments
-from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
-from planopt.planning.solve import solve
+from planopt.planning.solve import simulate, solve
 from planopt.planning.stepping import TeamMoment
 from planopt.planning.team import team_step
 from planopt.problems import problem_from_dict, problem_to_dict

@@ -13,9 +13,8 @@ from terms_scene import LEARNING, TRACKING, context_of, scorer_of, terms_problem
 from planopt import ConnectivityRule, Verdict
 from planopt.channel import sample_power
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.refinement import RETURNED
-from planopt.planning.solve import solve
+from planopt.planning.solve import simulate, solve
 from planopt.planning.values.objective_value import ObjectiveValue
 
 SEED = 3

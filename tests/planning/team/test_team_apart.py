@@ -13,8 +13,7 @@ from terms_scene import LEARNING, TABLES, TRACKING
 
 from planopt import Problem, Verdict
 from planopt.extend import Rung
-from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.solve import solve
+from planopt.planning.solve import simulate, solve
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
 from planopt.problems.problem import problem_from_tables
 from planopt.robots.dynamics import rolled_out

@@ -19,8 +19,7 @@ from planopt.channel.connectivity_law import serving_power_dbm
 from planopt.planning.files.belief_file import BELIEF_FILE
 from planopt.planning.files.result_json import solution_json
 from planopt.planning.initial_data import team_seeds
-from planopt.planning.loop.closed_loop import simulate
-from planopt.planning.solve import solve
+from planopt.planning.solve import simulate, solve
 from planopt.planning.team.team_step import build_team
 from planopt.planning.values.context import Aim
 from planopt.planning.values.objective_value import ObjectiveValue

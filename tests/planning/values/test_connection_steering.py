@@ -17,10 +17,10 @@ from planopt.objectives.terms.until_connected import (
     charged_distance_m,
     search_length_m,
 )
-from planopt.planning.loop.closed_loop import simulate
 from planopt.planning.loop.log import Outcome
 from planopt.planning.scene import build_ground
 from planopt.planning.search.steering import ConnectionSteering
+from planopt.planning.solve import simulate
 from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.world import is_clear, swept_clearance_m
 

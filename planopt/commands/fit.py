@@ -6,8 +6,9 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast, get_args
 
@@ -20,7 +21,7 @@ from planopt.commands.options import (
     with_options,
 )
 from planopt.commands.output import drawing, progress, results_folder, show
-from planopt.errors import InputError
+from planopt.errors import InputError, listed
 
 if TYPE_CHECKING:
     from planopt.channel.calibration import GroupedRatio
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from planopt.channel.held_out import HeldOutReport, HeldOutScore
     from planopt.channel.logs.log_format import LogFormat
     from planopt.channel.measurements import Measurements
+    from planopt.channel.parameters import Station
 
 DEGENERATE = 3
 """Exit code if the log does not determine the channel."""
@@ -52,23 +54,65 @@ class LogFit:
 
 
 def read_and_fit(options: LogOptions) -> LogFit:
-    """Read a log and fit the channel."""
+    """Read a log of one transmitter and fit the channel."""
+    from planopt.channel.logs.log_format import parse_station
+
+    if options.stations is not None:
+        remedy = "give --each COLUMN as well, or --station X,Y"
+        raise InputError("belongs to --each", key="--stations", remedy=remedy)
+    if options.station is None:
+        raise InputError(
+            "is missing", key="--station", remedy="give X,Y in metres, or unknown to locate it"
+        )
+    log_format = log_format_of(options)
+    return _read_and_fit(options, log_format, parse_station(options.station, log_format.origin_deg))
+
+
+def fit_each(options: LogOptions) -> tuple[dict[str, LogFit], dict[str, int]]:
+    """Fit the channel of each transmitter; return also those with too few readings."""
+    from planopt.channel.logs.log_format import parse_station
+    from planopt.channel.logs.power_log import FEWEST_READINGS, transmitters_of
+    from planopt.channel.logs.stations import read_stations
+
+    assert options.each is not None
+    log_format = log_format_of(options)
+    counts = transmitters_of(options.log, options.each, log_format)
+    used = [label for label, count in counts.items() if count >= FEWEST_READINGS]
+    if not used:
+        raise InputError(
+            f"no transmitter in column {options.each} has {FEWEST_READINGS} readings",
+            file=options.log,
+            key="--each",
+            remedy="name another column, or give a longer log",
+        )
+    known: dict[str, Station | None] = {}
+    if options.stations is not None:
+        known |= read_stations(options.stations, used, log_format.origin_deg)
+    if options.station is None and not known.keys() >= set(used):
+        raise InputError(
+            "is missing",
+            key="--station",
+            remedy="give unknown to locate transmitters, or their positions with --stations FILE",
+        )
+    common = parse_station(options.station or "unknown", log_format.origin_deg)
+    fits: dict[str, LogFit] = {}
+    for label in used:
+        own = replace(log_format, where=(*log_format.where, (options.each, label)))
+        fits[label] = _read_and_fit(options, own, known.get(label, common))
+    return fits, {label: count for label, count in counts.items() if label not in fits}
+
+
+def _read_and_fit(options: LogOptions, log_format: LogFormat, site: Station | None) -> LogFit:
+    """Read the log of a transmitter and fit the channel; None as site if it is unknown."""
     from planopt.channel.estimation.channel_fit import require_loss, require_method
     from planopt.channel.estimation.fit import fit_channel
     from planopt.channel.estimation.station_fit import fit_channel_and_station
-    from planopt.channel.logs.log_format import parse_station
     from planopt.channel.logs.power_log import at_file_line, read_power_log
     from planopt.problems.plausibility import log_warnings
 
     chosen = require_method(options.method, "--method")
     require_loss(options.loss, chosen, "--loss")
     loss = cast("Loss", options.loss)
-    log_format = log_format_of(options)
-    if options.station is None:
-        raise InputError(
-            "is missing", key="--station", remedy="give X,Y in metres, or unknown to locate it"
-        )
-    site = parse_station(options.station, log_format.origin_deg)
     search = _station_method(options.station_method, station_is_given=site is not None)
     forgetting_s = _forgetting_s(options)
     read = read_power_log(options.log, log_format)
@@ -316,7 +360,7 @@ def _words(ratio: dict[str, Any], form: str) -> str:
 
 
 FIT_FILE = "fit.json"
-FIT = (FIT_FILE, "fit.png", "held_out.png", "reliability.png")
+FIT = (FIT_FILE, "fit.png", "fit_*.png", "held_out.png", "reliability.png")
 """Files of a fit, including figures."""
 
 UNITS = {
@@ -342,6 +386,11 @@ def fit(
         if hold_out is None:
             remedy = "give --hold-out COLUMN as well"
             raise InputError("belongs to --hold-out", key="--threshold", remedy=remedy)
+    if options.each is not None:
+        if hold_out is not None:
+            remedy = "hold out readings of one transmitter, with --where"
+            raise InputError("is for one transmitter", key="--hold-out", remedy=remedy)
+        return _fit_all(options, out, json)
     with results_folder(out) as folder:
         with progress("fitting"):
             fitted = read_and_fit(options)
@@ -377,6 +426,36 @@ def fit(
                 if report is not None:
                     _draw_held_out(report, new)
     return fitted.exit_code
+
+
+def _fit_all(options: LogOptions, out: Path | None, json: bool) -> int:
+    """Fit, print and save the channel of each transmitter."""
+    with results_folder(out) as folder:
+        with progress("fitting"):
+            fits, left_out = fit_each(options)
+        data: dict[str, Any] = {
+            "each": options.each,
+            "fits": {label: fit_json(each) for label, each in fits.items()},
+            "left_out": left_out,
+        }
+        if folder is not None:
+            from planopt.files.writing import replaced_results, strict_text, write_text
+
+            with replaced_results(folder, FIT) as new:
+                write_text(new / FIT_FILE, strict_text(data))
+        lines = [f"{label}: {_in_words(each)}" for label, each in data["fits"].items()]
+        if left_out:
+            lines.append(f"left out, with too few readings: {listed(left_out)}")
+        show(json, data, "\n".join(lines))
+        with drawing(folder, FIT, wanted=True) as new:
+            if new is not None:
+                from planopt.report import draw_fit, save_figure
+
+                for number, (label, each) in enumerate(fits.items(), start=1):
+                    name = re.sub(r"[^A-Za-z0-9_-]+", "-", label)[:40]
+                    figure = draw_fit(each.measurements, each.found, each.found.parameters.station)
+                    save_figure(figure, new / f"fit_{number}_{name}.png")
+    return max(each.exit_code for each in fits.values())
 
 
 def fit_json(fitted: LogFit) -> dict[str, Any]:

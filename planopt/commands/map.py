@@ -5,11 +5,12 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-from planopt.commands.fit import DEGENERATE, fit_json, read_and_fit
+from planopt.commands.fit import DEGENERATE, fit_each, fit_json, read_and_fit
 from planopt.commands.options import JsonOption, LogOptions, option, with_options
 from planopt.commands.output import progress, results_folder, show
 from planopt.errors import InputError
@@ -125,6 +126,8 @@ def _log_map(
     from planopt.channel.channel_map import default_cell_m, measured_bounds_m, posterior_map
     from planopt.channel.posterior import condition
 
+    if options.each is not None:
+        return _server_map(options, bounds, cell, threshold)
     fitted = read_and_fit(options)
     measurements, found = fitted.measurements, fitted.found
     box = measured_bounds_m(measurements) if bounds is None else bounds
@@ -142,6 +145,33 @@ def _log_map(
         return draw_posterior_map(maps, measurements, found.parameters.station, title)
 
     return _Mapped(maps, [fit_json(fitted)], fitted.exit_code, draw)
+
+
+def _server_map(
+    options: LogOptions, bounds: Bounds | None, cell: float | None, threshold: float | None
+) -> _Mapped:
+    """Fit the channel of each transmitter in a log and map the best of them."""
+    from planopt.channel.channel_map import default_cell_m, measured_bounds_m, serving_map
+    from planopt.channel.measurements import join
+    from planopt.channel.posterior import condition
+
+    fits, _ = fit_each(options)
+    pooled = reduce(join, (each.measurements for each in fits.values()))
+    box = measured_bounds_m(pooled) if bounds is None else bounds
+    least = _threshold_dbm(threshold, options.floor, pooled)
+    posteriors = [condition(each.found.parameters, each.measurements) for each in fits.values()]
+    cell_m = default_cell_m(box) if cell is None else cell
+    maps = serving_map(posteriors, box, cell_m, [least] * len(posteriors))
+
+    def draw() -> Figure:
+        from planopt.report import draw_posterior_map
+
+        stations = [each.found.parameters.station for each in fits.values()]
+        title = f"{options.log.name}: best of {len(fits)} transmitters"
+        return draw_posterior_map(maps, pooled, stations, title)
+
+    described = [{**fit_json(each), "station": label} for label, each in fits.items()]
+    return _Mapped(maps, described, max(each.exit_code for each in fits.values()), draw)
 
 
 def _problem_map(

@@ -126,6 +126,14 @@ class LogOptions(FormatOptions):
             "Position of the base station in metres; with --origin LAT,LON[,HEIGHT].",
         ),
     ] = None
+    each: Annotated[
+        str | None,
+        option("--each", "COLUMN", "Treat each transmitter named in this column on its own."),
+    ] = None
+    stations: Annotated[
+        Path | None,
+        option("--stations", "FILE", "With --each: table of names and positions of transmitters."),
+    ] = None
     method: Annotated[
         str, option("--method", "NAME", "Estimator: lemma1, capped, convex, nls or reml.")
     ] = "reml"

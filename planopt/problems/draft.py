@@ -24,7 +24,13 @@ from planopt.channel.estimation.station_fit import MIN_UNCENSORED, fit_channel_a
 from planopt.channel.logs.column_names import alias
 from planopt.channel.logs.log_format import LogFormat, parse_station
 from planopt.channel.logs.log_table import LogTable
-from planopt.channel.logs.power_log import PowerLog, labels_of, measurements_of, rows_of
+from planopt.channel.logs.power_log import (
+    FEWEST_READINGS,
+    PowerLog,
+    labels_of,
+    measurements_of,
+    rows_of,
+)
 from planopt.channel.logs.readers import columns_of, read_table, readings_of
 from planopt.channel.logs.stations import read_stations
 from planopt.channel.measurements import Measurements
@@ -39,9 +45,6 @@ from planopt.world.geodesy import Origin, east_north_m
 from planopt.world.occupancy import OccupancyGrid, grid_obstacles, is_grid, read_grid
 from planopt.world.readers import read_obstacles
 from planopt.world.workspace import Workspace
-
-FEWEST_READINGS = 20
-"""Minimum number of readings of a transmitter that becomes a station."""
 
 ABOVE_FLOOR_DB = 10.0
 """Assumed margin of the connection threshold above the weakest power of the log."""

@@ -113,7 +113,10 @@ def draw_belief(problem: Problem, belief: Belief) -> Figure:
 
 
 def draw_posterior_map(
-    maps: PosteriorMap, measurements: Measurements, station: Station, title: str
+    maps: PosteriorMap,
+    measurements: Measurements,
+    station: Station | Sequence[Station],
+    title: str,
 ) -> Figure:
     """Draw predicted power [dBm], its standard deviation [dB] and P(connected), side by side.
 
@@ -124,7 +127,7 @@ def draw_posterior_map(
     measurements
         Measurements behind the prediction: dots on the standard deviation, hollow if censored.
     station
-        Station, marked if it is inside the map.
+        Station or stations, marked if they are inside the map.
     title
         Title of the figure.
     """
@@ -136,9 +139,11 @@ def draw_posterior_map(
     rasters, threshold = (maps.mean_db, maps.deviation_db, maps.connectivity), maps.threshold_dbm
     level = _prediction_maps(figure, panels, rasters, threshold, _chance_words(threshold), None)
     entries = draw_measurements(panels[1], measurements)
-    x, y = station.position_m
-    if x_min <= x <= x_max and y_min <= y <= y_max:
-        entries += [draw_sites(panel, np.array([[x, y]])) for panel in panels][:1]
+    stations = [station] if isinstance(station, Station) else station
+    sites = np.array([each.position_m for each in stations])
+    inside = ((sites >= (x_min, y_min)) & (sites <= (x_max, y_max))).all(axis=1)
+    if inside.any():
+        entries += [draw_sites(panel, sites[inside]) for panel in panels][:1]
     for panel in panels:
         show_bounds(panel, bounds)  # Excludes measurements outside the map
     legend_below(figure, [*entries, *level], 4)

@@ -266,6 +266,18 @@ def _no_rows(table: LogTable, log_format: LogFormat) -> InputError:
     )
 
 
+FEWEST_READINGS = 20
+"""Minimum number of readings of a transmitter that is used without being named."""
+
+
+def transmitters_of(
+    source: Source, column: str, log_format: LogFormat = DEFAULT_FORMAT
+) -> dict[str, int]:
+    """Return the transmitters named in a column with the number of their readings."""
+    table, _ = _selected(source, log_format)
+    return labels_of(table, column)
+
+
 def labels_of(table: LogTable, column: str) -> dict[str, int]:
     """Return the labels in a column of a table with the number of their rows, frequent first."""
     counts: dict[str, int] = {}

@@ -209,12 +209,12 @@ def test_fields_are_drawn_with_offsets():
     posterior = condition(STEADY, data)
     generator = np.random.default_rng(0)
     bounds = (20.0, 20.0, 60.0, 50.0)
-    fields = [conditional_field(posterior, bounds, 10.0, generator) for _ in range(1500)]
+    fields = [conditional_field(posterior, bounds, 10.0, generator) for _ in range(600)]
     draws = np.array([field.values.ravel() for field in fields])
     centres = np.stack(np.meshgrid(fields[0].x_m, fields[0].y_m), axis=-1).reshape(-1, 2)
     expected = posterior.predict(centres)
     latent = np.sqrt(expected.deviation_db**2 - 1.5**2)
-    error = latent / np.sqrt(1500.0)
+    error = latent / np.sqrt(600.0)
     assert (np.abs(draws.mean(axis=0) - expected.mean_db) < 4.0 * error).all()
     np.testing.assert_allclose(draws.std(axis=0), latent, rtol=0.08)
     for unusable in (condition(DRIFTING, data), condition(STEADY, varied(30, 14))):

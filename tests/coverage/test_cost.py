@@ -8,7 +8,6 @@ from numpy.typing import NDArray
 from scattered import scattered
 from scipy.spatial import KDTree
 
-from planopt import InputError
 from planopt.coverage import (
     UNIFORM,
     CallableDensity,
@@ -17,7 +16,6 @@ from planopt.coverage import (
     GaussianMixture,
     RasterDensity,
     UniformDensity,
-    checked_mass,
     convex_region,
     coverage,
     voronoi_cells,
@@ -183,24 +181,3 @@ def test_scaling(hexagon: ConvexRegion) -> None:
     other = coverage(voronoi_cells(larger, agents * 1e3), UNIFORM, 15e3)
     assert other.cost == pytest.approx(one.cost * 1e12, rel=1e-10)
     assert other.centroids_m == pytest.approx(one.centroids_m * 1e3, rel=1e-10)
-
-
-def test_bad_densities(square: ConvexRegion) -> None:
-    """Negative, infinite, empty and ill-shaped densities are errors with their key."""
-    cells = voronoi_cells(square, np.array([[10.0, 50.0], [90.0, 40.0]]))
-    grid = np.arange(5.0, 100.0, 10.0)
-    bad = [
-        lambda: coverage(cells, CallableDensity(lambda q: q[:, 0] - 50.0, 20.0)),
-        lambda: coverage(cells, CallableDensity(lambda q: np.full(len(q), np.nan), 20.0)),
-        lambda: coverage(cells, CallableDensity(lambda q: q, 20.0)),
-        lambda: coverage(cells, CallableDensity(lambda q: q[:, 0], 1e-3)),
-        lambda: RasterDensity(Raster(grid, grid, np.zeros((10, 10)))),
-        lambda: RasterDensity(Raster(grid, grid, np.full((10, 10), -1.0))),
-        lambda: GaussianMixture(np.zeros(1), np.zeros((1, 2)), np.ones(1)),
-        lambda: checked_mass(square, RasterDensity(Raster(grid - 500.0, grid, np.ones((10, 10))))),
-        lambda: checked_mass(square, CallableDensity(lambda q: np.zeros(len(q)), 20.0)),
-    ]
-    for number, attempt in enumerate(bad):
-        with pytest.raises(InputError) as caught:
-            attempt()
-        assert (caught.value.key or "").startswith("density"), number

@@ -8,7 +8,7 @@ import shapely
 from numpy.typing import NDArray
 from scattered import scattered
 
-from planopt import InputError, Obstacle, Workspace
+from planopt import Obstacle, Workspace
 from planopt.coverage import (
     CallableDensity,
     ConvexGround,
@@ -171,22 +171,6 @@ def test_agent_at_a_corner() -> None:
     assert cells.cost == pytest.approx(others.cost, rel=1e-4)
     assert cells.gradient == pytest.approx(others.gradient, rel=2e-2)
     assert geodesic_cells(region, geodesic_targets(region, agents, cells)).cost < cells.cost
-
-
-def test_bad_regions() -> None:
-    """Regions that are cut in two, covered, or divided too finely are refused."""
-    cases = [
-        (lambda: geodesic_ground(OUTLINE, [shapely.box(50, -1, 51, 101)], 4.0), "world.obstacles"),
-        (lambda: geodesic_ground(OUTLINE, [shapely.box(-1, -1, 101, 101)], 4.0), "world.obstacles"),
-        (lambda: geodesic_ground(OUTLINE, [shapely.Polygon()], 4.0), "world.obstacles[0]"),
-        (lambda: geodesic_ground(OUTLINE[[0, 2, 1, 3]], [], 4.0), "world.outline_m"),
-        (lambda: geodesic_ground(OUTLINE, [], 0.01), "world.spacing_m"),
-        (lambda: geodesic_ground(OUTLINE, OBSTACLES, 4.0, clearance_m=25.0), "world.clearance_m"),
-    ]
-    for attempt, key in cases:
-        with pytest.raises(InputError) as caught:
-            attempt()
-        assert caught.value.key == key
 
 
 def test_borders_of_agents_that_rounding_puts_into_an_obstacle() -> None:

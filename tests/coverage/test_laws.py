@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import shapely
-from refusals import refused
 from scattered import scattered
 
 from planopt.coverage import (
@@ -114,9 +113,3 @@ def test_distances_keep_the_clearance(walled: GeodesicGround) -> None:
     assert walled.distances_m(agents, places)[0, 0] == pytest.approx(wanted, rel=1e-6)
     free = geodesic_ground(OUTLINE, WALLS, 9.0).distances_m(agents, places)[0, 0]
     assert free < wanted - 1.0
-
-
-def test_steps_that_overshoot_are_refused() -> None:
-    """A gain of more than one over the step would pass the target."""
-    with refused():
-        law_moves(np.zeros((1, 2)), np.ones((1, 2)), np.array([True]), Gains(2.0, 1.0), 0.6)

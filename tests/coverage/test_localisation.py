@@ -8,7 +8,6 @@ import pytest
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from planopt import InputError
 from planopt.coverage import (
     ConvexGround,
     Drift,
@@ -278,9 +277,3 @@ def test_pooling_keeps_what_repeats_tell() -> None:
     one, other = (locate_event(SENSOR, readings, FIELD) for readings in (single, joined))
     assert one.position_m == pytest.approx(other.position_m, abs=1e-7)
     assert one.covariance_m2 == pytest.approx(other.covariance_m2, rel=1e-6)
-
-
-def test_no_reading_is_refused() -> None:
-    """Without readings nothing is located."""
-    with pytest.raises(InputError):
-        locate_event(SENSOR, single_readings(np.zeros((0, 2)), np.zeros(0)), FIELD)

@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 import shapely
 from numpy.typing import NDArray
-from refusals import refused
 
-from planopt import InputError
 from planopt.coverage import (
     UNBOUNDED,
     ConvexGround,
@@ -250,8 +248,6 @@ def test_corridors_hold_no_border(blocks: GeodesicGround) -> None:
             length = float(np.linalg.norm(aim - agent))
             reached = agent + (aim - agent) * min(1.0, 25.0 / length)
             assert (one.normals @ reached <= one.offsets_m + 1e-9).all()
-    with refused():
-        ground_sets(blocks, agents, agents, aims, 0.7, 25.0)
 
 
 def test_points_may_meet(square: ConvexRegion) -> None:
@@ -282,24 +278,3 @@ def test_double_integrators_can_always_stop(square: ConvexRegion) -> None:
         apart = shapely.distance(lines[:, None], lines) + 99.0 * np.eye(len(agents))
         assert apart.min() > 2.0
         assert (square.excess_m(stops) <= -1.0 + 1e-6).all()
-
-
-@pytest.mark.parametrize(
-    ("apart_m", "speed", "more", "key"),
-    [
-        (0.5, 0.0, {}, "agents"),
-        (10.0, 9.0, {}, "velocities"),
-        (10.0, 0.0, {"turn_rate_rad_s": 1.0}, "agents.turn_rate_max_rad_s"),
-        (10.0, 0.0, {"speed_m_s": math.inf}, "agents.acceleration_max_m_s2"),
-    ],
-)
-def test_wrong_input_is_named(
-    square: ConvexRegion, apart_m: float, speed: float, more: dict[str, float], key: str
-) -> None:
-    """Touching bodies, agents that are too fast, and limits that do not fit are refused."""
-    limits = {"speed_m_s": 1.0, "body_radius_m": 1.0, "acceleration_m_s2": 1.0} | more
-    agents = [[10.0, 10.0], [10.0 + apart_m, 10.0]]
-    motion = Motion(np.array(agents), np.full((2, 2), speed), np.zeros(2))
-    with pytest.raises(InputError) as caught:
-        plan_moves(ConvexGround(square), motion, motion.places_m, MoveLimits(**limits), 0.5, 3)
-    assert caught.value.key == key

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import shapely
 from numpy.typing import NDArray
-from refusals import refused
 from scattered import scattered
 from scipy.spatial import Delaunay
 
@@ -39,26 +38,6 @@ def test_half_planes(hexagon: ConvexRegion) -> None:
     assert 100 < hexagon.contains(places).sum() < 400
     assert (hexagon.contains(places) == shapely.covers(polygon, shapely.points(places))).all()
     assert hexagon.contains(hexagon.corners_m).all()
-
-
-@pytest.mark.parametrize(
-    "outline",
-    [
-        np.array([[0, 0], [1, 1], [1, 0], [0, 1.0]]),
-        np.array([[0, 0], [4, 0], [1, 1], [0, 4.0]]),
-        np.array([[0, 0], [1, 1], [2, 2.0]]),
-        np.array([[0, 0], [1, np.nan], [2, 2.0]]),
-        np.array([[0, 0], [1, 0.0]]),
-        np.zeros((4, 3)),
-        shapely.Polygon(),
-        shapely.box(0, 0, 4, 4).difference(shapely.box(1, 1, 2, 2)),
-    ],
-)
-def test_what_is_no_region(outline: shapely.Polygon | NDArray[np.float64]) -> None:
-    """Every fault of an outline gets its message and the key."""
-    with refused() as caught:
-        convex_region(outline)
-    assert caught.value.key == "world.outline_m"
 
 
 def test_corners_turn_left(hexagon: ConvexRegion) -> None:
@@ -189,9 +168,3 @@ def test_merging_over_a_chain() -> None:
     merged, group = merge_coincident(places, 1.0)
     assert merged.tolist() == [[0.0], [5.0]]
     assert group.tolist() == [0, 1, 0, 0, 1]
-
-
-def test_bad_agents(square: ConvexRegion) -> None:
-    """An agent outside is an error of ours."""
-    with refused():
-        voronoi_cells(square, np.array([[50.0, 50.0], [101.0, 50.0]]))

@@ -40,16 +40,6 @@ def saved(folder: Path, **arrays: NDArray[np.generic]) -> Path:
     return path
 
 
-def test_npz_values_and_axes(tmp_path: Path) -> None:
-    """What was saved is read back as floats, row 0 at the smallest y."""
-    raster = read_raster(saved(tmp_path, x=GRID_X.astype(np.float32)), "gain")
-    assert raster.values.dtype == raster.x_m.dtype == np.float64
-    np.testing.assert_array_equal(raster.values, [[0, 1, 2], [3, 4, 5]])
-    np.testing.assert_array_equal(raster.x_m, GRID_X)
-    np.testing.assert_array_equal(raster.y_m, GRID_Y)
-    assert raster.cell_m == (2.0, 3.0)
-
-
 def test_munich_map(munich: Workspace) -> None:
     """The map's own building mask agrees with the footprints: axes and rows are not swapped."""
     file = Path(__file__).parents[2] / "problems" / "data" / "munich_mast45m.npz"
@@ -82,34 +72,6 @@ def test_bad_contents(tmp_path: Path, arrays: dict[str, NDArray[np.generic]]) ->
     path = saved(tmp_path, **arrays)
     with refused():
         read_raster(path, "gain")
-
-
-def test_missing_variable_lists_what_is_there(tmp_path: Path) -> None:
-    """The error names the variables that could have been meant."""
-    with refused():
-        read_raster(saved(tmp_path), "loss")
-
-
-def test_not_an_npz(tmp_path: Path) -> None:
-    """A missing, an empty, a cut and a foreign file are errors with the file."""
-    with refused():
-        read_raster(tmp_path / "none.npz", "gain")
-    whole = saved(tmp_path).read_bytes()
-    np.save(tmp_path / "array.npy", GRID_X)
-    contents = [
-        b"",
-        b"x,y\n1,2\n",
-        whole[:-30],
-        b"junk" + whole,
-        (tmp_path / "array.npy").read_bytes(),
-    ]
-    spoilt = bytearray(whole)
-    spoilt[150] ^= 255
-    for content in [*contents, bytes(spoilt)]:
-        path = tmp_path / "bad.npz"
-        path.write_bytes(content)
-        with refused():
-            read_raster(path, "gain")
 
 
 @settings(deadline=None)

@@ -20,9 +20,7 @@ from planopt.files.writing import STAGING
 from planopt.problems.library import library_folder
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="signals")
-
 SLOW = pytest.mark.slow
-
 OPEN_FIELD = (library_folder() / "open_field.toml").read_text()
 COMMAND = [sys.executable, "-c", "import sys; from planopt.cli import main; sys.exit(main())"]
 COMPARE = ["--horizons", "1,2", "--costs-to-go", "geodesic"]

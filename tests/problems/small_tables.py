@@ -8,7 +8,6 @@ from planopt import Problem
 
 Tables = dict[str, Any]
 Build = Callable[[object], Problem]
-
 DROP = object()
 """In place of a value: the key is left out."""
 

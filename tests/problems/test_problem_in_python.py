@@ -40,7 +40,6 @@ from planopt.problems import (
 )
 
 STATION = BaseStation(position_m=(20, 15), transmit_power_dbm=0.0, threshold_dbm=-70.0)
-
 ROBOT = Robot(start_m=[5, 5], goal_m=np.array([35.0, 25.0]), speed_max_m_s=2.0)
 
 

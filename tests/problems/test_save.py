@@ -31,7 +31,6 @@ from planopt.problems.tasks import MOTION
 from planopt.studies.bench_cases import library_names
 
 RAYLEIGH = {"kind": "rayleigh"}
-
 J_CH = {"variance_threshold_db2": 2.0, "closeness_per_m": 0.1}
 
 

@@ -13,9 +13,7 @@ from planopt.robots.dynamics import dynamics_defect_m, rolled_out
 from planopt.robots.models import sinc
 
 STEP_S = 0.7
-
 DOUBLE = DoubleIntegrator(3.0, 1.3)
-
 WHEELS = Unicycle(3.0, 2.5, -1.0)
 
 
@@ -184,7 +182,6 @@ def test_derivative_at_zero() -> None:
 
 
 PATH = np.array([[1.0, 1.0], [4.0, 1.0], [4.0, 5.0], [4.0, 5.0]])
-
 START = np.array([1.0, 1.0])
 
 

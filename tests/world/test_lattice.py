@@ -28,7 +28,6 @@ from planopt.world import (
 )
 
 ORIGIN = np.zeros(2)
-
 BOUNDS = (-20.0, -12.0, 20.0, 12.0)
 
 
@@ -155,7 +154,6 @@ def test_first_moves_from_a_node_are_its_moves(munich: Workspace) -> None:
 
 
 WALL = shapely.box(4.4, 0.0, 4.6, 6.2)
-
 BLOCK = shapely.Polygon([(6.5, 3.5), (8.4, 4.4), (7.4, 6.6)])
 
 

@@ -290,7 +290,6 @@ def test_what_is_left_after_some_steps() -> None:
 
 
 SHARES = np.linspace(0.0, 1.0, 20_001)[:, None]
-
 PLACE = st.tuples(*[st.floats(-1e3, 1e3, width=32)] * 2).map(np.array)
 
 

@@ -9,7 +9,6 @@ from planopt import MovingObstacle
 from planopt.world import centres_at, growth_m, predicted_discs
 
 TURNING = MovingObstacle("cart", 1.5, (2.0, 3.3, 7.0), ((0.0, 0.0), (4.0, 1.0), (4.0, -6.0)))
-
 STRAIGHT = MovingObstacle("van", 2.0, (0.0,), ((3.0, 4.0),), (1.0, -0.5))
 
 

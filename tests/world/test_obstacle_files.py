@@ -14,13 +14,9 @@ from planopt import Workspace
 from planopt.world import footprint, obstacle_from_wkt, read_obstacles
 
 SQUARE = [[0, 0], [4, 0], [4, 4], [0, 4], [0, 0]]
-
 HOLE = [[1, 1], [2, 1], [2, 2], [1, 1]]
-
 FAR = [[10, 0], [11, 0], [11, 1], [10, 0]]
-
 POLYGON = {"type": "Polygon", "coordinates": [SQUARE, HOLE]}
-
 TWO = {"type": "MultiPolygon", "coordinates": [[SQUARE, HOLE], [FAR]]}
 
 
@@ -70,7 +66,6 @@ def test_geojson_without_collection(tmp_path: Path, content: object, names: list
 
 
 WKT_SQUARE = "POLYGON ((0 0, 4 0, 4 4, 0 4, 0 0), (1 1, 2 1, 2 2, 1 1))"
-
 WKT_FAR = "POLYGON ((10 0, 11 0, 11 1))"
 
 

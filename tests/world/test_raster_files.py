@@ -27,9 +27,7 @@ from planopt.world import (
 )
 
 GRID_X = np.array([1.0, 3.0, 5.0])
-
 GRID_Y = np.array([-4.0, -1.0])
-
 GRID = Raster(GRID_X, GRID_Y, np.arange(6.0).reshape(2, 3))
 
 
@@ -105,7 +103,6 @@ MEAN = Raster(
 )
 
 CHANCE = Raster(X, Y, np.arange(6.0).reshape(2, 3) / 7, "probability", "1")
-
 ENDINGS = [".csv", ".npz", ".nc", ".tif", ".TIFF", ".NPZ"]
 
 

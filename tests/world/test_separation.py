@@ -25,7 +25,6 @@ from planopt.world import (
 )
 
 Array = NDArray[np.float64]
-
 FAR = np.array([7e5, 5.3e6])
 
 

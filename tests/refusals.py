@@ -32,6 +32,7 @@ VARIABLE = (
     (r"(?<=,) '(corridor|sending)',| or (corridor|sending)", ""),
     (r"line \d+ column \d+ \(char \d+\)", "line N"),
     (r"(?<=\d\.\d{3})\d{6,}", ""),
+    (r"\(Possible options?: [^)]*\) ", ""),
     (r"(?<=\(known: connect_rooftop, )[^)]*", "..."),
 )
 """Parts of messages that depend on the run, on versions, or on registered terms and problems."""
@@ -94,7 +95,7 @@ def expect_message(text: str) -> None:
     count = next(i for i in range(1, 1000) if f"{test} {i}" not in recorded)
     recorded[f"{test} {count}"] = text.strip()
     if not writing:
-        assert text.strip() == expected.get(f"{test} {count}")
+        assert text.strip() == expected.get(f"{test} {count}"), "see tests/refusals.py"
 
 
 def refused_command(capsys: pytest.CaptureFixture[str], *arguments: object) -> None:

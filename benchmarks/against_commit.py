@@ -134,7 +134,7 @@ def out_m(file: Path, seed: int, track_m: list[Any]) -> tuple[float, float]:
     """Length of a track, and how many metres of it are truly out of contact."""
     from planopt import load
     from planopt.planning.initial_data import prepare
-    from planopt.planning.loop.clairvoyant import realised_cost_m
+    from planopt.planning.loop.metrics import realised_cost_m
 
     problem, track = load(file), np.array(track_m)
     length = float(np.linalg.norm(np.diff(track, axis=0), axis=1).sum())

@@ -23,7 +23,7 @@ from plain_courier import drive_plain
 from planopt import NoPlanError, load
 from planopt.objectives import ReachObjective
 from planopt.planning.initial_data import prepare
-from planopt.planning.loop.clairvoyant import clairvoyant_path, realised_cost_m
+from planopt.planning.loop.metrics import clairvoyant_path, realised_cost_m
 from planopt.planning.scene import build_scene
 from planopt.planning.solve import simulate
 from planopt.problems.objective import OutageCharge

@@ -30,7 +30,7 @@ from planopt.planning.search.pivot import Ahead
 from planopt.planning.tolerances import MARGIN_PAD_DB, STANDSTILL_M, STEP_PAD_M
 from planopt.planning.values.context import StepContext
 from planopt.planning.values.local_value import stage_predictor
-from planopt.planning.values.reach_cost import ReachCost
+from planopt.planning.values.objective_value import ReachCost
 from planopt.planning.values.rule_rows import RuleRows, step_rows
 from planopt.targets.rounding import Derivatives
 

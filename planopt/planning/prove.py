@@ -24,7 +24,7 @@ from planopt.planning.proof.bounds import bound_of, metre_cost_of
 from planopt.planning.proof.context import connectivity_law, search_prediction
 from planopt.planning.search.route_smoothing import smooth_route
 from planopt.planning.tolerances import CLEARANCE_PAD_M
-from planopt.planning.values.reach_cost import ReachCost
+from planopt.planning.values.objective_value import ReachCost
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.clearance import index_obstacles
 

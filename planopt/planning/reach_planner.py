@@ -63,7 +63,7 @@ from planopt.planning.search.timed_search import TimedPath
 from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M
 from planopt.planning.values.context import Aim, StepContext, step_context
 from planopt.planning.values.exploration import workspace_region
-from planopt.planning.values.reach_cost import ReachCost, resting_places_m
+from planopt.planning.values.objective_value import ReachCost, resting_places_m
 from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Drive, rolled_out
 from planopt.world.moving_discs import MovingDiscs

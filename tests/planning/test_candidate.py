@@ -25,7 +25,7 @@ from planopt.planning.candidates import Candidate, Scorer
 from planopt.planning.plan import Pivot
 from planopt.planning.proof.context import VerifierContext
 from planopt.planning.scene import build_scene
-from planopt.planning.values.reach_cost import ReachCost
+from planopt.planning.values.objective_value import ReachCost
 
 
 def scorer_of(problem, power_at=good_everywhere, pivot=None) -> Scorer:

@@ -20,7 +20,7 @@ from planopt.planning.plan import Pivot, shifted_drive
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
 from planopt.planning.solve import simulate, solve
-from planopt.planning.values.reach_cost import ReachCost, resting_places_m
+from planopt.planning.values.objective_value import ReachCost, resting_places_m
 from planopt.problems import DoubleIntegrator, SingleIntegrator, Unicycle
 from planopt.robots.dynamics import rolled_out
 

@@ -23,7 +23,7 @@ from planopt.extend import Rung
 from planopt.planning.candidates import Budget, Scorer
 from planopt.planning.proof.context import VerifierContext
 from planopt.planning.search.pivot import Ahead
-from planopt.planning.values.reach_cost import ReachCost
+from planopt.planning.values.objective_value import ReachCost
 
 
 def refiner_of(problem, power_at=good_everywhere, lines=4):

@@ -43,8 +43,7 @@ from planopt.planning.stepping import Planning, PlanStep, Stepper, TeamMoment
 from planopt.planning.target_watch import watch_target
 from planopt.planning.values.context import Aim, counts_others, places_of_others, step_context
 from planopt.planning.values.exploration import workspace_region
-from planopt.planning.values.objective_value import ObjectiveValue
-from planopt.planning.values.reach_cost import ReachCost
+from planopt.planning.values.objective_value import ObjectiveValue, ReachCost
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.clearance import index_obstacles
 from planopt.world.lattice import RoadMap

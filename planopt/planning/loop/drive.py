@@ -16,10 +16,9 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import Belief, ChannelPosterior
 from planopt.errors import NoPlanError
 from planopt.planning.certificate import BlockedError, BlockedWay
-from planopt.planning.loop.clairvoyant import run_costs
 from planopt.planning.loop.ending import Progress, run_ending
 from planopt.planning.loop.log import Outcome, channel_log, channel_row, target_log
-from planopt.planning.loop.metrics import robot_run, true_serving_dbm
+from planopt.planning.loop.metrics import robot_run, run_costs, true_serving_dbm
 from planopt.planning.loop.results import Run
 from planopt.planning.plan import Plan
 from planopt.planning.stepping import Planning, Stepper

@@ -11,7 +11,7 @@ from shapely.geometry import LineString, box
 from planopt import Problem
 from planopt.channel.ground_truth import power_truth
 from planopt.planning.initial_data import prepare
-from planopt.planning.loop.clairvoyant import clairvoyant_path, realised_cost_m
+from planopt.planning.loop.metrics import clairvoyant_path, realised_cost_m
 from planopt.planning.scene import build_scene
 from planopt.problems.problem import problem_from_tables
 

@@ -10,7 +10,6 @@ exception (:mod:`planopt.planning.proof.searches`).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
@@ -41,9 +40,6 @@ from planopt.planning.proof.searches import (
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB, STANDSTILL_M
 from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Drive
-
-MarginAt = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-"""Function from positions (n, 2) to margins (n,) in dB."""
 
 COST_TOLERANCE = 0.05
 """Relative excess cost over the cheapest path found, allowed for a plan and for a run."""
@@ -109,7 +105,7 @@ def verify_single_steps(
         lambda: best_margins_by_step(
             context.index,
             problem.workspace.bounds_m,
-            _margins_of(context),
+            partial(context.law.margin_db, predict=search_power),
             context.position_m,
             problem.step_length_m,
             missed,
@@ -219,11 +215,6 @@ def _too_dear(
         f"the goal at objective.outage_price {price:g}, although a path of {priced.best_m:.1f} m "
         "was found"
     ]
-
-
-def _margins_of(context: VerifierContext) -> MarginAt:
-    """Return the function from positions to connectivity margins, by the search's prediction."""
-    return partial(context.law.margin_db, predict=search_power)
 
 
 UNCOMPARED = (

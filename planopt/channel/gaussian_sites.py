@@ -2,17 +2,13 @@
 
 A power rounded to steps of r is known within r / 2. If r is at most `FINE_STEP` omega, the
 likelihood is approximately Gaussian with variance omega^2 + r^2 / 12 (Sheppard's correction).
-Coarser steps and limits use expectation propagation (EP). A limit has the likelihood
-Phi((floor - f) / omega) of the noise-free power f, a power rounded to steps of r has
-Phi((y + r/2 - f) / omega) - Phi((y - r/2 - f) / omega). Both are log-concave, so EP replaces each
-by a Gaussian *site* of positive variance: a measurement with its own noise (Rasmussen and Williams,
-Gaussian Processes for Machine Learning, section 3.6, with the moments of the truncated normal).
+Coarser steps and limits use expectation propagation (equation 2.11): their likelihoods are
+log-concave, so each is replaced by a Gaussian *site*, a measurement with its own noise.
 
 Differences of distribution functions lose all digits for narrow intervals and far tails. Moments of
 the truncated normal are therefore computed by Gauss-Legendre quadrature of its density, scaled to a
-maximum of 1, over the part of the interval where it is not negligible. The relative error of the
-variance is below 1e-12 from intervals of 1e-9 standard deviations to half-lines. Half-lines outside
-the far tail use a closed form, which is faster.
+maximum of 1, with a relative error of the variance below 1e-12. Half-lines outside the far tail use
+a closed form, which is faster.
 """
 
 from __future__ import annotations

@@ -1,22 +1,15 @@
 """Approximations for long logs: Vecchia's information, receiver offsets, and sites by windows.
 
-Each measurement is conditioned on the nearest earlier ones, which gives a sparse inverse factor
-(Vecchia, Journal of the Royal Statistical Society B, 1988; Datta et al., Journal of the American
-Statistical Association, 2016). Only products of the whitened columns are stored, so the cost of one
-more measurement does not depend on their number. Receiver offsets have separate columns, because
-the nearest measurements may be from other receivers. A batch is processed in blocks from coarse to
-fine (:mod:`planopt.channel.neighbours`), later measurements one by one.
+Each measurement is conditioned on the nearest earlier ones (equation 1.18). Only products of the
+whitened columns are stored, so the cost of one more measurement does not depend on their number.
+Receiver offsets have separate columns, because the nearest measurements may be from other receivers
+(equation 1.15). A batch is processed in blocks from coarse to fine, later measurements one by one.
 
-Receiver r reads o_r more than receiver 0 would. With Z the indicators of the receivers and U the
-covariance of the measurements, which includes s^2 Z Z', the offsets given theta have mean
-s^2 Z' U^-1 (y - Gamma theta) and covariance s^2 I - s^4 Z' U^-1 Z.
-
-Sites of censored and rounded measurements are matched to the cavities of their powers
-(:mod:`planopt.channel.gaussian_sites`) window by window. A window is a block with its nearest
-measurements. With U the covariance of the window, sites as measurements, the cavity of measurement
-i has mean ``y_i - (U^-1 y)_i / (U^-1)_ii`` and variance ``1 / (U^-1)_ii`` less the site's, so one
-factor serves the whole block. The fixed point is that of joint sites, except that measurements
-outside the window are neglected.
+Sites of censored and rounded measurements are matched to the cavities of their powers window by
+window. A window is a block with its nearest measurements. With U the covariance of the window,
+sites as measurements, the cavity of measurement i has mean ``y_i - (U^-1 y)_i / (U^-1)_ii`` and
+variance ``1 / (U^-1)_ii`` less the site's, so one factor serves the whole block. The fixed point is
+that of joint sites, except that measurements outside the window are neglected.
 """
 
 from __future__ import annotations

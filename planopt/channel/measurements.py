@@ -2,26 +2,14 @@
 
 Apart from multipath, two measured powers have the covariance
 
-    xi^2 exp(-d / beta) exp(-|t_i - t_j| / T) + s^2 [same receiver, not number 0]
+    xi^2 exp(-sqrt(d^2 + c_i + c_j) / beta) exp(-|t_i - t_j| / T) + s^2 [same receiver, not 0]
 
-with T the forgetting time, s the prior standard deviation of a receiver's offset, and d increased
-by position errors as below. The offset is a random effect, constant for each receiver and
-integrated out, so the mean needs no column for it. Predictions are for receiver 0, the reference,
-and have no offset.
-
-The power is that at the true position, which differs from the recorded one (GPS). With independent
-planar Gaussian errors e of standard deviation sigma per coordinate, the covariance is the kernel
-averaged over the errors (Cressie and Kornak, Spatial Statistics in the Presence of Location Error,
-2003). xi^2 E exp(-|d + e_i - e_j| / beta) is approximated by
-
-    xi^2 exp(-sqrt(d^2 + c_i + c_j) / beta),    c = 1.2 sigma^2.
-
-This is a valid covariance: the kernel of points that are shifted out of the plane, each along a
-separate axis. The diagonal is xi^2. The error is at most 0.021 xi^2 for sqrt(sigma_i^2 + sigma_j^2)
-up to 0.3 beta, and 0.036 xi^2 up to 0.5 beta.
-
-Path loss differs between the two positions too, independently for each measurement. Its variance
-follows from that of the squared distance to the station, to first order.
+with T the forgetting time, s the prior standard deviation of a receiver's offset, and
+c = 1.2 sigma^2 for a recorded position with errors of standard deviation sigma per coordinate
+(equation 1.13, an average of the kernel over the errors). The offset is a random effect, constant
+for each receiver and integrated out, so the mean needs no column for it. Predictions are for
+receiver 0, the reference, and have no offset. Position errors also change the path loss,
+independently for each measurement (equation 1.14).
 """
 
 from __future__ import annotations

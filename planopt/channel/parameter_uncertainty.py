@@ -1,12 +1,9 @@
-"""Predictions under uncertain parameters, and errors due to wrong ones (Fig. 1 of [GM11]).
+"""Predictions under uncertain parameters (equation 1.17), and errors due to wrong ones (1.16).
 
 Few measurements determine the covariance poorly, and a prediction that treats its estimate as exact
-is overconfident. The posterior is therefore a mixture over a small deterministic design of
-covariances, weighted by their likelihood. The total variance alpha = xi^2 + omega^2 is integrated
-out in closed form: under a flat prior on log alpha the restricted likelihood of (xi^2 / alpha,
-beta) equals the one with alpha profiled out, and the prediction is Student's t with n - p degrees
-of freedom. The design is a lattice in the remaining two dimensions along the principal axes of the
-likelihood.
+is overconfident. The posterior is therefore a mixture over a small design of (xi^2 / alpha, beta),
+weighted by the likelihood. The total variance alpha is integrated out in closed form. The design is
+a lattice along the principal axes of the likelihood.
 """
 
 from __future__ import annotations

@@ -2,21 +2,15 @@
 
 exp(-d / beta) has a cusp at d = 0 and log d a pole. For derivatives, the distance to a measurement
 becomes ``sqrt(d^2 + eps^2)``, with eps a hundredth of the decorrelation distance, and the distance
-to the station ``sqrt(d^2 + MIN_DISTANCE_M^2)``. The relative error of the kernel is at most
-eps / beta = 0.01, at d = 0; at d = 10 eps it is a twentieth of that.
+to the station ``sqrt(d^2 + MIN_DISTANCE_M^2)``. The relative error of the kernel is at most 0.01.
 
-Each stage is predicted from its nearest measurements, with the uncertainty of theta; the verifier
-uses the exact kernel and all measurements. A solver evaluates a path some twenty times per step.
-Kernel values and derivatives of all stages therefore share one array, and products with two
-precomputed matrices yield the rest.
+Each stage is predicted from its nearest measurements; the verifier uses the exact kernel and all
+measurements. Kernel values and derivatives of all stages share one array, and products with two
+precomputed matrices yield the rest, because a solver evaluates a path some twenty times per step.
 
-The serving power of several stations follows :mod:`planopt.channel.connectivity_law`, except that
-its standard deviation c is fixed to its value along the path that the programme is built around:
-
-    mean = t_1 + c z,    deviation = c
-
-with z the any-station score. Probabilities, gradients and Hessians are exact; only the margin of a
-constraint in dB is a first-order approximation away from that path.
+The serving power of several stations has the mean ``t_1 + c z``, z the any-station score. Its
+standard deviation c is fixed to its value along the path that the programme is built around; only
+the margin of a constraint in dB is therefore approximate away from that path.
 """
 
 from __future__ import annotations

@@ -5,6 +5,9 @@ from planopt.pursuit.arena import Arena as Arena
 from planopt.pursuit.arena import arena_of as arena_of
 from planopt.pursuit.certificate import Claim as Claim
 from planopt.pursuit.certificate import DesignData as DesignData
+from planopt.pursuit.certificate import Distances as Distances
+from planopt.pursuit.certificate import Inequality as Inequality
+from planopt.pursuit.certificate import Theorem as Theorem
 from planopt.pursuit.certificate import certify as certify
 from planopt.pursuit.certificate import verify_guarantees as verify_guarantees
 from planopt.pursuit.design import MAX_BITS as MAX_BITS
@@ -55,7 +58,4 @@ from planopt.pursuit.simulation import PursuitController as PursuitController
 from planopt.pursuit.simulation import Scene as Scene
 from planopt.pursuit.simulation import first_within as first_within
 from planopt.pursuit.simulation import simulate_pursuit as simulate_pursuit
-from planopt.pursuit.theorems import Distances as Distances
-from planopt.pursuit.theorems import Inequality as Inequality
-from planopt.pursuit.theorems import Theorem as Theorem
 from planopt.pursuit.verify import verify_pursuit as verify_pursuit

@@ -20,6 +20,7 @@ from pydantic import Field
 
 from planopt.errors import InputError, NoPlanError
 from planopt.keys import SMALLEST, Length, Table
+from planopt.pursuit.certificate import Inequality, Theorem
 from planopt.pursuit.guarantees import Chase, Guarantee, capture_guarantees, contraction
 from planopt.pursuit.service import (
     HOPS_PER_ROUND,
@@ -29,7 +30,6 @@ from planopt.pursuit.service import (
     peak_blocks_per_frame,
     relative_error,
 )
-from planopt.pursuit.theorems import Inequality, Theorem
 
 MAX_SLOT_BLOCKS = 10_000
 """Maximum number of blocks in a slot."""

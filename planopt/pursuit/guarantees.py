@@ -28,8 +28,8 @@ from functools import cached_property
 import numpy as np
 
 from planopt.arrays import Floats, Mask
+from planopt.pursuit.certificate import Distances, Inequality, Theorem
 from planopt.pursuit.service import ServiceBounds
-from planopt.pursuit.theorems import Distances, Inequality, Theorem
 
 Stage = Callable[[Floats], tuple[Floats, Floats]]
 """Function from distance bound W at the start of a stage to its bound at the end and a duration.

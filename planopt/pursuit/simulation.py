@@ -15,10 +15,10 @@ from scipy.optimize import (
 from planopt.arrays import Floats, Indices
 from planopt.errors import InputError
 from planopt.pursuit.arena import Arena
+from planopt.pursuit.certificate import Distances
 from planopt.pursuit.evaders import Behaviour, EvaderView
 from planopt.pursuit.pursuers import Driver, Motion, Policy, PursuerView, Quest, StraightMotion
 from planopt.pursuit.service import Record, RecordSource, Track
-from planopt.pursuit.theorems import Distances
 
 STEP_PIECES = 4
 """Number of straight segments of a pursuer's step on which captures are detected."""

@@ -13,9 +13,8 @@ from numpy.typing import NDArray
 from planopt.errors import NoPlanError
 from planopt.files.tables import Column, Data
 from planopt.files.typed_json import finite
-from planopt.pursuit.certificate import Claim, verify_guarantees
+from planopt.pursuit.certificate import Claim, Distances, Inequality, Theorem, verify_guarantees
 from planopt.pursuit.simulation import Pursuit, PursuitController, simulate_pursuit
-from planopt.pursuit.theorems import Distances, Inequality, Theorem
 from planopt.pursuit.verify import PursuitData, PursuitLog, Reports, Robot, Service, verify_pursuit
 from planopt.tasks.pursuit_tables import PursuitFile, PursuitProblem, build
 from planopt.tasks.task import Task, TaskResult

@@ -18,6 +18,7 @@ from planopt.problems.schema import TaskFile, WorldTable, obstacle_table, obstac
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
 from planopt.problems.tasks import TaskProblem
 from planopt.pursuit.arena import EVADER_SHARE, Arena, arena_of
+from planopt.pursuit.certificate import Distances, Theorem
 from planopt.pursuit.design import MAX_BITS
 from planopt.pursuit.evaders import Fleeing, Foresighted, Static, Wandering, Zigzag
 from planopt.pursuit.guarantees import (
@@ -36,7 +37,6 @@ from planopt.pursuit.pursuers import (
 )
 from planopt.pursuit.service import HOPS_PER_ROUND, MAX_LEVELS, SnapshotRecords, SnapshotService
 from planopt.pursuit.simulation import Evader, Pursuer, Scene
-from planopt.pursuit.theorems import Distances, Theorem
 from planopt.robots.models import Unicycle
 from planopt.world.workspace import Obstacle, Workspace
 

@@ -6,16 +6,10 @@ repeat, so pairs are collected in bins of equal width, each at the mean distance
 
 ``lemma1``: Lemma 1 of [GM11], a weighted line log r(d) = log xi^2 - d / beta through the bins with
 0 < r-hat(d) < alpha-hat. As printed, this selection keeps only positive noise at long lags, which
-makes xi too small and beta too long for any number of measurements. ``capped``: the same with lags
-up to a cap, and weights n r^2, the inverse of the variance of log r-hat.
-
-``convex``: the weighted loss of log r-hat - a + b d is convex in a = log xi^2 and b = 1 / beta, and
-so are the physical constraints that the closed form ignores: xi^2 <= alpha-hat (omega^2 cannot be
-negative), and beta in the range that the positions can resolve.
-
-``nls``: nonlinear least squares of the exponential on the correlation itself. Negative bins count
-too, so there is no selection and no bias as in Lemma 1. The problem is not convex in beta; a scan
-over beta, with xi^2 linear, gives the initial guess.
+makes xi too small and beta too long. ``capped``: the same with lags up to a cap, and weights n r^2,
+the inverse of the variance of log r-hat. ``convex``: the same loss in a = log xi^2 and
+b = 1 / beta, with the physical constraints that the closed form ignores. ``nls``: nonlinear least
+squares of the exponential on all bins, which has no selection bias, from a scan over beta.
 """
 
 from __future__ import annotations

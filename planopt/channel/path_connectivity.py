@@ -332,19 +332,9 @@ class FirstPassage:
     __repr__ = short_repr
 
     @property
-    def connected_by(self) -> Floats:
-        """Distribution function of the first connection, 1 - pi_k; ``(h + 1,)``."""
-        return 1.0 - self.not_connected
-
-    @property
     def expected_distance_m(self) -> float:
         """Expected distance to the first connection or the path's end, sum_k leg_{k+1} pi_k."""
         return float(np.diff(self.travelled_m) @ self.not_connected[:-1])
-
-    @property
-    def expected_distance_error_m(self) -> float:
-        """Error of :attr:`expected_distance_m` if all errors of pi_k have the same sign."""
-        return float(np.diff(self.travelled_m) @ self.not_connected_error[:-1])
 
 
 def first_passage(

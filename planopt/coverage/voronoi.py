@@ -153,11 +153,6 @@ class Cells:
     # origin and radius 1
     unclipped: Polygons
 
-    def corners_of(self, agent: int) -> Floats:
-        """Return the corners ``(k, 2)`` of one agent's cell in counter-clockwise order."""
-        cell = self.cell_of[agent]
-        return self.inside.corners_m[self.inside.first[cell] : self.inside.first[cell + 1]]
-
 
 def voronoi_cells(region: ConvexRegion, agents_m: Floats) -> Cells:
     """Compute the Voronoi partition of a region for agents ``(n, 2)``."""

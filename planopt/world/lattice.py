@@ -74,7 +74,9 @@ def build_lattice(
     origin = np.array([x_0, y_0])
     positions = _positions(origin, spacing, (ny, nx))
     index = index_obstacles(workspace)
-    near = near_pairs(index, positions.reshape(-1, 2), clearance_m + step_m)
+    points = np.asarray(shapely.points(positions.reshape(-1, 2)), np.object_)
+    nearby, obstacle = index.tree.query(points, predicate="dwithin", distance=clearance_m + step_m)
+    near = NearPairs(nearby, obstacle, distances_m(points[nearby], index.polygons[obstacle]))
     free = np.ones(nx * ny, dtype=np.bool_)
     free[near.node[~is_clear(near.distance_m, clearance_m)]] = False
     free = free.reshape(ny, nx)
@@ -146,13 +148,6 @@ class NearPairs:
     distance_m: Floats  # (p,) exact distances
 
 
-def near_pairs(index: ObstacleIndex, positions_m: Floats, reach_m: float) -> NearPairs:
-    """Return all pairs of a position (n, 2) and an obstacle within `reach_m` of it."""
-    points = np.asarray(shapely.points(positions_m), np.object_)
-    node, obstacle = index.tree.query(points, predicate="dwithin", distance=reach_m)
-    return NearPairs(node, obstacle, distances_m(points[node], index.polygons[obstacle]))
-
-
 def open_moves(
     index: ObstacleIndex,
     positions_m: Floats,  # (ny, nx, 2) node positions
@@ -164,7 +159,9 @@ def open_moves(
     result = np.zeros((len(MOVES), *free.shape), dtype=np.bool_)
     result[0] = free
     places = positions_m.reshape(-1, 2)
-    undecided = _of_free_nodes(near, free)
+    order = np.lexsort((near.obstacle, near.node))
+    order = order[free.reshape(-1)[near.node[order]]]
+    undecided = NearPairs(near.node[order], near.obstacle[order], near.distance_m[order])
     for number, (dx, dy) in enumerate(_TESTED, start=1):
         start, end = _ends(free.shape, dx, dy)
         result[number][start] = free[start] & free[end]
@@ -192,13 +189,6 @@ def _ends(
     start = (slice(max(-dy, 0), max(ny - dy, 0)), slice(max(-dx, 0), max(nx - dx, 0)))
     end = (slice(max(dy, 0), max(ny + dy, 0)), slice(max(dx, 0), max(nx + dx, 0)))
     return start, end
-
-
-def _of_free_nodes(near: NearPairs, free: Mask) -> NearPairs:
-    """Return the pairs with a free node, sorted by node, then obstacle."""
-    order = np.lexsort((near.obstacle, near.node))
-    order = order[free.reshape(-1)[near.node[order]]]
-    return NearPairs(near.node[order], near.obstacle[order], near.distance_m[order])
 
 
 def _unsure(

@@ -168,7 +168,8 @@ def fit_channel_and_station(
     found = fit_channel(measurements, station, method, forgetting_s, loss=loss)
     sample = measurements.take(thinned(len(measurements), MOST_DENSE))
     parameters, errors = found.parameters, found.standard_errors
-    covariance = position_covariance_m2(sample, parameters, station_method)
+    covariance_of = line_covariance_m2 if station_method == "line" else joint_covariance_m2
+    covariance = covariance_of(sample, parameters)
     place = "the station's position ({:.2f}, {:.2f}) m is ".format(*station.position_m)
     if covariance is None:
         return replace(
@@ -215,24 +216,16 @@ class StationSurface:
         return low - margin * self.extent_m, high + margin * self.extent_m
 
 
-def gaussian_covariance_db2(
-    measurements: Measurements, parameters: ChannelParameters
-) -> tuple[Floats, Floats]:
-    """Return values (n,) in dBm and covariance V (n, n), with Gaussian sites for intervals."""
-    sites = gaussian_sites(parameters, measurements)
-    covariance = own_covariance_db2(measured_origins(measurements, parameters), parameters)
-    noise = sites.noise_variance_db2 + measured_path_loss_variance_db2(measurements, parameters)
-    covariance.flat[:: len(covariance) + 1] += noise
-    return sites.values_db, covariance
-
-
 def station_surface(
     measurements: Measurements, parameters: ChannelParameters, *, has_prior: bool
 ) -> StationSurface:
     """Return the likelihood surface with covariance and sites from `parameters`."""
-    values, covariance = gaussian_covariance_db2(measurements, parameters)
+    sites = gaussian_sites(parameters, measurements)
+    covariance = own_covariance_db2(measured_origins(measurements, parameters), parameters)
+    noise = sites.noise_variance_db2 + measured_path_loss_variance_db2(measurements, parameters)
+    covariance.flat[:: len(covariance) + 1] += noise
     lower = lower_factor(covariance)
-    whitened = solve_lower(lower, values)
+    whitened = solve_lower(lower, sites.values_db)
     height_m = parameters.station.height_m
     return StationSurface(measurements.positions_m, height_m, lower, whitened, has_prior)
 
@@ -382,15 +375,6 @@ def _clear_of(measurements: Measurements, station: Station) -> Station:
         x, y = station.position_m
         return replace(station, position_m=(x + MIN_DISTANCE_M, y))
     return station
-
-
-def position_covariance_m2(
-    measurements: Measurements, parameters: ChannelParameters, method: StationMethod
-) -> Floats | None:
-    """Return the covariance (2, 2) of the station's position, None if it is not determined."""
-    if method == "line":
-        return line_covariance_m2(measurements, parameters)
-    return joint_covariance_m2(measurements, parameters)
 
 
 def line_covariance_m2(measurements: Measurements, parameters: ChannelParameters) -> Floats | None:

@@ -18,7 +18,7 @@ from planopt.keys import SMALLEST, Length, Table
 from planopt.planning.plan import Termination, Verdict
 from planopt.problems.schema import TaskFile
 from planopt.problems.tasks import TaskProblem
-from planopt.pursuit.certificate import DesignData, Requirement, certify
+from planopt.pursuit.certificate import DesignData, Inequality, Requirement, Theorem, certify
 from planopt.pursuit.design import (
     MAX_BITS,
     Design,
@@ -35,7 +35,6 @@ from planopt.pursuit.design import (
 )
 from planopt.pursuit.guarantees import Chase, Guarantee
 from planopt.pursuit.service import MOST_SIMULATED_LEVELS, late_shares
-from planopt.pursuit.theorems import Inequality, Theorem
 from planopt.tasks.task import Task, TaskResult
 
 if TYPE_CHECKING:

@@ -68,11 +68,7 @@ def ring_places(agents_m: Floats, event_m: Floats, radius_m: float) -> Floats:
 
 
 def free_ring_places(
-    agents_m: Floats,
-    event_m: Floats,
-    radius_m: float,
-    ground: Ground,
-    strength_known: bool,
+    agents_m: Floats, event_m: Floats, radius_m: float, ground: Ground, strength_known: bool
 ) -> Floats:
     """Return the most informative positions (k, 2) on the allowed part of a ring.
 

@@ -161,7 +161,7 @@ def test_compare_without_a_plan(cut_off: Path, capsys) -> None:
     assert data["rows"] == [] and data["outcome"] == "no_plan"
 
 
-def test_pictures_are_drawn_beside_the_results(near: Path, tmp_path: Path) -> None:
+def test_pictures_are_drawn(near: Path, tmp_path: Path) -> None:
     """Where the problem asks for figures, each command saves its own, as PNG files."""
     near.write_text(near.read_text().replace("figures = false", "figures = true"))
     more = {"solve": [], "simulate": [], "compare": ["--horizons", "3", "--seeds", "1"]}
@@ -253,9 +253,7 @@ def test_a_fault_of_ours_is_not_hidden(field: Path, monkeypatch: pytest.MonkeyPa
         main(["solve", str(field)])
 
 
-def test_unverified_plans_of_a_run_are_told_with_a_reason(
-    field: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_unverified_plans_have_a_reason(field: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """An average that no plan can have: reached or not, the text says why."""
     text = field.read_text().replace("[constraints]", '[constraints]\nconnectivity = "average"')
     field.write_text(re.sub(r"threshold_dbm = .*", "threshold_dbm = -30.0", text))
@@ -266,7 +264,7 @@ def test_unverified_plans_of_a_run_are_told_with_a_reason(
     assert "constraints.p_min requires" in told.group(2)
 
 
-def test_a_goal_that_nothing_single_opens_is_told(
+def test_goal_that_no_single_change_opens(
     cut_off: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Two walls: no single obstacle to be taken away, and no clearance, helps."""

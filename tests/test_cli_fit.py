@@ -120,7 +120,7 @@ def test_fit_prints_text(log: Path, capsys) -> None:
 
 
 def test_fit_draws_its_picture(log: Path, tmp_path: Path) -> None:
-    """With --out there is a picture, and the JSON beside it."""
+    """With --out there is a picture in addition to the JSON."""
     out = tmp_path / "fit"
     assert main(["fit", str(log), "--station", "0,0", *COLUMNS, "--out", str(out)]) in FITTED
     assert {f.name for f in out.iterdir()} == {"fit.json", "fit.png"}
@@ -183,7 +183,7 @@ EVERYTHING += ["--resolution", "1", "--position-error", "2.5"]
 
 @pytest.mark.parametrize("station", ["0,0", "unknown"])
 def test_receivers_ages_and_errors(shared_log: Path, station: str, capsys) -> None:
-    """The second robot's offset is found, named by its label, and told in words."""
+    """The second robot's offset is found, named by its label, and printed."""
     arguments = ["fit", str(shared_log), "--station", station, *EVERYTHING]
     assert main([*arguments, "--json"]) in FITTED
     data = json.loads(capsys.readouterr().out)
@@ -196,7 +196,7 @@ def test_receivers_ages_and_errors(shared_log: Path, station: str, capsys) -> No
     assert "receiver bob reads +" in capsys.readouterr().out
 
 
-def test_without_them_nothing_is_told(shared_log: Path, capsys) -> None:
+def test_without_receivers_and_forgetting(shared_log: Path, capsys) -> None:
     """No receivers, no forgetting."""
     assert main(["fit", str(shared_log), "--station", "0,0", "--json"]) in FITTED
     data = json.loads(capsys.readouterr().out)
@@ -257,7 +257,7 @@ def fitted(log: Path, capsys, *options: str) -> dict:
 
 
 def test_standard_errors_of_the_station(round_log: Path, capsys) -> None:
-    """Two numbers where it is estimated, by either way; null where it is given."""
+    """Two numbers if it is estimated, by either method; null if it is known."""
     joint = fitted(round_log, capsys, "--station", "unknown")
     line = fitted(round_log, capsys, "--station", "unknown", "--station-method", "line")
     given = fitted(round_log, capsys, "--station", "120,60")
@@ -271,7 +271,7 @@ def test_standard_errors_of_the_station(round_log: Path, capsys) -> None:
 
 
 def test_station_in_words(round_log: Path, capsys) -> None:
-    """The station's errors stand beside it, and nothing where it is given."""
+    """The station's errors follow it, and are absent if it is known."""
     assert main(["fit", str(round_log), "--station", "unknown"]) in FITTED
     first = capsys.readouterr().out.splitlines()[0]
     assert re.search(r"station \([\d.]+, [\d.]+\) \+- \([\d.]+, [\d.]+\) m$", first)

@@ -250,7 +250,7 @@ def test_an_existing_file_is_kept(made: Path, yard: Path, capsys) -> None:
     assert made.read_bytes() == before
 
 
-def test_a_log_beside_the_map(yard: Path, tmp_path: Path, capsys) -> None:
+def test_log_outside_the_map(yard: Path, tmp_path: Path, capsys) -> None:
     """A wrong origin is noticed: readings outside the map or on walls."""
     data = imported(
         *(capsys, "--map", yard / "yard.yaml", "--log", yard / "log.csv"),

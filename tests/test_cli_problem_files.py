@@ -18,7 +18,7 @@ NAMES = library_names(MOTION)
 
 @pytest.mark.parametrize("name", NAMES)
 def test_a_copy_is_the_problem(name: str, tmp_path: Path, capsys) -> None:
-    """With its maps beside it, whatever the library's folder is; nothing temporary is left."""
+    """With its maps next to it, whatever the library's folder is; nothing temporary is left."""
     file = tmp_path / "new" / "mine.toml"
     assert main(["init", str(file), "--from", name, "--json"]) == 0
     files = {Path(path) for path in json.loads(capsys.readouterr().out)["files"]}

@@ -36,7 +36,7 @@ def printed(capsys: pytest.CaptureFixture[str]) -> dict:
 
 
 def test_solve_and_check(short: Path, tmp_path: Path, capsys) -> None:
-    """A plan for each robot, saved and judged again."""
+    """A plan for each robot is saved and checked."""
     out = tmp_path / "out"
     assert main(["solve", str(short), "--horizon", "3", "--json", "--out", str(out)]) == 0
     data = printed(capsys)
@@ -48,7 +48,7 @@ def test_solve_and_check(short: Path, tmp_path: Path, capsys) -> None:
 
 
 def test_simulate_and_check(short: Path, tmp_path: Path, capsys) -> None:
-    """A run that completes its steps, saved and judged again."""
+    """A run that completes its steps is saved and checked."""
     out = tmp_path / "out"
     assert main(["simulate", str(short), "--horizon", "3", "--json", "--out", str(out)]) == 0
     data = printed(capsys)

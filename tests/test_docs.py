@@ -18,7 +18,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def test_first_plan_and_own_loop_are_short() -> None:
-    """The README's Python: a first plan of at most 15 lines, then a loop of one's own of 10."""
+    """The README's Python: a first plan of at most 15 lines, then a user's own loop of 10."""
     codes = re.findall(r"^```python\n(.*?)^```", README, flags=re.MULTILINE | re.DOTALL)
     most = (15, 10)
     assert 1 <= len(codes) <= len(most)

@@ -139,7 +139,7 @@ def test_files_that_no_parser_should_read(tmp_path: Path, capsys) -> None:
 
 
 @pytest.mark.parametrize("station", ["unknown", "0,0", "50,0", "0,0,5"])
-def test_places_nearer_than_any_receiver_can_tell(station: str, tmp_path: Path, capsys) -> None:
+def test_positions_closer_than_resolution(station: str, tmp_path: Path, capsys) -> None:
     """Squares of their distances are zero, and no fit is."""
     rows = [f"{(-1) ** i * i}e-301,{i * i}e-301,{30 + i}" for i in range(1, 11)]
     (tmp_path / "log.csv").write_text("\n".join(["x_m,y_m,power_dbm", *rows]))

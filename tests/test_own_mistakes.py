@@ -241,7 +241,7 @@ def test_maps_of_lists_and_arrays() -> None:
     assert CasadiMap(**{**MAP, **arrays}).rest_input == (0.0, 0.0)
 
 
-def test_maps_that_fail_on_the_way(base) -> None:
+def test_maps_that_fail_along_the_path(base) -> None:
     """NaN two metres from the start is a fault of the map, not of a term."""
     far = X[0] > base.robots[0].start_m[0] + 0.1
     after = ca.if_else(far, X / 0, X + ca.vertcat(1.0, 0.0) * (0.2 + ca.fabs(U[0])))

@@ -59,13 +59,13 @@ def test_one_plan_by_public_names() -> None:
 
 
 def test_a_refusal_is_an_error_of_no_plan() -> None:
-    """It is caught as that one, and has the ways that are forbidden."""
+    """It is caught as that one, and has the forbidden routes."""
     assert issubclass(planopt.extend.BlockedError, planopt.NoPlanError)
     error = planopt.extend.BlockedError("no path", ())
     assert error.blocked == ()
 
 
-def test_problems_of_every_task_are_asked_alike() -> None:
+def test_every_task_has_the_same_functions() -> None:
     """The same functions take them, say what a task has not, and refuse anything else."""
     pursuit = planopt.load("pursuit_static")
     assert isinstance(pursuit, planopt.problems.TaskProblem)

@@ -33,7 +33,7 @@ def all_given(count, start=0.0):
     )
 
 
-def test_what_is_not_given_is_zero():
+def test_missing_columns_are_zero():
     """Of the length of the rest, and receivers are whole numbers."""
     plain = some(3)
     for name in OPTIONAL:

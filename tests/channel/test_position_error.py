@@ -31,7 +31,7 @@ def test_the_kernel_is_nearly_the_average(share, most):
 
 @pytest.mark.parametrize("height", [0.0, 10.0])
 def test_variance_of_path_loss(height):
-    """Far from the station as sampled; beside it bounded, and of the right size."""
+    """Far from the station as sampled; near it bounded, and of the right size."""
     station = Station((0.0, 0.0), height)
     errors = 3.0 * np.random.default_rng(1).standard_normal((200_000, 2))
     for x, tolerance in ((60.0, 0.03), (21.0, 0.1), (3.0, 0.45)):
@@ -45,7 +45,7 @@ def test_variance_of_path_loss(height):
 
 
 def surveyed(seed, count=150, targets=60):
-    """Measurements recorded beside where they were taken, and powers at places known exactly."""
+    """Measurements recorded near where they were taken, and powers at exactly known positions."""
     generator = np.random.default_rng(seed)
     true = generator.uniform(0.0, 100.0, (count + targets, 2))
     covariance = shadow_covariance_db2(true, true, CHANNEL)

@@ -107,7 +107,7 @@ def test_joint_covariance_is_scikit_learns(channel, data):
 
 
 def test_unknown_theta_is_gstools_universal_kriging(channel, data):
-    """Mean and variance with both coefficients of path loss estimated on the way."""
+    """Mean and variance with both coefficients of path loss estimated."""
     posterior = condition(channel, data)
     mean, variance = universal_kriging(channel, posterior)(places().T)
     assert_same(posterior.predict(places()), mean, variance + channel.multipath_std_db**2)

@@ -300,7 +300,7 @@ def test_unreadable(text):
 
 
 def test_bad_cells(log):
-    """A text where a block is asked for, and a column that is not there, name line and column."""
+    """Text where a number is required, and a missing column, name line and column."""
     with refused():
         read_groups(log, parse_groups("day:2"))
     with refused():

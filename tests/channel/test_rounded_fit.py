@@ -55,8 +55,8 @@ def estimates(fits):
     return np.array([[p.shadow_std_db, p.multipath_std_db, p.decorrelation_m] for p in found])
 
 
-def test_omega_is_recovered_and_biased_where_rounding_is_not_told(fits):
-    """Within Monte Carlo error of the truth when told, sqrt(omega^2 + r^2 / 12) when not."""
+def test_omega_is_biased_only_if_rounding_is_unknown(fits):
+    """Near the truth if rounding is known, else near sqrt(omega^2 + r^2 / 12)."""
     told = estimates([fit for *_, fit, _ in fits])
     untold = estimates([fit for *_, fit in fits])
     error = told.std(axis=0) / math.sqrt(SEEDS)

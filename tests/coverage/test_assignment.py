@@ -90,7 +90,7 @@ def test_trade_off_is_the_minimum() -> None:
 
 
 def test_functions_of_the_users_own() -> None:
-    """A function is checked where it is asked."""
+    """The result of a function is checked."""
     assert demanded(lambda n: n // 2, 9) == 4
 
 
@@ -123,7 +123,7 @@ def test_lists_find_the_nearest(hexagon: ConvexRegion, seed: int) -> None:
 
 
 def test_every_agent_has_a_nearer_neighbour(square: ConvexRegion) -> None:
-    """The nearest agents are connected, and the next one is beside them: the lemmas behind it."""
+    """The nearest agents are connected, and the next one is their neighbour (both lemmas)."""
     for seed in range(30):
         network, distances = scene(square, 300 + seed, 25)
         order = np.argsort(distances)
@@ -156,7 +156,7 @@ def test_repeated_and_lost_messages(square: ConvexRegion) -> None:
 
 
 def test_agents_with_their_own_count(square: ConvexRegion) -> None:
-    """Agents that reckon with a larger demand keep longer lists; nobody wanted is missed."""
+    """Agents that assume a larger demand keep longer lists; no required agent is missed."""
     network, distances = scene(square, 8, 30)
     wanted = np.where(np.arange(30) % 2 == 0, 4, 5)
     found = propagate_flags(network, distances, wanted)

@@ -91,7 +91,7 @@ def test_gradient_by_differences(hexagon: ConvexRegion, kind: int, range_m: floa
 
 
 def test_kinds_of_density_agree(hexagon: ConvexRegion) -> None:
-    """The same density given in two ways has the same integrals, to nine digits."""
+    """The same density in two forms has the same integrals, to nine digits."""
     cells = voronoi_cells(hexagon, scattered(hexagon, 30, rng(5)))
     flat = raster(hexagon, rng(0)).raster
     flat = RasterDensity(Raster(flat.x_m, flat.y_m, np.full(flat.values.shape, 2.5)))

@@ -130,7 +130,7 @@ def test_minima_agree_after_the_diameter() -> None:
 
 @pytest.mark.parametrize("seed", [3, 7, 12, 21])
 def test_running_count_comes_to_its_limit(seed: int) -> None:
-    """From anywhere; the limit of the leader is n, and nobody holds less."""
+    """From any initial value; the limit of the leader is n, and no agent holds less."""
     network = random_network(seed)
     n = network.count
     innovation = 0.001

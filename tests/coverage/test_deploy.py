@@ -13,7 +13,7 @@ from planopt.coverage import ConvexGround, ConvexRegion, Deployer, settle
 
 
 def test_assignment_has_the_least_squared_length(square: ConvexRegion) -> None:
-    """Five agents get the positions of the best permutation, and keep them on the way."""
+    """Five agents get the positions of the best permutation, and keep them while they move."""
     ground, here = ConvexGround(square), scattered(square, 5, np.random.default_rng(3))
     deployer = Deployer(ground, np.random.default_rng(0))
     agents = np.arange(5)

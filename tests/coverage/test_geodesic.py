@@ -45,7 +45,7 @@ def region() -> GeodesicGround:
 
 
 def test_distances_by_visibility_graph(region: GeodesicGround) -> None:
-    """Distances are those of the world's own shortest ways, found by other code."""
+    """Distances are those of the world's own shortest paths, found by other code."""
     agents = free_places(region, 6, np.random.default_rng(0))
     cells = geodesic_cells(region, agents)
     named = tuple(Obstacle(str(number), shape) for number, shape in enumerate(OBSTACLES))
@@ -174,7 +174,7 @@ def test_agent_at_a_corner() -> None:
 
 
 def test_borders_of_agents_that_rounding_puts_into_an_obstacle() -> None:
-    """A run that ends beside an obstacle can be drawn: agents count at the nearest free place."""
+    """A run that ends at an obstacle can be drawn: agents count at the nearest free position."""
     ground = geodesic_ground(shapely.Polygon(OUTLINE), OBSTACLES, 4.0)
     corner = np.array([[92.0, 75.0], [10.0, 10.0]])
     inside = corner + [[-1e-3, 1e-3], [0.0, 0.0]]

@@ -73,7 +73,7 @@ def test_no_information_at_the_event() -> None:
 
 @pytest.mark.parametrize("agents", [2, 3, 5, 8])
 def test_rings_are_best(agents: int) -> None:
-    """The ring's information is P g^2 / 2 sigma^2 each way; no turned or moved ring has more."""
+    """The ring's information is P g^2 / 2 sigma^2 per axis; no turned or moved ring has more."""
     radius = SENSOR.best_distance_m
     start = EVENT + np.random.default_rng(agents).standard_normal((agents, 2))
     ring = ring_places(start, EVENT, radius)
@@ -266,7 +266,7 @@ def test_estimates_stay_in_the_region() -> None:
     assert FIELD.contains(found.position_m[None]).all()
 
 
-def test_pooling_keeps_what_repeats_tell() -> None:
+def test_pooling_keeps_the_information_of_repeats() -> None:
     """Repeated measurements, one by one or as means, give the same estimate."""
     generator = np.random.default_rng(9)
     places = np.repeat(EVENT + generator.uniform(-2.0, 2.0, (5, 2)), 20, axis=0)

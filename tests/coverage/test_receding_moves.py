@@ -227,7 +227,7 @@ def test_round_clearance_of_a_corner_is_kept() -> None:
 
 
 def test_corridors_hold_no_border(blocks: GeodesicGround) -> None:
-    """Places of a corridor keep the clearance, and the free straight way is within it."""
+    """Positions of a corridor keep the clearance, and the free straight path is within it."""
     rng = np.random.default_rng(6)
     drawn = rng.random((400, 2)) * [60.0, 40.0]
     agents = drawn[blocks.allows(drawn)][:60]

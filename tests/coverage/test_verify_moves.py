@@ -40,7 +40,7 @@ def places(*pairs: tuple[float, float]) -> Motion:
 
 
 def test_contact_between_the_ends_is_found() -> None:
-    """Agents that swap places, or pass each other on time, are told apart."""
+    """Agents that swap places collide; agents that pass each other in time do not."""
     limits = MoveLimits(body_radius_m=0.5, time_step_s=2.0)
     one, other = places((5, 5), (9, 5)), places((9, 5), (5, 5))
     (fault,) = verify_moves(HALL, one, other, limits)
@@ -54,7 +54,7 @@ def test_contact_between_the_ends_is_found() -> None:
     assert verify_moves(HALL, one, other, points) == ()
 
 
-def test_parabolas_are_judged_as_driven() -> None:
+def test_parabolas_are_verified_as_driven() -> None:
     """A double integrator that swings near another between the ends touches it."""
     limits = MoveLimits(speed_m_s=9.0, acceleration_m_s2=20.0, body_radius_m=0.5)
     here, still = np.array([[5.0, 5.0], [5.0, 6.5]]), np.zeros(2)
@@ -76,7 +76,7 @@ def test_parabolas_are_judged_as_driven() -> None:
     ],
 )
 def test_borders_and_speed(after: tuple[float, float], found: set[str]) -> None:
-    """Obstacles, the outline and the speed are judged along the way, not at its ends alone."""
+    """Obstacles, the outline and the speed are verified along the path, not at its ends alone."""
     limits = MoveLimits(speed_m_s=4.0, body_radius_m=0.5)
     moved = verify_moves(HALL, places((17, 15)), places(after), limits)
     assert kinds(moved) == found
@@ -106,7 +106,7 @@ def test_motion_of_other_kinds() -> None:
         assert kinds(verify_moves(HALL, start, end, unicycle)) == found
 
 
-def test_radio_is_judged_over_the_best_way() -> None:
+def test_radio_is_verified_over_the_best_links() -> None:
     """An agent that its neighbour carries is connected; without the neighbour it is not."""
     far, near = (59.5, 20.0), (30.0, 10.0)
     still = places(near, far)
@@ -151,8 +151,8 @@ def test_planned_moves_have_no_fault(kind: str) -> None:
     assert 0.06 < loosest <= 0.1
 
 
-def test_tree_counts_failures_of_the_whole_way() -> None:
-    """The bound is the sum over the way, and what links may still fail is divided over it."""
+def test_tree_counts_failures_of_the_whole_path() -> None:
+    """The bound is the sum over the path, and the rest of the probability is divided over it."""
     chain = places((22, 0), (44, 0), (66, 0)).places_m
     radio = RadioLimits(RADIO.stations_m, KNOWN, KNOWN, -62.0, 0.7)
     tree = radio_tree(chain, radio)
@@ -219,7 +219,7 @@ def test_nodes_stand_for_what_is_around_them(learnt: StationMap) -> None:
 
 @pytest.mark.parametrize("inert", [False, True])
 def test_places_that_are_kept_hold_all_links(learnt: StationMap, inert: bool) -> None:
-    """Wherever agents get within what they keep, no way to a station fails more than allowed."""
+    """Anywhere within the agents' safe sets, no link path to a station fails more than allowed."""
     law = LinkLaw(np.array([-30.0, 3.0]), 4.0, np.diag([1.0, 0.0]))
     radio = RadioLimits(np.array([[10.0, 10.0], [100.0, 80.0]]), learnt, law, THRESHOLD_DBM, 0.9)
     rng = np.random.default_rng(2)

@@ -109,7 +109,7 @@ def test_agents_on_the_border_and_on_a_grid(square: ConvexRegion) -> None:
 
 
 def test_collinear_agents(square: ConvexRegion) -> None:
-    """Agents in a row get strips, and each has the two beside it as neighbours."""
+    """Agents in a row get strips, and each has the two next to it as neighbours."""
     agents = np.stack((np.linspace(1.0, 99.0, 50), np.full(50, 30.0)), axis=1)
     cells = voronoi_cells(square, agents)
     widths = np.diff(np.concatenate(([0.0], 0.5 * (agents[1:, 0] + agents[:-1, 0]), [100.0])))

@@ -42,7 +42,7 @@ def archive(path: Path, members: dict[str, bytes], method: int = zipfile.ZIP_DEF
 
 @pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
 def test_sound_arrays_are_those_of_numpy(save, tmp_path: Path) -> None:
-    """Values, shapes, dtypes and names; those that were not asked for are left out."""
+    """Values, shapes, dtypes and names; other arrays are left out."""
     path = tmp_path / "a.npz"
     save(path, **ARRAYS)
     assert npz_names(path) == tuple(ARRAYS)
@@ -86,7 +86,7 @@ def test_objects_are_never_unpickled(tmp_path: Path) -> None:
 
 
 def test_a_zip_bomb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The sum of the declared sizes counts, of the arrays asked for; the limit is exact."""
+    """The sum of the declared sizes of the requested arrays counts; the limit is exact."""
     path = tmp_path / "a.npz"
     np.savez_compressed(path, a=np.zeros(100_000), b=np.zeros(100_000), c=np.zeros(1))
     with zipfile.ZipFile(path) as file:

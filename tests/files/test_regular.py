@@ -24,7 +24,7 @@ def test_content_is_returned(tmp_path: Path) -> None:
 @needs_devices
 @pytest.mark.parametrize("name", ["/dev/zero", "link", "pipe", "."])
 def test_what_is_no_regular_file(name: str, tmp_path: Path) -> None:
-    """A device, a link to one, a pipe that nobody writes to, a folder: refused without waiting."""
+    """A device, a link to one, a pipe without a writer, a folder: refused without waiting."""
     (tmp_path / "link").symlink_to("/dev/zero")
     os.mkfifo(tmp_path / "pipe")
     with refused():

@@ -49,7 +49,7 @@ def moved(measurements, turn, shift, scale=1.0):
 
 
 def partly_open(seed):
-    """A rule and a way some of whose gates are partly open, clear of where measuring changes."""
+    """A rule and a path with partly open gates, away from points where measuring changes."""
     rng = np.random.default_rng(seed)
     while True:
         known = rng.uniform(0.0, 7.0, (3, 2))

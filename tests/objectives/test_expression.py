@@ -1,4 +1,4 @@
-"""Expressions of one's own: text and CasADi expression agree; other text is refused."""
+"""User-defined expressions: text and CasADi expression agree; other text is refused."""
 
 import casadi as ca
 import numpy as np

@@ -138,7 +138,7 @@ def test_mapping_is_conditioning_place_after_place(posterior):
 
 
 @pytest.mark.parametrize("name", [*LEARNING, *MAPPING])
-def test_more_measurements_never_tell_less(name):
+def test_more_measurements_never_lower_information(name):
     """Values grow along every path; information on the channel is submodular."""
     values = [exact(name, path=PATH[:k]) for k in range(1, 6)]
     assert values[0] >= 0.0 and (np.diff(values) >= -1e-12).all()

@@ -35,7 +35,7 @@ def taken_in_turn(known, way, spacing_m=SPACING_M):
 
 @pytest.mark.parametrize("seed", range(20))
 def test_takes_what_a_loop_takes(seed):
-    """Ways among measurements, that come back to their own places; each way by itself."""
+    """Paths among measurements that return to their own positions, each path by itself."""
     rng = np.random.default_rng(seed)
     known = rng.uniform(0.0, 12.0, (rng.integers(0, 8), 2))
     ways = rng.uniform(0.0, 12.0, (5, 9, 2))

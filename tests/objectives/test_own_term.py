@@ -1,4 +1,4 @@
-"""A term of one's own by a class, against the same expression written by casadi_term."""
+"""A user-defined term as a class, against the same expression written by casadi_term."""
 
 import subprocess
 import sys

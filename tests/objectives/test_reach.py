@@ -52,7 +52,7 @@ def test_closed_forms():
 
 @settings(deadline=None)
 @given(WEIGHTS, SPEEDS, st.floats(0.01, 10.0), st.floats(0.001, 1.0))
-def test_a_step_costs_at_least_its_way_at_the_rate(weight, speed_max, step_s, share):
+def test_step_costs_at_least_its_length_at_the_rate(weight, speed_max, step_s, share):
     """The rate is a lower bound of a moving step's cost: the cost to go never overestimates."""
     length = share * speed_max * step_s
     cost = float(step_cost_s(np.array(length), step_s, weight))

@@ -54,7 +54,7 @@ def test_values_of_many_paths_are_sums_of_stage_rewards():
     np.testing.assert_allclose(TERM.values(paths), np.trace(rewards))
 
 
-def test_a_lower_threshold_is_never_worth_less():
+def test_lower_threshold_never_lowers_the_objective():
     """From no connection at all to certain connection."""
     values = [
         TERM.value(context(threshold=level), PATH) for level in (300.0, -70.0, -80.0, -90.0, -300.0)

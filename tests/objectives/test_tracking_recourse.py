@@ -165,7 +165,7 @@ def home_at(place_m, information=0.0):
 
 
 @pytest.mark.parametrize(("home_m", "steps_back"), [((4.0, 0.0), 2), ((3.0, 0.0), 3)])
-def test_an_excursion_is_told_of_on_return(home_m, steps_back):
+def test_excursion_is_reported_on_return(home_m, steps_back):
     """Out of contact from the second step on; back home all is known, and nothing new is sensed."""
     chance = np.array([[1.0, 0.0, 0.0, 0.0]])
     found = delayed_costs(OUT[None], chance, home_at(home_m), ALONE, FIRST)
@@ -184,7 +184,7 @@ def test_an_excursion_is_told_of_on_return(home_m, steps_back):
     np.testing.assert_allclose(found, [expected], rtol=1e-12)
 
 
-def test_where_every_place_is_connected_packets_of_both_kinds_tell_the_same():
+def test_packets_of_both_kinds_agree_if_all_is_connected():
     """With others' packets, and places to go to."""
     retreats = retreats_of(np.array([[9.0, 3.0], [4.0, 0.0]]), np.ones(TOTAL), SETTINGS, LONGEST_M)
     others, chance = np.linspace(0.0, 2.0, TOTAL), np.ones((3, STEPS))
@@ -213,8 +213,8 @@ def test_what_is_held_comes_with_the_first_packet():
         np.testing.assert_allclose(found, raw, rtol=1e-12)
 
 
-def test_a_step_is_told_of_by_the_best_packet_since():
-    """Against a loop; what is held, by any packet of the way."""
+def test_step_is_reported_by_the_best_later_packet():
+    """Against a loop; measurements held are delivered by any packet of the path."""
     chance = np.random.default_rng(7).uniform(0.0, 1.0, (2, STEPS))
     expected = np.zeros((STEPS, 2 + STEPS, 2))
     for k in range(STEPS):

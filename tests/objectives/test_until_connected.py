@@ -32,7 +32,7 @@ def test_charged_distance_by_driving_through_sampled_channels():
     assert found == pytest.approx(driven.mean(), rel=0.04)
 
 
-def test_places_that_are_no_tries_are_driven_past():
+def test_positions_that_are_no_probes_are_passed():
     """As if the path had only the others, with the same legs."""
     search = Search(START, (THRESHOLD,), beyond_m=50.0)
     probed = np.arange(len(PATH)) % 2 == 1

@@ -145,7 +145,7 @@ def test_open_field_has_inline_obstacles_and_places_out_of_reach() -> None:
 
 
 def test_installed_library_comes_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """In an installed package the library is beside the code, in the folder ``library``."""
+    """In an installed package the library is next to the code, in the folder ``library``."""
     monkeypatch.setattr(library, "__file__", str(tmp_path / "a" / "b" / "library.py"))
     (tmp_path / "problems").mkdir()
     (tmp_path / "problems" / "one.toml").write_text('[problem]\nschema = 1\nname = "one"\n')
@@ -170,7 +170,7 @@ def test_broken_library_file_is_named(tmp_path: Path, monkeypatch: pytest.Monkey
 
 
 def test_path_beats_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A file called like a library problem is taken; a folder called so is not in the way."""
+    """A file called like a library problem is taken; a folder of that name is ignored."""
     monkeypatch.chdir(tmp_path)
     Path("munich_hard").mkdir()
     assert find_problem("munich_hard").is_absolute()

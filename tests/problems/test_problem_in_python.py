@@ -241,7 +241,7 @@ class NamedGeometries(dict):
 
 
 def test_obstacles_of_any_source() -> None:
-    """The same area by every way of saying it."""
+    """The same area from every kind of source."""
     house = shapely.box(10, 10, 14, 13)
     grid = planopt.problems.OccupancyGrid(
         occupied=np.pad(np.ones((3, 4), dtype=bool), ((10, 5), (10, 6))),
@@ -276,7 +276,7 @@ def test_a_connection_is_true_or_false() -> None:
 
 
 def test_ground_truth_of_arrays_and_functions() -> None:
-    """Every cell has the power of its centre, whichever way it was given."""
+    """Every cell has the power of its centre, from arrays and from a function."""
     by_function = FunctionTruth(power_dbm=power_dbm, cell_m=0.5, floor_dbm=-90.0)
     x, y = np.arange(0.25, 40.0, 0.5), np.arange(0.25, 30.0, 0.5)
     centres = np.stack(np.meshgrid(x, y), axis=-1)
@@ -324,7 +324,7 @@ def test_own_measurements() -> None:
 
 
 def test_saved_without_what_no_file_can_hold() -> None:
-    """A problem with a truth from Python is read back without it, and is judged all the same."""
+    """A problem with a truth from Python is read back without it, and is still verified."""
     truth = FunctionTruth(power_dbm=power_dbm)
     problem = small(channel=ChannelSetup(truth=truth, measurements=SampledMeasurements(5)))
     again = problem_from_dict(problem_to_dict(problem))
@@ -332,7 +332,7 @@ def test_saved_without_what_no_file_can_hold() -> None:
 
 
 def test_a_run_in_a_truth_of_ones_own(tmp_path) -> None:
-    """It is driven, saved and judged from its files alone, as one of a problem file is."""
+    """It is driven, saved and checked from its files alone, like one of a problem file."""
     truth = FunctionTruth(power_dbm=power_dbm, cell_m=0.5)
     problem = small(
         channel=ChannelSetup(truth=truth, measurements=SampledMeasurements(40)),

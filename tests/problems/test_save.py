@@ -77,7 +77,7 @@ def test_every_setting_survives(tables: Tables, built: Build, tmp_path: Path) ->
 
 
 def test_problem_in_full_names_no_obstacle_file() -> None:
-    """Obstacles stand in the data, so that a saved plan can be judged from its own files."""
+    """Obstacles are in the data, so that a saved plan can be checked from its own files."""
     data = problem_to_dict(load("munich_courier"))
     assert len(data["world"]["obstacles"]) == 742
     assert all({"name", "polygon"} <= table.keys() for table in data["world"]["obstacles"])
@@ -85,7 +85,7 @@ def test_problem_in_full_names_no_obstacle_file() -> None:
 
 
 def test_restored_data_is_validated_and_names_its_file(tables: Tables, built: Build) -> None:
-    """A saved problem that somebody changed gives the same errors as a problem file."""
+    """A saved problem that was edited gives the same errors as a problem file."""
     data = problem_to_dict(built(tables))
     data["robots"][0]["start_m"] = [25.0, 15.0]
     with refused() as caught:

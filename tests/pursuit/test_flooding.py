@@ -102,7 +102,7 @@ def test_slots_and_rounds(heads, border_relays, fails, keeps):
 
 
 def test_a_slot_for_the_peak_changes_nothing():
-    """With room for the largest load nobody waits: the loads are those without a limit."""
+    """With room for the largest load no mote waits: the loads are those without a limit."""
     free = simulate_flooding(grid(4))
     tight = simulate_flooding(grid(4), slot_blocks=free.peak_load)
     np.testing.assert_array_equal(free.motes_by_load, tight.motes_by_load)

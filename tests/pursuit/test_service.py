@@ -42,7 +42,7 @@ def test_bounds_of_the_plain_service():
 
 
 def test_report_is_the_centre_of_the_sub_cell():
-    """Positions are told to the cell's side over 2^c, and no finer than one mote."""
+    """Positions are reported to the cell's side over 2^c, and no finer than one mote."""
     service = SnapshotService(5, 2.0, 0.1, 2)
     place = np.array([37.3, 11.9])
     assert service.cells(place, 0).tolist() == [18, 5]

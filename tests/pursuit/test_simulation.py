@@ -33,7 +33,7 @@ from planopt.world import clearance_m
 
 
 def test_first_within():
-    """Against dense sampling of straight ways."""
+    """Against dense sampling of straight paths."""
     generator = np.random.default_rng(0)
     starts, ends = generator.uniform(-3, 3, (2, 300, 2))
     found = first_within(starts, ends, 1.0)
@@ -83,7 +83,7 @@ def test_rule_r():
 
 
 def test_lost_rounds():
-    """Lost rounds make records older on average; all lost, nobody knows anything."""
+    """Lost rounds make records older on average; if all are lost there are no records."""
     service = SnapshotService(8, 1.0, 0.05, 3, endless=True)
     ages = []
     for probability in (0.0, 0.5):

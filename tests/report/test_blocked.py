@@ -1,4 +1,4 @@
-"""What is seen and saved where a hard bound on connectivity forbids every way to a goal."""
+"""Errors, pictures and files if a hard connectivity bound forbids every route to a goal."""
 
 import json
 import warnings
@@ -44,8 +44,8 @@ def error(problem: Problem) -> BlockedError:
     return caught.value
 
 
-def test_the_error_has_the_way_and_its_holes(problem, error) -> None:
-    """From the start to the goal; holes are on the way, and below the bound."""
+def test_error_has_the_route_and_its_holes(problem, error) -> None:
+    """From the start to the goal; holes are on the route, and below the bound."""
     (one,) = error.blocked
     assert one.robot == problem.robots[0].name and one.holes
     np.testing.assert_allclose(one.way_m[0], problem.robots[0].start_m)
@@ -74,7 +74,7 @@ def test_the_pictures_show_the_holes(problem, error, tmp_path: Path) -> None:
 
 
 def test_files_name_the_holes(error, tmp_path: Path, capsys) -> None:
-    """`solve` draws them too; the folder is judged as one without a plan, and nothing else."""
+    """`solve` draws them too; `check` takes the folder for one without a plan."""
     text = (library_folder() / "open_field.toml").read_text()
     for was, now in CHANGES.items():
         assert was in text
@@ -106,8 +106,8 @@ def test_a_saved_run_keeps_its_refusal(problem, tmp_path: Path, capsys) -> None:
     np.testing.assert_array_equal(way.way_m, other.way_m)
 
 
-def test_a_refusal_on_the_way_is_not_violated(problem, tmp_path: Path, capsys) -> None:
-    """A gate that becomes known closes the way in contact; a way from elsewhere refuses nothing."""
+def test_refusal_during_a_run_is_not_violated(problem, tmp_path: Path, capsys) -> None:
+    """A known gate closes the connected route; a route from elsewhere refuses nothing."""
     gate = Obstacle("gate", shapely.box(58.0, 0.0, 62.0, 16.5), known_from_s=4.0)
     closed = replace(
         problem,

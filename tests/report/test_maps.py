@@ -37,7 +37,7 @@ def panel(sheet):
 
 @pytest.mark.parametrize("turned", [False, True])
 def test_outline_keeps_holes_open(turned):
-    """Rings turn opposite ways whichever way the polygon gives them, so that the hole is empty."""
+    """Rings have opposite orientations whatever the polygon's, so that the hole is empty."""
     hole = [(4, 4), (6, 4), (6, 6), (4, 6)]
     path = outline(
         shapely.Polygon([(0, 0), (10, 0), (10, 10), (0, 10)], [hole[::-1] if turned else hole])

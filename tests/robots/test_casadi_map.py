@@ -39,7 +39,7 @@ def test_step_is_the_written_out_models() -> None:
     assert found == pytest.approx(np.array(exact.step(tuple(states), tuple(inputs), 0.5)), abs=1e-6)
 
 
-def test_the_way_is_within_its_bound() -> None:
+def test_path_is_within_its_bound() -> None:
     """The exact arc is nowhere farther from the samples' lines than is said."""
     model, exact = wheels(substeps=2), Unicycle(2.0, 1.5)
     state, control = np.array([0.0, 0.0, 0.4]), np.array([1.2, 1.5])
@@ -96,7 +96,7 @@ def test_excess_counts_bounds_and_length() -> None:
 
 
 def test_nothing_to_drive() -> None:
-    """No states and inputs give no ways and no excess."""
+    """No states and inputs give no paths and no excess."""
     model = wheels()
     states, inputs = np.zeros((0, 3)), np.zeros((0, 2))
     assert model.curves(states, inputs, 0.5) == []

@@ -71,7 +71,7 @@ def test_numpy_and_casadi_agree(dynamics: Dynamics) -> None:
 
 
 @pytest.mark.parametrize("dynamics", [DOUBLE, WHEELS])
-def test_hull_has_the_whole_way(dynamics: Dynamics) -> None:
+def test_hull_contains_the_path(dynamics: Dynamics) -> None:
     """Every place of a step lies in the hull of its ends and its control points."""
     for state, control in draws(dynamics):
         way = np.array(
@@ -83,8 +83,8 @@ def test_hull_has_the_whole_way(dynamics: Dynamics) -> None:
 
 
 @pytest.mark.parametrize("dynamics", [DOUBLE, WHEELS])
-def test_points_of_the_way(dynamics: Dynamics) -> None:
-    """The way that clearance is computed from is the one that the steps lead along."""
+def test_points_of_the_path(dynamics: Dynamics) -> None:
+    """Clearance is computed from the path that the steps lead along."""
     for state, control in draws(dynamics):
         (way,) = dynamics.curves(state[None], control[None], STEP_S)
         line, within = way.points_m()
@@ -118,7 +118,7 @@ def test_what_may_be_reached_has_all_that_is(dynamics: Dynamics) -> None:
 
 
 def test_double_integrator_brakes_in_time() -> None:
-    """It stands at the end of its stopping way, within its limits and its stop points' hull."""
+    """It stops at the end of its braking path, within its limits and the hull of its stops."""
     generator = np.random.default_rng(3)
     for _ in range(20):
         heading, speed = generator.uniform(0.0, 6.3), generator.uniform(0.0, 3.0)

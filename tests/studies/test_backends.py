@@ -21,7 +21,7 @@ BACKENDS = [
 @pytest.mark.filterwarnings("default")
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_a_local_cluster(backend: str, tmp_path: Path, monkeypatch) -> None:
-    """Bit for bit as in this process; kept by whoever drove it."""
+    """Bit for bit as in this process; each worker keeps its own runs."""
     # Ray's processes give way to all others, and tests run beside this one.
     monkeypatch.setenv("RAY_worker_niceness", "0")
     before = signal.getsignal(signal.SIGTERM)

@@ -57,7 +57,7 @@ def test_groups_stand_one_after_the_other(problem, comparison) -> None:
         np.testing.assert_equal(one.metrics, alone.runs[0].metrics)
 
 
-def test_settings_and_seeds_that_are_given_come_first(problem) -> None:
+def test_explicit_settings_and_seeds_come_first(problem) -> None:
     """Seeds alone replace the problem's; settings replace the whole table."""
     assert [run.seed for run in compare(problem, seeds=[7]).runs] == [7] * 4
     own = settings_of([problem], Lists())
@@ -177,7 +177,7 @@ def test_settings_with_several_keys_are_numbered(comparison) -> None:
     assert layout_of(comparison).ticks == ("1", "2", "3", "4")
 
 
-def test_short_keys_tell_keys_apart(comparison) -> None:
+def test_short_keys_are_distinct(comparison) -> None:
     """As few parts as that takes."""
     (run, *_) = comparison.runs
     sweep = dict.fromkeys(("robots[0].speed_max_m_s", "robots[1].speed_max_m_s", "planner.step_s"))
@@ -198,7 +198,7 @@ def bounded() -> Comparison:
 
 
 def test_bounds_are_run_once_without_horizon(bounded) -> None:
-    """They foresee the whole run whatever the horizon, and stand beside all of these."""
+    """They foresee the whole run whatever the horizon, and are compared with all of these."""
     assert planner_kind("oracle_log").foresees
     assert [run.planner for run in bounded.runs[::5]] == ["auto", "auto", "oracle_log"]
     assert layout_of(bounded).ticks == ("1", "2", "whole run")

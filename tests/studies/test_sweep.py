@@ -36,7 +36,7 @@ def comparison(problem: planopt.Problem) -> Comparison:
 
 
 def untimed(run: RunSummary) -> dict:
-    """All that must be the same whoever drove the run."""
+    """All values that do not depend on the process that drove the run."""
     data = encoded(run)
     assert len(data.pop("step_s")) == len(run.step_s)
     return data
@@ -161,7 +161,7 @@ def test_pairs_across_problems(problem, comparison) -> None:
     assert rows[3].paired_difference == pytest.approx(lengths[3].mean() - lengths[2].mean())
 
 
-def test_a_problem_without_a_way_is_a_row(problem) -> None:
+def test_problem_without_a_path_is_a_row(problem) -> None:
     """It does not end the others; alone it is no plan."""
     wall = {"world.obstacles": [{"polygon": [[59, -1], [61, -1], [61, 101], [59, 101]]}]}
     cut = replace(with_changes(problem, wall), name="cut_off")

@@ -79,7 +79,7 @@ def test_simulate_and_check(written, tmp_path, run):
 
 
 def test_pictures(written, tmp_path, run):
-    """A picture is drawn, and an animation where one is asked for."""
+    """A picture is drawn, and an animation if required."""
     file = written(("figures = false", "figures = true"), ("duration_s = 200", "duration_s = 5"))
     assert run("simulate", file, "--out", tmp_path / "out", "--animation")[0] == 4
     assert (tmp_path / "out" / "run.png").read_bytes()[:4] == b"\x89PNG"
@@ -179,7 +179,7 @@ def test_exactly_the_wanted_agents_and_a_centroidal_rest(written):
 
 
 def test_receding_horizon_within_limits(written, tmp_path, run):
-    """Double integrators and unicycles answer the event, and their folders are judged."""
+    """Double integrators and unicycles respond to the event, and their folders are verified."""
     for number, limit in enumerate(("acceleration_max_m_s2 = 0.7", "turn_rate_max_rad_s = 0.8")):
         file = written(
             ("speed_max_m_s = 2.0", f"speed_max_m_s = 2.0\n{limit}"),
@@ -305,7 +305,7 @@ def _links_are_drawn(kept, lost):
 
 
 def test_radio_is_kept_where_the_law_loses_it():
-    """Plans keep every agent's way to the station; the laws alone do not, and it is said."""
+    """Plans keep every agent's links to the station; the laws alone do not, and report it."""
     content = planopt.load("coverage_radio")
     content = replace(content, scene=replace(content.scene, duration_s=30.0))
     kept, by_law = planopt.simulate(content), planopt.simulate(content, planner="law")
@@ -322,7 +322,7 @@ def test_radio_is_kept_where_the_law_loses_it():
 
 
 def test_solve_and_check(written, tmp_path, run):
-    """The deployment is no worse than Lloyd's, above its bound, and judged from its file."""
+    """The deployment is no worse than Lloyd's, above its bound, and verified from its file."""
     out = tmp_path / "out"
     code, found = run("solve", written(), "--seed", 2, "--out", out)
     assert code == 0 and found["verdict"] == "verified" and found["sense"] == "min"
@@ -373,8 +373,8 @@ def log(folder: Path, *more: str) -> str:
     return '[[radio.survey]]\nfile = "log.csv"\n'
 
 
-def test_surveyed_links_are_kept_and_judged(tmp_path, capsys):
-    """No move breaks the learnt links, the folder is judged again, and the laws lose them."""
+def test_surveyed_links_are_kept_and_verified(tmp_path, capsys):
+    """No move breaks the learnt links, the folder is verified, and the laws lose them."""
     file = tmp_path / "problem.toml"
     file.write_text(PROBLEM + SIMULATED)
     out = tmp_path / "out"

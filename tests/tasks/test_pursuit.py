@@ -40,7 +40,7 @@ def test_library_problems(name, written, tmp_path, run):
     assert again["capture_time_s"] == found["capture_time_s"]
 
 
-def test_guarantee_beside_what_happened(written):
+def test_capture_within_the_guarantee(written):
     """One pursuer and one evader: caught within the promised time, stages under their bounds."""
     for seed in range(5):
         found = planopt.simulate(planopt.load(written("pursuit_fleeing")), seed=seed).data
@@ -52,7 +52,7 @@ def test_guarantee_beside_what_happened(written):
 
 
 def test_pictures(tmp_path, run):
-    """A picture and an animation are drawn beside the tables."""
+    """A picture and an animation are drawn in addition to the tables."""
     assert run("simulate", "pursuit_static", "--animation", "--out", tmp_path)[0] == 0
     assert (tmp_path / "run.png").read_bytes()[:4] == b"\x89PNG"
     assert (tmp_path / "run.gif").read_bytes()[:6] == b"GIF89a"
@@ -102,7 +102,7 @@ def test_evader_faster_than_its_pursuer(planner, written, run, tmp_path):
 
 
 def test_radius_under_the_floor(written, run):
-    """Where a guarantee is asked for there is no plan; else it is said, and driven."""
+    """If a guarantee is required there is no plan; otherwise the pursuer drives with a remark."""
     small = ("capture_radius_m = 30.0", "capture_radius_m = 12.0")
     file = written("pursuit_fleeing", small)
     code, found = run("simulate", file)

@@ -47,7 +47,7 @@ def test_known_swept_distances() -> None:
 
 
 def test_thin_wall_between_samples() -> None:
-    """Both ends are far from a thin wall that the way goes through: the clearance is 0."""
+    """Both ends are far from a thin wall that the path crosses: the clearance is 0."""
     wall = shapely.Polygon([(0, -5), (0.001, -5), (0.001, 5), (0, 5)])
     index = index_obstacles(Workspace(BOUNDS, (Obstacle("wall", wall),)))
     path = np.array([[-3.0, 0.0], [3.0, 0.1]])
@@ -86,7 +86,7 @@ def test_contact_is_never_clear() -> None:
 
 @settings(deadline=None)
 @given(st.lists(places, min_size=2, max_size=8))
-def test_swept_is_the_least_along_the_way(waypoints: list[tuple[float, float]]) -> None:
+def test_swept_clearance_is_the_least_along_the_path(waypoints: list[tuple[float, float]]) -> None:
     """Against dense samples: never more than any of them, and not less than their Lipschitz bound.
 
     Samples are measured to every boundary edge by hand, without GEOS.
@@ -117,7 +117,7 @@ def by_hand(at: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def test_standing_is_a_point() -> None:
-    """A way of no length, or too short to be squared, has the clearance of its place."""
+    """A path of no length, or too short to be squared, has the clearance of its position."""
     path = np.array([[0.0, -2.0], [0.0, -2.0], [1e-200, -2.0]])
     np.testing.assert_array_equal(swept_clearance_m(INDEX, path), [2.0, 2.0])
     walls = np.full(2, YARD)
@@ -126,7 +126,7 @@ def test_standing_is_a_point() -> None:
 
 
 def test_without_obstacles_and_without_places() -> None:
-    """Nothing to keep away from: infinite; nothing asked: nothing returned."""
+    """Without obstacles the clearance is infinite; without positions the result is empty."""
     path = np.array([[0.0, 0.0], [1.0, 0.0]])
     np.testing.assert_array_equal(clearance_m(EMPTY, path), [np.inf, np.inf])
     np.testing.assert_array_equal(swept_clearance_m(EMPTY, path), [np.inf])

@@ -124,7 +124,7 @@ def test_nearest_node() -> None:
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 2**32 - 1))
 def test_first_moves_by_brute_force(seed: int) -> None:
-    """All nodes within reach, each open exactly if the straight way to it is clear."""
+    """All nodes within reach, each open exactly if the straight path to it is clear."""
     workspace = random_world(seed)
     place = np.random.default_rng(seed + 1).uniform((-21, -13), (21, 13))
     lattice = build_lattice(workspace, ORIGIN, 6.0, 0.5)
@@ -185,7 +185,7 @@ def graph_of(road_map, factor=None):
 
 
 def costs_by_networkx(road_map, goal, factor=None):
-    """Costs to `goal`, infinite where there is no way."""
+    """Costs to `goal`, infinite where there is no path."""
     found = nx.single_source_dijkstra_path_length(graph_of(road_map, factor), goal)
     return np.array([found.get(k, np.inf) for k in range(len(road_map.nodes_m))])
 
@@ -217,7 +217,7 @@ def test_costs_are_networkx_costs(seed, weighted):
 
 
 def test_round_a_wall():
-    """Real obstacles: networkx agrees, and the way behind the wall leads round its end."""
+    """Real obstacles: networkx agrees, and the path behind the wall leads around its end."""
     road_map = small_road_map(WALL, BLOCK, spacing_m=0.5)
     goal = int(road_map.number[4, 16])
     ways = lattice_paths(road_map, goal)
@@ -272,7 +272,7 @@ def test_costs_are_symmetric_and_bounded():
 
 
 def test_costs_avoid_dear_places():
-    """A dear column is crossed at its cheap end if the way round is shorter than the charge."""
+    """An expensive column is crossed at its cheap end if the detour is shorter than the cost."""
     road_map = small_road_map()
     factor = np.ones(len(road_map.nodes_m))
     dear = (np.abs(road_map.nodes_m[:, 0] - 5.0) <= 1.0) & (road_map.nodes_m[:, 1] < 6.5)
@@ -282,8 +282,8 @@ def test_costs_avoid_dear_places():
     assert not dear[way].any()
 
 
-def test_a_way_ends_once_it_is_long_enough():
-    """It stops at the first node past the length, at the goal, and where there is no way."""
+def test_path_ends_at_the_given_length():
+    """It stops at the first node past the length, at the goal, and where there is no path."""
     road_map = small_road_map()
     goal, start = int(road_map.number[0, 8]), int(road_map.number[0, 0])
     ways = lattice_paths(road_map, goal)
@@ -296,8 +296,8 @@ def test_a_way_ends_once_it_is_long_enough():
     np.testing.assert_array_equal(route_from(road_map, ways, goal, 5.0), [goal])
 
 
-def test_an_island_has_no_way():
-    """Behind a wall without an end the cost is infinite and the way is the node alone."""
+def test_island_has_no_path():
+    """Behind a wall without an end the cost is infinite and the path is the node alone."""
     road_map = small_road_map(shapely.box(4.2, -1.0, 4.8, 9.0))
     ways = lattice_paths(road_map, int(road_map.number[3, 8]))
     here = int(road_map.number[3, 1])

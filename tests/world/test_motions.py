@@ -106,7 +106,7 @@ def test_an_arc_that_hardly_turns_is_a_line() -> None:
 
 
 def test_standing_and_turning_in_place() -> None:
-    """A way without length is its place."""
+    """A path without length is its position."""
     index = index_of(shapely.box(1.0, -1.0, 2.0, 1.0))
     assert Arc(np.zeros(2), 0.3, 0.0, 2.0).clearance_m(index) == pytest.approx(1.0)
     assert Parabola(np.zeros(2), np.zeros(2), np.zeros(2)).clearance_m(index) == pytest.approx(1.0)
@@ -143,7 +143,7 @@ def sampled_m(first, second) -> float:
 
 
 def random_way(generator: np.random.Generator, kind: int):
-    """A straight way, a parabola, an arc, or points."""
+    """A straight path, a parabola, an arc, or points."""
     start = generator.uniform(-4.0, 4.0, 2)
     match kind:
         case 0:
@@ -159,7 +159,7 @@ def random_way(generator: np.random.Generator, kind: int):
 
 @pytest.mark.parametrize("seed", range(60))
 def test_never_above_dense_samples_and_hardly_below(seed: int) -> None:
-    """Of any two kinds of ways."""
+    """Any two kinds of paths."""
     generator = np.random.default_rng(seed)
     first, second = (random_way(generator, kind) for kind in divmod(seed % 16, 4))
     found, sampled = curve_distance_m(first, second), sampled_m(first, second)
@@ -200,7 +200,7 @@ def test_head_on_unicycles_in_closed_form() -> None:
 
 
 def test_a_convoy_keeps_its_distance() -> None:
-    """All the way equally far: nothing can be left out, and it is found all the same."""
+    """At equal distance throughout: no part can be skipped, and the distance is still found."""
     way = Arc(np.zeros(2), 0.3, 4.0, 1.0)
     other = replace(way, start_m=np.array([0.6, -0.8]))
     assert curve_distance_m(way, other) == pytest.approx(1.0, abs=1.1 * CLOSE_M)
@@ -209,7 +209,7 @@ def test_a_convoy_keeps_its_distance() -> None:
 
 @pytest.mark.parametrize("seed", range(12))
 def test_exchange_mirror_and_reversed_time_change_nothing(seed: int) -> None:
-    """Within what is asked of the distance."""
+    """Within the required accuracy of the distance."""
     generator = np.random.default_rng(seed)
     one, two = (Parabola(*generator.uniform(-3.0, 3.0, (3, 2))) for _ in range(2))
     found = curve_distance_m(one, two)
@@ -228,7 +228,7 @@ def test_exchange_mirror_and_reversed_time_change_nothing(seed: int) -> None:
 
 
 def test_what_is_not_known_is_taken_off() -> None:
-    """Of both ways, and no distance is negative."""
+    """The bounds of both paths are subtracted, and no distance is negative."""
     one = PointCurve(np.array([[0.0, 0.0], [1.0, 0.0]]), 0.25)
     two = PointCurve(np.array([[0.0, 2.0], [0.5, 2.0], [1.0, 2.0]]), 0.5)
     assert curve_distance_m(one, two) == pytest.approx(1.25)
@@ -330,7 +330,7 @@ def test_symmetry(a0, a1, b0, b1):
 
 
 def test_ends_come_out_exactly_and_not_a_number_stays_one():
-    """A way that leads away is nearest where it begins, to the last digit."""
+    """A path that leads away is nearest at its start, to the last digit."""
     begin, end = np.array([0.1, 0.7]), np.array([7.3, 11.9])
     assert (nearest_to_origin_m(begin, end) == begin).all()
     assert (nearest_to_origin_m(end, begin) == begin).all()

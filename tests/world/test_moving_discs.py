@@ -12,7 +12,7 @@ TURNING = MovingObstacle("cart", 1.5, (2.0, 3.3, 7.0), ((0.0, 0.0), (4.0, 1.0), 
 STRAIGHT = MovingObstacle("van", 2.0, (0.0,), ((3.0, 4.0),), (1.0, -0.5))
 
 
-def test_centres_follow_the_way():
+def test_centres_follow_the_trajectory():
     """Before, at, between and after what is given."""
     found = centres_at(TURNING, np.array([0.0, 2.0, 2.65, 3.3, 7.0, 9.0]))
     expected = [[0, 0], [0, 0], [2, 0.5], [4, 1], [4, -6], [4, -6]]
@@ -24,7 +24,7 @@ def test_centres_follow_the_way():
 @pytest.mark.parametrize("obstacle", [TURNING, STRAIGHT])
 @pytest.mark.parametrize("now_s", [0.0, 1.7])
 def test_discs_cover_the_true_disc_at_all_times(obstacle, now_s):
-    """The true centre is never farther from the straight way than the radius is larger."""
+    """The true centre is never farther from the straight path than the radius is enlarged."""
     step_s, steps = 0.8, 9
     discs = predicted_discs((obstacle,), now_s, step_s, steps, 0.3)
     shares = np.linspace(0.0, 1.0, 401)

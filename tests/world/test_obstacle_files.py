@@ -175,7 +175,7 @@ CORNERS = [(0, 0), (4, 0), (4, 4), (0, 4)]
     "ring", [CORNERS, [*CORNERS, CORNERS[0]], CORNERS[::-1], np.array(CORNERS)]
 )
 def test_closing_direction_and_type_do_not_matter(ring: object) -> None:
-    """A ring means the same open or closed, either way round, as list or array."""
+    """A ring means the same open or closed, in either direction, as list or array."""
     assert footprint("a", ring).polygon.area == 16.0
 
 

@@ -240,7 +240,7 @@ def test_bad_csv(tmp_path: Path, old: str, new: str) -> None:
 
 
 def test_in_a_problem(tmp_path: Path) -> None:
-    """A grid beside the problem file is among its obstacles; who stands in a wall is told."""
+    """A grid next to the problem file is among its obstacles; a start in a wall is an error."""
     ros_map(tmp_path, YAML.replace("0.5", "10.0"), np.full((9, 12), 254, dtype=np.uint8))
     field = (Path(load("open_field").file or "")).read_text()
     head, rest = field.split("[channel.truth]", 1)
@@ -327,7 +327,7 @@ def test_holes_and_islands_in_them() -> None:
 
 
 def test_unknown_cells_and_names() -> None:
-    """Unknown cells are closed or open, as is asked for; several obstacles are numbered."""
+    """Unknown cells are closed or open, as specified; several obstacles are numbered."""
     occupied, unknown = np.zeros((2, 5), dtype=bool), np.zeros((2, 5), dtype=bool)
     occupied[0, 0] = unknown[1, 4] = True
     grid = OccupancyGrid(occupied, unknown, 1.0, (0.0, 0.0))

@@ -465,7 +465,7 @@ def test_a_netcdf_4_that_declares_more_than_it_holds(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("kind", ["link", "storage", "virtual"])
 def test_a_netcdf_4_that_reads_other_files(kind: str, tmp_path: Path) -> None:
-    """HDF5 has three ways to take content from elsewhere."""
+    """HDF5 can take content from elsewhere by link, storage and virtual layout."""
     h5py = pytest.importorskip("h5py")
     hdf5(tmp_path / "other.nc")
     (tmp_path / "secret.txt").write_bytes(b"s" * 160)

@@ -146,7 +146,7 @@ def test_known_lines(
     offset: float | None,
     gap: float,
 ) -> None:
-    """Lines from a square that can be read off a drawing, both ways along the segment."""
+    """Lines from a square that can be read off a drawing, in both directions of the segment."""
     pieces = pack_pieces(world(SQUARE))
     starts, ends = np.array([start, end], dtype=float), np.array([end, start], dtype=float)
     lines = separating_lines(pieces, starts, ends, 1, 10.0)
@@ -158,7 +158,7 @@ def test_known_lines(
 
 
 def test_line_protects_the_whole_segment() -> None:
-    """Ends moved anywhere on their side of the line leave the whole way clear by the margin."""
+    """Ends moved anywhere on their side of the line leave the whole segment clear by the margin."""
     rng = np.random.default_rng(5)
     pieces = random_pieces(rng, 8, np.zeros(2))
     starts = rng.uniform(-35, 35, (40, 2))
@@ -291,7 +291,7 @@ STEPS = 6
 
 
 def random_discs(generator, count):
-    """Discs on random walks, some asked a distance of their own from."""
+    """Discs on random walks, some with their own minimum distance."""
     centres = np.cumsum(generator.normal(size=(count, STEPS + 1, 2)), axis=1) * 2.0
     return MovingDiscs(
         tuple(f"m{k}" for k in range(count)),
@@ -359,8 +359,8 @@ def test_a_path_through_the_centre_has_a_line_across_it():
     assert np.linalg.norm(shared.normals[0, 0]) == 1.0
 
 
-def test_many_ways_at_once():
-    """The least gap of a way is the least over discs and steps, one by one."""
+def test_many_paths_at_once():
+    """The least gap of a path is the least over discs and steps, one by one."""
     generator = np.random.default_rng(3)
     discs = joined_discs(random_discs(generator, 2), random_discs(generator, 2))
     ways = np.cumsum(generator.normal(size=(5, STEPS + 1, 2)), axis=1)

@@ -1,4 +1,4 @@
-"""Shortest ways round obstacles: closed forms, and a visibility graph written out plainly."""
+"""Shortest paths around obstacles: closed forms, and a plain visibility graph."""
 
 import math
 
@@ -33,7 +33,7 @@ def length_to(ways, x, y):
     return path_lengths_m(ways, np.array([[x, y]]))[0]
 
 
-def test_nothing_in_the_way():
+def test_without_obstacles():
     """The air line."""
     _, ways = ways_of()
     assert length_to(ways, 8.0, 19.0) == pytest.approx(5.0)
@@ -77,7 +77,7 @@ def test_with_a_clearance(clearance):
     assert segment_clearance_m(index, way[:-1], way[1:]).min() >= clearance - 1e-9
 
 
-def test_no_way_through_a_thin_wall():
+def test_no_path_through_a_thin_wall():
     """A courtyard with walls of a centimetre is closed, from inside and from outside."""
     inside = np.array([15.0, 15.0])
     for start, other in ((inside, START), (START, inside)):
@@ -87,7 +87,7 @@ def test_no_way_through_a_thin_wall():
 
 
 def test_the_border_closes():
-    """Where an obstacle reaches over the border there is no way behind it."""
+    """If an obstacle reaches over the border there is no path behind it."""
     wall = shapely.box(10, -1, 11, 20)
     _, ways = ways_of(wall)
     exact = math.hypot(5, 5) + 1.0 + math.hypot(5, 5)

@@ -63,7 +63,7 @@ def test_many_measurements_recover_the_channel(method):
 
 
 def test_censoring_is_a_term_of_the_likelihood():
-    """Over channels with 30 % at the floor, reml is unbiased where the two simple ways are not."""
+    """With 30 % at the floor reml is unbiased over channels, and the two simple methods are not."""
     estimates = {"censored": [], "as exact": [], "dropped": []}
     for seed in range(12):
         measurements = simulated(CHANNEL, 100 + seed, 200, 300.0, 0.3)
@@ -107,7 +107,7 @@ def test_all_rows_count():
 
 
 def test_both_maxima_are_reported():
-    """Where several sets of parameters explain the powers, the best and the others are told."""
+    """If several sets of parameters explain the powers, the best and the others are reported."""
     fit = fit_channel(simulated(CHANNEL, 4, 150, 1000.0), CHANNEL.station)
     other, *_ = fit.other_modes
     apart = [fit.log_likelihood - each.log_likelihood for each in fit.other_modes]
@@ -207,7 +207,7 @@ def test_places_hardly_apart_are_one_place(extent_m, method):
         fit_channel(told, Station((50.0, 50.0)), method)
 
 
-def test_what_cannot_be_told_apart_is_said():
+def test_indistinguishable_parameters_are_reported():
     """Shadowing that is forgotten at once is multipath: no errors, and words for why."""
     rng = np.random.default_rng(1)
     places = rng.uniform(0.0, 100.0, (60, 2))

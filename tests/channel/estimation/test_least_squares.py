@@ -109,7 +109,7 @@ def test_a_measurement_at_the_station_is_named():
     examine(measurements, Station((0.0, 0.0), 3.0))
 
 
-def test_a_circle_about_the_station_does_not_tell_the_exponent():
+def test_circle_around_station_leaves_exponent_undetermined():
     """At one distance n_PL is not identifiable, but the covariance is."""
     angle = np.linspace(0, 6, 20)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1) * 30.0

@@ -33,7 +33,7 @@ def test_implausible_parameters(n_pl, beta, words):
 
 @pytest.mark.parametrize(("low", "high", "lines"), [(-90.0, 970.0, 1), (-900.0, 970.0, 2)])
 def test_implausible_powers(low, high, lines):
-    """Powers that nobody sends or receives; the fit of them is not `ok`."""
+    """Powers that no radio sends or receives; the fit of them is not `ok`."""
     said = implausible_values(CHANNEL, powers([low, -70.0, high]), 200.0)
     assert len(said) == lines and "970 dBm" in said[-1]
     scaled = simulated(CHANNEL, 0, 100, 300.0)
@@ -44,7 +44,7 @@ def test_implausible_powers(low, high, lines):
 
 
 @pytest.mark.parametrize("step_db", [0.0, 0.01, 1.0])
-def test_a_pile_at_the_lowest_is_told(step_db):
+def test_pile_at_the_lowest_power_is_reported(step_db):
     """A fit of 300 powers of which a sixth is at the floor names it, its count and the option."""
     exact = simulated(CHANNEL, 1, 300, 300.0)
     power = np.round(exact.power_dbm / step_db) * step_db if step_db else exact.power_dbm

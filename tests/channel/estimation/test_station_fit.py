@@ -190,7 +190,7 @@ def test_what_is_not_bounded_is_infinite_and_said(station_method):
 
 
 def test_random_small_cases_are_fits_or_input_errors():
-    """Few, clustered, nearly collinear, repeated, censored, at either way of the position."""
+    """Few, clustered, nearly collinear, repeated, censored, by either method of location."""
     rng = np.random.default_rng(0)
     fitted = 0
     for case in range(40):
@@ -246,7 +246,7 @@ def ring_variance_m2():
     return 1.0 / information
 
 
-def test_both_ways_agree_with_the_closed_form():
+def test_both_methods_agree_with_the_closed_form():
     """The sandwich exactly, the likelihood's moments but for what is cut off, 1 %."""
     expected = ring_variance_m2() * np.eye(2)
     line = line_covariance_m2(rings(0), WHITE)
@@ -286,7 +286,7 @@ def test_theta_follows_the_position():
 
 
 def test_turning_the_scene_turns_the_ellipse():
-    """S becomes R S R' under a quarter turn R, for both ways."""
+    """S becomes R S R' under a quarter turn R, for both methods."""
     turn = np.array([[0.0, -1.0], [1.0, 0.0]])
     base = simulated(CHANNEL, 5, 70, 200.0)
     there = dataclasses.replace(base, positions_m=base.positions_m @ turn.T)
@@ -297,7 +297,7 @@ def test_turning_the_scene_turns_the_ellipse():
         np.testing.assert_allclose(covariance_m2(there, channel), expected, rtol=1e-6, atol=1e-6)
 
 
-def test_a_position_that_no_derivative_tells_is_not_determined():
+def test_position_without_derivatives_is_undetermined():
     """All measurements at one height over the station: its distance is held, nothing moves."""
     positions = np.random.default_rng(0).uniform(-0.01, 0.01, (12, 2))
     measurements = Measurements(positions, np.linspace(-60.0, -50.0, 12), np.zeros(12, bool))

@@ -88,7 +88,7 @@ def test_only_the_rounded_and_censored_are_changed():
     assert (np.abs(sites.noise_variance_db2[20:30] / (4.0 + 6.75) - 1.0) < 0.5).all()
 
 
-def test_position_errors_widen_what_a_site_is_judged_against():
+def test_position_errors_widen_the_site_tolerance():
     """Beside a strong exact value a limit says less where the place is uncertain."""
     positions = np.array([[50.0, 0.0], [50.5, 0.0]])
     flags = np.array([False, True])

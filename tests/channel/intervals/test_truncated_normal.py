@@ -50,7 +50,7 @@ def test_agrees_with_quadrature(upper, width):
 
 
 @pytest.mark.parametrize("z", [-19.0, -5.0, 0.0, 2.0, 8.0, 50.0])
-def test_half_lines_by_both_ways(z):
+def test_half_lines_by_both_methods(z):
     """The closed form for half lines agrees with the quadrature and with SciPy."""
     assert z > LEAST_CLOSED_FORM
     closed = truncated_normal(np.array([z]), np.array([np.inf]))

@@ -58,7 +58,7 @@ def uneven(count, seed=0):
 
 @pytest.mark.parametrize("count", [0, 1, 20, 21, 333])
 def test_blocks_are_a_partition(count):
-    """Everyone is in one block, and no block is larger than asked for, or much smaller."""
+    """Every measurement is in one block, and no block is larger than specified, or much smaller."""
     blocks = place_blocks(uneven(count), 20)
     assert sorted(np.concatenate([*blocks, np.zeros(0, int)])) == list(range(count))
     sizes = [len(block) for block in blocks]

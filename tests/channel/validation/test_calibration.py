@@ -86,7 +86,7 @@ def test_independent_outcomes_are_the_exact_binomial_interval():
     assert low < exact.low and high > exact.high
 
 
-def test_one_outcome_only_is_worth_the_groups():
+def test_one_outcome_counts_the_groups():
     """Twenty runs that were connected throughout: the interval of 20 trials, t's correction off."""
     low, high = share_interval(np.full(20, 50.0), np.full(20, 50.0))
     assert high == 1.0

@@ -225,7 +225,7 @@ def test_line_is_a_polynomial_of_degree_one_in_the_logarithm():
 
 
 def test_line_at_one_distance_is_the_mean():
-    """Where no slope can be told, the powers there are predicted by their mean."""
+    """If no slope can be estimated, the powers are predicted by their mean."""
     angle = np.linspace(0.0, 6.0, 12)
     places = PLAIN.station.position_m + 30.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     powers = -70.0 + np.arange(12.0)

@@ -85,7 +85,7 @@ def test_library_is_whole() -> None:
     assert {case.planner for case in cases} == {"auto", "scp", "lattice", *others}
 
 
-def test_a_problem_without_reference_is_told() -> None:
+def test_problem_without_reference_is_reported() -> None:
     """And one that is gone."""
     cases, missing = fast_cases({row().case: REFERENCE})
     assert cases == [] and len(missing) == len(library_names()) + 1

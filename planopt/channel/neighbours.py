@@ -116,15 +116,20 @@ class PlaceIndex:
 
     def within(self, centres_m: Floats, reach_m: float) -> tuple[Indices, Indices]:
         """Return index pairs of centres (k, 2), ascending, and positions within `reach_m`."""
-        pairs: list[tuple[int, int]] = []
+        pairs = [np.zeros((2, 0), dtype=np.intp)]
         for first, tree in (0, self.tree), (self._treed, self._late_tree):
-            if tree is not None:
-                near, _ = tree.nearest(centres_m, 1, reach_m)
-                for centre in np.flatnonzero(near[:, 0] < len(tree)).tolist():
-                    rows = tree.within(centres_m[centre], reach_m)
-                    pairs += [(centre, first + row) for row in rows]
-        centres, rows = np.array(sorted(pairs), dtype=np.intp).reshape(-1, 2).T
-        return centres, rows
+            if tree is None:
+                continue
+            near, _ = tree.nearest(centres_m, min(2, len(tree)), reach_m)
+            count = (near < len(tree)).sum(axis=1)
+            (single,), (several,) = np.nonzero(count == 1), np.nonzero(count == 2)
+            pairs.append(np.array([single, first + near[single, 0]]))
+            for centre in several.tolist():
+                rows = first + np.array(tree.within(centres_m[centre], reach_m))
+                pairs.append(np.array([np.full(len(rows), centre), rows]))
+        centres, rows = np.concatenate(pairs, axis=1)
+        order = np.lexsort((rows, centres))
+        return centres[order], rows[order]
 
     @property
     def _treed(self) -> int:

@@ -163,7 +163,8 @@ class NodeField:
         self.window = rows, columns
         self._exact[:] = False
         self._context = context
-        self.correct(self._measured_nodes(context))
+        if context.problem.constraints.asks_connection:
+            self.correct(self._measured_nodes(context))
 
     def _measured_nodes(self, context: StepContext) -> NDArray[np.intp]:
         """Return the free nodes (n, 2) of the window, as (iy, ix), that were measured."""

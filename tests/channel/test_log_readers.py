@@ -1,5 +1,6 @@
 """Logs of known programs, written after their documentation: text, SQLite, Parquet, frames."""
 
+import contextlib
 import sqlite3
 from pathlib import Path
 
@@ -201,6 +202,28 @@ def test_damaged_binary_files(ending: str, content: bytes, tmp_path: Path) -> No
     with pytest.raises(InputError) as caught:
         read_log(path)
     assert caught.value.file == str(path)
+
+
+@pytest.mark.parametrize("ending", ["csv", "db", "parquet"])
+def test_any_damage(ending: str, tmp_path: Path) -> None:
+    """Hundreds of files with random bytes changed or cut off: an error of ours or a log."""
+    path = tmp_path / f"log.{ending}"
+    if ending == "parquet":
+        pytest.importorskip("pyarrow")
+        pytest.importorskip("pandas").DataFrame(ROWS).to_parquet(path)
+    elif ending == "db":
+        database(path, WIFI_TABLE, f"{INSERT} ('2026-03-14 09:26:53', 1, 2, 300, 0.9, -43)")
+    else:
+        path.write_text(WIGLE)
+    sound, generator = path.read_bytes(), np.random.default_rng(0)
+    for _ in range(300):
+        damaged = bytearray(sound)
+        for at in generator.integers(len(sound), size=generator.integers(1, 12)):
+            damaged[at] = generator.integers(256)
+        end = len(sound) if generator.random() < 0.8 else generator.integers(len(sound))
+        path.write_bytes(damaged[:end])
+        with contextlib.suppress(InputError):
+            read_log(path, LogFormat(origin_deg=ORIGIN))
 
 
 ROWS = {"x": [1.5, -3.0], "y": [2.0, 4.0], "rssi": [-60, -70], "ap": ["a", "b"]}

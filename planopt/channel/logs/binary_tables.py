@@ -96,7 +96,9 @@ def read_parquet(path: Path, _: Ranked) -> LogTable:
             if not (kinds.is_nested(field.type) or kinds.is_binary(field.type))
         ]
         columns = [file.read(columns=[name]).column(0).to_pylist() for name in names]
-    return _table(path, names, list(zip(*columns, strict=True)))
+        # Columns of a damaged file may differ in length.
+        rows = list(zip(*columns, strict=True))
+    return _table(path, names, rows)
 
 
 def table_of_frame(frame: Any) -> LogTable:

@@ -126,7 +126,7 @@ def test_a_verified_plan_replaces_one_that_is_not():
 
     def member(plan):
         return SimpleNamespace(
-            problem=problem, plan=lambda *_: (plan, None), worth=lambda made, *_: made.objective
+            problem=problem, plan=lambda *_: (plan, None), value=lambda made, *_: made.objective
         )
 
     members = [member(plan) for plan in plans]

@@ -6,6 +6,7 @@ Bad input raises no other exception. The command line maps :class:`InputError` a
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -59,7 +60,7 @@ def require_text(text: str, what: str) -> None:
         text.encode()
     except UnicodeEncodeError:
         raise InputError(
-            f"{what} {text!a} is not UTF-8", remedy="rename it to what UTF-8 can hold"
+            f"{what} {text!a} is not UTF-8", remedy="use a name in valid UTF-8"
         ) from None
 
 
@@ -68,7 +69,7 @@ def path_of(key: str, value: Any, remedy: str) -> Path:
     try:
         return Path(value)
     except TypeError:
-        raise InputError(f"is a {type(value).__name__}", key=key, remedy=remedy) from None
+        raise InputError(f"is of type {type(value).__name__}", key=key, remedy=remedy) from None
 
 
 def listed(names: Iterable[str]) -> str:
@@ -87,13 +88,31 @@ def _cut(text: str, most: int) -> str:
     return f"{text[:kept]}...{text[-kept // 2 :]}"
 
 
+_PREDICATE = re.compile(
+    "(is|are|has|have|was|does|do|must|should|cannot be|needs?|contains?|requires?|declares?|adds?"
+    "|begins?|ends?|returned|reads|lacks|leaves?|covers?|divides?|crosses|visits|makes?|sets|lets"
+    "|keeps?|differ|applies|refers|belongs) "
+)
+"""Messages that begin with a predicate; their subject is the key or the file."""
+
+
+def _sentence(where: list[str], message: str) -> str:
+    """Return the location and the message; its last part is the subject of a bare predicate."""
+    if where and _PREDICATE.match(message):
+        *before, subject = where
+        words = f"{subject} {message}"
+        return f"{', '.join(before)}: {words}" if before else words
+    return f"{', '.join(where)}: {message}" if where else message
+
+
 class InputError(PlanoptError):
     """Error in user input.
 
     Parameters
     ----------
     message
-        The fault, with the offending value.
+        The fault, with the offending value. A message that begins with a verb ("is 0, should be
+        at least 1") is completed by the key, or without a key by the file.
     file
         File that contains the fault.
     key
@@ -118,9 +137,8 @@ class InputError(PlanoptError):
         self.key = None if key is None else printable(key)
         self.row = row
         self.remedy = None if remedy is None else printable(remedy)
-        line, place = row and f"line {row}", None if key is None else f"key {key}"
-        where = ", ".join(str(part) for part in (self.file, line, place) if part is not None)
-        text = f"{where}: {self.message}" if where else self.message
+        where = [self.file, row and f"line {row}", self.key]
+        text = _sentence([str(part) for part in where if part is not None], self.message)
         super().__init__(text if remedy is None else f"{text} ({self.remedy})")
 
     def located(self, file: Path | str | None, remedy: str | None = None) -> InputError:

@@ -30,8 +30,12 @@ def part_of(key: str, value: object, kind: type[Part], remedy: str | None = None
     """Return `value` if it is of the required type, else raise an InputError."""
     if not isinstance(value, kind):
         words = f"give {kind.__name__}(...)" if remedy is None else remedy
-        got = f"class {value.__name__}" if isinstance(value, type) else type(value).__name__
-        raise InputError(f"is a {got}", key=key, remedy=words)
+        got = (
+            f"the class {value.__name__}"
+            if isinstance(value, type)
+            else f"of type {type(value).__name__}"
+        )
+        raise InputError(f"is {got}", key=key, remedy=words)
     return value
 
 
@@ -53,11 +57,11 @@ def require_name(name: object, of: str, taken: Collection[str] = (), *, key: str
     """Return `name` if a part may be registered under it, else raise an InputError."""
     is_word = isinstance(name, str) and re.fullmatch(r"[A-Za-z0-9_-]{1,100}", name)
     if not is_word or name in taken:
-        others = f", and none of {listed(taken)}" if taken else ""
+        others = f"; the names {listed(taken)} are taken" if taken else ""
         raise InputError(
-            f"{name!r} cannot be the name of {of}",
+            f"is {name!r}, which cannot be the name of {of}",
             key=key,
-            remedy=f"letters, digits, _ and -{others}",
+            remedy=f"use letters, digits, _ and -{others}",
         )
     return str(name)
 
@@ -102,7 +106,7 @@ class Registry:
             raise InputError(
                 f"is {name}, which is installed but cannot be imported: {error}",
                 key=self.key,
-                remedy="install what it needs, or name another",
+                remedy="install the packages that it needs, or choose another",
             ) from None
 
 
@@ -138,7 +142,7 @@ def calling(
             file=frames[-1].filename if frames else None,
             row=frames[-1].lineno if frames else None,
             key=key,
-            remedy=remedy or f"mend {method or 'it'}",
+            remedy=remedy or f"correct {method or 'the code'}",
         ) from error
 
 
@@ -163,7 +167,7 @@ def returned(
         if found is None:
             got = f"a {type(value).__name__}"
         else:
-            got = f"shape {found.shape}" if found.shape != shape else "numbers that are not finite"
+            got = f"shape {found.shape}" if found.shape != shape else "NaN or infinite numbers"
         raise InputError(
             f"{class_name(part)}.{method} returned {got}"
             + (f", should return shape {shape}" if shape else ""),

@@ -17,9 +17,9 @@ def require_weights(weight: NDArray[np.float64], count: int) -> NDArray[np.float
     found = np.asarray(weight, dtype=np.float64)
     if found.shape != (count,) or not (np.isfinite(found).all() and (found >= 0.0).all()):
         raise InputError(
-            f"{count} places need as many weights from 0 on, not {found.shape}",
+            f"has shape {found.shape}, should be {count} weights of at least 0",
             key="weight",
-            remedy="give one weight for each place, or none",
+            remedy="give one weight for each position, or leave it out",
         )
     return found
 

@@ -81,12 +81,12 @@ def test_no_plan_is_exit_code_4(command: str, cut_off: Path, tmp_path: Path, cap
     assert main([command, str(cut_off), "--json", "--out", str(out)]) == 4
     data = strict(capsys.readouterr().out)
     assert data.get("verdict", "none") == "none" and data.get("outcome", "no_plan") == "no_plan"
-    assert "cut" in data["message"] and data["robots"] == []
+    assert "separate" in data["message"] and data["robots"] == []
     assert main(["check", str(out), "--json"]) == 3
     checked = strict(capsys.readouterr().out)
     assert checked["verdict"] == "none" and checked["certificate"]["posterior"] is None
     assert main([command, str(cut_off)]) == 4
-    assert "no plan: obstacles cut" in capsys.readouterr().out
+    assert "no plan: obstacles separate" in capsys.readouterr().out
 
 
 def test_a_saved_plan_is_checked(field: Path, tmp_path: Path, capsys) -> None:
@@ -259,7 +259,7 @@ def test_unverified_plans_have_a_reason(field: Path, capsys: pytest.CaptureFixtu
     field.write_text(re.sub(r"threshold_dbm = .*", "threshold_dbm = -30.0", text))
     assert main(["simulate", str(field), "--horizon", "2"]) != 0
     printed = capsys.readouterr().out
-    told = re.search(r"(\d+) of 3 plans are not verified; the last of them: (.+)", printed)
+    told = re.search(r"(\d+) of 3 plans are not verified. Reason for the last one: (.+)", printed)
     assert told is not None and told.group(1) == "3"
     assert "constraints.p_min requires" in told.group(2)
 

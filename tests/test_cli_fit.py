@@ -115,7 +115,7 @@ def test_fit_prints_text(log: Path, capsys) -> None:
     """Each parameter with its error and unit, then the warnings."""
     assert main(["fit", str(log), "--station", "unknown", *COLUMNS, "--floor=-95"]) in FITTED
     text = capsys.readouterr().out
-    assert text.startswith("reml: ") and "decorrelation_m" in text
+    assert text.startswith("channel fit by reml: ") and "decorrelation_m" in text
     assert "is estimated, not given" in text
 
 
@@ -273,10 +273,10 @@ def test_standard_errors_of_the_station(round_log: Path, capsys) -> None:
 def test_station_in_words(round_log: Path, capsys) -> None:
     """The station's errors follow it, and are absent if it is known."""
     assert main(["fit", str(round_log), "--station", "unknown"]) in FITTED
-    first = capsys.readouterr().out.splitlines()[0]
-    assert re.search(r"station \([\d.]+, [\d.]+\) \+- \([\d.]+, [\d.]+\) m$", first)
+    third = capsys.readouterr().out.splitlines()[2]
+    assert re.search(r"station at \([\d.]+, [\d.]+\) \+- \([\d.]+, [\d.]+\) m$", third)
     assert main(["fit", str(round_log), "--station", "120,60"]) in FITTED
-    assert "station (120, 60) m\n" in capsys.readouterr().out
+    assert "station at (120, 60) m\n" in capsys.readouterr().out
 
 
 def test_station_not_bounded_is_null(tmp_path: Path, capsys) -> None:

@@ -98,12 +98,14 @@ def test_words_and_picture(log: Path, tmp_path: Path, capsys) -> None:
     out = tmp_path / "fit"
     assert run(log, "--hold-out", "day", "--out", str(out)) == 0
     text = capsys.readouterr().out
-    assert "held out by day: 2 groups in 2 folds, no intervals with fewer than 5 groups" in text
-    scores = text.split("held out by")[1].split("P(power")[0]
+    assert (
+        "cross-validation by day: 2 groups in 2 folds, no intervals for fewer than 5 groups" in text
+    )
+    scores = text.split("cross-validation by")[1].split("P(power")[0]
     assert "channel" in scores and " to " not in scores
-    for word in (*PREDICTORS, "inside 95%"):
+    for word in (*PREDICTORS, "in 95% interval"):
         assert word in text
-    assert "P(power at least -9" in text and "no intervals with fewer than 5 groups" in text
+    assert "P(power >= -9" in text and "no intervals for fewer than 5 groups" in text
     pictures = {"fit.png", "held_out.png", "reliability.png"}
     assert {file.name for file in out.iterdir()} == {"fit.json", *pictures}
     assert "held_out" in json.loads((out / "fit.json").read_text())
@@ -146,5 +148,5 @@ def test_numbers_are_there_before_pictures(log: Path, tmp_path: Path, monkeypatc
     out = tmp_path / "fit"
     assert run(log, "--hold-out", "day", "--out", str(out)) == 2
     printed = capsys.readouterr()
-    assert "held out by day" in printed.out and "cannot be written: no ink" in printed.err
+    assert "cross-validation by day" in printed.out and "cannot be written: no ink" in printed.err
     assert {file.name for file in out.iterdir()} == {"fit.json"}

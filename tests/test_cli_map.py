@@ -164,14 +164,14 @@ def test_masks_of_a_problem(tmp_path, capsys):
     x_min, _, x_max, _ = problem.workspace.bounds_m
     assert data["x_m"][0] == x_min + 10.0 and x_max - 20.0 < data["x_m"][1] < x_max + 20.0
     assert main(["map", file, "--nav2", str(tmp_path), "--station", "0,0"]) == 2
-    assert "--station: is for logs" in capsys.readouterr().err
+    assert "--station is for logs" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("more", "words"),
     [
         ([], "give --out FILE or --nav2 DIR"),
-        (["--nav2", "masks", "--p-min", "90"], "p_min: is 90.0 (give a probability, 0 to 1)"),
+        (["--nav2", "masks", "--p-min", "90"], "p_min is 90.0 (give a probability, 0 to 1)"),
         (["--nav2", "masks", "--keepout-below", "-1"], "keepout_below"),
     ],
 )

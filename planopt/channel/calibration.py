@@ -70,8 +70,8 @@ def grouped_ratio(numerators: Floats, denominators: Floats) -> GroupedRatio:
     groups, total = len(numerators), float(denominators.sum())
     if groups < 2 or total <= 0.0:
         raise InputError(
-            f"{groups} groups of {total:g} in all give no interval",
-            remedy="give two groups or more that have something in them",
+            f"an interval cannot be computed from {groups} groups with a total weight of {total:g}",
+            remedy="give at least two groups with a positive weight",
         )
     ratio = float(numerators.sum()) / total
     half = float(stdtrit(groups - 1.0, 0.5 + 0.5 * CONFIDENCE))
@@ -123,8 +123,8 @@ def reliability(
     """Return the reliability table of predicted probabilities and realised connections."""
     if not predicted.shape == realised.shape == group_of.shape:
         raise InputError(
-            f"{predicted.size} predictions, {realised.size} outcomes and {group_of.size} groups "
-            "cannot be compared"
+            f"there are {predicted.size} predictions, {realised.size} outcomes and "
+            f"{group_of.size} group labels; their numbers must be equal"
         )
     bins: list[ReliabilityBin] = []
     for low, high in pairwise(EDGES):

@@ -313,7 +313,7 @@ class PosteriorMap:
             xarray = import_module("xarray")
         except ImportError:
             raise InputError(
-                "xarray is not installed", remedy="install it, or planopt[xarray]"
+                "xarray is not installed", remedy="pip install 'planopt[xarray]'"
             ) from None
         axes = ("y_m", "x_m")
         layers = {
@@ -373,29 +373,44 @@ def posterior_map(
         x_min, y_min, x_max, y_max = np.asarray(bounds_m, dtype=np.float64).tolist()
     except (TypeError, ValueError):
         raise InputError(
-            f"is {bounds_m!r}",
+            f"is {bounds_m!r}, should be four numbers",
             key="bounds_m",
-            remedy="give (x_min, y_min, x_max, y_max), such as problem.workspace.bounds_m",
+            remedy="give (x_min, y_min, x_max, y_max) in metres, such as "
+            "problem.workspace.bounds_m",
         ) from None
     bounds_m = x_min, y_min, x_max, y_max
     for key, value in (("cell_m", cell_m), ("threshold_dbm", threshold_dbm)):
         real = isinstance(cast("object", value), int | float | np.integer | np.floating)
         if not real or isinstance(cast("object", value), bool):
-            raise InputError(f"is {value!r}", key=key, remedy="give a number, e.g. 1.0 or -80.0")
+            raise InputError(
+                f"is {value!r}, should be a finite number",
+                key=key,
+                remedy="give a number, e.g. 1.0 or -80.0",
+            )
     if not (np.isfinite(bounds_m).all() and x_min < x_max and y_min < y_max):
-        raise InputError(f"{bounds_m} are not bounds", key="bounds_m", remedy="write x0,y0,x1,y1")
+        raise InputError(
+            f"is {bounds_m}, should have x_min < x_max and y_min < y_max",
+            key="bounds_m",
+            remedy="give x_min, y_min, x_max, y_max in metres",
+        )
     if not (cell_m > 0.0 and math.isfinite(cell_m)):
         raise InputError(
-            f"{cell_m:g} is not a cell side", key="cell_m", remedy="use metres above 0"
+            f"is {cell_m:g}, should be above 0",
+            key="cell_m",
+            remedy="give the side of a cell in metres",
         )
     if max(1.0, (x_max - x_min) / cell_m) * max(1.0, (y_max - y_min) / cell_m) > MAX_CELLS:
         raise InputError(
-            f"cells of {cell_m:g} m would be more than {MAX_CELLS:,}",
+            f"is {cell_m:g} m, which makes more than {MAX_CELLS:,} cells",
             key="cell_m",
             remedy="use larger cells or smaller bounds",
         )
     if not math.isfinite(threshold_dbm):
-        raise InputError(f"{threshold_dbm:g} is not a power", key="threshold_dbm", remedy="use dBm")
+        raise InputError(
+            f"is {threshold_dbm:g}, should be a finite power",
+            key="threshold_dbm",
+            remedy="give dBm, e.g. -80",
+        )
     x, y = cell_centres_m(x_min, x_max, cell_m), cell_centres_m(y_min, y_max, cell_m)
     count = len(posterior.measurements)
     few = count <= NEIGHBOURS or count**2 * x.size * y.size <= EXACT_OPERATIONS

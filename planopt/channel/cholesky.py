@@ -163,7 +163,7 @@ def semidefinite_factor(covariance: Floats) -> Floats:
     # The error of a determined value is at most the root of its remaining variance.
     if not np.abs(lower @ lower.T - covariance).max() <= 2.0 * np.sqrt(DETERMINED) * abs(scale):
         raise InputError(
-            "the matrix is not a covariance: it is not positive semidefinite", key="covariance_db2"
+            "is not a covariance matrix: it has a negative eigenvalue", key="covariance_db2"
         )
     return lower
 

@@ -436,7 +436,9 @@ def connected_to_any(
         There is no station, or an argument is invalid.
     """
     if not posteriors:
-        raise InputError("there is no station", key="posteriors", remedy="give at least one")
+        raise InputError(
+            "is empty", key="posteriors", remedy="give at least one posterior, one per base station"
+        )
     threshold, places = require_finite(threshold_dbm, "threshold_dbm"), require_places(positions_m)
     predictions = [predict(posterior, places) for posterior in posteriors]
     return any_probability(predictions, [threshold] * len(predictions))

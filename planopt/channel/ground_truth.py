@@ -58,7 +58,10 @@ class Lognormal:
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.std_db < math.inf:
-            raise InputError(f"{self.std_db!r} is not a standard deviation", key="std_db")
+            raise InputError(
+                f"is {self.std_db!r}, should be a standard deviation in dB of at least 0",
+                key="std_db",
+            )
 
 
 @dataclass(frozen=True)
@@ -75,7 +78,11 @@ class Nakagami:
 
     def __post_init__(self) -> None:
         if not MIN_M <= self.m < math.inf:
-            raise InputError(f"m = {self.m!r} is not a Nakagami m", key="m", remedy=f"m >= {MIN_M}")
+            raise InputError(
+                f"is {self.m!r}, should be a Nakagami shape parameter of at least {MIN_M}",
+                key="m",
+                remedy="give a larger m",
+            )
 
     @property
     def mean_db(self) -> float:
@@ -103,7 +110,9 @@ class Rician:
     def __post_init__(self) -> None:
         if not 0.0 <= self.k_factor < math.inf:
             raise InputError(
-                f"K = {self.k_factor!r} is not a Rician factor", key="k_factor", remedy="K >= 0"
+                f"is {self.k_factor!r}, should be a Rician factor K of at least 0",
+                key="k_factor",
+                remedy="give K as a power ratio, not in dB",
             )
 
     @property
@@ -168,10 +177,13 @@ def multipath_of(
     numbers = {"m": m, "k": k, "std_db": std_db}
     present = [name for name, value in numbers.items() if value is not None]
     if len(present) != (0 if kind == "rayleigh" else 1):
+        wanted = "no parameter" if kind == "rayleigh" else "exactly one of m, k and std_db"
         raise InputError(
-            f"{kind} multipath is given by {' and '.join(present) or 'nothing'}",
+            f"{kind} multipath needs {wanted}, but has {' and '.join(present) or 'none'}",
             key="multipath",
-            remedy="give the kind alone" if kind == "rayleigh" else "give one of m, k and std_db",
+            remedy="leave m, k and std_db out"
+            if kind == "rayleigh"
+            else "give one of m, k and std_db, e.g. std_db=5",
         )
     if kind == "rayleigh":
         return Rician(0.0)
@@ -203,7 +215,11 @@ def _as_rician(source: Multipath) -> Rician:
     if isinstance(source, Rician):
         return source
     if source.m < 1.0:
-        raise InputError(f"m = {source.m!r} has no Rician factor", key="m", remedy="m >= 1")
+        raise InputError(
+            f"is {source.m!r}: no Rician factor K has the same power variance",
+            key="m",
+            remedy="give m of at least 1",
+        )
     return Rician(source.m - 1.0 + math.sqrt(source.m * (source.m - 1.0)))
 
 
@@ -212,9 +228,9 @@ def _with_std(std_db: Callable[[float], float], least: float, wanted_db: float) 
     most_db, least_db = std_db(least), std_db(STRONGEST)
     if not least_db <= wanted_db <= most_db:
         raise InputError(
-            f"no such fading has a deviation of {wanted_db!r} dB",
+            f"is {wanted_db!r} dB, which this kind of multipath cannot have",
             key="multipath_std_db",
-            remedy=f"it is from {least_db:.2g} to {most_db:.4g} dB",
+            remedy=f"give a standard deviation from {least_db:.2g} to {most_db:.4g} dB",
         )
     low, high = math.log1p(least), math.log1p(STRONGEST)
     for _ in range(BISECTIONS):
@@ -368,18 +384,20 @@ def power_truth(
     # Shapes: x_m, y_m (nx,).
     raster = checked_raster(x_m, y_m, power_dbm, "power_dbm")
     if floor_dbm is not None and not abs(floor_dbm) <= MAX_POWER_DB:
-        raise InputError(
-            f"is {floor_dbm!r}, which is not a power", key="floor_dbm", remedy="give dBm"
-        )
+        raise InputError(f"is {floor_dbm!r}, should be a power", key="floor_dbm", remedy="give dBm")
     if floor_dbm is None and np.isnan(raster.values).any():
         raise InputError(
-            "is not finite somewhere",
+            "has cells without a value, and floor_dbm is missing",
             key="power_dbm",
-            remedy="give floor_dbm, the least power that the receiver reports",
+            remedy="give floor_dbm, the weakest power that the receiver reports",
         )
     power = raster.values if floor_dbm is None else np.fmax(raster.values, floor_dbm)
     if not (np.abs(power) <= MAX_POWER_DB).all():
-        raise InputError("is not a power in dBm somewhere", key="power_dbm", remedy="give dBm")
+        raise InputError(
+            f"has values outside -{MAX_POWER_DB:g} to {MAX_POWER_DB:g} dBm",
+            key="power_dbm",
+            remedy="give dBm",
+        )
     return Truth(Raster(raster.x_m, raster.y_m, power), floor_dbm, power)
 
 

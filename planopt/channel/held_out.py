@@ -84,7 +84,9 @@ def predictors_of(
 def learn_path_loss(measurements: Measurements, station: Station) -> Predictor:
     """Learn a predictor by path loss alone: least squares and the residual standard deviation."""
     if measurements.censored.all():
-        raise InputError("there is no line through upper limits alone")
+        raise InputError(
+            "the path loss cannot be fitted: all measurements are censored (upper limits)"
+        )
     return _line_predictor(measurements, station)
 
 
@@ -163,7 +165,9 @@ def learn_plain_process(measurements: Measurements) -> Predictor:
 def _uncensored(measurements: Measurements) -> Measurements:
     """Return the uncensored measurements, sorted by position."""
     if measurements.censored.all():
-        raise InputError("there is nothing to learn from upper limits alone")
+        raise InputError(
+            "the baseline predictor cannot be fitted: all measurements are censored (upper limits)"
+        )
     placed = measurements.by_place()
     return placed.take(np.flatnonzero(~placed.censored))
 
@@ -290,7 +294,10 @@ def held_out_report(
     """
     data = as_measurements(measurements)
     if groups.shape != (len(data),):
-        raise InputError("there is not one group label a measurement", key="groups")
+        raise InputError(
+            f"has {groups.size} labels for {len(data)} measurements; their numbers must be equal",
+            key="groups",
+        )
     threshold = float(np.median(data.power_dbm)) if threshold_dbm is None else threshold_dbm
     predictions = held_out_predictions(data, fold_of, learn)
     labels, group_of = np.unique(groups, return_inverse=True)
@@ -362,9 +369,9 @@ def held_out_predictions(
     folds = np.unique(fold_of)
     if fold_of.shape != (len(measurements),) or len(folds) < 2:
         raise InputError(
-            f"{len(measurements)} measurements are not held out in {len(folds)} folds",
+            f"has {len(folds)} different folds for {len(measurements)} measurements",
             key="folds",
-            remedy="give each measurement a fold, of two or more",
+            remedy="give one fold number for each measurement, and at least two different ones",
         )
     found: dict[str, Prediction] = {}
     for fold in folds:
@@ -399,8 +406,8 @@ def deal(groups: Indices, folds: int, generator: np.random.Generator) -> Indices
     labels, group_of = np.unique(groups, return_inverse=True)
     if not 2 <= folds <= len(labels):
         raise InputError(
-            f"{len(labels)} groups cannot be dealt into {folds} folds",
+            f"is {folds}, but there are {len(labels)} groups",
             key="folds",
-            remedy="use at least 2 folds and no more than there are groups",
+            remedy="use at least 2 folds and at most as many as there are groups",
         )
     return (generator.permutation(len(labels)) % folds)[group_of]

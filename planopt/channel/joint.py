@@ -59,12 +59,12 @@ class JointPrediction:
         count = len(self.mean_db)
         if count == 0 or self.covariance_db2.shape != (count, count):
             raise InputError(
-                f"a mean of shape {self.mean_db.shape} and a covariance of shape "
-                f"{self.covariance_db2.shape} are not a prediction",
+                f"the mean has shape {self.mean_db.shape} and the covariance "
+                f"{self.covariance_db2.shape}; they do not match",
                 remedy="give (h,) and (h, h) with h at least 1",
             )
         if not (np.isfinite(self.mean_db).all() and np.isfinite(self.covariance_db2).all()):
-            raise InputError("a predicted mean or covariance is not finite")
+            raise InputError("the predicted mean or covariance contains NaN or infinite values")
 
     def __len__(self) -> int:
         return len(self.mean_db)
@@ -223,9 +223,9 @@ class SampledDistribution:
     def __post_init__(self) -> None:
         if self.draws.ndim != 1 or len(self.draws) < 2:
             raise InputError(
-                f"draws of shape {self.draws.shape} are no distribution",
+                f"is too small: {self.draws.shape[0]} draws",
                 key="count",
-                remedy="draw at least 2",
+                remedy="give a count of at least 2",
             )
 
     @property
@@ -248,7 +248,11 @@ class SampledDistribution:
             `share` is not from 0 to 1.
         """
         if not 0.0 <= share <= 1.0:
-            raise InputError(f"{share!r} is no probability", key="share", remedy="give 0 to 1")
+            raise InputError(
+                f"is {share!r}, should be a probability",
+                key="share",
+                remedy="give a number from 0 to 1",
+            )
         half = _half_width() * math.sqrt(share * (1.0 - share) / self.count)
         shares = np.clip([share, share - half, share + half], 0.0, 1.0)
         value, low, high = np.quantile(self.draws, shares, method="inverted_cdf").tolist()
@@ -294,21 +298,21 @@ class Traffic:
     def __post_init__(self) -> None:
         if not 0.0 < self.link_bps < math.inf:
             raise InputError(
-                f"{self.link_bps!r} is no rate",
+                f"is {self.link_bps!r}, should be a rate in bit/s above 0",
                 key="link_bps",
-                remedy="give a value above 0, e.g. 1e6",
+                remedy="give e.g. 1e6",
             )
         if not 0.0 <= self.source_bps < math.inf:
             raise InputError(
-                f"{self.source_bps!r} is no rate",
+                f"is {self.source_bps!r}, should be a rate in bit/s of at least 0",
                 key="source_bps",
-                remedy="give a value of at least 0, e.g. 1e5",
+                remedy="give e.g. 1e5",
             )
         if not 0.0 <= self.waiting_bits < math.inf or not self.waiting_bits <= self.buffer_bits:
             raise InputError(
-                f"{self.waiting_bits!r} bits cannot wait in a buffer of {self.buffer_bits!r}",
+                f"is {self.waiting_bits!r}, but the buffer holds {self.buffer_bits!r} bits",
                 key="waiting_bits",
-                remedy="give bits from 0 on, no more than buffer_bits",
+                remedy="give at least 0 bits and at most buffer_bits",
             )
 
 
@@ -418,9 +422,10 @@ def delivered_data(
     places, times = _path(positions_m, times_s)
     if not times[0] <= deadline_s <= times[-1]:
         raise InputError(
-            f"the path is from {times[0]:g} to {times[-1]:g} s, the deadline at {deadline_s!r} s",
+            f"is {deadline_s!r} s, but the path lasts from {times[0]:g} to {times[-1]:g} s",
             key="deadline_s",
-            remedy="repeat the last place at later times if the robot waits there",
+            remedy="give a deadline within that time, or repeat the last position at later "
+            "times if the robot waits",
         )
     connected = _connected(posterior, places, threshold_dbm, count, generator)
     durations = np.diff(np.minimum(times, deadline_s))
@@ -465,13 +470,13 @@ def _path(positions_m: ArrayLike, times_s: ArrayLike) -> tuple[Floats, Floats]:
     times = np.asarray(times_s, dtype=np.float64)
     if times.shape != (len(places),):
         raise InputError(
-            f"times of shape {times.shape} for {len(places)} places",
+            f"has shape {times.shape} for {len(places)} positions",
             key="times_s",
-            remedy="give one for each place",
+            remedy="give one time for each position",
         )
     if not np.isfinite(times).all() or not (np.diff(times) > 0.0).all():
         raise InputError(
-            "times must be finite and increase", key="times_s", remedy="sort the places by time"
+            "must be finite and increasing", key="times_s", remedy="sort the positions by time"
         )
     return places, times
 

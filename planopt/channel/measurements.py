@@ -109,35 +109,46 @@ class Measurements:
                 object.__setattr__(self, name, np.zeros(count, dtype=values.dtype))
             elif values.shape != (count,):
                 raise InputError(
-                    f"{count} measurements and {name} of shape {values.shape}",
-                    remedy=f"give {name} (n,), or leave it out",
+                    f"{name} has shape {values.shape}, but there are {count} measurements",
+                    remedy=f"give one value for each measurement, or leave {name} out",
                 )
         if self.positions_m.shape != (count, 2) or self.power_dbm.shape != (count,):
             raise InputError(
                 f"positions of shape {self.positions_m.shape} and powers of shape "
-                f"{self.power_dbm.shape} do not belong together",
+                f"{self.power_dbm.shape} do not match",
                 remedy="give positions (n, 2) and powers (n,), e.g. [[5.0, 2.0]] and [-61.5] for "
                 "one measurement",
             )
         finite = np.isfinite(self.positions_m).all(axis=1) & np.isfinite(self.power_dbm)
         if not finite.all():
             raise InputError(
-                f"measurement {np.argmin(finite)} of {count} is not finite",
+                f"the position or power of measurement {np.argmin(finite)} of {count} (counted "
+                "from 0) is NaN or infinite",
                 key="measurements",
-                remedy="remove it or mark it censored",
+                remedy="remove the measurement, or mark it as censored at the receiver's "
+                "sensitivity",
             )
-        for values, most in ((self.positions_m, MAX_COORDINATE_M), (self.power_dbm, MAX_POWER_DB)):
+        for what, values, most, unit in (
+            ("coordinate", self.positions_m, MAX_COORDINATE_M, "m"),
+            ("power", self.power_dbm, MAX_POWER_DB, "dBm"),
+        ):
             if (np.abs(values) > most).any():
                 raise InputError(
-                    f"a coordinate or power of {np.abs(values).max():g} is none",
-                    remedy="give coordinates in metres and powers in dBm",
+                    f"a {what} of {np.abs(values).max():g} {unit} is out of range",
+                    remedy=f"give {unit}, at most {most:g} in magnitude",
                 )
         if not np.isfinite(self.time_s).all():
-            raise InputError("the time of a measurement is not finite", remedy="remove it")
+            raise InputError(
+                "the time of a measurement is NaN or infinite",
+                remedy="remove the measurement, or give its time in seconds",
+            )
         for name in ("resolution_db", "position_std_m"):
             values = getattr(self, name)
             if not (np.isfinite(values).all() and (values >= 0.0).all()):
-                raise InputError(f"a {name} is negative or not finite", remedy="use 0 for none")
+                raise InputError(
+                    f"a value of {name} is negative, NaN or infinite",
+                    remedy="give 0 for exact values",
+                )
 
     def __len__(self) -> int:
         return len(self.power_dbm)
@@ -160,14 +171,14 @@ def as_measurements(data: Measurements | Table) -> Measurements:
         names = list(data if isinstance(data, Mapping) else data.columns)
     except (AttributeError, TypeError):
         raise InputError(
-            f"a {type(data).__name__} has no measurements",
+            f"is of type {type(data).__name__}, which is not a table of measurements",
             key="measurements",
-            remedy="give Measurements, a DataFrame, or a dictionary of columns",
+            remedy="give Measurements, a DataFrame or a dictionary of columns",
         ) from None
     for name in ("x_m", "y_m", "power_dbm"):
         if name not in names:
             raise InputError(
-                f"there is no column {name!r} among {listed(names)}",
+                f"the column {name!r} is missing; the columns are {listed(names)}",
                 key="measurements",
                 remedy="name the columns x_m, y_m and power_dbm",
             )
@@ -175,9 +186,9 @@ def as_measurements(data: Measurements | Table) -> Measurements:
     if axes[0].ndim != 1 or axes[0].shape != axes[1].shape:
         shapes = " and ".join(str(values.shape) for values in axes)
         raise InputError(
-            f"x_m and y_m are no columns of equal length: their shapes are {shapes}",
+            f"x_m and y_m differ in length: their shapes are {shapes}",
             key="measurements",
-            remedy="give a list of one number for each measurement, e.g. [5.0] for a single one",
+            remedy="give one number for each measurement, e.g. [5.0] for a single one",
         )
     more = {part.name: data[part.name] for part in fields(Measurements)[2:] if part.name in names}
     return Measurements(np.column_stack(axes), data["power_dbm"], **more)
@@ -191,8 +202,8 @@ def as_received(data: Measurements | Table) -> Measurements:
     if not within.all():
         row = int(np.argmin(within))
         raise InputError(
-            f"power {power[row]:g} dBm of measurement {row} is not between "
-            f"{LEAST_POWER_DBM:g} and {LARGEST_POWER_DBM:g}",
+            f"the power of measurement {row} (counted from 0) is {power[row]:g}, outside "
+            f"{LEAST_POWER_DBM:g} to {LARGEST_POWER_DBM:g} dBm",
             key="measurements.power_dbm",
             remedy="give powers in dBm",
         )
@@ -219,9 +230,7 @@ def _array(name: str, values: Any) -> NDArray[Any]:
         if kind is not np.float64 and not np.array_equal(found, array):
             raise ValueError
     except (ValueError, TypeError, OverflowError):
-        raise InputError(
-            f"{name} is no array of {words}", key=name, remedy=f"give {words}"
-        ) from None
+        raise InputError(f"is not an array of {words}", key=name, remedy=f"give {words}") from None
     return found
 
 

@@ -274,10 +274,10 @@ def mean_squared_error_db2(
     measured = require_places(measured_m, at_least=0)
     if len(measured) > EXACT_LIMIT:
         raise InputError(
-            f"this needs matrices of all measurements, and {len(measured):,} are more than the "
-            f"{EXACT_LIMIT:,} that planopt factorises",
+            f"has {len(measured):,} measurements, but exact computation is limited to "
+            f"{EXACT_LIMIT:,}",
             key="measured_m",
-            remedy="give those near the places in question",
+            remedy="give only the measurements near the positions of interest",
         )
     places = require_places(positions_m)
     count = len(measured)
@@ -311,16 +311,16 @@ def perturbed(parameters: ChannelParameters, name: str, relative_error: float) -
     """Return parameters with one of `PERTURBED` multiplied by 1 + `relative_error`."""
     if not (math.isfinite(relative_error) and relative_error > -1.0):
         raise InputError(
-            f"a relative error of {relative_error!r} cannot be applied",
+            f"is {relative_error!r}, should be above -1 (-100 %)",
             key="relative_error",
-            remedy="use a share above -1",
+            remedy="give a fraction, e.g. 0.1 for +10 %",
         )
     factor = 1.0 + relative_error
     if name == "shadow_variance_db2":
         return replace(parameters, shadow_std_db=parameters.shadow_std_db * math.sqrt(factor))
     if name not in PERTURBED:
         raise InputError(
-            f"{name!r} is not a parameter that can be perturbed",
+            f"is {name!r}, which is not a parameter that can be perturbed",
             key="name",
             remedy=f"use one of {', '.join(PERTURBED)}",
         )

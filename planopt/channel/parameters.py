@@ -31,22 +31,24 @@ PRIOR_N_PL_STD = 1.0
 
 def require_places(positions_m: ArrayLike, at_least: int = 1) -> Floats:
     """Return `positions_m` (h, 2) as floats, or raise an error if they are invalid."""
-    remedy = f"give (h, 2) metres with h at least {at_least}"
+    remedy = f"give an array (h, 2) of x and y in metres, with h at least {at_least}"
     try:
         places = np.asarray(positions_m, dtype=np.float64)
     except (ValueError, TypeError):
-        raise InputError(
-            "positions are no array of numbers", key="positions_m", remedy=remedy
-        ) from None
+        raise InputError("is not an array of numbers", key="positions_m", remedy=remedy) from None
     if places.ndim != 2 or places.shape[1] != 2 or len(places) < at_least:
         raise InputError(
-            f"positions of shape {places.shape} are no places", key="positions_m", remedy=remedy
+            f"has shape {places.shape}, should have shape (h, 2)", key="positions_m", remedy=remedy
         )
     if not np.isfinite(places).all():
-        raise InputError("a position is not finite", key="positions_m", remedy="leave it out")
+        raise InputError(
+            "has a position that is NaN or infinite",
+            key="positions_m",
+            remedy="leave this position out",
+        )
     if (np.abs(places) > MAX_COORDINATE_M).any():
         raise InputError(
-            "a position is too far away",
+            "has a position too far from the origin",
             key="positions_m",
             remedy=f"give coordinates within {MAX_COORDINATE_M:g} m",
         )
@@ -56,7 +58,7 @@ def require_places(positions_m: ArrayLike, at_least: int = 1) -> Floats:
 def require_finite(value: float, key: str) -> float:
     """Return `value` as a float, or raise an error if it is not finite."""
     if not math.isfinite(value):
-        raise InputError(f"{value!r} is not finite", key=key, remedy="give a number")
+        raise InputError(f"is {value!r}, should be finite", key=key, remedy="give a number")
     return float(value)
 
 
@@ -64,13 +66,13 @@ def require_shadowing(shadow_std_db: float, decorrelation_m: float) -> None:
     """Raise an error if xi or beta is invalid."""
     if not (math.isfinite(shadow_std_db) and shadow_std_db >= 0.0):
         raise InputError(
-            f"{shadow_std_db!r} dB is not a standard deviation",
+            f"is {shadow_std_db!r}, should be a standard deviation of at least 0 dB",
             key="shadow_std_db",
             remedy="give a value of at least 0, e.g. 8",
         )
     if not (math.isfinite(decorrelation_m) and decorrelation_m > 0.0):
         raise InputError(
-            f"{decorrelation_m!r} m is not a distance",
+            f"is {decorrelation_m!r}, should be a distance above 0 m",
             key="decorrelation_m",
             remedy="give a value above 0, e.g. 10",
         )
@@ -79,7 +81,9 @@ def require_shadowing(shadow_std_db: float, decorrelation_m: float) -> None:
 def require_count(count: int, key: str) -> int:
     """Return `count`, or raise an error if it is below 1."""
     if count < 1:
-        raise InputError(f"{count!r} is too few", key=key, remedy="give at least 1")
+        raise InputError(
+            f"is {count!r}, should be at least 1", key=key, remedy="give a larger number"
+        )
     return count
 
 
@@ -113,9 +117,9 @@ class Station:
         for value in (*self.position_m, self.height_m):
             if not abs(value) <= MAX_COORDINATE_M:
                 raise InputError(
-                    f"{value!r} m is no coordinate of a station",
+                    f"has the coordinate {value!r} m, which is out of range",
                     key="station",
-                    remedy=f"give metres within {MAX_COORDINATE_M:g}",
+                    remedy=f"give metres of at most {MAX_COORDINATE_M:g} in magnitude",
                 )
 
 
@@ -166,14 +170,14 @@ class ChannelParameters:
         for name in ("shadow_std_db", "multipath_std_db"):
             if getattr(self, name) < 0.0:
                 raise InputError(
-                    f"{getattr(self, name)!r} dB is not a standard deviation",
+                    f"is {getattr(self, name)!r}, should be a standard deviation of at least 0 dB",
                     key=name,
                     remedy="give a value of at least 0, e.g. 8",
                 )
         for name in ("decorrelation_m", "forgetting_s"):
             if not getattr(self, name) > 0.0:
                 raise InputError(
-                    f"{getattr(self, name)!r} is not above 0",
+                    f"is {getattr(self, name)!r}, should be above 0",
                     key=name,
                     remedy="give a value above 0, e.g. 10",
                 )

@@ -104,7 +104,7 @@ def prefix_probabilities(
     # shifted Richtmyer lattices and the baker's transformation. Each variable is drawn below its
     # bound given the earlier ones; products of the conditional probabilities estimate all prefixes.
     if not tolerance > 0.0:
-        raise InputError(f"{tolerance!r} is not positive", key="tolerance")
+        raise InputError(f"is {tolerance!r}, should be above 0", key="tolerance")
     lower = semidefinite_factor(covariance)
     if len(bound) == 1:
         return PrefixProbabilities(_products(bound, lower, np.zeros((1, 0))), np.zeros(1))
@@ -382,7 +382,8 @@ def first_passage(
         probability, error = np.append(1.0, probability), np.append(0.0, error)
     elif probability[0] == 0.0:
         raise InputError(
-            "the first place is certain to be connected: it cannot be given that it is not",
+            "is true, but the first position is connected with certainty: the condition has "
+            "probability 0",
             key="disconnected_now",
         )
     travelled = np.append(0.0, np.cumsum(leg_lengths_m(places)))

@@ -204,10 +204,10 @@ class ChannelPosterior:
         count = len(self.measurements)
         if self.buffer is None:
             raise InputError(
-                f"this needs the factor of all measurements, and {count:,} are more than the "
-                f"{self.exact_limit:,} that are factorised",
+                f"there are {count:,} measurements, but exact computation is limited to "
+                f"{self.exact_limit:,}",
                 key="measurements",
-                remedy="condition on those near the places in question",
+                remedy="condition on the measurements near the positions of interest",
             )
         return self.buffer.lower[:count, :count]
 

@@ -95,7 +95,9 @@ def shadow_field_db(
     require_shadowing(shadow_std_db, decorrelation_m)
     if not (np.isfinite(cell_m) and cell_m > 0.0):
         raise InputError(
-            f"{cell_m!r} m is not a cell side", key="cell_m", remedy="give a value above 0, e.g. 1"
+            f"is {cell_m!r}, should be above 0",
+            key="cell_m",
+            remedy="give the side of a cell in metres, e.g. 1",
         )
     ny, nx = shape
     (rows, columns), eigenvalues, clipped_share = _embedding(shape, cell_m / decorrelation_m)
@@ -170,8 +172,8 @@ def scattered_field_db(
     places, back = _distinct(require_places(positions_m, at_least=0))
     if len(places) > MAX_PLACES:
         raise InputError(
-            f"{len(places)} places are too many for an exact field",
-            remedy=f"use at most {MAX_PLACES}, or a field on a lattice",
+            f"an exact shadowing field at {len(places)} positions is too large",
+            remedy=f"use at most {MAX_PLACES} positions, or a field on a lattice",
         )
     factor = lower_factor(_correlation(places, decorrelation_m))
     return shadow_std_db * (factor @ generator.standard_normal(len(places)))[back]
@@ -259,14 +261,14 @@ def conditional_field(
     """
     parameters, measurements = posterior.parameters, posterior.measurements
     for part, what in (
-        (posterior.origins.time_s, "that age"),
-        (posterior.origins.blur_m2, "at uncertain places"),
+        (posterior.origins.time_s, "taken at different times"),
+        (posterior.origins.blur_m2, "with position errors"),
     ):
         if part is not None:
             raise InputError(
-                f"fields are not drawn given measurements {what}",
+                f"conditional fields cannot be drawn for measurements {what}",
                 key="posterior",
-                remedy="use sample_power, for as many places as memory allows",
+                remedy="use sample_power, which is limited only by memory",
             )
     x_min, y_min, x_max, y_max = bounds_m
     x, y = cell_centres_m(x_min, x_max, cell_m), cell_centres_m(y_min, y_max, cell_m)

@@ -105,7 +105,9 @@ def report(
 
     manifest, rows = read_manifest(folder), read_rows(folder)
     if not rows:
-        raise InputError("has no rows yet", file=folder, remedy="planopt bench run --out DIR")
+        raise InputError(
+            "has no results yet", file=folder, remedy="run planopt bench run --out DIR first"
+        )
     if freeze is not None:
         return _freeze(rows, manifest, freeze, replace, json)
     has_references = references is not None or references_file().exists()
@@ -206,7 +208,7 @@ def _freeze(rows: list[Row], manifest: Manifest, file: Path, replace: bool, json
         raise InputError(
             f"has {len(changed)} references that would change: " + "; ".join(changes),
             file=file,
-            remedy="give --replace as well, and list each change with its reason in the commit",
+            remedy="add --replace to overwrite them, and explain each change in the commit message",
         )
     write_references(references, file)
     data = {

@@ -101,9 +101,10 @@ def compare(
     own = own_settings(loaded, Lists(**lists))
     if len(loaded) == 1 and own is None and not any(lists.values()):
         raise InputError(
-            f"there is nothing to compare: {loaded[0].name} has no table compare of its own",
+            f"there is nothing to compare: {loaded[0].name} has no [compare] table, and no "
+            "setting was given",
             key="--horizons",
-            remedy="give --horizons, --planners or --sweep",
+            remedy="give --horizons, --planners, --costs-to-go or --sweep",
         )
     chosen = (
         default_seeds(own, loaded)
@@ -167,7 +168,11 @@ def seed_range(text: str, first: int | None) -> range:
     if first is None:
         return chosen
     if ":" in text:
-        raise InputError("is in --seeds already", key="--first-seed", remedy="leave it out")
+        raise InputError(
+            "cannot be combined with a range in --seeds",
+            key="--first-seed",
+            remedy="give either --seeds A:B, or --seeds N with --first-seed",
+        )
     return range(first, first + len(chosen))
 
 
@@ -182,7 +187,7 @@ def swept(text: str) -> tuple[str, list[Any]]:
         raise InputError(
             f"cannot read {text!r}",
             key="--sweep",
-            remedy="use KEY=A,B as constraints.p_min=0.5,0.8",
+            remedy="write KEY=VALUE,VALUE,..., such as constraints.p_min=0.5,0.8",
         )
     return key.strip(), [value for n, value in enumerate(found) if value not in found[:n]]
 
@@ -210,5 +215,7 @@ def listed(text: str | None, option: str, kind: Callable[[str], Value]) -> tuple
     except ValueError:
         values = []
     if not values or "" in parts:
-        raise InputError(f"cannot read {text!r}", key=option, remedy="separate values by commas")
+        raise InputError(
+            f"cannot read {text!r}", key=option, remedy="separate the values by commas"
+        )
     return tuple(dict.fromkeys(values))

@@ -142,9 +142,9 @@ def _station_method(name: str | None, *, station_is_given: bool) -> StationMetho
     require_option(name in names, name, "--station-method", f"use {', '.join(names)}")
     if station_is_given:
         raise InputError(
-            "the station is given, so there is nothing to find",
+            "is only for an unknown station, but --station gives its position",
             key="--station-method",
-            remedy="leave it out, or say --station unknown",
+            remedy="leave it out, or give --station unknown",
         )
     return cast("StationMethod", name)
 
@@ -188,9 +188,9 @@ def _forgetting_s(options: LogOptions) -> float:
     require_option(value_s > 0.0, value_s, "--forgetting", "give more than 0 seconds")
     if options.forgetting is not None and options.time is None:
         raise InputError(
-            "needs the times of the measurements",
+            "needs the time of each measurement",
             key="--forgetting",
-            remedy="name the column of times with --time COLUMN",
+            remedy="name the column of times by --time COLUMN",
         )
     return value_s
 
@@ -198,7 +198,7 @@ def _forgetting_s(options: LogOptions) -> float:
 def require_option(is_allowed: bool, value: object, key: str, remedy: str) -> None:
     """Raise an error for an option's value unless it is allowed."""
     if not is_allowed:
-        raise InputError(f"{value!r} cannot be used", key=key, remedy=remedy)
+        raise InputError(f"is {value!r}, which is not allowed", key=key, remedy=remedy)
 
 
 HoldOutOption = Annotated[
@@ -249,16 +249,17 @@ def held_out(log: Path, fitted: LogFit, text: str, threshold_dbm: float | None) 
     count = len(np.unique(groups))
     if count < 2:
         raise InputError(
-            f"all rows agree in {text}",
+            f"all rows belong to one group: they have the same value of {text}",
             file=log,
             key="--hold-out",
-            remedy="name columns, or a block, that tell walks apart",
+            remedy="name columns whose values differ between measurement runs, or divide a column "
+            "into blocks, such as t_s:600",
         )
     if fitted.measurements.receiver.any():
         raise InputError(
-            "the baseline predictors have no receiver offsets",
+            "cannot be combined with --receiver: the baseline predictors have no receiver offsets",
             key="--hold-out",
-            remedy="hold out without --receiver, on the log of one receiver",
+            remedy="leave --receiver out, and select one receiver with --where",
         )
     fold_of = deal(groups, min(count, MOST_FOLDS), np.random.default_rng(SEED))
     try:
@@ -268,7 +269,7 @@ def held_out(log: Path, fitted: LogFit, text: str, threshold_dbm: float | None) 
     except InputError as error:
         # A row number would refer to a subset of the log.
         raise InputError(
-            f"without some of the groups: {error.message}",
+            f"the fit without some of the groups failed: {error.message}",
             file=log,
             key="--hold-out",
             remedy=error.remedy,
@@ -295,15 +296,16 @@ def held_out_words(data: dict[str, Any]) -> list[str]:
     """Return the scores of :func:`held_out_json` as lines of text."""
     from planopt.channel.calibration import FEWEST_GROUPS
 
-    header = f"  {'':{NAME_WIDTH}}  {'RMSE [dB]':22}  {'of path loss':22}" + "".join(
-        f"  {f'inside {level:.0%}':21}" for level in SHOWN_LEVELS
+    header = (
+        f"  {'predictor':{NAME_WIDTH}}  {'RMSE [dB]':22}  {'RMSE / path loss only':22}"
+        + "".join(f"  {f'in {level:.0%} interval':21}" for level in SHOWN_LEVELS)
     )
     lines = [
-        f"held out by {data['columns']}: {data['groups']} groups in {data['folds']} folds, "
+        f"cross-validation by {data['columns']}: {data['groups']} groups in {data['folds']} folds, "
         + (
-            "intervals over the groups"
+            "in brackets: 95 % intervals over the groups"
             if data["groups"] >= FEWEST_GROUPS
-            else f"no intervals with fewer than {FEWEST_GROUPS} groups"
+            else f"no intervals for fewer than {FEWEST_GROUPS} groups"
         ),
         header.rstrip(),
     ]
@@ -363,6 +365,13 @@ FIT_FILE = "fit.json"
 FIT = (FIT_FILE, "fit.png", "fit_*.png", "held_out.png", "reliability.png")
 """Files of a fit, including figures."""
 
+STATUS_WORDS = {
+    "ok": "all parameters are determined",
+    "weak": "a parameter is poorly determined or implausible",
+    "degenerate": "the log does not determine the channel",
+}
+"""Meaning of the status of a fit."""
+
 UNITS = {
     "k_pl_db": "dBm",
     "n_pl": "",
@@ -384,8 +393,8 @@ def fit(
     if threshold is not None:
         require_option(math.isfinite(threshold), threshold, "--threshold", "give dBm")
         if hold_out is None:
-            remedy = "give --hold-out COLUMN as well"
-            raise InputError("belongs to --hold-out", key="--threshold", remedy=remedy)
+            remedy = "add --hold-out COLUMN"
+            raise InputError("needs --hold-out", key="--threshold", remedy=remedy)
     if options.each is not None:
         if hold_out is not None:
             remedy = "hold out readings of one transmitter, with --where"
@@ -411,7 +420,7 @@ def fit(
             from planopt.report import reliability_lines
 
             lines.append(
-                f"P(power at least {report.threshold_dbm:g} dBm), predicted by the channel:"
+                f"P(power >= {report.threshold_dbm:g} dBm) as predicted by the channel model:"
             )
             bins = report.scores["channel"].reliability
             lines += [f"  {line}" for line in reliability_lines(bins, "powers", "groups")]
@@ -512,9 +521,9 @@ def _in_words(data: dict[str, Any]) -> str:
         else " +- ({}, {})".format(*(shown_number(error, digits=2) for error in errors_m))
     )
     lines = [
-        f"{data['method']}: {data['status']}, {data['measurements']} measurements, "
-        f"{data['censored']} of them upper limits, station ({x:g}, {y:g})"
-        f"{within} m"
+        f"channel fit by {data['method']}: {data['status']} ({STATUS_WORDS[data['status']]})",
+        f"  {data['measurements']} measurements, {data['censored']} of them upper limits",
+        f"  station at ({x:g}, {y:g}){within} m",
     ]
     for name, unit in UNITS.items():
         error = shown_number(data["standard_errors"][name], digits=2)
@@ -523,7 +532,7 @@ def _in_words(data: dict[str, Any]) -> str:
         error = shown_number(offset["standard_error"], digits=2)
         lines.append(
             f"  receiver {offset['receiver']} reads {offset['offset_db']:+.2f} +- {error} dB "
-            f"against {data['reference_receiver']}"
+            f"relative to {data['reference_receiver']}"
         )
     lines += [f"  {warning}" for warning in data["warnings"]]
     if "held_out" in data:

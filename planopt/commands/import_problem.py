@@ -72,9 +72,11 @@ def import_problem(
     from planopt.report import draw_draft, save_figure
 
     if out.suffix != ".toml":
-        raise InputError("is no name of a problem file", file=out, remedy="end it in .toml")
+        raise InputError(
+            "is not a name for a problem file", file=out, remedy="use a name that ends in .toml"
+        )
     if out.exists() and not force:
-        raise OutputError(f"{out}: is there already (choose another name, or give --force)")
+        raise OutputError(f"{out} already exists (choose another name, or add --force)")
     for value, key in ((speed, "--speed"), (clearance, "--clearance")):
         require_option(
             value is None or (value > 0.0 and math.isfinite(value)), value, key, "give more than 0"

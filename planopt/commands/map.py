@@ -249,7 +249,9 @@ def parse_bounds(text: str) -> Bounds:
         x_min, y_min, x_max, y_max = (float(part) for part in text.split(","))
     except ValueError:
         raise InputError(
-            f"cannot read {text!r}", key="--bounds", remedy="write X0,Y0,X1,Y1 in metres"
+            f"cannot read {text!r}",
+            key="--bounds",
+            remedy="write X_MIN,Y_MIN,X_MAX,Y_MAX in metres",
         ) from None
     return x_min, y_min, x_max, y_max
 

@@ -50,9 +50,7 @@ def standard_output() -> Generator[None]:
             raise
         # Python flushes standard output again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        raise OutputError(
-            f"standard output cannot be written: {error.strerror or error}"
-        ) from error
+        raise OutputError(f"cannot write to standard output: {error.strerror or error}") from error
 
 
 def say(text: str) -> None:

@@ -53,13 +53,15 @@ def _perform(
 
     if animation and options.out is None:
         raise InputError(
-            "an animation is saved in a folder", key="--animation", remedy="give --out"
+            "needs a folder to save the animation in", key="--animation", remedy="add --out DIR"
         )
     problem = load(options.problem)
     task: Task = task_of(problem)
     if animation and task.animate is None:
         raise InputError(
-            f"is not for the task {problem.task}", key="--animation", remedy="leave it out"
+            f"is not available for the task {problem.task}",
+            key="--animation",
+            remedy="leave it out",
         )
     problem = task.overridden(
         problem, horizon=options.horizon, planner=options.planner, cost_to_go=options.cost_to_go

@@ -47,9 +47,9 @@ def schema(
     names = [name for name in TASKS.names() if name not in MOTION]
     if task is not None and task not in names:
         raise InputError(
-            f"{task!r} has no tables of its own",
+            f"is {task!r}, which is not a task with a schema of its own",
             key="--task",
-            remedy=f"one of {', '.join(names)}, or nothing for motion planning",
+            remedy=f"use one of {', '.join(names)}; leave --task out for motion planning",
         )
     definition = json_schema() if task is None else json_schema(task_named(task).model)
     show(json, definition, dumps(definition, indent=2))
@@ -73,12 +73,14 @@ def init(
     library = {entry.name: entry.path for entry in list_problems()}
     if source not in library:
         raise InputError(
-            f"no library problem is called {source!r}",
+            f"is {source!r}, which is not a problem of the library",
             key="--from",
-            remedy=f"one of {', '.join(library)}",
+            remedy=f"use one of {', '.join(library)}",
         )
     if file.suffix != ".toml":
-        raise InputError("is no name of a problem file", file=file, remedy="end it in .toml")
+        raise InputError(
+            "is not a name for a problem file", file=file, remedy="use a name that ends in .toml"
+        )
     contents = {file: read_bytes(library[source])}
     for name in named_files(read_toml(library[source])):
         contents[file.parent / name] = read_bytes(library_folder() / name)
@@ -90,7 +92,7 @@ def init(
     ]
     for path in written:
         if path.exists():
-            raise OutputError(f"{path}: is there already (choose another folder or name)")
+            raise OutputError(f"{path} already exists (choose another folder or name)")
     with contextlib.ExitStack() as stack:
         for folder in sorted({path.parent for path in written}):
             stack.enter_context(results_folder(folder))

@@ -39,9 +39,9 @@ def demanded(demand: Demand, agents: int) -> int:
     wanted = demand(agents)
     if wanted != int(wanted) or not 0 <= wanted <= agents:
         raise InputError(
-            f"a demand of {wanted!r} among {agents} agents",
+            f"is {wanted!r} for {agents} agents",
             key="demand",
-            remedy="demands are whole numbers from 0 to the number of agents",
+            remedy="give a whole number from 0 to the number of agents",
         )
     return int(wanted)
 
@@ -116,9 +116,16 @@ def propagate_flags(
     # nearest agents are flagged from the start; other agents may be flagged temporarily.
     n, most = network.count, np.broadcast_to(np.asarray(wanted, dtype=np.intp), (network.count,))
     if distances_m.shape != (n,) or (most < 0).any():
-        raise InputError(f"{len(distances_m)} distances for {n} agents", key="distances_m")
+        raise InputError(
+            f"has {len(distances_m)} distances for {n} agents; their numbers must be equal",
+            key="distances_m",
+        )
     if np.any(loss) and rounds is None:
-        raise InputError(f"a loss of {loss!r}", key="loss", remedy="give `rounds` as well")
+        raise InputError(
+            f"is {loss!r}: with losses, the number of rounds must be given",
+            key="loss",
+            remedy="give a loss from 0 to below 1, and rounds",
+        )
     rank = np.empty(n, dtype=np.intp)
     rank[np.argsort(distances_m, kind="stable")] = np.arange(n)
     # An entry is n * holder + rank of the listed agent, so sorted entries are the lists of all
@@ -240,13 +247,15 @@ def _check(distances_m: Floats, demands: Indices) -> None:
     """Raise `InputError` if distances (n, k) and demands (k,) are inconsistent."""
     if distances_m.ndim != 2 or demands.shape != distances_m.shape[1:]:
         raise InputError(
-            f"distances of shape {distances_m.shape} for {len(demands)} events", key="distances_m"
+            f"has shape {distances_m.shape} for {len(demands)} events, should have shape "
+            "(agents, events)",
+            key="distances_m",
         )
     if not (np.isfinite(distances_m) & (distances_m >= 0.0)).all():
-        raise InputError("a distance is negative or not finite", key="distances_m")
+        raise InputError("has a distance that is negative, NaN or infinite", key="distances_m")
     if (demands < 0).any() or demands.sum() > len(distances_m):
         raise InputError(
-            f"{int(demands.sum())} agents are required, there are {len(distances_m)}",
+            f"add up to {int(demands.sum())} agents, but there are {len(distances_m)}",
             key="demands",
-            remedy="share them out with fair_shares",
+            remedy="reduce the demands with fair_shares",
         )

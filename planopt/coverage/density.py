@@ -72,10 +72,10 @@ class CallableDensity:
         shape = (len(places_m),)
         if values.shape != shape or not (np.isfinite(values) & (values >= 0.0)).all():
             raise InputError(
-                f"the density of {len(places_m)} positions has shape {values.shape}, or values "
-                "that are negative or not finite",
+                f"returned values of shape {values.shape} for {len(places_m)} positions, or "
+                "negative, NaN or infinite values",
                 key="density",
-                remedy=f"return finite values of shape {shape}, 0 or more",
+                remedy=f"return finite values of at least 0 with shape {shape}",
             )
         return values
 
@@ -95,7 +95,7 @@ class GaussianMixture:
 
     def __post_init__(self) -> None:
         if not self.weights.any():
-            raise InputError("weights are not all 0", key="density.weights")
+            raise InputError("has only zeros", key="density.weights")
 
     def at(self, places_m: Floats) -> Floats:
         """Return the density at positions ``(m, 2)``; (m,)."""
@@ -119,7 +119,7 @@ def checked_mass(region: ConvexRegion, density: Density) -> float:
     mass = float(density.moments(region_boundary(region)).mass[0])
     if not np.isfinite(mass) or not mass > 0.0:
         raise InputError(
-            f"the density's mass over the region is {mass:g}",
+            f"has the mass {mass:g} over the region",
             key="density",
             remedy="give a density that is positive somewhere in the region",
         )
@@ -137,7 +137,8 @@ def fan_moments(density: Callable[[Floats], Floats], boundary: Boundary, patch_m
     out = np.maximum(np.ceil(reach / patch_m), 1.0)
     if not (along * out).sum() <= MAX_PATCHES:
         raise InputError(
-            f"a resolution of {patch_m:g} m needs {(along * out).sum():.2g} patches",
+            f"needs {(along * out).sum():.2g} patches at a resolution of {patch_m:g} m, which "
+            "is too many",
             key="density",
             remedy="give a smoother density or a larger resolution",
         )
@@ -208,12 +209,12 @@ class RasterDensity:
         if wrong.any():
             iy, ix = np.unravel_index(int(wrong.argmax()), values.shape)
             raise InputError(
-                f"the density in row {iy}, column {ix} is {values[iy, ix]:g}",
+                f"is {values[iy, ix]:g} in row {iy}, column {ix}",
                 key="density",
-                remedy="densities are finite and at least 0",
+                remedy="give finite densities of at least 0",
             )
         if not values.any():
-            raise InputError("the density is zero everywhere", key="density")
+            raise InputError("is zero everywhere in the region", key="density")
         side_x, side_y = self.raster.cell_m
         middle = self._middle_m
         x = self.raster.x_m[0] - middle[0] + side_x * (np.arange(len(self.raster.x_m) + 1) - 0.5)

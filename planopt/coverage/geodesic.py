@@ -151,19 +151,19 @@ def _in_one_part(whole: shapely.Polygon, obstacles: Sequence[shapely.Polygon]) -
     left: shapely.Geometry = whole
     for number, obstacle in enumerate(obstacles):
         if not (shapely.is_valid(obstacle) and obstacle.area > 0.0):
-            raise InputError("the outline is not simple", key=f"world.obstacles[{number}]")
+            raise InputError("has an outline that crosses itself", key=f"world.obstacles[{number}]")
         left = left.difference(obstacle)
     parts = _parts(left)
     if not parts:
         raise InputError(
-            "obstacles leave nothing of the region", key="world.obstacles", remedy="leave some out"
+            "cover the whole region", key="world.obstacles", remedy="remove some of them"
         )
     if len(parts) > 1:
         areas = ", ".join(f"{part.area:.4g}" for part in parts)
         raise InputError(
-            f"obstacles cut the region into {len(parts)} parts of {areas} m^2",
+            f"divide the region into {len(parts)} separate parts of {areas} m²",
             key="world.obstacles",
-            remedy="cover each part as a region of its own",
+            remedy="make a problem for each part",
         )
     return shapely.orient_polygons(parts[0])
 
@@ -175,9 +175,9 @@ def _shrunk(free: shapely.Polygon, clearance_m: float) -> shapely.Polygon:
     parts = _parts(free.buffer(-clearance_m, join_style="mitre"))
     if len(parts) != 1:
         raise InputError(
-            f"a clearance of {clearance_m:g} m leaves {len(parts)} parts of the region",
+            f"is {clearance_m:g} m, which divides the region into {len(parts)} separate parts",
             key="world.clearance_m",
-            remedy="give a smaller one, or a smaller agents.body_radius_m",
+            remedy="give a smaller clearance, or a smaller agents.body_radius_m",
         )
     return shapely.orient_polygons(parts[0])
 
@@ -197,9 +197,9 @@ def _nodes(
     rows = math.ceil((y_max - y_min) / spacing_m)
     if columns * rows > MAX_NODES:
         raise InputError(
-            f"a spacing of {spacing_m:g} m gives {columns * rows} nodes",
+            f"is {spacing_m:g} m, which makes {columns * rows} nodes",
             key="world.spacing_m",
-            remedy=f"at most {MAX_NODES} are allowed",
+            remedy=f"give a larger spacing: at most {MAX_NODES} nodes are allowed",
         )
     row, column = np.divmod(np.arange(rows * columns), columns)
     left, low = x_min + spacing_m * column, y_min + spacing_m * row
@@ -220,7 +220,7 @@ def _nodes(
     moments = UniformDensity().moments(_boundaries(pieces, nodes))
     mass = weight * moments.mass
     if not mass.sum() > 0.0:
-        raise InputError("the density is zero all over the region", key="density")
+        raise InputError("is zero everywhere in the region", key="density")
     return nodes, mass, float(weight @ moments.second)
 
 

@@ -91,13 +91,14 @@ class MoveLimits:
         ):
             if value is not None and self.speed_m_s == math.inf:
                 raise InputError(
-                    "it needs a largest speed", key=key, remedy="give agents.speed_max_m_s"
+                    "needs a maximum speed", key=key, remedy="give agents.speed_max_m_s in m/s"
                 )
         if self.acceleration_m_s2 is not None and self.turn_rate_rad_s is not None:
             raise InputError(
-                "unicycles with a largest acceleration cannot be planned",
+                "cannot be combined with agents.acceleration_max_m_s2: agents have either a "
+                "turn rate or an acceleration limit",
                 key="agents.turn_rate_max_rad_s",
-                remedy="give one of both limits",
+                remedy="leave one of both limits out",
             )
 
     @property

@@ -161,7 +161,7 @@ def locate_event(
 ) -> EventEstimate:
     """Estimate the position of an event by maximum likelihood from several initial guesses."""
     if not len(readings.signal):
-        raise InputError("there is no reading", key="readings", remedy="measure first")
+        raise InputError("is empty", key="readings", remedy="give at least one reading")
     grid = _grid(region) if near_m is None else _inside(region, near_m)
     starts = _starts(sensor, readings, grid, strength_known)
     if drift is not None:

@@ -115,7 +115,7 @@ def elect_leader(network: Network, identities: Indices) -> tuple[int, int]:
         np.maximum.at(after, receiver[sent], best[sender[sent]])
         talking, best = after > best, after
     if (best != best[leader]).any():
-        raise InputError("the network is not connected", key="links")
+        raise InputError("do not connect all agents: the network is divided", key="links")
     return leader, messages
 
 

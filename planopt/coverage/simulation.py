@@ -219,13 +219,15 @@ class NetworkController:
         outside = np.flatnonzero(~self.scene.ground.allows(motion.places_m))
         if len(outside):
             raise InputError(
-                "is outside the region, in an obstacle or too near to one",
+                "is outside the region, in an obstacle or too close to one",
                 key=f"positions_m[{outside[0]}]",
                 remedy="correct the position, or the region",
             )
         if readings is None and events:
             raise InputError(
-                "are left out, and there are events", key="readings", remedy="give (k, n) signals"
+                "are missing, but the problem has events",
+                key="readings",
+                remedy="give the signals as an array (events, agents)",
             )
         if callable(readings):
             return self.decide(motion, readings)
@@ -415,7 +417,7 @@ def _numbers(key: str, values: Any, shape: tuple[int, ...]) -> Floats:
         found = np.zeros(0)
     if found.shape != shape or not np.isfinite(found).all():
         raise InputError(
-            f"has shape {found.shape} or numbers that are not finite",
+            f"has shape {found.shape}, or contains NaN or infinite numbers",
             key=key,
             remedy=f"give finite numbers of shape {shape}",
         )

@@ -59,9 +59,9 @@ def convex_region(polygon: shapely.Polygon | Floats) -> ConvexRegion:
     missing_m2 = hull.area - checked.area
     if checked.interiors or missing_m2 > ON_BORDER * hull.area:
         raise InputError(
-            "the region is not convex" if not checked.interiors else "the region has holes",
+            "is not convex" if not checked.interiors else "has holes",
             key="world.outline_m",
-            remedy="cover it with geodesic cells",
+            remedy="use geodesic cells for such a region",
         )
     corners = _corners(np.asarray(shapely.get_coordinates(hull), dtype=np.float64)[:-1])
     side = np.roll(corners, -1, axis=0) - corners
@@ -81,22 +81,22 @@ def checked_polygon(polygon: shapely.Polygon | Floats) -> shapely.Polygon:
     )
     if coordinates.ndim != 2 or coordinates.shape[1] != 2 or len(coordinates) < 3:
         raise InputError(
-            f"an outline of shape {coordinates.shape} is not a polygon",
+            f"has shape {coordinates.shape}, which is not a polygon",
             key="world.outline_m",
-            remedy="give at least three corners of two coordinates",
+            remedy="give at least three corners [x, y] in metres",
         )
     if not np.isfinite(coordinates).all():
-        raise InputError("a corner of the region is not finite", key="world.outline_m")
+        raise InputError("has a corner that is NaN or infinite", key="world.outline_m")
     candidate = polygon if whole else shapely.Polygon(coordinates)
     if not shapely.is_valid(candidate):
         raise InputError(
-            f"the region's outline is not simple: {shapely.is_valid_reason(candidate)}",
+            f"crosses itself: {shapely.is_valid_reason(candidate)}",
             key="world.outline_m",
-            remedy="give corners in order, without crossings",
+            remedy="list the corners in order along the outline",
         )
     extent = float(np.ptp(coordinates, axis=0).max())
     if not candidate.area > ON_BORDER * extent**2:
-        raise InputError("the region has no area", key="world.outline_m")
+        raise InputError("has no area", key="world.outline_m")
     return candidate
 
 
@@ -160,7 +160,7 @@ def voronoi_cells(region: ConvexRegion, agents_m: Floats) -> Cells:
     outside = np.flatnonzero(~region.contains(agents_m))
     if len(outside):
         x, y = agents_m[outside[0]]
-        raise InputError(f"({x:g}, {y:g}) is not in the region", key=f"agents[{outside[0]}]")
+        raise InputError(f"is at ({x:g}, {y:g}) m, outside the region", key=f"agents[{outside[0]}]")
     generators, cell_of = merge_coincident(agents_m, COINCIDENT * region.radius_m)
     # Shift and scale, since large coordinates would cost precision.
     unclipped = _diagram((generators - region.centre_m) / region.radius_m)

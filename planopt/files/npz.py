@@ -50,7 +50,7 @@ def _members(path: Path) -> tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]:
         raise InputError("is not an npz archive", file=path)
     with foreign_reader(path, "an npz"):
         if content.count(b"PK\x01\x02") > MOST_ENTRIES:
-            raise InputError(f"holds more than {MOST_ENTRIES} arrays")
+            raise InputError(f"contains more than {MOST_ENTRIES} arrays")
         archive = zipfile.ZipFile(io.BytesIO(content))
         return archive, {each.filename.removesuffix(".npy"): each for each in archive.infolist()}
 
@@ -64,16 +64,16 @@ def _array(
         read_header = npy.read_array_header_1_0 if first else npy.read_array_header_2_0
         shape, by_columns, dtype = read_header(stream)
         if dtype.hasobject:
-            raise InputError("holds Python objects, which are never unpickled")
+            raise InputError("contains pickled Python objects, which are not loaded for security")
         require_array_size(path, name, *shape)
         content = stream.read(math.prod(shape) * dtype.itemsize)
         # The checksum is compared at the end of the stream.
         if stream.read(1):
-            raise InputError("has another size than its header says")
+            raise InputError("has a size that contradicts its header")
         flat = np.frombuffer(content, dtype=dtype)
         if dtype.kind == "U":
             # Code points that are not Unicode would make Python fail much later.
             codes = flat.view(np.dtype(np.uint32).newbyteorder(dtype.byteorder))
             if ((codes > 0x10FFFF) | ((codes >= 0xD800) & (codes <= 0xDFFF))).any():
-                raise InputError("has texts with characters that are none")
+                raise InputError("has texts with invalid characters")
         return flat.reshape(shape, order="F" if by_columns else "C").copy()

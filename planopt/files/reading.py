@@ -42,7 +42,7 @@ def read_bytes(path: Path, largest: int = LARGEST_BINARY_BYTES) -> bytes:
             # Files in /proc report size 0 and have content nevertheless.
             content = b"" if status.st_size > largest else stream.read(largest + 1)
     except FileNotFoundError as error:
-        raise InputError("there is no such file", file=path, remedy="check the path") from error
+        raise InputError("does not exist", file=path, remedy="check the path") from error
     except (OSError, ValueError) as error:  # ValueError: NUL in the name
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"cannot be read: {reason}", file=path, remedy="check the path") from error
@@ -54,7 +54,7 @@ def require_size(verb: str, size: int, largest: int, path: Path) -> None:
     """Raise an error for a file with too many bytes, actual or declared."""
     if size > largest:
         found, limit = f"{size / MEGABYTE:.0f} MB", f"{largest / MEGABYTE:.0f} MB"
-        remedy = "give a smaller file, with fewer rows or larger cells"
+        remedy = "give a smaller file: fewer rows or larger cells"
         raise InputError(
             f"{verb} {found}, more than the limit of {limit}", file=path, remedy=remedy
         )
@@ -100,7 +100,7 @@ def foreign_reader(path: Path, kind: str, key: str | None = None) -> Generator[N
         found = InputError(error.message, key=error.key or key, row=error.row, remedy=error.remedy)
         raise found.located(error.file or path) from error
     except Exception as error:
-        fault, remedy = f"is damaged, or not {kind} that can be read", "copy or export it again"
+        fault, remedy = f"is damaged, or is not {kind} that can be read", "copy or export it again"
         raise InputError(fault, file=path, key=key, remedy=remedy) from error
     finally:
         sys.excepthook, sys.unraisablehook = hooks

@@ -118,7 +118,9 @@ def read_rows(path: Path, header: Sequence[str]) -> Iterable[tuple[int, list[str
     except csv.Error as error:
         raise InputError(f"cannot be read: {error}", file=path, remedy=REMEDY) from None
     if not rows or rows[0] != list(header):
-        raise InputError(f"the header is not {','.join(header)}", file=path, row=1, remedy=REMEDY)
+        raise InputError(
+            f"the header should be {','.join(header)}", file=path, row=1, remedy=REMEDY
+        )
     for line, cells in enumerate(rows[1:], start=2):
         if len(cells) != len(header):
             message = f"{len(cells)} cells where {len(header)} should be"

@@ -140,6 +140,9 @@ def whole_number(file: Path, data: Mapping[str, object], key: str) -> int:
     value = cast("object", data.get(key))
     if not isinstance(value, int) or isinstance(value, bool):
         raise InputError(
-            "is missing or no whole number", file=file, key=key, remedy="save the result again"
+            "is missing, or is not a whole number",
+            file=file,
+            key=key,
+            remedy="save the result again",
         )
     return value

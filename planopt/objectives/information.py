@@ -68,9 +68,9 @@ class Information:
             less = np.diagonal(covariance_factor(moments.covariance), axis1=-2, axis2=-1)
         elif moments.parameters.multipath_std_db <= 0.0:
             raise InputError(
-                "without multipath a measurement is exact, and its information infinite",
+                "is 0, with which measurements are exact and their information is infinite",
                 key="multipath_std_db",
-                remedy="use the path form or the spatial average",
+                remedy='give multipath above 0 dB, or use form = "path" or "average"',
             )
         else:
             less = np.sqrt(moments.noise_db2)
@@ -261,9 +261,9 @@ def require_estimated_path_loss(posterior: ChannelPosterior) -> None:
     """Reject a posterior with known path loss: no path yields information on it."""
     if posterior.theta_known:
         raise InputError(
-            "path loss is known: no path can teach anything about it",
+            "the path loss is known, so that no measurement gives information about it",
             key="theta",
-            remedy="condition the channel with theta='estimated'",
+            remedy='condition the channel with theta="estimated"',
         )
 
 

@@ -168,9 +168,9 @@ def covariance_factor(covariance_db2: Floats) -> Floats:
         return np.asarray(np.linalg.cholesky(covariance_db2), dtype=np.float64)
     except np.linalg.LinAlgError:
         raise InputError(
-            "without multipath a path that comes twice to a place has no finite information",
+            "visits a position twice, which without multipath gives infinite information",
             key="path_m",
-            remedy="give multipath a deviation above 0, or leave repeated places out",
+            remedy="give multipath_std_db above 0, or leave repeated positions out",
         ) from None
 
 

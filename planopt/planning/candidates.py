@@ -274,9 +274,9 @@ def released(scorer: Scorer, path_m: NDArray[np.float64], begun_s: float) -> Pla
         path_m = np.zeros(0)
     if path_m.shape != shape:
         raise InputError(
-            f"has the shape {path_m.shape}, should have {shape}",
+            f"has shape {path_m.shape}, should have shape {shape}",
             key="path_m",
-            remedy="give a place in metres after each step of planner.horizon",
+            remedy="give x and y in metres after each of the planner.horizon steps",
         )
     found = scorer.assessed(scorer.candidate(path_m, Rung.PLAN, Termination.LATTICE_ONLY))
     if not found.sound:

@@ -38,7 +38,7 @@ class Hole:
         x, y = self.from_m
         return (
             f"{self.length_m:.0f} m from ({x:.1f}, {y:.1f}) m on, "
-            f"least P(connected) {self.least_connectivity:.2f}"
+            f"lowest P(connected) {self.least_connectivity:.2f}"
         )
 
 
@@ -128,10 +128,11 @@ def holes_in_words(problem: Problem, holes: Sequence[Hole], verb: str = "crosses
     if len(lines) > MOST_IN_WORDS:
         lines[-1] = f"{verb} {lines[-1]}"
     price, p_min = problem.reach.outage_price, problem.constraints.p_min
+    total = sum(hole.length_m for hole in holes)
     return [
         *lines,
-        f"in all {sum(hole.length_m for hole in holes):.0f} m with P(connected) below {p_min:g}; "
-        f"each metre out of contact costs {price:g} m more",
+        f"total length with P(connected) below {p_min:g}: {total:.0f} m (each metre "
+        f"expected out of contact adds {price:g} m to the cost)",
     ]
 
 
@@ -272,14 +273,14 @@ def plan_message(certificate: Certificate, positions_m: NDArray[np.float64]) -> 
         path_m, best_m = certificate.path_cost_m, certificate.best_cost_m
         if path_m is None or best_m is None:
             parts.append(
-                f"the connectivity bound cannot be met from here at steps {steps}; "
-                f"it is missed by up to {worst:.2f} dB"
+                f"P(connected) cannot reach p_min at steps {steps} from here; "
+                f"up to {worst:.2f} dB of power are missing"
             )
         else:
             parts.append(
-                f"steps {steps} miss p_min by up to {worst:.2f} dB: the route to the goal costs "
-                f"{path_m:.1f} m, the price of metres out of contact included, and the cheapest "
-                f"found costs {best_m:.1f} m"
+                f"P(connected) is below p_min at steps {steps}, by up to {worst:.2f} dB of power. "
+                f"The price allows this: the planned route costs {path_m:.1f} m including outage, "
+                f"the cheapest route that the verifier found {best_m:.1f} m"
             )
     if np.linalg.norm(positions_m[1:] - positions_m[0], axis=1).max() <= STANDSTILL_M:
         parts.append("the plan stands still")

@@ -53,16 +53,16 @@ class Relaxation:
         key = self.constraint
         if self.value is not None:
             key += f" = {_shown(self.value, self.unit)}"
-        fails = "makes this infeasible" if self.constraint.startswith(LIMITS) else "cannot be kept"
+        fails = "makes this infeasible" if self.constraint.startswith(LIMITS) else "cannot be met"
         where = f" at steps {_ranges(self.stages)}" if self.stages else ""
         short = "" if self.shortfall is None else _shown(self.shortfall, self.shortfall_unit)
         by = f", short by {short}" if short else ""
         change = (
-            "without it there is a plan"
+            "a plan exists without it"
             if self.relaxed_value is None
-            else f"{_shown(self.relaxed_value, self.unit)} would do"
+            else f"{_shown(self.relaxed_value, self.unit)} would suffice"
         )
-        proof = "verified" if self.verified else "not verified"
+        proof = "confirmed" if self.verified else "not confirmed"
         return f"{key} {fails}{where}{by}; {change} ({proof} by solving again)"
 
 
@@ -105,21 +105,23 @@ class Crossing:
     def why(self) -> str:
         """Return the cost of the path, and the alternative that stays connected."""
         cost = (
-            f"the planned route costs {self.cost_m:.0f} m: its length, and {self.outage_price:g} m "
-            "for each metre out of contact"
+            f"The planned route has a cost of {self.cost_m:.0f} m: its length plus "
+            f"{self.outage_price:g} m for each metre expected out of contact."
         )
         if self.outside_m < SHORTEST_IN_WORDS_M and not self.at_goal:
-            return f"a route that stays connected throughout is {self.kept_m:.0f} m long; {cost}"
+            return f"The shortest route that stays connected is {self.kept_m:.0f} m long. {cost}"
+        length, outside = f"{self.kept_m:.0f} m", f"{self.outside_m:.0f} m"
+        part = "all of it" if outside == length else f"{outside} of it"
         return (
-            f"no route stays connected throughout: the best is {self.kept_m:.0f} m long, "
-            f"{self.outside_m:.0f} m of it out of contact; {cost}"
+            f"No route stays connected throughout. The route with the least outage is {length} "
+            f"long, {part} with P(connected) below {self.p_min:g}. {cost}"
         )
 
     def __str__(self) -> str:
         """Return where the holes are, their lengths, and why they are crossed."""
         where = "; ".join(hole.words for hole in self.holes)
         goal = ", also at the goal itself" if self.at_goal else ""
-        return f"crosses {where}: P(connected) is below {self.p_min:g} there{goal}; {self.why}"
+        return f"P(connected) is below {self.p_min:g} for {where}{goal}. {self.why}"
 
 
 class Explanation(tuple[Relaxation | Crossing, ...]):

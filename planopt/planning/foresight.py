@@ -56,11 +56,12 @@ def require_foreseeable(problem: Problem) -> None:
         or not all(robot.moves_freely for robot in problem.robots)
     ):
         raise InputError(
-            f"is {problem.planner.name}, a bound on tracking for one station, by single "
-            "integrators without separation_m and obstacles that move, come or go",
+            f"is {problem.planner.name}, which bounds the tracking error only for problems "
+            "with one station, single integrators, no separation_m, and obstacles that "
+            "neither move, appear nor vanish",
             file=problem.file,
             key="planner.name",
-            remedy="use auto",
+            remedy='use planner.name = "auto"',
         )
 
 

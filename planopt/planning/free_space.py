@@ -233,10 +233,11 @@ def _drawn_robot(
         ):
             return replace(robot, start_m=(float(place[0]), float(place[1])), start_spread_m=0.0)
     raise InputError(
-        f"leaves no free place within {robot.start_spread_m:g} m of {list(robot.start_m)}",
+        f"is {robot.start_spread_m:g} m, but no free start position was found within this "
+        f"distance of {list(robot.start_m)}",
         file=problem.file,
         key=f"robots[{number}].start_spread_m",
-        remedy="widen it, or lessen constraints.separation_m",
+        remedy="increase it, or reduce constraints.separation_m",
     )
 
 
@@ -263,11 +264,11 @@ def _drawn_target(
                 heading_spread_rad=0.0,
             )
     raise InputError(
-        "finds no straight path that stays within the bounds and out of obstacles for "
-        f"{problem.planner.max_steps} steps",
+        "is true, but no straight target path was found that stays within the bounds and "
+        f"clear of obstacles for {problem.planner.max_steps} steps",
         file=problem.file,
         key="targets[0].stays_free",
-        remedy="lessen the target's speed or planner.max_steps, or widen world.bounds_m",
+        remedy="reduce the target's speed or planner.max_steps, or enlarge world.bounds_m",
     )
 
 
@@ -293,10 +294,11 @@ def free_target_path(
         if _is_free(problem, index, states[:, :2], 0.0):
             return states
     raise InputError(
-        f"finds none in {MOST_DRAWS:,} paths that stays within the bounds and out of obstacles",
+        f"is true, but none of {MOST_DRAWS:,} random target paths stays within the bounds and "
+        "clear of obstacles",
         file=problem.file,
         key="targets[0].stays_free",
-        remedy="let it start elsewhere or slower, or leave the key out",
+        remedy="let the target start elsewhere or slower, or leave the key out",
     )
 
 
@@ -316,8 +318,8 @@ def free_places(
         if found >= count:
             return np.concatenate(kept)[:count]
     raise InputError(
-        "the obstacles leave no place to measure at",
+        "leave no free position to measure at",
         file=problem.file,
         key="world.obstacles",
-        remedy="remove some, or widen world.bounds_m",
+        remedy="remove some of them, or enlarge world.bounds_m",
     )

@@ -96,7 +96,7 @@ def draw_initial_data(
     """Draw the ground truth, and the initial measurements unless they are supplied."""
     if not isinstance(cast("object", seed), int | np.integer) or seed < 0:
         raise InputError(
-            f"is {seed!r}, should be a whole number, at least 0",
+            f"is {seed!r}, should be a whole number of at least 0",
             key="seed",
             remedy="give 0, 1, ...",
         )
@@ -131,18 +131,18 @@ def _first_measurements(
         return [read_log(log.file, log.log_format) for log in logs]
     if setup.count == 0 and (known is None or known.k_pl_db is None):
         raise InputError(
-            "there are no first measurements",
+            "is missing: there are no initial measurements",
             file=problem.file,
             key="channel.measurements",
-            remedy="give measurements= to solve, simulate or Planner, or a count or a log to "
-            "the problem's channel",
+            remedy="set channel.measurements.count or .file, or call solve, simulate or Planner "
+            "with measurements=...",
         )
     if not truths:
         raise InputError(
-            "there is no truth to measure",
+            "is missing: without a ground truth there is nothing to measure",
             file=problem.file,
             key="channel.truth",
-            remedy="give channel.truth, or a log as channel.measurements.file",
+            remedy="add [channel.truth], or name a log in channel.measurements.file",
         )
     places = free_places(problem, setup.count, generator)
     return [measure(truth, places) for truth in truths]
@@ -177,11 +177,11 @@ def draw_truth(problem: Problem, generator: np.random.Generator, station: int = 
         # NaN marks missing values and is allowed; the comparison is false for it.
         if (np.abs(gain.values) > LARGEST_GAIN_DB).any():
             raise InputError(
-                f"has values from {np.nanmin(gain.values):g} to {np.nanmax(gain.values):g}, which "
-                "are no path gains in dB",
+                f"has values from {np.nanmin(gain.values):g} to {np.nanmax(gain.values):g}, "
+                "which cannot be path gains in dB",
                 file=setup.file,
                 key=setup.variable,
-                remedy=f"give decibels within {LARGEST_GAIN_DB:g}",
+                remedy=f"give path gains in dB of at most {LARGEST_GAIN_DB:g} in magnitude",
             )
         return raster_truth(
             gain, radio.transmit_power_dbm, setup.floor_db, setup.multipath, generator
@@ -215,11 +215,11 @@ def _require_quantity(setup: RasterTruth, raster: Raster) -> None:
     spread = raster.quantity.startswith("standard deviation")
     if raster.unit not in (other, "1") and not spread:
         return
-    remedy = "name a variable that has path gain in dB or received power in dBm"
+    remedy = "name a variable with path gain in dB or received power in dBm"
     if raster.unit == other and not spread:
         remedy = f'set channel.truth.quantity = "{"power" if other == "dBm" else "gain"}"'
     raise InputError(
-        f"has {raster.quantity or 'values'} in {raster.unit}, and channel.truth.quantity is "
+        f"has {raster.quantity or 'values'} in {raster.unit}, but channel.truth.quantity is "
         f"{setup.quantity!r}",
         file=setup.file,
         key=setup.variable,
@@ -243,26 +243,26 @@ def _python_truth(problem: Problem, setup: ArrayTruth | FunctionTruth, station: 
         several = values.ndim == 2
         if values.shape[-1:] != (len(places),):
             raise InputError(
-                f"returned shape {values.shape} for {len(places)} places",
+                f"returned shape {values.shape} for {len(places)} positions",
                 key="channel.truth.power_dbm",
-                remedy="return a power for each place, (n,) or (stations, n)",
+                remedy="return one power for each position: shape (n,) or (stations, n)",
             )
         values = values.reshape(*values.shape[:-1], len(y), len(x))
     if several != (len(problem.stations) > 1) or (several and len(values) != len(problem.stations)):
         raise InputError(
-            f"has powers of shape {values.shape} for {len(problem.stations)} stations",
+            f"has shape {values.shape}, but the number of stations is {len(problem.stations)}",
             key="channel.truth.power_dbm",
-            remedy="give the powers of all stations, (stations, ny, nx) as an array or "
-            "(stations, n) by a function",
+            remedy="give the power of each station: an array (stations, ny, nx), or a function "
+            "that returns (stations, n)",
         )
     truth = power_truth(x, y, values[station] if several else values, setup.floor_dbm)
     least, largest = float(truth.raster.values.min()), float(truth.raster.values.max())
     if least < LEAST_POWER_DBM or largest > LARGEST_POWER_DBM:
         raise InputError(
-            f"has powers from {least:g} to {largest:g}, which no receiver measures in dBm",
+            f"has powers from {least:g} to {largest:g}, outside {LEAST_POWER_DBM:g} to "
+            f"{LARGEST_POWER_DBM:g} dBm",
             key="channel.truth.power_dbm",
-            remedy=f"give dBm from {LEAST_POWER_DBM:g} to {LARGEST_POWER_DBM:g}, or NaN and a "
-            "floor_dbm where nothing arrives",
+            remedy="give powers in dBm; give NaN and floor_dbm where there is no signal",
         )
     return truth
 
@@ -278,9 +278,9 @@ def _numbers(key: str, values: object) -> NDArray[np.float64]:
     except (TypeError, ValueError):
         kind = type(values).__name__
     raise InputError(
-        f"is {kind}, no array of real numbers",
+        f"is {kind}, should be an array of real numbers",
         key=f"channel.truth.{key}",
-        remedy="give real numbers, e.g. numpy.full(len(places_m), -60.0)",
+        remedy="give e.g. numpy.full(len(places_m), -60.0)",
     )
 
 
@@ -308,7 +308,7 @@ def measurements_by_station(
     """Return the user's measurements as one table per station."""
     if isinstance(measurements, str | bytes | Path):
         raise InputError(
-            f"is {measurements!r}, no table of measurements",
+            f"is {measurements!r}, which is not a table of measurements",
             key="measurements",
             remedy="read a file with planopt.channel.read_log, or name it in "
             "channel.measurements.file",
@@ -316,10 +316,9 @@ def measurements_by_station(
     tables = list(measurements) if isinstance(measurements, Sequence) else [measurements]
     if len(tables) != len(problem.stations):
         raise InputError(
-            f"measurements of {len(tables)} stations were given, the problem has "
-            f"{len(problem.stations)}",
+            f"has {len(tables)} tables, but the number of stations is {len(problem.stations)}",
             key="measurements",
-            remedy="give a sequence with one table for each station, in the problem's order",
+            remedy="give a list with one table for each station, in the order of the problem",
         )
     return tuple(as_received(table) for table in tables)
 

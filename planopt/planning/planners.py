@@ -60,17 +60,17 @@ def planner_for(problem: Problem, ground: Ground, generator: np.random.Generator
     kind = planner_kind(problem.planner.name)
     if kind.foresees:
         raise InputError(
-            f"is {kind.name}, a bound that knows the ground truth of a whole run",
+            f"is {kind.name}, a bound that requires the ground truth of a whole run",
             file=problem.file,
             key="planner.name",
-            remedy="simulate or compare with it, or name another planner",
+            remedy="use it with simulate or compare, or choose another planner",
         )
     make = kind.maker()
     with calling(make, "", key=KEY, remedy="take a problem, its geometry and a random generator"):
         made = make(problem, ground, generator)
     if not callable(getattr(made, "plan", None)):
         raise InputError(
-            f"is {kind.name}: {class_name(made)} has no method plan",
+            f"is {kind.name}, but {class_name(made)} does not define the method plan",
             key=KEY,
             remedy="define plan(self, context, scorer, warm=None), which returns released(...)",
         )
@@ -352,10 +352,10 @@ def require_tracking(problem: Problem) -> None:
     """Raise an InputError unless the problem tracks a target with one station."""
     if not any(term.sensor for term in problem.terms) or len(problem.stations) > 1:
         raise InputError(
-            f"is {problem.planner.name}, which tracks a target for one station",
+            f"is {problem.planner.name}, which needs a tracking term and exactly one station",
             file=problem.file,
             key="planner.name",
-            remedy="use auto",
+            remedy='use planner.name = "auto"',
         )
 
 

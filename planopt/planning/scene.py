@@ -101,13 +101,14 @@ def build_scene(
     goal_node = int(road_map.number[row, column])
     if np.linalg.norm(node_positions(lattice)[row, column] - goal) > STANDSTILL_M:
         raise NoPlanError(
-            f"robots[0].goal_m {list(goal_m)} lies on the border of world.bounds_m: move it "
-            "inside, or widen the bounds"
+            f"the goal robots[0].goal_m = {list(goal_m)} is on the edge of world.bounds_m: "
+            "move it inside, or enlarge the bounds"
         )
     if goal_node < 0:
         raise NoPlanError(
-            f"robots[0].goal_m {list(goal_m)} is nearer than constraints.clearance_m "
-            f"{clearance:g} + {CLEARANCE_PAD_M:g} m to an obstacle"
+            f"the goal robots[0].goal_m = {list(goal_m)} is closer to an obstacle than "
+            f"constraints.clearance_m = {clearance:g} m (plus {CLEARANCE_PAD_M:g} m): move it, "
+            "or reduce the clearance"
         )
     cost_to_go = lattice_paths(road_map, goal_node)
     scene = Scene(ground, goal_node, cost_to_go)
@@ -144,18 +145,18 @@ def build_scenes(
 def _why_no_path(problem: Problem, spacing_m: float, place_m: NDArray[np.float64]) -> str:
     """Return whether obstacles cut the goal off or the lattice is too coarse, in words."""
     start_m = tuple(place_m.tolist())
-    what = "start_m" if start_m == problem.robots[0].start_m else "the place"
+    what = "the start" if start_m == problem.robots[0].start_m else "the position"
     robot = replace(problem.robots[0], start_m=start_m)
     problem, goal_m = replace(problem, robots=(robot,)), problem.goal_m
     clearance = problem.constraints.clearance_m
-    between = f"robots[0].goal_m {list(goal_m)} from {what} {list(start_m)}"
+    between = f"the goal robots[0].goal_m = {list(goal_m)} from {what} {list(start_m)}"
     if is_joined(problem, clearance):
         return (
-            f"no path found to {between} on a lattice of {spacing_m:.2f} m, although there is one "
-            f"with constraints.clearance_m {clearance:g} m: a smaller planner.step_s or "
-            "robots[0].speed_max_m_s makes the lattice finer"
+            f"the search lattice of {spacing_m:.2f} m is too coarse: it has no path to "
+            f"{between}, although a path with constraints.clearance_m = {clearance:g} m "
+            "exists. Reduce planner.step_s or robots[0].speed_max_m_s for a finer lattice"
         )
-    return f"obstacles cut off {between}: no path keeps constraints.clearance_m {clearance:g} m"
+    return f"obstacles separate {between}: no path keeps constraints.clearance_m = {clearance:g} m"
 
 
 def free_ends(
@@ -170,7 +171,9 @@ def free_ends(
     """
     if np.ndim(ends_m) != 2 or np.shape(ends_m)[1] != 2:
         raise InputError(
-            f"has the shape {np.shape(ends_m)}", key="ends_m", remedy="give places (n, 2)"
+            f"has shape {np.shape(ends_m)}, should have shape (n, 2)",
+            key="ends_m",
+            remedy="give x and y of each position in metres",
         )
     starts = np.broadcast_to(position_m, ends_m.shape)
     wanted = problem.constraints.clearance_m + CLEARANCE_PAD_M

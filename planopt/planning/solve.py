@@ -121,10 +121,11 @@ def simulate(
     truths = prepared.truths
     if not truths:
         raise InputError(
-            "a simulation needs a ground truth to drive in, and there is none",
+            "is missing: a simulation needs a ground truth",
             file=problem.file,
             key="channel.truth",
-            remedy="add [channel.truth], or ChannelSetup(truth=...); solve and Planner need none",
+            remedy="add [channel.truth], or ChannelSetup(truth=...); solve and Planner work "
+            "without",
         )
     if scenes is None:
         scenes = build_scenes(problem)
@@ -244,7 +245,7 @@ class Planner:
         """Raise an InputError: solvers and locks belong to one process."""
         raise InputError(
             "a Planner cannot be pickled",
-            remedy="send its problem, and make a Planner in each process",
+            remedy="send its problem, and create a Planner in each process",
         )
 
     @property
@@ -311,7 +312,8 @@ class Planner:
         """
         if len(self.problem.robots) > 1:
             raise InputError(
-                f"the problem has {len(self.problem.robots)} robots", remedy="call step_all"
+                f"step plans for one robot, but the problem has {len(self.problem.robots)}",
+                remedy="call step_all, which plans for all robots",
             )
         (plan,) = self.step_all(
             [state],
@@ -334,8 +336,8 @@ class Planner:
         """Plan from the states of all robots; like :meth:`step`, with one entry per robot."""
         if not self._busy.acquire(blocking=False):
             raise InputError(
-                "a planner was called while it plans in another thread",
-                remedy="use one Planner for each thread, or wait for the first call to return",
+                "the planner is in use by another thread",
+                remedy="create one Planner for each thread, or wait until the first call returns",
             )
         try:
             return self._step_all(states, measurements, connected, target_m, obstacles)
@@ -361,11 +363,11 @@ class Planner:
         ):
             if given is not None and len(given) != count:
                 raise InputError(
-                    f"has {len(given)} entries, the problem has {count} robots",
+                    f"has {len(given)} entries, but the number of robots is {count}",
                     key=key,
-                    remedy="give one for each robot, in the problem's order",
+                    remedy="give one entry for each robot, in the order of the problem",
                 )
-        remedy = "planopt.obstacles_from makes obstacles of polygons, tables and grids"
+        remedy = "planopt.obstacles_from converts polygons, tables and grids to obstacles"
         later = parts_of("obstacles", obstacles, Obstacle, remedy)
         stated = None if connected is None else _links(connected)
         now = [self._state(number, state) for number, state in enumerate(states)]
@@ -402,16 +404,18 @@ class Planner:
         reach = self._robots.owns[number].step_length_m if robot.moves_freely else 0.0
         if float(np.linalg.norm(state[:2] - nearest)) > reach:
             raise InputError(
-                f"is {state.tolist()}, outside the bounds {list(self.problem.workspace.bounds_m)}",
+                f"is {state.tolist()}, outside world.bounds_m = "
+                f"{list(self.problem.workspace.bounds_m)}",
                 key=key,
-                remedy="give metres in the frame of the problem, or widen world.bounds_m",
+                remedy="give metres in the coordinate frame of the problem, or enlarge "
+                "world.bounds_m",
             )
         around = containing_obstacle(self._index, state[:2])
         if around is not None:
             raise InputError(
                 f"is {state.tolist()}, inside the obstacle {around.name}",
                 key=key,
-                remedy="correct the place, or the map",
+                remedy="correct the position or the map",
             )
         return state
 
@@ -437,7 +441,9 @@ class Planner:
         if place is None:
             return np.full(2, np.nan)
         if not self.problem.targets:
-            raise InputError("the problem has no target", key="target_m", remedy="leave it out")
+            raise InputError(
+                "was given, but the problem has no target", key="target_m", remedy="leave it out"
+            )
         return _numbers("target_m", place, (2,), "x_m, y_m")
 
     def _was_connected(self, number: int, measured: Sequence[Measurements]) -> bool:
@@ -460,7 +466,9 @@ def _links(given: Sequence[bool] | NDArray[np.bool_]) -> list[bool]:
     for number, value in enumerate(values):
         if not isinstance(value, bool | np.bool_):
             raise InputError(
-                f"is {value!r}", key=f"connected[{number}]", remedy="give True or False"
+                f"is {value!r}, should be a truth value",
+                key=f"connected[{number}]",
+                remedy="give True or False",
             )
     return [bool(value) for value in values]
 

@@ -71,7 +71,8 @@ class MultipathTable(Table):
         # Above this limit a saved law can be expressed by its own parameter.
         if deviation < MIN_DEVIATION_DB and self.kind != "lognormal":
             raise fault_of(
-                f"is fading of less than {MIN_DEVIATION_DB} dB: leave multipath out, or give more"
+                f"has a standard deviation below {MIN_DEVIATION_DB} dB: leave multipath out, "
+                "or increase it"
             )
         return self
 
@@ -125,8 +126,8 @@ class LawKeys(Table):
         if (self.multipath_std_db is None) == (self.multipath is None):
             given = "none" if self.multipath is None else "both"
             raise fault_of(
-                f"needs exactly one of multipath_std_db and multipath, has {given}: write "
-                "multipath_std_db = 3.0, for instance"
+                f"needs exactly one of multipath_std_db and multipath, but has {given}: write "
+                "for instance multipath_std_db = 3.0"
             )
         return self
 
@@ -165,7 +166,7 @@ class RasterTruth(Part):
         if table.rician_k is None:
             return super().of_keys(table)
         if table.multipath is not None:
-            raise fault_of("has rician_k and multipath, one is enough: leave rician_k out")
+            raise fault_of("has both rician_k and multipath: leave rician_k out")
         return {**super().of_keys(table), "multipath": Rician(table.rician_k)}
 
 
@@ -282,9 +283,10 @@ class FunctionTruth:
     def __post_init__(self) -> None:
         if not callable(self.power_dbm):
             raise InputError(
-                f"is a {type(self.power_dbm).__name__}, nothing that can be called",
+                f"is of type {type(self.power_dbm).__name__}, should be a function",
                 key="channel.truth.power_dbm",
-                remedy="give a function of places (n, 2) in metres, or an ArrayTruth for arrays",
+                remedy="give a function of positions (n, 2) in metres, or use ArrayTruth for "
+                "arrays",
             )
 
 
@@ -379,12 +381,14 @@ class MeasurementsTable(LogKeys):
         if (self.count is None) == (self.file is None):
             given = "none" if self.count is None else "count and file"
             raise fault_of(
-                f"needs exactly one of count and file, has {given}: write count = 100, or "
+                f"needs exactly one of count and file, but has {given}: write count = 100, or "
                 'file = "log.csv"'
             )
         for key in ("transmitter_column", *LOG_KEYS):
             if self.file is None and key in self.model_fields_set:
-                raise fault_of(f"has {key}, which goes only with file: leave it out")
+                raise fault_of(
+                    f"has {key}, which applies only to a log file: leave it out, or add file"
+                )
         return self
 
     @property

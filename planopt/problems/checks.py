@@ -59,10 +59,11 @@ def check_apart(problem: Problem) -> None:
             drawn = robot.start_spread_m + problem.robots[other].start_spread_m > 0.0
             if distance < separation and not drawn:
                 raise InputError(
-                    f"is {list(robot.start_m)}, {distance:.3g} m from the start of "
-                    f"{problem.robots[other].name}, less than the separation of {separation:g} m",
+                    f"is {list(robot.start_m)}, only {distance:.3g} m from the start of "
+                    f"{problem.robots[other].name}; the required separation is {separation:g} "
+                    "m",
                     key=f"robots[{number}].start_m",
-                    remedy="move it, or lessen constraints.separation_m",
+                    remedy="move it, or reduce constraints.separation_m",
                 )
             _check_goals_apart(problem, number, other)
             _check_stopping_apart(problem, number, other)
@@ -71,11 +72,11 @@ def check_apart(problem: Problem) -> None:
             distance = float(np.linalg.norm(starts[number] - centre)) - obstacle.radius_m
             if distance < problem.constraints.clearance_m:
                 raise InputError(
-                    f"is {list(robot.start_m)}, {distance:.3g} m from where the moving obstacle "
-                    f"{obstacle.name} is at time 0, less than the clearance of "
+                    f"is {list(robot.start_m)}, only {distance:.3g} m from the moving obstacle "
+                    f"{obstacle.name} at time 0; the required clearance is "
                     f"{problem.constraints.clearance_m:g} m",
                     key=f"robots[{number}].start_m",
-                    remedy="move it, or lessen constraints.clearance_m",
+                    remedy="move it, or reduce constraints.clearance_m",
                 )
 
 
@@ -91,10 +92,11 @@ def _check_goals_apart(problem: Problem, number: int, other: int) -> None:
     distance = float(np.linalg.norm(np.subtract(goal, others)))
     if distance < separation + CLEARANCE_TO_GOALS_M:
         raise InputError(
-            f"is {list(goal)}, {distance:.3g} m from the goal of {problem.robots[other].name}, "
-            f"not more than the separation of {separation:g} m",
+            f"is {list(goal)}, only {distance:.3g} m from the goal of "
+            f"{problem.robots[other].name}; the distance must exceed the separation of "
+            f"{separation:g} m",
             key=f"robots[{number}].goal_m",
-            remedy="move it, or lessen constraints.separation_m",
+            remedy="move it, or reduce constraints.separation_m",
         )
 
 
@@ -112,11 +114,11 @@ def _check_stopping_apart(problem: Problem, number: int, other: int) -> None:
     if distance + CLOSE_M < separation:
         fast, slow = (number, other) if moving[number].steps else (other, number)
         raise InputError(
-            f"is {list(problem.robots[fast].start_rest)}: stopping from there leads within "
-            f"{distance:.3g} m of {problem.robots[slow].name}, less than the separation of "
-            f"{separation:g} m",
+            f"is {list(problem.robots[fast].start_rest)}: even if it brakes at once, the robot "
+            f"comes within {distance:.3g} m of {problem.robots[slow].name}; the required "
+            f"separation is {separation:g} m",
             key=f"robots[{fast}].start_velocity_m_s",
-            remedy="lessen it, start elsewhere, or lessen constraints.separation_m",
+            remedy="reduce it, start elsewhere, or reduce constraints.separation_m",
         )
 
 
@@ -131,9 +133,9 @@ def check_channel(problem: Problem) -> None:
     if truth is None:
         if isinstance(measurements, SampledMeasurements) and measurements.count > 0:
             raise InputError(
-                "measurements cannot be taken from a truth that is not given",
+                "needs a ground truth to measure, but [channel.truth] is missing",
                 key="channel.measurements.count",
-                remedy="add [channel.truth], or give the file of a log",
+                remedy="add [channel.truth], or name a log in channel.measurements.file",
             )
         return
     if isinstance(truth, ModelTruth | FittedTruth | FunctionTruth):
@@ -141,23 +143,26 @@ def check_channel(problem: Problem) -> None:
     sampled = isinstance(measurements, SampledMeasurements) and measurements.count > 0
     if isinstance(truth, FittedTruth) and sampled:
         raise InputError(
-            'is "fitted", and there is no log to fit',
+            'is "fitted", but there is no log to fit',
             key="channel.truth.kind",
-            remedy="give the log as channel.measurements.file",
+            remedy="name a log in channel.measurements.file",
         )
     for index, station in enumerate(problem.stations):
         if isinstance(truth, ArrayTruth | FunctionTruth):
-            floor_dbm, remedy = truth.floor_dbm, "lower channel.truth.floor_dbm"
+            floor_dbm, remedy = (
+                truth.floor_dbm,
+                "raise the threshold, or lower channel.truth.floor_dbm",
+            )
         else:
             floor_db = truth.floor_db
             floor_dbm = None if floor_db is None else station.transmit_power_dbm + floor_db
-            remedy = "the floor is transmit_power_dbm + channel.truth.floor_db"
+            remedy = "raise the threshold, or lower channel.truth.floor_db"
         for key in ("threshold_dbm", "receive_threshold_dbm"):
             least_dbm = getattr(station, key)
             if floor_dbm is not None and least_dbm is not None and floor_dbm >= least_dbm:
                 raise InputError(
-                    f"is {least_dbm:g}, not above the receiver's floor of {floor_dbm:g} "
-                    "dBm, so that places without signal would count as connected",
+                    f"is {least_dbm:g} dBm, not above the receiver's sensitivity of "
+                    f"{floor_dbm:g} dBm: positions without signal would count as connected",
                     key=f"stations[{index}].{key}",
                     remedy=remedy,
                 )
@@ -167,17 +172,18 @@ def _check_cells(problem: Problem, cell_m: float) -> None:
     """Raise `InputError` if the cells are so small that the ground truth exceeds the memory."""
     if not 0.0 < cell_m <= LARGEST_COORDINATE_M:
         raise InputError(
-            f"is {cell_m!r}, which is no cell side",
+            f"is {cell_m!r}, should be above 0",
             key="channel.truth.cell_m",
-            remedy="give metres above 0",
+            remedy="give the side of a cell in metres",
         )
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     cells = (x_max - x_min) / cell_m * (y_max - y_min) / cell_m
     if cells > MAX_TRUTH_CELLS:
         raise InputError(
-            f"is {cell_m:g}, which makes {cells:.3g} cells, more than {MAX_TRUTH_CELLS:.3g}",
+            f"is {cell_m:g} m, which makes {cells:.3g} cells; at most {MAX_TRUTH_CELLS:.3g} "
+            "are allowed",
             key="channel.truth.cell_m",
-            remedy="larger cells, or smaller bounds",
+            remedy="give larger cells or smaller bounds",
         )
 
 
@@ -188,9 +194,9 @@ def check_place(
     positions_m = np.array([place])
     if not inside_bounds(problem.workspace, positions_m).all():
         raise InputError(
-            f"is {list(place)}, outside the bounds {list(problem.workspace.bounds_m)}",
+            f"is {list(place)}, outside world.bounds_m = {list(problem.workspace.bounds_m)}",
             key=key,
-            remedy="move it, or widen world.bounds_m",
+            remedy="move it, or enlarge world.bounds_m",
         )
     around = containing_obstacle(index, positions_m[0])
     if around is not None:
@@ -203,10 +209,10 @@ def check_place(
     if distance < problem.constraints.clearance_m:
         nearest = index.obstacles[int(index.tree.nearest(shapely.Point(place)))]
         raise InputError(
-            f"is {list(place)}, {distance:.3g} m from the obstacle {nearest.name}, less than "
-            f"the clearance of {problem.constraints.clearance_m:g} m",
+            f"is {list(place)}, only {distance:.3g} m from the obstacle {nearest.name}; the "
+            f"required clearance is {problem.constraints.clearance_m:g} m",
             key=key,
-            remedy="move it, or lessen constraints.clearance_m",
+            remedy="move it, or reduce constraints.clearance_m",
         )
 
 
@@ -227,11 +233,11 @@ def check_size(problem: Problem) -> None:
     needed = nodes * (NODE_BYTES + STAGE_BYTES * horizon)
     if needed > LARGEST_LATTICE_BYTES:
         raise InputError(
-            f"is {problem.planner.step_s:g}, which for these bounds and speeds makes a lattice of "
-            f"{nodes:.2g} nodes; with a horizon of {horizon} it would take "
-            f"{needed / 1e9:.2g} GB, more than {LARGEST_LATTICE_BYTES / 1e9:g} GB",
+            f"is {problem.planner.step_s:g} s, for which the search lattice has {nodes:.2g} "
+            f"nodes and needs {needed / 1e9:.2g} GB of memory at horizon {horizon}; at most "
+            f"{LARGEST_LATTICE_BYTES / 1e9:g} GB are allowed",
             key="planner.step_s",
-            remedy="lengthen the step, or narrow world.bounds_m, or lower planner.horizon",
+            remedy="increase the step, or reduce world.bounds_m or planner.horizon",
         )
 
 
@@ -246,7 +252,7 @@ def check(problem: Problem) -> None:
         raise InputError(
             f"is {list(bounds_m)}, should have x_min < x_max and y_min < y_max",
             key="world.bounds_m",
-            remedy="[x_min, y_min, x_max, y_max]",
+            remedy="give [x_min, y_min, x_max, y_max] in metres",
         )
     index = index_obstacles(problem.workspace)
     for number, robot in enumerate(problem.robots):
@@ -262,12 +268,12 @@ def check(problem: Problem) -> None:
                 f"is {robot.speed_max_m_s:g}, which makes steps of {step_m:.3g} m, less than "
                 f"{LEAST_STEP_M:g} m",
                 key=f"{key}.speed_max_m_s",
-                remedy="raise it, or planner.step_s",
+                remedy="increase it, or planner.step_s",
             )
         if robot.start_spread_m > 0.0 and (problem.task == "reach" or not robot.moves_freely):
             raise InputError(
-                f"is {robot.start_spread_m:g}, and starts are drawn only of single integrators, "
-                "and not for the task reach",
+                f"is {robot.start_spread_m:g} m, but random starts are available only for "
+                "single integrators and not for the task reach",
                 key=f"{key}.start_spread_m",
                 remedy="leave it out",
             )
@@ -283,7 +289,7 @@ def check(problem: Problem) -> None:
             raise error.under(f"objective.terms[{number}]") from error
 
 
-ONE_STATION = "leave one entry of stations"
+ONE_STATION = "keep only one entry of stations"
 
 
 def check_stations(problem: Problem) -> None:
@@ -303,7 +309,7 @@ def check_stations(problem: Problem) -> None:
         ):
             if there is not None and not goes:
                 raise InputError(
-                    f"goes only with {table}",
+                    f"applies only with {table}",
                     key=f"stations[{number}].{key}",
                     remedy="leave it out",
                 )
@@ -317,8 +323,8 @@ def _check_own_channels(problem: Problem) -> None:
         problem,
         [radio.name for radio in problem.stations],
         "name",
-        "is {value!r}, as that of stations[{other}] is",
-        "give each station a name of its own, e.g. BaseStation(name='north', ...)",
+        "is {value!r}, the same as that of stations[{other}]",
+        'give each station its own name, e.g. "north"',
     )
     if isinstance(truth, RasterTruth):
         maps = [raster_truth_of(truth, radio) for radio in problem.stations]
@@ -326,7 +332,7 @@ def _check_own_channels(problem: Problem) -> None:
             problem,
             [(own.file, own.variable) for own in maps],
             "gain_file",
-            "is needed: the map of path gains would be that of stations[{other}]",
+            "is missing: the station would use the same map as stations[{other}]",
             "give each further station a gain_file, or a gain_variable of the same file",
         )
     if isinstance(log, LoggedMeasurements):
@@ -335,7 +341,7 @@ def _check_own_channels(problem: Problem) -> None:
             problem,
             [(own.file, own.log_format.columns[2], own.log_format.where) for own in logs],
             "log_file",
-            "is needed: the measured powers would be those of stations[{other}]",
+            "is missing: the station would use the same measurements as stations[{other}]",
             "give each further station a log_file or a power_column of the same log, or give "
             "channel.measurements.transmitter_column",
         )
@@ -360,15 +366,16 @@ def check_rule(problem: Problem) -> None:
     rule.kind.check(problem)
     if problem.task == "reach" and rule.slack_price > 0.0:
         raise InputError(
-            f"is {rule.slack_price:g}, but the objective of task reach has no price for slack",
+            f"is {rule.slack_price:g}, but the task reach has no price of slack",
             key="constraints.slack_price",
-            remedy="leave it out: slack_max_db alone bounds the slack",
+            remedy="leave it out; slack_max_db limits the slack",
         )
     if rule.parameter_uncertainty == "all" and len(problem.stations) > 1:
         raise InputError(
-            f"all is for one station, and there are {len(problem.stations)}",
+            'is "all", which supports only one station, but the problem has '
+            f"{len(problem.stations)}",
             key="constraints.parameter_uncertainty",
-            remedy=f"ask for path_loss, or {ONE_STATION}",
+            remedy=f'use "path_loss", or {ONE_STATION}',
         )
 
 
@@ -400,11 +407,11 @@ def check_own_map(problem: Problem, number: int) -> None:
         change = np.abs(dynamics.change_at_rest(start, step_s) * dynamics.unit_m(step_s))
         if not float(change.max()) <= REST_TOLERANCE_M:
             raise InputError(
-                f"{list(dynamics.rest_input)} does not let it rest: its state goes on changing, by "
-                f"{float(change.max()):.3g} m a step, as far as a search finds",
+                f"is {list(dynamics.rest_input)}, but with this input the robot still moves by "
+                f"{float(change.max()):.3g} m per step",
                 key=f"{key}.rest_input",
-                remedy="give the input with which it stays where it is; a function that is a "
-                "derivative needs continuous = True",
+                remedy="give the input at which the robot stays at rest; if the function returns a "
+                "derivative, set continuous = True",
             )
 
 
@@ -419,8 +426,8 @@ def check_stopping(problem: Problem, index: ObstacleIndex, number: int) -> None:
     outside = (places - within < bounds[:2]).any() or (places + within > bounds[2:]).any()
     if outside or curve.clearance_m(index) < problem.constraints.clearance_m:
         raise InputError(
-            f"is {list(robot.start_rest)}, too fast to stop "
-            + ("within world.bounds_m" if outside else "clear of the obstacles ahead"),
+            f"is {list(robot.start_rest)}, at which the robot cannot stop "
+            + ("within world.bounds_m" if outside else "before the obstacles ahead"),
             key=f"robots[{number}].start_velocity_m_s",
-            remedy="lessen it, or start elsewhere",
+            remedy="reduce it, or start elsewhere",
         )

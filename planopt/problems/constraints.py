@@ -66,7 +66,7 @@ def _named(settings: Any) -> dict[str, Any]:
         return dict(settings)
     except (TypeError, ValueError):
         raise PydanticCustomError(
-            "settings", 'should have values by name, such as {"steps": 3}'
+            "settings", 'should be a table of values by name, such as {"steps": 3}'
         ) from None
 
 
@@ -126,20 +126,19 @@ class ConnectivityRule(Part):
             with calling(self.kind, "__post_init__", key="constraints.settings"):
                 try:
                     if self.connectivity in OWN:
-                        raise TypeError(f"it has no {min(settings)}")
+                        raise TypeError(f"it has no field {min(settings)}")
                     self.kind(**settings)
                 except InputError as error:
                     raise InputError(
-                        f"cannot be used: {error.message}",
+                        f"are not accepted by the rule: {error.message}",
                         key="constraints.settings",
-                        remedy=error.remedy or "give values that the rule accepts",
+                        remedy=error.remedy or "correct the values",
                     ) from error
                 except TypeError as error:
                     raise InputError(
-                        f"do not fit {self.connectivity}: {error}",
+                        f"do not match the fields of the rule {self.connectivity}: {error}",
                         key="constraints.settings",
-                        remedy="give a number for each field of the rule, a frozen dataclass, and "
-                        "no others",
+                        remedy="give one number for each field of the rule, and no others",
                     ) from error
         return None
 

@@ -247,10 +247,10 @@ def _read(
     missing = [name for name in (columns.x, columns.y, columns.power) if name not in table.names]
     if missing:
         raise InputError(
-            f"there is no column {' or '.join(missing)}; the file has {listed(table.names)}",
+            f"there is no column {' or '.join(missing)}; the columns are {listed(table.names)}",
             file=log,
             row=table.header_line,
-            remedy="name it with --columns x=NAME,y=NAME,power=NAME",
+            remedy="name the columns by --columns x=NAME,y=NAME,power=NAME",
         )
     unit = "degrees" if columns.in_degrees else "metres"
     who = "" if columns.reader_name is None else f"log of {columns.reader_name}: "
@@ -266,7 +266,9 @@ def _read(
             "with a position"
         )
     if not readings.rows:
-        raise InputError("has no readings", file=log, remedy="give a log with at least one row")
+        raise InputError(
+            "contains no measurements", file=log, remedy="give a log with at least one row"
+        )
     return readings, replace(log_format, columns=(columns.x, columns.y, columns.power))
 
 
@@ -277,11 +279,13 @@ def _with_origin(
     table.index(x)
     table.index(y)
     if not table.rows:
-        raise InputError("has no readings", file=table.file, remedy="give at least one row")
+        raise InputError(
+            "contains no measurements", file=table.file, remedy="give at least one row"
+        )
     longitude, latitude = table.numbers(x)[0].number(), table.numbers(y)[0].number()
     if map_path is not None:
         raise InputError(
-            f"columns {x} and {y} are in degrees, and the map is in metres",
+            f"is missing: the columns {x} and {y} are in degrees, but the map is in metres",
             file=table.file,
             key="--origin",
             row=table.header_line,
@@ -316,11 +320,11 @@ def _transmitters(
     kept = [label for label, count in counts.items() if count >= FEWEST_READINGS][:MAX_STATIONS]
     if not kept:
         raise InputError(
-            f"no transmitter has {FEWEST_READINGS} readings; the most, {max(counts.values())}, "
-            f"has {next(iter(counts))}",
+            f"has no transmitter with at least {FEWEST_READINGS} measurements; "
+            f"{next(iter(counts))} has the most, {max(counts.values())}",
             file=table.file,
             key=column,
-            remedy="name another column with --transmitter-column, or give a longer log",
+            remedy="choose another column by --transmitter-column, or give a longer log",
         )
     if len(kept) < len(counts):
         notes.assume(
@@ -372,16 +376,16 @@ def _given_stations(
         if not equals:
             if len(labels) != 1:
                 raise InputError(
-                    f"{text!r} does not say of which transmitter",
+                    f"is {text!r}, but the log has several transmitters",
                     key="--station",
-                    remedy=f"write {labels[0]}={text}; the log has {listed(labels)}",
+                    remedy=f"write {labels[0]}={text}; the transmitters are {listed(labels)}",
                 )
             label = labels[0]
         if label not in labels:
             raise InputError(
-                f"the log has no transmitter {label!r}",
+                f"names the transmitter {label!r}, which is not in the log",
                 key="--station",
-                remedy=f"it has {listed(labels)}",
+                remedy=f"the transmitters are {listed(labels)}",
             )
         station = parse_station(position, origin_deg)
         if station is not None:
@@ -396,10 +400,10 @@ def _station(
     name = re.sub(r"[^A-Za-z0-9_-]+", "-", label).strip("-")[:40] or f"station_{number + 1}"
     if given is None and int((~measurements.censored).sum()) < MIN_UNCENSORED:
         raise InputError(
-            f"{label}: fewer than {MIN_UNCENSORED} readings above the receiver's floor do not show "
-            "where it is",
+            f"is needed for {label}: fewer than {MIN_UNCENSORED} measurements above the "
+            "receiver's sensitivity cannot locate it",
             key="--station",
-            remedy=f"give --station {label}=X,Y, or select others with --transmitter",
+            remedy=f"add --station {label}=X,Y, or select other transmitters by --transmitter",
         )
     fit = (
         fit_channel_and_station(measurements) if given is None else fit_channel(measurements, given)
@@ -442,9 +446,9 @@ def _place(
         )
     if match[3] == "deg" and origin_deg is None:
         raise InputError(
-            f"{text!r} is in degrees, and the map has no origin",
+            f"is {text!r}, in degrees, but the map has no origin",
             key=key,
-            remedy="give --origin LAT,LON, or X,Y in metres",
+            remedy="add --origin LAT,LON, or give X,Y in metres",
         )
     if match[3] == "m" or origin_deg is None:
         return first, second
@@ -505,16 +509,17 @@ def _check_alignment(
     inside = inside_bounds(workspace, positions_m)
     if not inside.all():
         notes.warn(
-            f"{1.0 - inside.mean():.0%} of the readings lie outside the map (check --origin and "
-            "the origin of the map)"
+            f"{1.0 - inside.mean():.0%} of the measurements are outside the map (check "
+            "--origin and the origin of the map)"
         )
     if inside.any() and workspace.obstacles:
         away = clearance_m(index_obstacles(workspace), positions_m[inside])
         blocked = float((away <= 0.0).mean())
         if blocked > 0.0:
             notes.warn(
-                f"{blocked:.1%} of the readings on the map lie on occupied or unknown cells (check "
-                "--origin and the direction of the map's axes: x should be east, y north)"
+                f"{blocked:.1%} of the measurements on the map are in occupied or unknown "
+                "cells (check --origin and the direction of the map's axes: x should be east, "
+                "y north)"
             )
 
 

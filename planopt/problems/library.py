@@ -29,18 +29,18 @@ def read_toml(path: Path) -> dict[str, Any]:
     if deep is not None:
         row = text.count("\n", 0, deep.start()) + 1
         raise InputError(
-            "is not TOML of tables: a key is nested too deeply",
+            "the keys are nested too deeply",
             file=path,
             row=row,
-            remedy="write tables as [table] or [[table]]",
+            remedy="use [table] and [[table]] for tables",
         )
     try:
         return tomllib.loads(text)
     except RecursionError:
         raise InputError(
-            "is not TOML: nested too deeply",
+            "has values that are nested too deeply",
             file=path,
-            remedy="write tables as [table] or [[table]]",
+            remedy="use [table] and [[table]] for tables",
         ) from None
     except ValueError as error:  # TOMLDecodeError, or integers too long for Python
         raise _parse_error(str(error), text, path) from None
@@ -71,7 +71,7 @@ def _parse_error(message: str, text: str, path: Path) -> InputError:
         remedy = f"at column {found[2]}" if found[2] else "at the end of the file"
     elif "int_max_str_digits" in message:
         message, remedy = "an integer has thousands of digits", "write a number of a few digits"
-    return InputError(f"is not TOML: {message}", file=path, row=row, remedy=remedy)
+    return InputError(f"invalid TOML: {message}", file=path, row=row, remedy=remedy)
 
 
 SUFFIX = ".toml"
@@ -128,10 +128,10 @@ def find_problem(path_or_name: Path | str) -> Path:
     known = [entry.stem for entry in library_folder().glob(f"*{SUFFIX}")]
     if is_name:
         raise InputError(
-            f"no file and no library problem is called {str(path_or_name)!r}",
+            f"there is neither a file nor a library problem named {str(path_or_name)!r}",
             remedy=nearest(path.name, known),
         )
-    raise InputError("there is no such file", file=path, remedy=nearest(path.stem, known))
+    raise InputError("does not exist", file=path, remedy=nearest(path.stem, known))
 
 
 def _text(path: Path, key: str, default: str) -> str:
@@ -142,6 +142,9 @@ def _text(path: Path, key: str, default: str) -> str:
     text = tables.get(key, default)
     if not isinstance(text, str):
         raise InputError(
-            "is missing or no text", file=path, key=f"problem.{key}", remedy="one sentence"
+            "is missing, or is not text",
+            file=path,
+            key=f"problem.{key}",
+            remedy="give one sentence in quotes",
         )
     return text

@@ -43,10 +43,10 @@ def check_files(problem: Problem) -> None:
     given = problem.channel.given
     if none_taken and (given is None or given.k_pl_db is None):
         raise InputError(
-            "is 0, should be greater than or equal to 1",
+            "is 0, should be at least 1",
             file=problem.file,
             key="channel.measurements.count",
-            remedy="take some, give the file of a log, or all of channel.fit.given",
+            remedy="give a count, a log file, or all parameters in channel.fit.given",
         )
     for number, radio in enumerate(problem.stations):
         if isinstance(truth, RasterTruth):
@@ -67,10 +67,10 @@ def _check_file(problem: Problem, path: Path, key: str, *, is_map: bool = False)
         there = False
     if not there:
         raise InputError(
-            f"{path} is not a file",
+            f"is {path}, which does not exist",
             file=problem.file,
             key=key,
-            remedy="file names are relative to the problem file",
+            remedy="paths are relative to the folder of the problem file",
         )
     if is_map:
         try:
@@ -121,10 +121,10 @@ def load_motion(path_or_name: Path | str) -> Problem:
     if isinstance(problem, Problem):
         return problem
     raise InputError(
-        f"is {problem.task}, which is no motion planning",
+        f"is {problem.task}, which is not a motion planning task",
         file=problem.file,
         key="problem.task",
-        remedy=f"name a problem with one of the tasks {', '.join(MOTION)}",
+        remedy=f"use a problem with one of the tasks {', '.join(MOTION)}",
     )
 
 
@@ -149,9 +149,10 @@ def saved_table(part: Any) -> Any:
             return {"terms": [term_keys(term) for term in part.terms]}
         case Robot(dynamics=dynamics) if not (part.moves_freely or "dynamics" in part.to_keys()):
             raise InputError(
-                f"{dynamics.kind} is from Python and cannot be saved",
+                f"has the dynamics {dynamics.kind}, which are defined in Python and cannot be "
+                "saved in a file",
                 key="robots.dynamics",
-                remedy="use the plans and runs in Python",
+                remedy="keep working with the plans and runs in Python",
             )
         case tuple():
             return [saved_table(each) for each in cast("tuple[Any, ...]", part)]
@@ -228,7 +229,7 @@ def with_overrides(
 
 def require_motion(problem: Problem) -> None:
     """Raise an `InputError` if the argument is not a motion planning problem."""
-    part_of("problem", problem, Problem, "load or make a Problem")
+    part_of("problem", problem, Problem, "use planopt.load, or create a Problem")
 
 
 def _overridden(
@@ -242,7 +243,7 @@ def _overridden(
     is_reach = isinstance(problem.objective, ReachObjective)
     if is_reach and not planner_kind(settings.name).reaches_goals:
         raise InputError(
-            f"is {settings.name}, which does not plan paths to a goal",
+            f"is {settings.name}, which cannot plan to a goal",
             key="planner.name",
             remedy=f"use {names_with('reaches_goals')} for the task reach",
         )
@@ -251,7 +252,7 @@ def _overridden(
         return changed
     if not is_reach:
         raise InputError(
-            f"is for problems that are to reach a goal, {problem.name} is to {problem.task}",
+            f"applies only to the task reach, but the task of {problem.name} is {problem.task}",
             key="objective.cost_to_go",
             remedy="leave it out",
         )
@@ -283,7 +284,7 @@ def with_changes(problem: AnyProblem, changes: Mapping[str, object]) -> AnyProbl
 
 def _of_change(error: InputError, given: str) -> InputError:
     """Return the error of a changed problem, with the values that were changed."""
-    message = f"{error.message}; {given} was given in place of the problem's own"
+    message = f"{error.message}; {given} replaced the value in the problem"
     return InputError(message, key=error.key, remedy=error.remedy)
 
 
@@ -293,7 +294,11 @@ def _places(tables: dict[str, Any], key: str) -> list[tuple[Any, str | int]]:
     for part in key.split("."):
         match = _PART.fullmatch(part)
         if match is None:
-            raise InputError("is no key", key=key, remedy="use one such as robots[0].speed_max_m_s")
+            raise InputError(
+                "is not a key of a problem file",
+                key=key,
+                remedy="write it like robots[0].speed_max_m_s",
+            )
         found = [(_entered(table, name, key), match[1]) for table, name in found]
         for index in re.findall(r"\[(\d+|\*)\]", match[2]):
             entered = [_entries(table, name, key) for table, name in found]
@@ -304,7 +309,8 @@ def _places(tables: dict[str, Any], key: str) -> list[tuple[Any, str | int]]:
             ]
             if index != "*" and any(int(index) >= len(entries) for entries in entered):
                 raise InputError(
-                    f"has {len(entered[0])} entries, counted from 0",
+                    f"has the index of a missing entry: there are {len(entered[0])} entries, "
+                    "counted from 0",
                     key=key,
                     remedy=f"give an index up to {len(entered[0]) - 1}, or [*] for all",
                 )
@@ -316,10 +322,14 @@ def _entered(table: Any, name: str | int, key: str) -> dict[str, Any]:
     value: Any = table.setdefault(name, {}) if isinstance(name, str) else table[name]
     if isinstance(value, list):
         raise InputError(
-            f"{name} is a list", key=key, remedy=f"say of which: {name}[0], or {name}[*] for all"
+            f"needs an index, because {name} is a list",
+            key=key,
+            remedy=f"write {name}[0] for the first entry, or {name}[*] for all",
         )
     if not isinstance(value, dict):
-        raise InputError(f"{name} is no table", key=key, remedy="name a key of a table")
+        raise InputError(
+            f"has no meaning: {name} is not a table", key=key, remedy=f"remove what follows {name}"
+        )
     return cast("dict[str, Any]", value)
 
 
@@ -327,5 +337,7 @@ def _entries(table: Any, name: str | int, key: str) -> list[Any]:
     """Return a list in a table or list by name or index."""
     value: Any = table.get(name) if isinstance(name, str) else table[name]
     if not isinstance(value, list):
-        raise InputError(f"{name} is no list", key=key, remedy=f"leave out the index of {name}")
+        raise InputError(
+            f"has an index, but {name} is not a list", key=key, remedy=f"remove the index of {name}"
+        )
     return cast("list[Any]", value)

@@ -78,9 +78,9 @@ def _table_of(term: type[Term]) -> type[BaseModel]:
         if not is_own(term):
             raise
         raise InputError(
-            f"the fields of the term {class_name(term)} cannot be keys of a table: {error}",
+            f"the fields of the term {class_name(term)} cannot be saved as keys: {error}",
             key="objective.terms",
-            remedy="annotate each with a number, text, or a tuple of these",
+            remedy="annotate each field as a number, text, or a tuple of these",
         ) from error
 
 
@@ -132,7 +132,7 @@ class TermsObjective:
 
     def __post_init__(self) -> None:
         if not self.terms:
-            raise InputError("has no terms", key="objective.terms", remedy="one at least")
+            raise InputError("is empty", key="objective.terms", remedy="give at least one term")
 
 
 def _objective_of(table: Any) -> ReachObjective | TermsObjective:
@@ -141,7 +141,8 @@ def _objective_of(table: Any) -> ReachObjective | TermsObjective:
         return ReachObjective.of_table(table)
     for key in sorted(table.model_fields_set - {"terms"}):
         raise fault_of(
-            f"has {key}, which is for task reach, and terms: leave {key} out, or the terms"
+            f"has {key}, which applies only to the task reach, and terms, which apply to the "
+            "other tasks: leave one of them out"
         )
     return TermsObjective(tuple(table.terms))
 

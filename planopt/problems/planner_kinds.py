@@ -77,18 +77,19 @@ class PlannerKind:
             return self._callable(getattr(import_module(module), attribute))
         except (ImportError, AttributeError, ValueError) as error:
             raise InputError(
-                f"is {self.name}, whose {self.make} cannot be imported: {error}",
+                f"is {self.name}, but {self.make} cannot be imported: {error}",
                 key="planner.name",
-                remedy="install what it needs, or name another planner",
+                remedy="install the packages that it needs, or choose another planner",
             ) from None
 
     def _callable(self, make: Any) -> Callable[..., Any]:
         """Return the factory, which must be a class or function."""
         if not callable(make):
             raise InputError(
-                f"of {self.name!r} is a {type(make).__name__}, nothing that can be called",
+                f"is of type {type(make).__name__} for {self.name!r}, should be a class or "
+                "function",
                 key="PlannerKind.make",
-                remedy="give the planner's class, not an instance of it, or 'module:name'",
+                remedy="give the class of the planner (not an instance), or 'module:name'",
             )
         return make
 
@@ -182,10 +183,10 @@ def _without_goals(kind: PlannerKind) -> PlannerKind:
     """Return an external planner; raise `InputError` if it claims to reach goals."""
     if kind.reaches_goals:
         raise InputError(
-            f"{kind.name} is said to plan for the task reach, "
-            f"which only {names_with('reaches_goals')} do",
+            f"is true for {kind.name}, but only the planners {names_with('reaches_goals')} "
+            "support the task reach",
             key="reaches_goals",
-            remedy="leave it False; a goal can be a term of the task custom",
+            remedy="leave it False; in the task custom, a goal can be an objective term",
         )
     return kind
 

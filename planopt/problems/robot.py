@@ -57,18 +57,19 @@ class DynamicsKeys(Table):
             given = [key for key in keys if getattr(self, key) is not None]
             if given and dynamics != self.dynamics:
                 raise fault_of(
-                    f"has {given[0]}, which goes only with dynamics {dynamics}: leave it out, or "
-                    f'write dynamics = "{dynamics}"'
+                    f"has {given[0]}, which applies only to the dynamics {dynamics}: leave it "
+                    f'out, or write dynamics = "{dynamics}"'
                 )
         needed = NEEDED.get(self.dynamics)
         if needed is not None and getattr(self, needed) is None:
             raise fault_of(
-                f"has dynamics {self.dynamics}, which needs {needed}: write {needed} = 1.0"
+                f"has the dynamics {self.dynamics}, which need {needed}: write for instance "
+                f"{needed} = 1.0"
             )
         if needed is not None and getattr(self, needed) < LEAST_LIMIT:
             raise fault_of(
-                f"has {needed} below {LEAST_LIMIT:g}, with which it hardly moves: give a larger "
-                "one, such as 1.0"
+                f"has {needed} below {LEAST_LIMIT:g}, at which it hardly moves: give a larger "
+                "value, such as 1.0"
             )
         return self
 
@@ -175,9 +176,9 @@ def _start_rest(dynamics: Dynamics, given: object) -> tuple[float, ...]:
         return (0.0,) * len(rest)
     if values is None or len(values) != len(rest) or not _are_finite(values):
         raise InputError(
-            f"has the start_rest {given!r}, should have finite numbers for {listed(rest)}",
+            f"has start_rest = {given!r}, should have one finite number for each of {listed(rest)}",
             key=Robot.at,
-            remedy=f"start_rest is the state of a {dynamics.kind} beyond its place",
+            remedy=f"start_rest is the initial state of a {dynamics.kind} without its position",
         )
     return tuple(float(value) for value in values)
 
@@ -202,14 +203,15 @@ def _require_dynamics(given: object) -> None:
         ]
     if len(missing) == len(named):
         raise InputError(
-            f"is {given!r}, no object with dynamics",
+            f"is {given!r}, which does not define dynamics",
             key="robots[].dynamics",
             remedy="give planopt.problems.DoubleIntegrator(...), Unicycle(...), "
-            "planopt.extend.CasadiMap(...) or your own, or leave it out for a single integrator",
+            "planopt.extend.CasadiMap(...) or your own class; leave it out for a single "
+            "integrator",
         )
     if missing:
         raise InputError(
-            f"{class_name(given)} lacks {listed(missing)}",
+            f"the class {class_name(given)} does not define {listed(missing)}",
             key="robots[].dynamics",
-            remedy="define what planopt.extend.Dynamics has, or give a planopt.extend.CasadiMap",
+            remedy="define all members of planopt.extend.Dynamics, or use planopt.extend.CasadiMap",
         )

@@ -58,21 +58,28 @@ class ObstacleTable(Table):
         given = [key for key in ("file", "polygon", "wkt") if getattr(self, key) is not None]
         if len(given) != 1:
             raise fault_of(
-                f"needs exactly one of file, polygon and wkt, has {' and '.join(given) or 'none'}: "
-                "write polygon = [[x, y], ...] in metres, for instance"
+                "needs exactly one of file, polygon and wkt, but has "
+                f"{' and '.join(given) or 'none'}: write for instance polygon = [[x, y], ...] "
+                "in metres"
             )
         if self.holes and self.polygon is None:
-            raise fault_of("has holes, which go only with polygon: a file and wkt have their own")
+            raise fault_of(
+                "has holes, which apply only to polygon: leave them out, since a "
+                "file and wkt contain their own"
+            )
         if "unknown" in self.model_fields_set and not is_grid(self.file):
             raise fault_of(
-                "has unknown, which goes only with the file of an occupancy grid: leave it out",
+                "has unknown, which applies only to an occupancy grid in a file: leave it out",
             )
         if self.until_s is not None and self.until_s <= self.known_from_s:
-            raise fault_of("has until_s that is not after known_from_s: give a later one, or none")
+            raise fault_of(
+                "has until_s that is not after known_from_s: give a later time, or "
+                "leave until_s out"
+            )
         if self.name is not None and self.file is not None:
             raise fault_of(
-                "has a name, which goes only with polygon and wkt, beside file: leave it out, "
-                "since a file has names of its own",
+                "has a name, which applies only to polygon and wkt: leave it out, since a "
+                "file contains its own names",
             )
         return self
 

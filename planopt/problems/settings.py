@@ -133,7 +133,7 @@ def known_seeds(given: object) -> object:
                 return given
     raise PydanticCustomError(
         "seeds",
-        "should be a number of seeds from 1 to {most} or a range with a colon",
+        "should be a number of seeds from 1 to {most}, or a range such as 100:200",
         {"most": f"{MOST_SEEDS:_}".replace("_", ",")},
     )
 
@@ -143,10 +143,10 @@ def require_swept(key: str, at: str | None = None) -> None:
     table = key.partition(".")[0].partition("[")[0]
     if table in OF_NO_RUN:
         raise InputError(
-            f"{key} cannot be swept",
+            "cannot be swept" if at is None else f"has {key}, which cannot be swept",
             key=key if at is None else at,
-            remedy="sweep a key that plans depend on, such as constraints.p_min; seeds have a key "
-            "of their own",
+            remedy="choose a key that affects plans, such as constraints.p_min; the option for "
+            "seeds is separate",
         )
 
 
@@ -213,5 +213,9 @@ def seeds_of(text: str | int, key: str = "seeds") -> range:
     except ValueError:
         chosen = range(0)
     if len(chosen) == 0 or chosen[0] < 0:
-        raise InputError(f"cannot take {text!r}", key=key, remedy="a number such as 30, or 100:200")
+        raise InputError(
+            f"is {text!r}, should be a number of seeds or a range",
+            key=key,
+            remedy="write 30, or 100:200 for the seeds 100 to 199",
+        )
     return chosen

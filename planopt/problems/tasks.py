@@ -106,9 +106,10 @@ def task_named(name: object) -> Any:
     found = TASKS.find(name)
     if not hasattr(found, "problem_from"):
         raise InputError(
-            f"is {name}, whose entry point is a {type(found).__name__}",
+            f"is {name}, but its entry point is of type {type(found).__name__}, should be a "
+            "planopt.extend.Task",
             key="problem.task",
-            remedy="let it name a planopt.extend.Task",
+            remedy="correct the entry point of the package",
         )
     return found
 
@@ -116,8 +117,16 @@ def task_named(name: object) -> Any:
 def task_of(problem: object) -> Any:
     """Return the :class:`planopt.tasks.task.Task` of a problem."""
     if not isinstance(problem, TaskProblem) and getattr(problem, "task", None) not in MOTION:
-        kind = f"class {problem.__name__}" if isinstance(problem, type) else type(problem).__name__
-        raise InputError(f"is a {kind}", key="problem", remedy="load or make a Problem")
+        kind = (
+            f"the class {problem.__name__}"
+            if isinstance(problem, type)
+            else f"of type {type(problem).__name__}"
+        )
+        raise InputError(
+            f"is {kind}, should be a problem",
+            key="problem",
+            remedy="use planopt.load, or create a Problem",
+        )
     return task_named(cast("Any", problem).task)
 
 

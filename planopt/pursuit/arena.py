@@ -53,9 +53,10 @@ class Arena:
     def __post_init__(self) -> None:
         if self.corners > MAX_CORNERS:
             raise InputError(
-                f"obstacles have {self.corners} corners once grown, more than {MAX_CORNERS}",
+                f"have {self.corners} corners after inflation by the clearance, more than the "
+                f"limit of {MAX_CORNERS}",
                 key="obstacles",
-                remedy="simplify them, or leave some out",
+                remedy="simplify or remove some of them",
             )
 
     @property
@@ -108,8 +109,8 @@ class Arena:
         turns = turns_m(self._paths(place_m), goal_m)
         if turns is None:
             raise InputError(
-                f"no path leads from {_words(place_m)} to {_words(goal_m)}",
-                remedy="let the pursuer and the evader start in the same part of free space",
+                f"no free path leads from {_words(place_m)} to {_words(goal_m)}",
+                remedy="start pursuer and evader in the same connected part of the free space",
             )
         return turns
 

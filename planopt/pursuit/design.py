@@ -434,7 +434,9 @@ def _driving_s(task: DesignTask, bits: int) -> float:
 
 def _first_distance_m(task: DesignTask) -> float:
     if task.first_distance_m is None:
-        raise InputError("the time to capture needs a first distance", key="first_distance_m")
+        raise InputError(
+            "is missing: without it the capture time is not bounded", key="first_distance_m"
+        )
     return task.first_distance_m
 
 

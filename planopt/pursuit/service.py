@@ -55,7 +55,7 @@ class ServiceBounds:
     def __post_init__(self) -> None:
         for key, value in vars(self).items():
             if value is not None and not 0.0 <= value < math.inf:
-                raise InputError(f"{value!r} is not a finite number of at least 0", key=key)
+                raise InputError(f"is {value!r}, should be a finite number of at least 0", key=key)
 
 
 @dataclass(frozen=True)
@@ -198,9 +198,10 @@ def snapshot(service: SnapshotService, track: Track, time_s: float) -> Snapshot:
     on_grid = (sampled_m >= 0.0) & (sampled_m <= service.side_m)
     if not (service.endless or on_grid.all()):
         raise InputError(
-            "the object left the grid of motes",
+            "has a position outside the mote grid",
             key="positions_m",
-            remedy=f"keep it in the square from (0, 0) to {service.side_m:g} m",
+            remedy=f"keep all positions in the square from (0, 0) to ({service.side_m:g}, "
+            f"{service.side_m:g}) m",
         )
     levels = range(service.levels + 1)
     return Snapshot(

@@ -182,13 +182,17 @@ class PursuitController:
             np.isfinite(each).all() for each in now
         ):
             raise InputError(
-                f"{len(now)} states for {len(pursuers)} pursuers, or of another size",
+                "should be a list with one state for each pursuer",
                 key="states",
-                remedy=f"give finite states of sizes {sizes}",
+                remedy=f"give finite numbers; the sizes of the states are {sizes}",
             )
         left = np.setdiff1d(np.arange(len(self.scene.evaders)), list(captured))
         if not len(left):
-            raise InputError("are all evaders", key="captured", remedy="the pursuit is over")
+            raise InputError(
+                "has all evaders: the pursuit is over",
+                key="captured",
+                remedy="call no further steps",
+            )
         if callable(reports):
             return self.decide(now, reports, left)
         records = dict(reports)

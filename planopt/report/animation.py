@@ -86,9 +86,9 @@ def animate(
     """
     if path.suffix.lower() != ".gif":
         raise InputError(
-            f"{path.name}: an animation cannot be written as "
-            f"{path.suffix or 'a file without ending'!r}",
-            remedy="end the name in .gif",
+            f"cannot write an animation to {path.name}: the ending {path.suffix!r} is not "
+            "supported",
+            remedy="use a name that ends in .gif",
         )
     images = _with_palette(list(frames(figure, count, draw_frame, entries)))
     durations = [FRAME_MS] * (len(images) - 1) + [LAST_MS]

@@ -292,7 +292,7 @@ def draw_calibration(scores: Mapping[str, HeldOutScore]) -> Figure:
         There are no scores.
     """
     if not scores:
-        raise InputError("there is no score to draw", key="scores")
+        raise InputError("is empty", key="scores")
     figure, (coverage, pit) = new_figure(12.0, 5.4, ["AB"])
     entries: list[Artist] = []
     for number, (name, one) in enumerate(scores.items()):
@@ -325,7 +325,7 @@ def draw_reliability(series: Mapping[str, Sequence[ReliabilityBin]], title: str)
     """
     edges = sorted({(one.low, one.high) for bins in series.values() for one in bins})
     if not edges:
-        raise InputError("there is no prediction to draw", key="reliability")
+        raise InputError("has no predictions", key="reliability")
     figure, (diagram, difference) = new_figure(13.0, 5.4, ["AB"], width_ratios=[1.0, 1.5])
     nominal = {"color": BLACK, "linewidth": 1.0, "label": "as predicted"}
     entries = list(diagram.plot([0.0, 100.0], [0.0, 100.0], **nominal))
@@ -374,9 +374,9 @@ def draw_sensitivity(
     """
     if not curves or any(len(curve) != len(relative_errors) for curve in curves.values()):
         raise InputError(
-            f"there is not one value for each of {len(relative_errors)} errors",
+            f"should have one value for each of the {len(relative_errors)} relative errors",
             key="curves",
-            remedy="give what sensitivity_curves returned for these errors",
+            remedy="give the result of sensitivity_curves for these errors",
         )
     percent = 100.0 * np.asarray(relative_errors, dtype=np.float64)
     figure, (panel,) = new_figure(8.0, 5.4)
@@ -413,7 +413,7 @@ def draw_stations(
     wrong = [name for name, found in estimates_m.items() if found.shape != true_m.shape]
     if not estimates_m or wrong or not len(true_m):
         raise InputError(
-            f"there is not one estimate for each of {len(true_m)} true positions",
+            f"should have one estimate for each of the {len(true_m)} true positions",
             key=wrong[0] if wrong else "estimates_m",
         )
     figure, (scene, errors) = new_figure(13.0, 6.0, ["AB"], width_ratios=[1.1, 1.0])

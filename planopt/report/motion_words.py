@@ -44,7 +44,7 @@ def solution_in_words(solution: Solution) -> list[str]:
     ]
     if len(plans) > 1:
         total = sum(plan.objective for plan in plans)
-        lines.append(f"  {_value(problem, total)}, the total of {len(plans)} plans")
+        lines.append(f"  total over {len(plans)} plans: {_value(problem, total)}")
         lines += [f"  {line}" for line in bound_in_words(problem, solution.bound)]
     for number, plan in enumerate(plans):
         lines += [f"  {line}" for line in plan_in_words(problem_of_robot(problem, number), plan)]
@@ -58,19 +58,21 @@ def solution_in_words(solution: Solution) -> list[str]:
 def _value(problem: Problem, objective: float) -> str:
     """Return an objective value as text; with a goal it is a cost in seconds, not a travel time."""
     if problem.task == "reach":
-        return f"cost of time, effort and outage {shown_number(objective, ' s')}"
-    return f"value {shown_number(objective)}"
+        return f"cost {shown_number(objective, ' s')} (travel time, effort and outage)"
+    return f"objective value {shown_number(objective)}"
 
 
 def plan_in_words(problem: Problem, plan: Plan) -> list[str]:
     """Return verdict, objective, distances, connectivity and coverage holes of a robot's plan."""
     proof, unit = plan.certificate, " s" if problem.task == "reach" else ""
     lines = [
-        f"{plan.robot}: {plan.verdict.value} ({plan.rung.value}, {plan.termination.value}), "
-        f"{_value(problem, plan.objective)} (lattice path "
-        f"{shown_number(plan.lattice_objective, unit)}); {plan.iterations} iterations, planned in "
+        f"{plan.robot}: {plan.verdict.value}; candidate: {plan.rung.value}; solver: "
+        f"{plan.termination.value} after {plan.iterations} iterations; planning time "
         f"{shown_number(plan.wall_s, ' s', 2)}",
-        f"  {planned_in_words(proof.min_clearance_m, proof.min_connectivity)} ({proof.posterior})",
+        f"  {_value(problem, plan.objective)}; lattice path before refinement "
+        f"{shown_number(plan.lattice_objective, unit)}",
+        f"  {planned_in_words(proof.min_clearance_m, proof.min_connectivity)} "
+        f"(posterior: {proof.posterior})",
         *apart_in_words(proof.min_separation_m, proof.min_moving_clearance_m),
     ]
     if proof.rule is not None:
@@ -118,8 +120,8 @@ def certificate_in_words(problem: Problem, plan: Plan) -> list[str]:
     ]
     if proof.relaxed_steps:
         lines.append(
-            f"  the bound is not met at {len(proof.relaxed_steps)} of {len(plan.t_s) - 1} steps; "
-            f"missed by at most {max(proof.relaxation_db):.2f} dB"
+            f"  P(connected) is too low at {len(proof.relaxed_steps)} of {len(plan.t_s) - 1} "
+            f"steps, by at most {max(proof.relaxation_db):.2f} dB of received power"
         )
     return [*lines, *(f"  {reason}" for reason in proof.reasons)]
 
@@ -143,8 +145,9 @@ def run_in_words(run: Run) -> list[str]:
         (name, shown_number(None if isnan(value) else value)) for name, value in run.metrics.items()
     ]
     lines = [
-        f"{robots}, {run.verified_rate:.1%} of the steps verified ({rungs or 'none'}), measured at "
-        f"{measured} of {steps} steps",
+        f"{robots}; plans verified: {run.verified_rate:.1%}; measurements taken at {measured} of "
+        f"{steps} steps",
+        f"plans by candidate: {rungs or 'none'}",
         *in_columns(metrics),
         *_unverified_in_words(run),
     ]
@@ -167,8 +170,8 @@ def _unverified_in_words(run: Run) -> list[str]:
             rule = last.certificate.rule
             why = "" if rule is None else rule.words
             lines.append(
-                f"{last.robot}: {len(missing)} of {len(plans)} plans are not verified; the last of "
-                f"them: {last.message or why or last.verdict.value}"
+                f"{last.robot}: {len(missing)} of {len(plans)} plans are not verified. Reason for "
+                f"the last one: {last.message or why or last.verdict.value}"
             )
     return lines
 
@@ -176,16 +179,16 @@ def _unverified_in_words(run: Run) -> list[str]:
 def _costs_in_words(run: Run) -> list[str]:
     """Return the costs of a run and of the clairvoyant, and why steps below p_min were accepted."""
     lines = [
-        f"realised cost {shown_number(run.costs['realised_cost_m'], ' m')}: path length, and "
-        f"{run.problem.reach.outage_price:g} m for each metre out of contact; a planner that knows "
-        f"the channel pays {shown_number(run.costs['clairvoyant_cost_m'], ' m')}"
+        f"cost of the run: {shown_number(run.costs['realised_cost_m'], ' m')} (path length plus "
+        f"{run.problem.reach.outage_price:g} m for each metre out of contact)",
+        f"cost with known channel: {shown_number(run.costs['clairvoyant_cost_m'], ' m')}",
     ]
     proofs = [plan.certificate for made in run.plans for plan in made]
     excess_m = [proof.excess_m for proof in proofs if proof.excess_m is not None]
     if excess_m:
         lines.append(
-            f"{len(excess_m)} of {len(proofs)} plans have steps below p_min; they cost at most "
-            f"{max(*excess_m, 0.0):.1f} m more than the cheapest path that the verifier found"
+            f"{len(excess_m)} of {len(proofs)} plans have steps with P(connected) below p_min; "
+            f"their cost is at most {max(*excess_m, 0.0):.1f} m above the verifier's cheapest path"
         )
     return lines + [
         f"{made[0].robot}, {line}" if len(run.plans) > 1 else line
@@ -214,23 +217,24 @@ def problem_in_words(problem: Problem) -> list[str]:
     west, south, east, north = workspace.bounds_m
     truth, measured = problem.channel.truth, problem.channel.measurements
     source = getattr(truth, "file", None)
-    kind = "drawn" if source is None else f"of {source}"
+    kind = "random ground truth" if source is None else f"ground truth from {source}"
     count = getattr(measured, "count", None)
-    first = f"of {getattr(measured, 'file', None)}" if count is None else str(count)
+    first = f"from {getattr(measured, 'file', None)}" if count is None else str(count)
     lines = [
         f"{problem.name}: {problem.description}",
-        f"  task        {problem.task}, horizon {planner.horizon}, steps of {planner.step_s:g} s, "
-        f"at most {planner.max_steps}",
+        f"  task        {problem.task}, horizon {planner.horizon} steps of {planner.step_s:g} s, "
+        f"run of at most {planner.max_steps} steps",
         f"  world       {east - west:g} x {north - south:g} m, "
         f"{len(workspace.obstacles)} obstacles, {len(workspace.moving)} moving"
-        + (f", {len(workspace.timed)} that come or go" if workspace.timed else ""),
-        f"  channel     {'none to simulate' if truth is None else kind}; measurements {first}",
+        + (f", {len(workspace.timed)} temporary" if workspace.timed else ""),
+        f"  channel     {'no ground truth' if truth is None else kind}; initial measurements: "
+        f"{first}",
     ]
     for radio in problem.stations:
         x, y = radio.site.position_m
         lines.append(
-            f"  station     {radio.name} at ({x:g}, {y:g}) m, connected from "
-            f"{radio.threshold_dbm:g} dBm"
+            f"  station     {radio.name} at ({x:g}, {y:g}) m, connected at "
+            f"{radio.threshold_dbm:g} dBm or more"
         )
     for robot in problem.robots:
         goal = "" if robot.goal_m is None else " to ({:g}, {:g}) m".format(*robot.goal_m)
@@ -269,8 +273,8 @@ def planned_in_words(clearance_m: float | None, connectivity: float | None) -> s
     The minimum probability of a run refers to executed steps.
     """
     return (
-        f"clearance {shown_number(clearance_m, ' m')}, lowest P(connected) over the planned steps: "
-        f"{shown_number(connectivity)}"
+        f"clearance {shown_number(clearance_m, ' m')}, lowest P(connected) "
+        f"{shown_number(connectivity)} over the planned steps"
     )
 
 

@@ -118,8 +118,8 @@ def save_figure(figure: Figure, path: Path) -> None:
     metadata = UNDATED.get(path.suffix.lower())
     if metadata is None:
         raise InputError(
-            f"{path.name}: figures cannot be written as {path.suffix or 'a file without ending'!r}",
-            remedy=f"end the name in one of {', '.join(UNDATED)}",
+            f"cannot write a figure to {path.name}: the ending {path.suffix!r} is not supported",
+            remedy=f"use a name that ends in one of {', '.join(UNDATED)}",
         )
     write = cast("Any", figure).savefig
     write_whole(path, lambda temporary: write(temporary, dpi=DPI, metadata=metadata))

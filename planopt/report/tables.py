@@ -41,39 +41,39 @@ METRIC_NAMES = {
     "realised_cost_m": MetricName("realised cost", "m"),
     "clairvoyant_cost_m": MetricName("clairvoyant cost", "m"),
     "cost_ratio": MetricName("cost ratio to the clairvoyant", "1", digits=3),
-    "true_connected_share": MetricName("connected in truth", "%", 100.0),
+    "true_connected_share": MetricName("steps connected", "%", 100.0),
     "longest_outage_m": MetricName("longest outage", "m"),
     "longest_outage_s": MetricName("longest outage", "s"),
-    "stated_times_connected": MetricName("stated times connected", "%", 100.0),
-    "least_connected_share": MetricName("least connected share", "%", 100.0),
+    "stated_times_connected": MetricName("connected at the stated times", "%", 100.0),
+    "least_connected_share": MetricName("connected, least of all robots", "%", 100.0),
     "data_mbit": MetricName("delivered data", "Mbit", digits=2),
-    "predicted_min_connectivity": MetricName("least P(connected) of driven steps", "1", digits=3),
-    "time_averaged_trace_p": MetricName("time-averaged tr P", "m2", digits=3),
+    "predicted_min_connectivity": MetricName("lowest predicted P(connected)", "1", digits=3),
+    "time_averaged_trace_p": MetricName("mean tr P over time", "m2", digits=3),
     "trace_p": MetricName("tr P", "m2", digits=3),
     "target_lost": MetricName("target lost", "%", 100.0),
     "final_trace_p": MetricName("final tr P", "m2", digits=3),
-    "time_averaged_normalised_trace_p": MetricName("time-averaged tr P over first", "1", digits=4),
-    "final_normalised_trace_p": MetricName("final tr P over first", "1", digits=4),
-    "normalised_trace_p": MetricName("over the first", "1", digits=4),
-    "time_averaged_det_p": MetricName("time-averaged det P", "m4", digits=4),
+    "time_averaged_normalised_trace_p": MetricName("mean tr P / initial tr P", "1", digits=4),
+    "final_normalised_trace_p": MetricName("final tr P / initial tr P", "1", digits=4),
+    "normalised_trace_p": MetricName("tr P / initial tr P", "1", digits=4),
+    "time_averaged_det_p": MetricName("mean det P over time", "m4", digits=4),
     "nees": MetricName("NEES of the station", "1", digits=2),
     "nis": MetricName("NIS of the robots", "1", digits=2),
-    "delivered": MetricName("delivered", "%", 100.0),
+    "delivered": MetricName("packets delivered", "%", 100.0),
     "mean_squared_error_db2": MetricName("mean squared error", "dB2", digits=2),
     "rms_db": MetricName("RMS error", "dB", digits=2),
     "rms_without_multipath_db": MetricName("RMS error without multipath", "dB", digits=2),
     "path_loss_variance_db2": MetricName("path loss variance over the workspace", "dB2", digits=3),
     "anmse_db": MetricName("ANMSE", "dB", digits=2),
-    "measured_steps": MetricName("steps that measured", "1"),
+    "measured_steps": MetricName("number of steps with a measurement", "1"),
     "trace_m_db": MetricName("tr M over |θ|²", "dB", digits=2),
     "log_det_m": MetricName("log det M", "nats", digits=2),
-    "min_separation_m": MetricName("least distance of two robots", "m", digits=3),
-    "min_moving_clearance_m": MetricName("least distance from moving obstacles", "m", digits=3),
-    "polish_gain": MetricName("gain of the polish", "%", 100.0, 2),
+    "min_separation_m": MetricName("least distance between robots", "m", digits=3),
+    "min_moving_clearance_m": MetricName("least distance to moving obstacles", "m", digits=3),
+    "polish_gain": MetricName("gain by refinement", "%", 100.0, 2),
 }
 
 
-BANDS = {"nis": ("nis_low", "nis_high", "95 % of filters that are right")}
+BANDS = {"nis": ("nis_low", "nis_high", "95 % of consistent filters")}
 """Metrics with an expected range: the metrics of its bounds, and its description."""
 
 BAND_ENDS = {end: metric for metric, (*ends, _) in BANDS.items() for end in ends}
@@ -101,16 +101,16 @@ OWN = "own"
 SETTING_WIDTH = 80
 """Maximum length in characters of a description, if settings are numbered."""
 
-VERIFIED, POLISH = ("verified [%]", ""), ("polish gain [%]", "polish_gain")
+VERIFIED, POLISH = ("plans verified [%]", ""), ("gain by refinement [%]", "polish_gain")
 """Columns of every task; the first one belongs to no metric."""
 
 GOAL_COLUMNS = (
     ("time to goal [s]", "goal_time_s"),
-    ("connected [%]", "true_connected_share"),
+    ("steps connected [%]", "true_connected_share"),
     ("longest outage [m]", "longest_outage_m"),
     ("realised cost [m]", "realised_cost_m"),
     ("cost ratio", "cost_ratio"),
-    ("least P", "predicted_min_connectivity"),
+    ("lowest P(connected)", "predicted_min_connectivity"),
     VERIFIED,
     POLISH,
 )
@@ -138,13 +138,16 @@ def comparison_text(comparison: Comparison) -> str:
         f"{comparison.wall_s:.1f} s; means over runs, {interval_words(comparison)}"
     )
     if comparison.resumed:
-        title += f"; {comparison.resumed} runs were finished before"
+        title += f"; {comparison.resumed} runs were reused from an earlier call"
     if to_goal:
-        title += "; time to goal and cost ratio (to the clairvoyant) over the runs that arrived"
+        title += (
+            "; time to goal and cost ratio over the runs that arrived; cost ratio 1 is a planner "
+            "that knows the channel"
+        )
     header, *lines = _names(comparison, to_goal=to_goal)
     metrics = [name for _, name in shown]
-    headings = ["runs", "stalled", *(heading for heading, _ in shown)]
-    table = [[*header, *headings, "step p50 [ms]", "step p95 [ms]"]]
+    headings = ["runs", "stalled runs", *(heading for heading, _ in shown)]
+    table = [[*header, *headings, "planning time, median [ms]", "planning time, 95 % [ms]"]]
     for names, setting in zip(lines, settings, strict=True):
         table.append([*names, *_cells(setting, metrics)])
     text = [*textwrap.wrap(title, WIDTH), "", *_listed(comparison), *_in_blocks(table, len(header))]
@@ -197,13 +200,13 @@ def _paired(
     intervals = [cell for m in shown for cell in cells[m][1:] if cell != MISSING]
     apart = sum(cell.endswith("*") for cell in intervals)
     title = (
-        "paired differences from the first setting, seed by seed, with 95 % intervals; "
-        f"{apart} of {len(intervals)} leave out zero (*)"
+        "mean differences from the first setting on the same seeds, with 95 % intervals; "
+        f"{apart} of {len(intervals)} intervals exclude zero (*)"
     )
     table = [[*names[0], *map(metric_label, shown)]]
     for number, name in enumerate(names[2:], start=1):
         table.append([*name, *(cells[metric][number] for metric in shown)])
-    alike = textwrap.wrap(f"the same in every run: {', '.join(same)}", WIDTH) if same else []
+    alike = textwrap.wrap(f"equal in all settings: {', '.join(same)}", WIDTH) if same else []
     return [*textwrap.wrap(title, WIDTH), *_in_blocks(table, len(names[0])), *alike, ""]
 
 
@@ -292,7 +295,7 @@ def interval_words(comparison: Comparison, where: str = "in brackets") -> str:
     """Return a note on where the 95 % intervals are shown, or why there is none."""
     if any(row.ci_low is not None for row in comparison.rows):
         return f"95 % interval {where}"
-    return f"no intervals with fewer than {FEWEST_GROUPS}"
+    return f"no intervals for fewer than {FEWEST_GROUPS} seeds"
 
 
 def reliability_lines(
@@ -301,11 +304,12 @@ def reliability_lines(
     """Return the table of predicted against true connection, one line per bin."""
     if not bins:
         return []
-    title, with_intervals = "predicted against true connection", any(one.interval for one in bins)
+    title = "predicted P(connected) and the fraction that was connected"
+    with_intervals = any(one.interval for one in bins)
     columns = [
         ["predicted P", *(f"{one.low:g} to {one.high:g}" for one in bins)],
         [what, *(str(one.count) for one in bins)],
-        ["mean predicted", *(f"{one.predicted:.4f}" for one in bins)],
+        ["mean P", *(f"{one.predicted:.4f}" for one in bins)],
         ["connected", *(f"{one.realised:.4f}" for one in bins)],
     ]
     if groups is not None:
@@ -314,7 +318,7 @@ def reliability_lines(
         title += f"; intervals over {groups}"
         columns.append(["95 % interval", *map(_interval, bins)])
     elif groups is not None:
-        title += f"; no intervals with fewer than {FEWEST_GROUPS} {groups}"
+        title += f"; no intervals for fewer than {FEWEST_GROUPS} {groups}"
     return [title, *aligned(list(zip(*columns, strict=True)), 1)]
 
 

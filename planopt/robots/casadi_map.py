@@ -273,31 +273,34 @@ def check_casadi_map(dynamics: CasadiMap) -> None:
     function: object = dynamics.function
     if not isinstance(function, ca.Function):
         raise InputError(
-            f"is a {type(function).__name__}, should be a casadi.Function",
+            f"is of type {type(function).__name__}, should be a casadi.Function",
             key="function",
-            remedy="give casadi.Function(name, [state, input], [after]) of two columns of symbols",
+            remedy="give casadi.Function(name, [state, input], [next_state]), where state and "
+            "input are column vectors",
         )
     for key in ("state_names", "input_names"):
         names: object = getattr(dynamics, key)
         if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
             raise InputError(
-                f"is {names!r}", key=key, remedy="give a tuple of names, one for each component"
+                f"is {names!r}, should be a tuple of names",
+                key=key,
+                remedy="give one name for each component",
             )
     states, inputs = len(dynamics.state_names), len(dynamics.input_names)
     sizes = [function.size_in(i) for i in range(function.n_in())]
     gives = [function.size_out(i) for i in range(function.n_out())]
     if sizes != [(states, 1), (inputs, 1)] or gives != [(states, 1)]:
         raise InputError(
-            f"takes {sizes} and gives {gives} numbers, should take "
-            f"{[(states, 1), (inputs, 1)]} and give {[(states, 1)]}",
+            f"has inputs of sizes {sizes} and outputs of sizes {gives}, should have "
+            f"{[(states, 1), (inputs, 1)]} and {[(states, 1)]}",
             key="function",
-            remedy="one number for each of state_names and input_names, in columns",
+            remedy="use column vectors with one number for each of state_names and input_names",
         )
     if dynamics.state_names[:2] != ("x_m", "y_m"):
         raise InputError(
-            f"begin with {', '.join(dynamics.state_names[:2])}, should begin with x_m, y_m",
+            f"begins with {', '.join(dynamics.state_names[:2])}, should begin with x_m, y_m",
             key="state_names",
-            remedy="put the place first",
+            remedy="put the position first",
         )
     for key, names, shape in (
         ("state_bounds", dynamics.state_names, (states, 2)),
@@ -314,14 +317,14 @@ def check_casadi_map(dynamics: CasadiMap) -> None:
         raise InputError(
             f"is {dynamics.speed_max_m_s!r}, should be above 0",
             key="speed_max_m_s",
-            remedy="give the speed that the robot never exceeds, e.g. 2.0",
+            remedy="give the maximum speed in m/s, e.g. 2.0",
         )
     substeps: object = dynamics.substeps
     if not isinstance(substeps, int) or substeps < 1 or (substeps > 1 and not dynamics.continuous):
         raise InputError(
-            f"is {substeps!r}, should be a whole number from 1 on, and 1 of a discrete map",
+            f"is {substeps!r}, should be a whole number of at least 1, and 1 for a discrete map",
             key="substeps",
-            remedy="set continuous = True for a derivative",
+            remedy="set continuous = True if the function returns a derivative",
         )
 
 

@@ -288,11 +288,11 @@ def state_after(dynamics: Dynamics, state: Floats, control: Floats, step_s: floa
     given = np.concatenate([state, control])
     if after.shape != state.shape or (np.isfinite(given).all() and not np.isfinite(after).all()):
         raise InputError(
-            f"{class_name(dynamics)}.step led from the state {state.tolist()} with the input "
-            f"{np.asarray(control).tolist()} to {after.tolist()}",
+            f"{class_name(dynamics)}.step returned {after.tolist()} for the state "
+            f"{state.tolist()} and the input {np.asarray(control).tolist()}",
             key="robots[].dynamics",
             remedy=f"return finite numbers for {listed(dynamics.state_names)}: divisions, roots "
-            "and logarithms must be defined for all states and inputs within their bounds",
+            "and logarithms must be defined for all allowed states and inputs",
         )
     return after
 

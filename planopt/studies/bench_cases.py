@@ -108,9 +108,9 @@ def library_cases(
     for name in planners or ():
         if name not in known:
             raise InputError(
-                f"no planner is called {name!r}",
+                f"has the unknown planner {name!r}",
                 key="planners",
-                remedy=f"one of {', '.join(known)}",
+                remedy=f"use one of {', '.join(known)}",
             )
     each, driven = list(seeds), list(run_seeds)
     cases: list[Case] = []
@@ -139,9 +139,9 @@ def library_cases(
                 ]
     if not cases:
         raise InputError(
-            "there is no case: no problem allows one of the planners",
+            "has no planner that supports one of the problems",
             key="planners",
-            remedy="name another planner or another problem",
+            remedy="choose other planners or other problems",
         )
     return cases
 
@@ -344,7 +344,7 @@ def read_manifest(folder: Path) -> Manifest:
         return decoded(Manifest, json.loads(read_text(file)))
     except (ValueError, KeyError, TypeError, RecursionError):
         raise InputError(
-            "is damaged", file=file, remedy="run planopt bench run into another folder"
+            "is damaged", file=file, remedy="run planopt bench run with another folder"
         ) from None
 
 
@@ -385,11 +385,13 @@ def _require_same(before: Manifest, now: Manifest, folder: Path) -> None:
     ]
     if changed:
         words = ", ".join(words.replace("source ", "the source ") for words in changed)
-        raise InputError(f"was made by another program: {words}", file=folder, remedy=remedy)
+        raise InputError(
+            f"was written by another version of the program: {words}", file=folder, remedy=remedy
+        )
     for name, digest in now.problems.items():
         if before.problems.get(name, digest) != digest:
             raise InputError(
-                f"was made of another problem {name}: its file has changed since",
+                f"contains results of the problem {name}, whose file has changed since",
                 file=folder,
                 remedy=remedy,
             )

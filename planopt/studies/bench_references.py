@@ -78,15 +78,19 @@ def read_references(file: Path | None = None) -> dict[Case, Reference]:
         found = decoded(list[Reference], listed)
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(
-            f"is no file of references: {error}",
+            f"is not a file of references: {error}",
             file=path,
-            remedy="take it from the repository again",
+            remedy="restore the file from the repository",
         ) from None
     if not all(math.isfinite(one.objective or 0.0) and one.cpu_s >= 0.0 for one in found):
-        raise InputError("has a number that cannot be", file=path, remedy="run the suite again")
+        raise InputError(
+            "has a number that is NaN, infinite or negative",
+            file=path,
+            remedy="restore the file, or run the suite again",
+        )
     references = {one.case: one for one in found}
     if len(references) < len(found):
-        raise InputError("has a case twice", file=path, remedy="take out one of them")
+        raise InputError("has two entries for one case", file=path, remedy="remove one of them")
     return references
 
 

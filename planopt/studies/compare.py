@@ -107,7 +107,7 @@ def compare(
     """
     begun = perf_counter()
     kind = cast("type[AnyProblem]", Problem | TaskProblem)
-    compared = parts_of("problems", problems, kind, "load or make a Problem")
+    compared = parts_of("problems", problems, kind, "use planopt.load, or create a Problem")
     own = several(horizons), several(planners), several(costs_to_go)
     lists = Lists(*own, swept_values(sweep))
     variants = variants_of(compared, lists)
@@ -229,9 +229,9 @@ def swept_values(sweep: object) -> Mapping[str, Sequence[Any]] | None:
         return None
     if not isinstance(sweep, Mapping):
         raise InputError(
-            f"is a {type(sweep).__name__}",
+            f"is of type {type(sweep).__name__}, should be a dictionary of lists",
             key="sweep",
-            remedy='give the values of each key, {"constraints.p_min": [0.5, 0.9]}',
+            remedy='give the values of each key, e.g. {"constraints.p_min": [0.5, 0.9]}',
         )
     swept = cast("Mapping[str, object]", sweep)
     for key in swept:
@@ -252,12 +252,13 @@ def chosen_seeds(seeds: object) -> list[int]:
     for number, seed in enumerate(chosen):
         if not is_whole(seed) or seed < 0 or seed in chosen[:number]:
             raise InputError(
-                f"is {seed!r}, should be a whole number, at least 0, and there once",
+                f"is {seed!r}, should be a whole number of at least 0 that occurs only once",
                 key=f"seeds[{number}]" if is_list and not is_whole(seed) else "seeds",
-                remedy="a number of seeds such as 30, or seeds such as [0, 1] or range(100, 200)",
+                remedy="give a number of seeds such as 30, or a list or range of seeds such as "
+                "range(100, 200)",
             )
     if not chosen:
-        raise InputError("there is none, so nothing to compare", key="seeds", remedy="give 30")
+        raise InputError("is empty", key="seeds", remedy="give a number of seeds, such as 30")
     return [int(seed) for seed in chosen]
 
 
@@ -266,15 +267,17 @@ def variants_of(problems: Sequence[AnyProblem], lists: Lists) -> list[Variant]:
     for key, values in {"problems": problems, **vars(lists), **(lists.sweep or {})}.items():
         if key != "sweep" and values is not None and len(values) == 0:
             raise InputError(
-                "there is none, so nothing to compare",
+                "is empty, so that there is nothing to compare",
                 key=key,
-                remedy="give one value at least, or leave it out",
+                remedy="give at least one value, or leave it out",
             )
     names = [problem.name for problem in problems]
     for name in names:
         if names.count(name) > 1:
             raise InputError(
-                f"several are called {name}", key="problems", remedy="give each a name of its own"
+                f"has several problems with the name {name}",
+                key="problems",
+                remedy="give each problem its own name",
             )
     table = own_settings(problems, lists)
     if table is None:
@@ -286,13 +289,13 @@ def variants_of(problems: Sequence[AnyProblem], lists: Lists) -> list[Variant]:
         try:
             found += _product(problems, Lists(*own, group.sweep))
         except InputError as error:
-            message = error.message if error.key is None else f"{error.key} {error.message}"
+            message = str(InputError(error.message, key=error.key))
             raise InputError(message, remedy=error.remedy, **where) from error
         settings = [
             (each.sweep, *task_of(one).labels(one)) for each in found for one in each.settings
         ]
         if any(setting in settings[:n] for n, setting in enumerate(settings)):
-            raise InputError("has a setting that is there twice", remedy="leave it out", **where)
+            raise InputError("contains a setting twice", remedy="leave it out", **where)
     return found
 
 
@@ -301,7 +304,9 @@ def _product(problems: Sequence[AnyProblem], lists: Lists) -> list[Variant]:
     swept = dict(lists.sweep or {})
     for key, option in OWN_OPTIONS.items():
         if key in swept and getattr(lists, option) is not None:
-            raise InputError(f"is swept, and given as {option}", key=key, remedy="give it once")
+            raise InputError(
+                f"is swept, but is also set by {option}", key=key, remedy="use only one of both"
+            )
     variants: list[Variant] = []
     for problem, values in product(problems, product(*swept.values())):
         changes = dict(zip(swept, values, strict=True))
@@ -320,10 +325,10 @@ def _settings(
     task = task_of(problem)
     if task.simulate is None and task.solve is None:
         raise InputError(
-            f"{problem.name} has the task {problem.task}, which has no runs to compare",
+            f"is {problem.task}, which has no simulated runs to compare",
             file=problem.file,
             key="problem.task",
-            remedy="compare problems that can be simulated",
+            remedy="use planopt solve, or compare problems of another task",
         )
     found: dict[tuple[object, ...], AnyProblem] = {}
     for cost, planner, horizon in product(

@@ -198,7 +198,7 @@ def _load_comparison(folder: Path) -> Comparison:
         lines: list[dict[str, Any]] = [{"traces": {}, **record} for record in records]
         runs = tuple(decoded(RunSummary, line) for line in lines)
         if not runs:
-            raise InputError("has no run", file=file, remedy=REMEDY)
+            raise InputError("contains no run", file=file, remedy=REMEDY)
         rows = tuple(comparison_rows(runs))
     except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
         raise InputError(f"cannot be read: {error!r}", file=file, remedy=REMEDY) from None
@@ -295,7 +295,10 @@ def run_columns(comparison: Comparison) -> dict[str, list[Any]]:
 def require_pyarrow() -> None:
     """Raise an InputError with an installation hint if pyarrow is missing."""
     if find_spec("pyarrow") is None:
-        raise InputError("Parquet files need pyarrow", remedy="pip install 'planopt[parquet]'")
+        raise InputError(
+            "the package pyarrow, which writes Parquet files, is not installed",
+            remedy="pip install 'planopt[parquet]'",
+        )
 
 
 def _write_parquet(comparison: Comparison, path: Path) -> None:

@@ -198,9 +198,9 @@ def run_study(
     """
     if workers < 1:
         raise InputError(
-            f"{workers} is less than 1",
+            f"is {workers}, should be at least 1",
             key="workers",
-            remedy="give the number of processes, from 1 on",
+            remedy="give the number of processes",
         )
     require_backend(backend)
     outside = registered_planners(), outside_terms(), registered_rules()
@@ -306,10 +306,16 @@ PACKAGES = {"dask": "distributed", "ray": "ray"}
 def require_backend(backend: str, key: str = "backend") -> None:
     """Raise an InputError if a backend is unknown or its package is not installed."""
     if backend not in BACKENDS:
-        raise InputError(f"{backend!r} is not there", key=key, remedy=f"use {', '.join(BACKENDS)}")
+        raise InputError(
+            f"is {backend!r}, which is not a known backend",
+            key=key,
+            remedy=f"use {', '.join(BACKENDS)}",
+        )
     if find_spec(PACKAGES.get(backend, "joblib")) is None:
         raise InputError(
-            f"{backend} is not installed", key=key, remedy=f"pip install 'planopt[{backend}]'"
+            f"is {backend}, which is not installed",
+            key=key,
+            remedy=f"pip install 'planopt[{backend}]'",
         )
 
 

@@ -25,7 +25,9 @@ class TargetModel:
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.step_s) and self.step_s > 0.0):
-            raise InputError(f"{self.step_s!r} is no time step", key="step_s")
+            raise InputError(
+                f"is {self.step_s!r}, should be a time step in seconds above 0", key="step_s"
+            )
         require_covariance(self.acceleration_covariance_m2_s4, 2, "acceleration_covariance_m2_s4")
 
     @cached_property
@@ -68,7 +70,7 @@ def simulate_target(
     """Simulate states x_0 .. x_steps of one target; ``(steps + 1, 4)``."""
     state = require_state(start)
     if steps < 0:
-        raise InputError(f"{steps!r} is no number of steps", key="steps")
+        raise InputError(f"is {steps!r}, should be a number of steps of at least 0", key="steps")
     # No Cholesky factor: Theta is singular for acceleration along a line.
     variances, axes = np.linalg.eigh(model.acceleration_covariance_m2_s4)
     spread = model.noise_gain @ (axes * np.sqrt(np.maximum(variances, 0.0)))
@@ -88,7 +90,11 @@ def predict_target(
     # Shapes: mean (4,); covariance (4, 4).
     state, spread = require_state(mean), require_covariance(covariance, 4, "covariance")
     if steps < 1:
-        raise InputError(f"{steps!r} is too few", key="steps", remedy="give at least 1")
+        raise InputError(
+            f"is {steps!r}, should be at least 1",
+            key="steps",
+            remedy="give a whole number of steps",
+        )
     transition, noise = model.transition, model.process_covariance
     means, covariances = np.empty((steps, 4)), np.empty((steps, 4, 4))
     for k in range(steps):
@@ -102,7 +108,10 @@ def require_state(state: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return `state` as four finite floats, or raise an :class:`planopt.errors.InputError`."""
     found = np.asarray(state, dtype=np.float64)
     if found.shape != (4,) or not np.isfinite(found).all():
-        raise InputError("a target's state is x, y in metres and two velocities in m/s, all finite")
+        raise InputError(
+            "the state of a target must have four finite numbers: x and y in m, "
+            "and both velocities in m/s"
+        )
     return found
 
 
@@ -110,13 +119,13 @@ def require_covariance(matrix: NDArray[np.float64], size: int, key: str) -> NDAr
     """Return `matrix` as a covariance ``(size, size)`` of floats, or raise an InputError."""
     found = np.asarray(matrix, dtype=np.float64)
     if found.shape != (size, size) or not np.isfinite(found).all():
-        raise InputError(f"a covariance of shape {found.shape} is not ({size}, {size})", key=key)
+        raise InputError(f"has shape {found.shape}, should have shape ({size}, {size})", key=key)
     scale = float(np.abs(found).max())
     # The tolerance admits rounding errors of a computed covariance.
     if np.abs(found - found.T).max() > 1e-9 * scale:
-        raise InputError("a covariance is symmetric", key=key)
+        raise InputError("is not symmetric, which a covariance must be", key=key)
     if np.linalg.eigvalsh(found)[0] < -1e-9 * scale:
-        raise InputError("the matrix has a negative eigenvalue: it is no covariance", key=key)
+        raise InputError("has a negative eigenvalue, which a covariance must not have", key=key)
     return found
 
 
@@ -187,14 +196,14 @@ def update(
     count = len(delivered)
     if measured_m.shape != (count, 2) or noise_covariance_m2.shape != (count, 2, 2):
         raise InputError(
-            f"packets of shapes {measured_m.shape}, {noise_covariance_m2.shape} and "
-            f"{delivered.shape} do not belong together",
-            remedy="give (n, 2), (n, 2, 2) and (n,)",
+            f"the arrays of the packets do not match: their shapes are {measured_m.shape}, "
+            f"{noise_covariance_m2.shape} and {delivered.shape}",
+            remedy="give measured_m (n, 2), noise_covariance_m2 (n, 2, 2) and delivered (n,)",
         )
     arrived = np.asarray(delivered, dtype=np.bool_)
     values = measured_m[arrived]
     if not np.isfinite(values).all():
-        raise InputError("a delivered measurement is not finite", key="measured_m")
+        raise InputError("has a delivered measurement that is NaN or infinite", key="measured_m")
     each = np.asarray(np.linalg.inv(noise_covariance_m2[arrived]), dtype=np.float64)
     vector, matrix = state.vector.copy(), state.matrix.copy()
     vector[:2] += np.einsum("nij,nj->i", each, values)
@@ -209,8 +218,8 @@ def covariance_of(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     # Below this ratio, rounding errors determine the inverse.
     if not (smallest > 1e-15 * largest).all():
         raise InputError(
-            "nothing is known yet in some direction: the information matrix has no inverse",
-            remedy="give a prior, or wait for packets from two steps",
+            "the estimate is undefined: the information matrix is singular",
+            remedy="give a prior, or wait until measurements of two steps have arrived",
         )
     found = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
     return 0.5 * (found + np.swapaxes(found, -1, -2))

@@ -30,7 +30,9 @@ class Sensor:
         for key in ("growth", "least_noise_m2", "sweet_spot_m"):
             value = getattr(self, key)
             if not (np.isfinite(value) and (value > 0.0 or (value, key) == (0.0, "sweet_spot_m"))):
-                raise InputError(f"{value!r} is out of range", key=key, remedy="give more than 0")
+                raise InputError(
+                    f"is {value!r}, which is out of range", key=key, remedy="give a number above 0"
+                )
 
 
 def sensing_information(

@@ -101,8 +101,8 @@ class CoverageProblem(TaskProblem):
         if len(outside):
             x, y = starts[outside[0]]
             raise InputError(
-                f"agent {outside[0]} starts at ({x:g}, {y:g}), outside the region, in an obstacle "
-                "or too near to one",
+                f"agent {outside[0]} starts at ({x:g}, {y:g}) m, which is outside the region, "
+                "in an obstacle or too close to one",
                 key=key(int(outside[0])),
             )
         for joins_s in np.unique(joins):
@@ -112,8 +112,8 @@ class CoverageProblem(TaskProblem):
                 one, other = who[list(touching)].tolist()
                 apart_m = float(np.linalg.norm(starts[one] - starts[other]))
                 raise InputError(
-                    f"agents {one} and {other} start {apart_m:g} m apart, their bodies touch at "
-                    f"{2.0 * body_m:g} m",
+                    f"agents {one} and {other} overlap: they start {apart_m:g} m apart, less "
+                    f"than the body diameter of {2.0 * body_m:g} m",
                     key=key(other),
                     remedy="place them farther apart, or give a smaller agents.body_radius_m",
                 )
@@ -123,7 +123,7 @@ class CoverageProblem(TaskProblem):
                 raise InputError(
                     f"{len(lonely)} of {len(starts)} agents start without a link to a station",
                     key="agents.start",
-                    remedy="start nearer to a station, or ask for a smaller radio.p_min",
+                    remedy="let them start closer to a station, or reduce radio.p_min",
                 )
         return starts
 
@@ -152,8 +152,8 @@ class CoverageProblem(TaskProblem):
         inert = limits.acceleration_m_s2 is not None or limits.turn_rate_rad_s is not None
         if inert or bodies:
             raise InputError(
-                "is law, which keeps no "
-                + ("limits of acceleration or turn rate" if inert else "bodies apart"),
+                'is "law", which cannot enforce '
+                + ("limits of acceleration or turn rate" if inert else "distances between bodies"),
                 key="planner.name",
                 remedy="use receding or deploy",
             )
@@ -212,23 +212,27 @@ def build(given: CoverageFile, folder: Path, file: Path | None) -> CoverageProbl
     joins, leaves = _times(given, agents)
     given.control.gains.shares(np.array([True]), control.time_step_s)
     if control.duration_s < control.time_step_s:
-        raise InputError("is shorter than a step", key="control.duration_s")
+        raise InputError("is shorter than one step, control.time_step_s", key="control.duration_s")
     events: list[Event] = []
     demands: list[Demand] = []
     for number, table in enumerate(given.events):
         key, event = f"events[{number}]", _event(given, number, ground)
         if event.name in [each.name for each in events]:
-            raise InputError(f"{event.name!r} is there twice", key=f"{key}.name")
+            raise InputError(f"is {event.name!r}, the name of another event", key=f"{key}.name")
         if sensing is None:
-            raise InputError("is left out", key="sensor", remedy="events need [sensor]")
+            raise InputError(
+                "is missing, but the problem has events",
+                key="sensor",
+                remedy="add the table [sensor]",
+            )
         events.append(event)
         demands.append(demand_of(table.demand, f"{key}.demand", sensing, ground.area_m2, agents))
     _require_agents(events, joins, leaves)
     if given.assignment.stand_off and agents < LEAST_ON_RING:
         raise InputError(
-            f"one agent of {agents} measures no position from a ring",
+            f"needs at least {LEAST_ON_RING} agents to locate an event, but there are {agents}",
             key="assignment.stand_off",
-            remedy=f"give {LEAST_ON_RING} agents or more",
+            remedy="add agents, or set stand_off = false",
         )
     mapped = None if given.radio is None else station_map_of(given.radio, ground, folder)
     scene = _scene(given, ground, tuple(events), tuple(demands), sensing, joins, leaves)
@@ -297,7 +301,11 @@ def _ground(
     if world.bounds_m is not None:
         x0, y0, x1, y1 = world.bounds_m
         if not (x0 < x1 and y0 < y1):
-            raise InputError("is empty", key="world.bounds_m", remedy="give x_min < x_max")
+            raise InputError(
+                "should have x_min < x_max and y_min < y_max",
+                key="world.bounds_m",
+                remedy="give [x_min, y_min, x_max, y_max] in metres",
+            )
         outline = shapely.box(x0, y0, x1, y1)
     else:
         outline = checked_polygon(np.array(world.outline_m))
@@ -310,9 +318,9 @@ def _ground(
         return ConvexGround(region, density, world.sensing_range_m)
     if world.sensing_range_m is not None:
         raise InputError(
-            "is given, and the region is not convex and free",
+            "applies only to a convex region without obstacles",
             key="world.sensing_range_m",
-            remedy="leave it out: geodesic cells have no limited range",
+            remedy="leave it out: geodesic cells have no sensing range",
         )
     spacing_m = world.spacing_m or math.sqrt(outline.area / NODES)
     shapes = [each.polygon for each in obstacles]
@@ -327,17 +335,21 @@ def _times(given: CoverageFile, agents: int) -> tuple[Floats, Floats]:
         for agent in table.agents:
             if not 0 <= agent < agents:
                 raise InputError(
-                    f"there is no agent {agent} of {agents}", key=f"changes[{number}].agents"
+                    f"has agent {agent}, but the {agents} agents are numbered from 0 to "
+                    f"{agents - 1}",
+                    key=f"changes[{number}].agents",
                 )
             joins[agent] = table.joins_s
             leaves[agent] = math.inf if table.leaves_s is None else table.leaves_s
         if table.leaves_s is not None and table.leaves_s <= table.joins_s:
             raise InputError(
-                "is not after joins_s", key=f"changes[{number}].leaves_s", remedy="give a later one"
+                "should be later than joins_s",
+                key=f"changes[{number}].leaves_s",
+                remedy="give a later time",
             )
     for time_s in np.concatenate(([0.0], leaves[np.isfinite(leaves)])).tolist():
         if time_s < given.control.duration_s and not ((joins <= time_s) & (time_s < leaves)).any():
-            raise InputError(f"no agent is active at {time_s:g} s", key="changes")
+            raise InputError(f"leaves no active agent at {time_s:g} s", key="changes")
     return joins, leaves
 
 
@@ -365,7 +377,9 @@ def _event(given: CoverageFile, number: int, ground: Ground) -> Event:
     table, key = given.events[number], f"events[{number}]"
     ends_s = math.inf if table.ends_s is None else table.ends_s
     if ends_s <= table.appears_s:
-        raise InputError("is not after appears_s", key=f"{key}.ends_s", remedy="give a later one")
+        raise InputError(
+            "should be later than appears_s", key=f"{key}.ends_s", remedy="give a later time"
+        )
     event = Event(table.name, table.place_m, table.appears_s, ends_s, table.velocity_m_s)
     last_s = min(ends_s, max(given.control.duration_s, table.appears_s))
     path = np.linspace(event.place_at(table.appears_s), event.place_at(last_s), 65)
@@ -373,10 +387,10 @@ def _event(given: CoverageFile, number: int, ground: Ground) -> Event:
     if len(out):
         x, y = path[out[0]]
         raise InputError(
-            f"{table.name} is at ({x:g}, {y:g}), outside the region, in an obstacle or too near "
-            "to one",
+            f"{table.name} is at ({x:g}, {y:g}) m at some time, which is outside the region, "
+            "in an obstacle or too close to one",
             key=f"{key}.place_m" if out[0] == 0 else f"{key}.velocity_m_s",
-            remedy="keep it where agents may be",
+            remedy="keep the event where agents can be",
         )
     return event
 
@@ -388,9 +402,10 @@ def _require_agents(events: Sequence[Event], joins: Floats, leaves: Floats) -> N
         agents = int(((joins <= event.appears_s) & (event.appears_s < leaves)).sum())
         if agents < there:
             raise InputError(
-                f"there are {there} events and {agents} agents at {event.appears_s:g} s",
+                f"is {event.appears_s:g} s, when the number of events ({there}) exceeds that "
+                f"of active agents ({agents})",
                 key=f"events[{number}].appears_s",
-                remedy="give more agents, or fewer events at a time",
+                remedy="add agents, or reduce the number of simultaneous events",
             )
 
 
@@ -413,9 +428,10 @@ def starts_of(table: AgentsTable, ground: Ground, generator: np.random.Generator
         found = found[_spread(found, (2.0 + START_SPARE) * body_m, start.count)]
     if len(found) < start.count:
         raise InputError(
-            f"only {len(found)} of {start.count} agents found a free position",
+            f"free start positions were found for only {len(found)} of {start.count} agents",
             key="agents.start.within_m",
-            remedy="give a larger free area" + (", or smaller bodies" if body_m > 0.0 else ""),
+            remedy="enlarge the area"
+            + (", or reduce agents.body_radius_m" if body_m > 0.0 else ""),
         )
     return found[: start.count]
 
@@ -448,9 +464,10 @@ def station_map_of(table: RadioTable, ground: Ground, folder: Path) -> StationMa
         return None
     if len(table.survey) != len(table.stations_m):
         raise InputError(
-            f"has {len(table.survey)} entries for {len(table.stations_m)} stations",
+            f"has {len(table.survey)} entries, but the number of stations is "
+            f"{len(table.stations_m)}",
             key="radio.survey",
-            remedy="give one for each station, in their order",
+            remedy="give one entry for each station, in the same order",
         )
     low, high = ground.hull.corners_m.min(axis=0), ground.hull.corners_m.max(axis=0)
     bounds = float(low[0]), float(low[1]), float(high[0]), float(high[1])
@@ -487,7 +504,9 @@ def _measured(
     cell_m = survey.decorrelation_m / CELLS
     if np.prod((high - low) / cell_m) > MOST_CELLS:
         raise InputError(
-            f"gives more than {MOST_CELLS} cells", key="decorrelation_m", remedy="give a larger one"
+            f"makes a map of more than {MOST_CELLS} cells",
+            key="decorrelation_m",
+            remedy="increase it",
         )
     parameters = ChannelParameters(
         radio.k_pl_db,
@@ -502,8 +521,8 @@ def _measured(
     free = places[ground.allows(places)][: survey.count]
     if len(free) < survey.count:
         raise InputError(
-            f"only {len(free)} of {survey.count} positions are free",
+            f"is {survey.count}, but only {len(free)} free positions were found",
             key="count",
-            remedy="ask for fewer",
+            remedy="reduce the count",
         )
     return measure(truth, free)

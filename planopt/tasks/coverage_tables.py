@@ -324,7 +324,7 @@ class SurveyTable(Table):
                 "one_of", "needs exactly one of file, places_m with power_dbm, and count"
             )
         if in_place and len(self.places_m or ()) != len(self.power_dbm or ()):
-            raise PydanticCustomError("lengths", "has not one power for each place")
+            raise PydanticCustomError("lengths", "should have one power for each position")
         return self
 
 
@@ -433,7 +433,10 @@ def density_of(table: DensityTable, folder: Path) -> Density:
     if table.file is not None:
         return RasterDensity(read_raster(folder / table.file, table.variable))
     if table.values is None or len({len(row) for row in table.values}) != 1:
-        raise InputError("has neither file nor values of rows of one length", key="density.values")
+        raise InputError(
+            "is needed if there is no file, and all its rows must have the same length",
+            key="density.values",
+        )
     x, y = (np.array(each or [], dtype=np.float64) for each in (table.x_m, table.y_m))
     return RasterDensity(checked_raster(x, y, np.array(table.values), "density"))
 
@@ -445,26 +448,27 @@ def demand_of(
     if isinstance(table, NumberTable):
         if table.agents > agents:
             raise InputError(
-                f"requires {table.agents} agents, there are {agents}",
+                f"is {table.agents}, more than the number of agents ({agents})",
                 key=f"{key}.agents",
-                remedy="give more agents, or require fewer",
+                remedy="add agents, or require fewer",
             )
         return lambda count: min(table.agents, count)
     if isinstance(table, TableDemandTable):
         for number, step in enumerate(table.steps):
             if step.respond > step.at_least:
                 raise InputError(
-                    f"requires {step.respond} of {step.at_least} agents",
+                    f"is {step.respond}, more than at_least = {step.at_least}",
                     key=f"{key}.steps[{number}].respond",
-                    remedy="require at most at_least",
+                    remedy="give at most at_least",
                 )
         return table_demand({each.at_least: each.respond for each in table.steps})
     if isinstance(table, CapTable):
         if table.remaining >= agents:
             raise InputError(
-                f"keeps {table.remaining} agents from answering, there are {agents}",
+                f"is {table.remaining}, so that no agent can respond: the number of agents is "
+                f"{agents}",
                 key=f"{key}.remaining",
-                remedy="give more agents, or keep fewer",
+                remedy="add agents, or reduce it",
             )
         return capped_demand(table.share, table.most, table.remaining)
     if isinstance(table, AccuracyTable):
@@ -473,9 +477,9 @@ def demand_of(
         )
         if demand(10**9) > agents:
             raise InputError(
-                f"needs {demand(10**9)} agents, there are {agents}",
+                f"needs {demand(10**9)} agents, but there are {agents}",
                 key=f"{key}.accuracy_m",
-                remedy="give more agents, or a larger error",
+                remedy="add agents, or allow a larger error",
             )
         return demand
     return trade_off_demand(

@@ -166,19 +166,23 @@ def build(given: DesignFile, folder: Path, file: Path | None) -> DesignProblem:
     for key in REQUIREMENTS:
         value = getattr(pursuit, key)
         if value is None and key in method.needs:
-            raise InputError("is missing", key=f"pursuit.{key}", remedy=f"{name} needs it")
+            raise InputError(
+                "is missing",
+                key=f"pursuit.{key}",
+                remedy=f'design.method = "{name}" needs this key',
+            )
         if value is not None and key not in (*method.needs, *method.takes):
             fitting = [each for each, other in METHODS.items() if key in other.needs + other.takes]
             raise InputError(
-                f"is given, which {name} does not look at",
+                f'is not used by design.method = "{name}"',
                 key=f"pursuit.{key}",
-                remedy=f"leave it out, or use design.method {' or '.join(fitting)}",
+                remedy=f"leave it out, or use the method {' or '.join(fitting)}",
             )
     if given.design.guarantee is not None and method is not METHODS["capture_in_time"]:
         raise InputError(
-            f"is given, and {name} rests on the lemma",
+            f'cannot be chosen for design.method = "{name}", which always uses the lemma',
             key="design.guarantee",
-            remedy="leave it out, or use design.method capture_in_time",
+            remedy='leave it out, or use design.method = "capture_in_time"',
         )
     timed = method is METHODS["capture_in_time"]
     theorem = Theorem(given.design.guarantee or ("snapshots" if timed else "lemma"))
@@ -404,29 +408,50 @@ def in_words(result: TaskResult) -> Sequence[str]:
     binding = " and ".join(data["binding"])
     lines = [
         f"{problem.name}: {data['verdict']}, {problem.method.words}",
-        f"  slot width {1e3 * data['slot_width_s']:.4g} ms, rate divisor {data['rate_divisor']}, "
-        f"{data['bits_per_axis']} bits per axis: {data['cost_w']:.6g} W",
-        f"  binding: {binding or 'nothing, the optimum is inside all limits'}",
+        f"  power {data['cost_w']:.6g} W: slot width {1e3 * data['slot_width_s']:.4g} ms, rate "
+        f"divisor {data['rate_divisor']}, {data['bits_per_axis']} bits per axis",
+        f"  active limits: {binding or 'none'}",
     ]
     if data["bound"] is not None:
         lines.append(
-            f"  lower bound {data['bound']:.6g} W with compression as a continuous variable, gap "
+            f"  lower bound of the power {data['bound']:.6g} W (continuous relaxation), gap "
             f"{100.0 * data['gap']:.2g} %"
         )
     if data["capture_time_s"] is not None:
-        lines.append(f"  capture within {data['capture_time_s']:.4g} s by {problem.theorem.value}")
+        lines.append(
+            f"  capture guaranteed within {data['capture_time_s']:.4g} s "
+            f"(theorem {problem.theorem.value})"
+        )
     if data["energy_per_capture_j"] is not None and problem.method.of_energy:
-        lines.append(f"  {data['energy_per_capture_j']:.4g} J a capture")
+        lines.append(f"  energy per capture at most {data['energy_per_capture_j']:.4g} J")
     blocks = data["certificate"]["slot_blocks"]
-    lines += [f"  {each['text']}" for each in data["certificate"]["requirements"]]
+    lines += [f"  {line}" for line in _requirements_in_words(data["certificate"]["requirements"])]
     if data["message"]:
-        lines.append(f"  not proved: {data['message']}")
+        lines.append(f"  not verified: {data['message']}")
     else:
-        lines.append(f"  every record is on time: a slot carries {blocks} blocks")
+        lines.append(f"  verified: a slot carries {blocks} blocks, so that every record is on time")
     effects = sorted(data["sensitivities"].items(), key=lambda item: -abs(item[1]))
     what = "energy" if problem.method.of_energy else "power"
     shown = ", ".join(f"{name} {value:+.2f} %" for name, value in effects)
-    lines.append(f"  one per cent more changes the least {what}: {shown}")
+    lines.append(f"  change of the least {what} if a parameter increases by 1 %: {shown}")
+    return lines
+
+
+def _requirements_in_words(requirements: Sequence[dict[str, Any]]) -> list[str]:
+    """Return the table of requirements with both sides of each inequality."""
+    from planopt.report.tables import aligned
+
+    def shown(value: float | None, unit: str) -> str:
+        return "-" if value is None else f"{value:.4g} {unit}".strip()
+
+    table = [["requirement (checked by the verifier)", "value", "limit", "margin", ""]]
+    for each in requirements:
+        sides = (shown(each[key], each["unit"]) for key in ("left", "right", "margin"))
+        table.append([each["words"], *sides, "" if each["holds"] else "violated"])
+    lines = aligned(table, 1)
+    if any(each["words"].startswith("a ") for each in requirements):
+        lines.append("a: position error of a record, x: movement of the evader during its age;")
+        lines.append("both per metre of distance between pursuer and evader")
     return lines
 
 

@@ -206,9 +206,10 @@ class PursuitProblem(TaskProblem):
             if self.arena.is_free(place, EVADER_SHARE):
                 return place
         raise InputError(
-            f"{table.name} has no free place to start at",
+            f"{table.name} has no free start position",
             key=key,
-            remedy="keep it within world.bounds_m and 1.15 pursuit.clearance_m away from obstacles",
+            remedy="keep the start within world.bounds_m and at least 1.15 times "
+            "pursuit.clearance_m away from obstacles",
         )
 
     def guarantees(self, pursuer: int, evader: int) -> dict[Theorem, Guarantee]:
@@ -286,16 +287,17 @@ def _require_covered(given: PursuitFile, service: SnapshotService) -> None:
         return
     if given.world is None:
         raise InputError(
-            "is false, and there is no world that keeps the evader on the grid",
+            "is false, but no [world] keeps the evader on the mote grid",
             key="network.endless",
-            remedy="set it to true, or give [world] bounds_m within the grid",
+            remedy="set it to true, or give world.bounds_m within the grid",
         )
     x_min, y_min, x_max, y_max = given.world.bounds_m
     if min(x_min, y_min) < 0.0 or max(x_max, y_max) > service.side_m:
         raise InputError(
-            f"goes beyond the grid of motes, the square from (0, 0) to {service.side_m:g} m",
+            f"leaves the mote grid, the square from (0, 0) to ({service.side_m:g}, "
+            f"{service.side_m:g}) m",
             key="world.bounds_m",
-            remedy="keep it within, or set network.endless to true",
+            remedy="reduce the bounds, or set network.endless = true",
         )
 
 
@@ -304,14 +306,14 @@ def _require_open(given: PursuitFile) -> None:
     for index, pursuer in enumerate(given.pursuers):
         if pursuer.turn_rate_max_rad_s is not None:
             raise InputError(
-                "is given, and arcs are not planned around obstacles",
+                "cannot be combined with obstacles: turning circles are not planned around them",
                 key=f"pursuers[{index}].turn_rate_max_rad_s",
-                remedy="leave it out, or leave out world.obstacles",
+                remedy="leave it out, or remove world.obstacles",
             )
     for index, evader in enumerate(given.evaders):
         if isinstance(evader.behaviour, Foresighted):
             raise InputError(
-                "is foresighted, which does not plan around obstacles",
+                'is "foresighted", which cannot be combined with obstacles',
                 key=f"evaders[{index}].behaviour.kind",
-                remedy="choose another one, or leave out world.obstacles",
+                remedy="choose another behaviour, or remove world.obstacles",
             )

@@ -282,7 +282,7 @@ class Task:
         if function is None:
             known = [name for name in ("solve", "simulate") if getattr(self, name) is not None]
             raise InputError(
-                f"{problem.name} has the task {problem.task}, which there is no {action} for",
+                f"is {problem.task}, which does not support {action}",
                 file=problem.file,
                 key="problem.task",
                 remedy=f"use {', '.join(known)}",
@@ -297,7 +297,7 @@ class Task:
         function = self.function("controller")
         if function is None:
             raise InputError(
-                f"{problem.name} has the task {problem.task}, which has no steps to plan",
+                f"is {problem.task}, which is not controlled step by step",
                 file=problem.file,
                 key="problem.task",
                 remedy="use planopt.solve",
@@ -311,7 +311,7 @@ class Task:
         for name in given:
             if name not in known:
                 raise InputError(
-                    f"is not for the task {problem.task}", key=name, remedy="leave it out"
+                    f"is not an option of the task {problem.task}", key=name, remedy="leave it out"
                 )
         return problem if self.override is None else self.override(problem, **given)
 
@@ -435,7 +435,11 @@ class TaskResult:
         """
         if table not in self.tables:
             known = ", ".join(self.tables) or "no table"
-            raise InputError(f"is {table!r}", key="table", remedy=f"there is {known}")
+            raise InputError(
+                f"is {table!r}, which is not a table of this result",
+                key="table",
+                remedy=f"use {known}",
+            )
         return dataframe(self.task.columns[table], self.tables[table])
 
     def plot(self) -> Figure:
@@ -448,7 +452,11 @@ class TaskResult:
         """
         figures = self.task.figures
         if figures is None or self.value is None:
-            raise InputError("there is no figure", key="plot", remedy="solve or simulate again")
+            raise InputError(
+                "is not available: the task has no figure, or the result was read from files",
+                key="plot",
+                remedy="solve or simulate again",
+            )
         return next(iter(figures(self).values()))
 
     def draw(self, folder: Path, *, animation: bool = False) -> None:
@@ -521,7 +529,7 @@ def _reasons_against(file: Path, data: Mapping[str, Any]) -> list[str]:
     reasons: list[str] = []
     for name, table in again.tables.items():
         if name not in saved.tables:
-            raise InputError("there is no such file", file=file.parent / name)
+            raise InputError("does not exist", file=file.parent / name)
         found = differences(comparable(saved.tables[name]), comparable(table))
         reasons += in_words(name, found)
     return reasons + in_words(file.name, differences(saved.data, again.data))

@@ -68,8 +68,8 @@ def build_lattice(
     y_0, ny = _axis(workspace, anchor_m, spacing, 1)
     if not 0 < nx * ny <= MAX_NODES:
         raise InputError(
-            f"a lattice for steps of {step_m:g} m has {nx * ny} nodes within the bounds",
-            remedy=f"choose bounds and step for 1 to {MAX_NODES} nodes",
+            f"a search lattice for steps of {step_m:g} m has {nx * ny} nodes within the bounds",
+            remedy=f"change bounds, speed or step time so that it has 1 to {MAX_NODES} nodes",
         )
     origin = np.array([x_0, y_0])
     positions = _positions(origin, spacing, (ny, nx))

@@ -82,16 +82,18 @@ class OccupancyGrid:
             cells = np.asarray(getattr(self, key))
             if cells.dtype.kind != "b" or cells.ndim != 2:
                 raise InputError(
-                    f"has the shape {cells.shape} and the type {cells.dtype}",
+                    f"has shape {cells.shape} and type {cells.dtype}, should be a "
+                    "two-dimensional array of bool",
                     key=key,
-                    remedy="give an array of bool (ny, nx), such as probabilities > 0.65",
+                    remedy="give an array (ny, nx), e.g. probabilities > 0.65",
                 )
             object.__setattr__(self, key, cells)
         if self.unknown.shape != self.occupied.shape:
             raise InputError(
-                f"has the shape {self.unknown.shape}, occupied has {self.occupied.shape}",
+                f"has shape {self.unknown.shape}, but occupied has shape {self.occupied.shape}",
                 key="unknown",
-                remedy="give one for each cell; numpy.zeros_like(occupied) if all are known",
+                remedy="give one value for each cell; numpy.zeros_like(occupied) if all cells are "
+                "known",
             )
         try:
             numbers = np.array([self.resolution_m, *self.origin_m], dtype=np.float64)
@@ -99,9 +101,10 @@ class OccupancyGrid:
             numbers = np.full(3, np.nan)
         if numbers.shape != (3,) or not (np.isfinite(numbers).all() and numbers[0] > 0.0):
             raise InputError(
-                f"resolution_m is {self.resolution_m!r}, origin_m is {self.origin_m!r}",
+                f"has a grid with resolution_m = {self.resolution_m!r} and origin_m = "
+                f"{self.origin_m!r}, which are not valid",
                 key="world.obstacles",
-                remedy="give metres: the side of a cell above 0, and the corner (x, y)",
+                remedy="give a resolution above 0 m, and the corner (x, y) of the grid in metres",
             )
 
 
@@ -158,9 +161,9 @@ def _edges(closed: Mask) -> _Edges:
     start, end, direction, owner = (np.concatenate(side) for side in zip(*sides, strict=True))
     if start.size > MOST_EDGES:
         raise InputError(
-            f"the outlines of obstacles have {start.size:,} edges, more than the limit of "
-            f"{MOST_EDGES:,}",
-            remedy="remove single cells from the map, or use larger cells",
+            f"the outlines of the occupied cells have {start.size:,} edges, more than the "
+            f"limit of {MOST_EDGES:,}",
+            remedy="remove isolated cells from the map, or use larger cells",
         )
     key = 4 * start + direction
     by_key = np.argsort(key)
@@ -247,7 +250,7 @@ def _outlines(edges: _Edges) -> tuple[Indices, Indices]:
 
 LARGEST_YAML_BYTES = 64 * 1024
 
-FEWER_CELLS = "cut the map to what is needed, or use larger cells"
+FEWER_CELLS = "crop the map to the area of interest, or use larger cells"
 
 CSV_HEADER = ("resolution_m", "origin_x_m", "origin_y_m", "occupied_from")
 
@@ -285,21 +288,24 @@ def _read_ros_map(path: Path) -> OccupancyGrid:
     mode = _one_of(table, "mode", ("trinary", "scale", "raw"))
     if mode == "raw" and negate:
         raise InputError(
-            "is 1 with mode raw, which ROS 1 and Nav2 read differently",
+            "is 1 with mode raw, which ROS 1 and Nav2 interpret differently",
             key="negate",
-            remedy="invert the image and set negate: 0",
+            remedy="invert the image, and set negate: 0",
         )
     occupied_from = _number(table, "occupied_thresh")
     free_to = _number(table, "free_thresh")
     if not 0.0 <= free_to <= occupied_from <= 1.0:
         raise InputError(
-            f"{free_to:g} and occupied_thresh {occupied_from:g} are not 0 <= free <= occupied <= 1",
+            f"is {free_to:g} and occupied_thresh is {occupied_from:g}, should be 0 <= "
+            "free_thresh <= occupied_thresh <= 1",
             key="free_thresh",
-            remedy="give free_thresh: 0.196 and occupied_thresh: 0.65, for instance",
+            remedy="write for instance free_thresh: 0.196 and occupied_thresh: 0.65",
         )
     image = table.get("image")
     if not isinstance(image, str) or not image:
-        raise InputError("is missing or no text", key="image", remedy="name the image")
+        raise InputError(
+            "is missing, or is not text", key="image", remedy="give the file name of the image"
+        )
     shade, opaque = _shades(path.parent / image, raw=mode == "raw")
     if mode == "raw":
         per_cent = np.round(255.0 * shade)
@@ -320,25 +326,26 @@ def _read_csv_grid(path: Path) -> OccupancyGrid:
     header, values = ([cell.strip() for cell in next(rows, nothing)[1]] for _ in range(2))
     if header != list(CSV_HEADER) or len(values) != len(CSV_HEADER):
         raise InputError(
-            f"the first two rows are not {','.join(CSV_HEADER)} and their values",
+            f"the first row should be {','.join(CSV_HEADER)}, and the second row its values",
             row=1,
-            remedy="put both above the cells, which alone do not say where they are: "
-            f"{','.join(CSV_HEADER)}, then for instance 0.05,0,0,50",
+            remedy=f"write {','.join(CSV_HEADER)}, then for instance 0.05,0,0,50, then the cells",
         )
     numbers = [_cell(text, 2, name) for text, name in zip(values, header, strict=True)]
     cells: list[list[float]] = []
     for line, row in rows:
         if cells and len(row) != len(cells[0]):
             raise InputError(
-                f"{len(row)} cells where the first row has {len(cells[0])}",
+                f"the row has {len(row)} cells, but the first row has {len(cells[0])}",
                 row=line,
-                remedy="give each row as many cells",
+                remedy="give all rows the same number of cells",
             )
         _require_cells((len(cells) + 1) * len(row))
         found = enumerate(row, start=1)
         cells.append([_cell(text, line, f"column {column}") for column, text in found])
     if not cells:
-        raise InputError("there are no cells", remedy="rows of cells follow the values")
+        raise InputError(
+            "the grid has no cells", remedy="add the rows of cells after the first two rows"
+        )
     resolution, origin = _placed(numbers[0], numbers[1], numbers[2])
     grid = np.array(cells)[::-1]
     unknown = ~(grid >= 0.0)
@@ -363,7 +370,7 @@ def _yaml_table(path: Path) -> dict[str, object]:
             shared = (yaml.AliasToken, yaml.AnchorToken)
             scan = cast("Callable[..., Iterable[object]]", yaml.scan)  # pyright: ignore[reportUnknownMemberType]
             if any(isinstance(token, shared) for token in scan(text, yaml.BaseLoader)):
-                raise InputError("has anchors or aliases", remedy="write the values out")
+                raise InputError("contains YAML anchors or aliases", remedy="write out the values")
             table: object = yaml.load(text, yaml.BaseLoader)
         except yaml.MarkedYAMLError as error:
             row = None if error.problem_mark is None else error.problem_mark.line + 1
@@ -373,7 +380,9 @@ def _yaml_table(path: Path) -> dict[str, object]:
                 remedy="give the YAML file of a ROS map, or a CSV file of a grid",
             ) from error
     if not isinstance(table, dict):
-        raise InputError("has no keys", remedy="a map of ROS has image, resolution, origin, ...")
+        raise InputError(
+            "contains no YAML keys", remedy="a ROS map has the keys image, resolution, origin, ..."
+        )
     return cast("dict[str, object]", table)
 
 
@@ -405,7 +414,7 @@ def _one_of(table: dict[str, object], key: str, allowed: tuple[str, ...]) -> str
         raise InputError(
             f"is {_shown(value)}, should be one of {', '.join(allowed)}",
             key=key,
-            remedy="write one of these",
+            remedy="use one of these values",
         )
     return word
 
@@ -418,14 +427,14 @@ def _origin(table: dict[str, object]) -> tuple[float, float]:
         raise InputError(
             f"is {_shown(table.get('origin'))}, should be [x, y, yaw]",
             key="origin",
-            remedy="give metres and radians, such as [0.0, 0.0, 0.0]",
+            remedy="give metres and radians, e.g. [0.0, 0.0, 0.0]",
         )
     x, y, yaw = (_number({"origin": value}, "origin") for value in (*values, "0")[:3])
     if abs(yaw) > NO_TURN_RAD:
         raise InputError(
-            f"has a yaw of {yaw:g} rad, and turned maps are not read",
+            f"has a yaw of {yaw:g} rad, but rotated maps are not supported",
             key="origin",
-            remedy="turn the image until its yaw is 0",
+            remedy="rotate the image so that its yaw is 0",
         )
     return x, y
 
@@ -433,12 +442,16 @@ def _origin(table: dict[str, object]) -> tuple[float, float]:
 def _placed(resolution_m: float, x_m: float, y_m: float) -> tuple[float, tuple[float, float]]:
     """Return the validated resolution and origin, in metres."""
     if not 0.0 < resolution_m <= LARGEST_COORDINATE_M:
-        raise InputError(f"cells of {resolution_m:g} m", key="resolution", remedy="metres above 0")
+        raise InputError(
+            f"is {resolution_m:g}, should be above 0",
+            key="resolution",
+            remedy="give the side of a cell in metres",
+        )
     if not max(abs(x_m), abs(y_m)) <= LARGEST_COORDINATE_M:
         raise InputError(
-            f"({x_m:g}, {y_m:g}) is no place in metres",
+            f"is ({x_m:g}, {y_m:g}), which is out of range",
             key="origin",
-            remedy="give metres near those of world.bounds_m",
+            remedy="give metres in the coordinate frame of world.bounds_m",
         )
     return resolution_m, (x_m, y_m)
 
@@ -450,21 +463,22 @@ def _shades(path: Path, raw: bool) -> tuple[Floats, Mask]:
     kind = IMAGES.get(path.suffix.lower())
     if kind is None:
         raise InputError(
-            f"images ending in {path.suffix!r} are not read", file=path, remedy="use .pgm or .png"
+            "is an image in a format that is not supported",
+            file=path,
+            remedy="use a .pgm or .png image",
         )
     content = read_bytes(path)
     with foreign_reader(path, "an image"):
         try:
             image = Image.open(io.BytesIO(content), formats=[kind])
         except Image.DecompressionBombError:
-            raise InputError(
-                f"declares far more than {MOST_CELLS:,} cells", remedy=FEWER_CELLS
-            ) from None
+            raise InputError(f"has more than {MOST_CELLS:,} cells", remedy=FEWER_CELLS) from None
         with image:
             _require_cells(image.width * image.height)
             if image.mode not in (*DEEP_MODES, *BYTE_MODES) or (raw and image.mode in DEEP_MODES):
                 raise InputError(
-                    f"pixels of kind {image.mode} are not read", remedy="use 8 bit grey"
+                    f"has pixels of type {image.mode}, which are not supported",
+                    remedy="save the image with 8-bit grey levels",
                 )
             deep = image.mode in DEEP_MODES
             pixels = np.asarray(image if deep else image.convert("RGBA"))
@@ -492,6 +506,6 @@ def _cell(text: str, row: int, key: str) -> float:
             f"{_shown(text)} is not a number",
             key=key,
             row=row,
-            remedy="write numbers from 0 (free) to 100 (occupied), -1 where it is not known",
+            remedy="write 0 (free) to 100 (occupied), or -1 for unknown",
         )
     return value

@@ -42,34 +42,36 @@ def checked_raster(x: Floats, y: Floats, values: Floats, variable: str) -> Raste
     for name, axis in (("x", x), ("y", y)):
         if axis.ndim != 1 or axis.size < 2:
             raise InputError(
-                f"shape {axis.shape} is not an axis of cells",
+                f"has shape {axis.shape}, should be a one-dimensional array of at least two "
+                "numbers",
                 key=name,
                 remedy="give the coordinates of cell centres in metres",
             )
         if not (np.abs(axis) <= LARGEST_COORDINATE_M).all():
             raise InputError(
-                f"cell centres must be finite and within {LARGEST_COORDINATE_M:g} m of the origin",
+                f"should have finite numbers within {LARGEST_COORDINATE_M:g} m of the origin",
                 key=name,
-                remedy="give metres, with an origin near the map",
+                remedy="give metres from an origin near the map",
             )
         if not _is_even(axis):
             raise InputError(
-                "cell centres must be ascending and evenly spaced",
+                "should be ascending with equal spacing",
                 key=name,
-                remedy="sort them and resample to one spacing, flip the values alike",
+                remedy="sort the cell centres, reorder the values accordingly, and resample to one "
+                "spacing",
             )
     if values.shape != (y.size, x.size):
         raise InputError(
-            f"shape {values.shape} does not fit the axes, (y, x) = {(y.size, x.size)}",
+            f"has shape {values.shape}, should have shape (y, x) = {(y.size, x.size)}",
             key=variable,
-            remedy="give one value for each y (rows) and x (columns), perhaps transposed",
+            remedy="rows are y and columns are x; transpose the array if necessary",
         )
     if np.isposinf(values).any():
         iy, ix = np.argwhere(np.isposinf(values))[0].tolist()
         raise InputError(
             f"is infinite at ({x[ix]:g}, {y[iy]:g}) m",
             key=variable,
-            remedy="write NaN where there is no value",
+            remedy="use NaN for missing values",
         )
     return Raster(x, y, np.where(np.isneginf(values), np.nan, values))
 
@@ -91,9 +93,10 @@ def nearest_cells(
     if outside.any():
         x, y = positions_m[outside.argmax()]
         raise InputError(
-            f"position ({x:g}, {y:g}) is outside the map, which covers x from {raster.x_m[0]:g} "
-            f"to {raster.x_m[-1]:g} and y from {raster.y_m[0]:g} to {raster.y_m[-1]:g} m",
-            remedy="give a larger map, or keep starts, goals and bounds within it",
+            f"the position ({x:g}, {y:g}) m is outside the map, which covers x from "
+            f"{raster.x_m[0]:g} to {raster.x_m[-1]:g} m and y from {raster.y_m[0]:g} to "
+            f"{raster.y_m[-1]:g} m",
+            remedy="use a larger map, or keep starts, goals and world.bounds_m within it",
         )
     ix, iy = np.clip(cells, 0, last_cell).astype(np.int64).T
     return iy, ix

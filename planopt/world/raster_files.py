@@ -91,7 +91,7 @@ class _BoundedBytes(io.BytesIO):
         found = super().read(size)
         self.left -= len(found) + BYTES_PER_READ
         if self.left < 0:
-            raise InputError("declares more than the file holds")
+            raise InputError("declares more data than the file contains")
         return found
 
 
@@ -119,19 +119,19 @@ def _read_hdf5(path: Path, content: bytes, variable: str) -> _Read:
         import h5py
     except ImportError as error:
         raise InputError(
-            "NetCDF-4 cannot be read without h5netcdf",
-            remedy="install planopt[maps], or convert with nccopy -k classic",
+            "the package h5netcdf, which reads NetCDF-4, is not installed",
+            remedy="pip install 'planopt[maps]', or convert the file with nccopy -k classic",
         ) from error
     with h5py.File(io.BytesIO(content), "r") as opened:
         hdf5: Any = opened
         for name in hdf5:
             if isinstance(hdf5.get(name, getlink=True), h5py.ExternalLink):
-                raise InputError("links to another file", key=name)
+                raise InputError("is a link to another file, which is not followed", key=name)
             item = hdf5[name]
             if not isinstance(item, h5py.Dataset):
                 continue
             if item.external or item.is_virtual:
-                raise InputError("takes its values from another file", key=name)
+                raise InputError("is stored in another file, which is not followed", key=name)
             require_array_size(path, name, *(item.shape or ()))
             # HDF5 decompresses whole chunks.
             require_array_size(path, name, *(item.chunks or ()))
@@ -150,12 +150,12 @@ def _require_map(held: Mapping[str, tuple[str, ...]], variable: str) -> None:
     for name in (*NETCDF_AXES, variable):
         if name not in held:
             raise InputError(
-                f"the file holds no {name!r}", remedy=f"it holds {listed(sorted(held))}"
+                f"the file has no variable {name!r}", remedy=f"it has {listed(sorted(held))}"
             )
     dimensions = tuple(held[variable])
     if dimensions != NETCDF_AXES:
         raise InputError(
-            f"its dimensions are {listed(dimensions)}, should be {listed(NETCDF_AXES)}",
+            f"has the dimensions {listed(dimensions)}, should have {listed(NETCDF_AXES)}",
             key=variable,
         )
 
@@ -163,7 +163,7 @@ def _require_map(held: Mapping[str, tuple[str, ...]], variable: str) -> None:
 def _floats(values: NDArray[Any], attributes: Mapping[str, Any], path: Path, name: str) -> Floats:
     """Return values as floats, scaled by their attributes; missing values are NaN."""
     if values.dtype.kind not in "iuf":
-        raise InputError(f"{values.dtype} is not numeric", key=name)
+        raise InputError(f"has the type {values.dtype}, should be numeric", key=name)
     require_array_size(path, name, *values.shape)
     floats = values.astype(np.float64)
     missing = np.zeros(floats.shape, dtype=np.bool_)
@@ -185,9 +185,9 @@ def import_rasterio(path: Path) -> ModuleType:
         import rasterio
     except ImportError as error:
         raise InputError(
-            "GeoTIFF needs rasterio, which is not installed",
+            "the package rasterio, which reads and writes GeoTIFF, is not installed",
             file=path,
-            remedy="install planopt[maps], or choose .nc, .npz or .csv",
+            remedy="pip install 'planopt[maps]', or use .nc, .npz or .csv",
         ) from error
     return rasterio
 
@@ -236,7 +236,7 @@ def read_geotiff(path: Path, variable: str) -> Raster:
             require_array_size(path, variable, *shape)
         band = _band(file.descriptions, variable)
         if np.dtype(file.dtypes[band - 1]).kind not in "iuf":
-            raise InputError("is not numeric", key=variable, remedy="give a band of numbers")
+            raise InputError("is not numeric", key=variable, remedy="choose a numeric band")
         values = file.read(band, masked=True).astype(np.float64).filled(np.nan)
         quantity, unit = file.tags(band).get("quantity", ""), file.units[band - 1] or ""
         transform, system = file.transform, file.crs
@@ -244,10 +244,10 @@ def read_geotiff(path: Path, variable: str) -> Raster:
     if transform.b or transform.d or transform.is_identity:
         raise InputError(
             "the map is rotated or has no coordinates",
-            remedy="resample it to axes x and y in metres",
+            remedy="resample it to axis-parallel cells in metres",
         )
     if in_degrees:
-        raise InputError("the coordinates are degrees", remedy="project the map to metres")
+        raise InputError("the coordinates are in degrees", remedy="reproject the map to metres")
     rows, columns = values.shape
     with np.errstate(all="ignore"):  # non-finite coordinates
         x = transform.c + transform.a * (np.arange(columns) + 0.5)
@@ -301,13 +301,16 @@ def read_csv(path: Path, variable: str) -> Raster:
 def _on_grid(table: Floats, variable: str) -> Raster:
     """Return the raster with one cell per row (x, y, value)."""
     if not np.isfinite(table[:, :2]).all():
-        raise InputError("a cell centre is not finite", remedy="leave rows without a place out")
+        raise InputError(
+            "a cell centre is NaN or infinite", remedy="remove rows without coordinates"
+        )
     x, ix = np.unique(table[:, 0], return_inverse=True)
     y, iy = np.unique(table[:, 1], return_inverse=True)
     if len(np.unique(iy * x.size + ix)) != len(table) or len(table) != x.size * y.size:
         raise InputError(
-            f"{len(table)} rows are not each cell of a grid of {y.size} x {x.size} once",
-            remedy="give a row for each cell, nan where there is no value",
+            f"the {len(table)} rows should contain each cell of the {y.size} x {x.size} grid "
+            "exactly once",
+            remedy="write one row for each cell; use nan for missing values",
         )
     values = np.empty((y.size, x.size))
     values[iy, ix] = table[:, 2]
@@ -317,7 +320,9 @@ def _on_grid(table: Floats, variable: str) -> Raster:
 def _column(header: list[str], name: str) -> int:
     if header.count(name) != 1:
         raise InputError(
-            f"the file has no column {name!r}" if name not in header else f"two columns {name!r}",
+            f"the file has no column {name!r}"
+            if name not in header
+            else (f"the file has two columns {name!r}"),
             key=name,
             remedy=f"it has {listed(header)}",
         )
@@ -327,7 +332,7 @@ def _column(header: list[str], name: str) -> int:
 def _number(cells: list[str], at: int, row: int, name: str) -> float:
     if at >= len(cells):
         raise InputError(
-            "the row is too short",
+            "the row has too few cells",
             key=name,
             row=row,
             remedy="give each row as many cells as the header",
@@ -340,7 +345,7 @@ def _number(cells: list[str], at: int, row: int, name: str) -> float:
             f"{cell!r} is not a number",
             key=name,
             row=row,
-            remedy="write a number, or leave the cell empty where nothing is known",
+            remedy="write a number, or leave the cell empty for a missing value",
         ) from None
 
 
@@ -377,11 +382,14 @@ def npz_arrays(path: Path, names: tuple[str, ...]) -> list[Floats]:
     for name in names:
         if name not in arrays:
             raise InputError(
-                f"the file holds no {name!r}", remedy=f"it holds {listed(npz_names(path))}"
+                f"the file has no variable {name!r}",
+                remedy=f"it has {listed(npz_names(path))}",
             )
         if arrays[name].dtype.kind not in "biuf":
             raise InputError(
-                f"{arrays[name].dtype} is not numeric", key=name, remedy="give numbers"
+                f"has the type {arrays[name].dtype}, should be numeric",
+                key=name,
+                remedy="give numbers",
             )
         with np.errstate(all="ignore"):  # overflow from longer floats
             found.append(arrays[name].astype(np.float64))
@@ -401,36 +409,40 @@ def read_sionna_map(path: Path, variable: str) -> Raster:
     if gain.ndim == 3:
         if index is None and len(gain) != 1:
             raise InputError(
-                f"there are {len(gain)} transmitters", key=name, remedy=f"say {name}[0]"
+                f"has {len(gain)} transmitters, and none is selected",
+                key=name,
+                remedy=f"write {name}[0] for the first transmitter",
             )
         if (index or 0) >= len(gain):
             raise InputError(
-                f"there is no transmitter {index}, only {len(gain)}, counted from 0",
+                f"has no transmitter {index}: there are {len(gain)}, counted from 0",
                 key=name,
-                remedy="name one that is there",
+                remedy=f"use an index from 0 to {len(gain) - 1}",
             )
         gain = gain[index or 0]
     if gain.ndim != 2 or centres.shape != (*gain.shape, 3):
         raise InputError(
-            f"shapes {gain.shape} and {centres.shape} are not of a planar map", key=name
+            f"has shape {gain.shape} and cell centres of shape {centres.shape}, which do not "
+            "form a planar map",
+            key=name,
         )
     if not gain.size:
-        raise InputError("the map has no cells", key=name)
+        raise InputError("has no cells", key=name)
     x, y = centres[0, :, 0], centres[:, 0, 1]
     with np.errstate(all="ignore"):  # non-finite centres
         off = np.maximum(np.abs(centres[..., 0] - x), np.abs(centres[..., 1] - y[:, None]))
     # Negated comparison, so that NaN centres fail.
     if not (off <= TURNED_M).all():
         raise InputError(
-            "the map's plane is turned: rows do not run along x",
+            "is a rotated map: its rows are not parallel to x",
             key=CENTRES,
-            remedy="make the map of a plane whose rows run along x",
+            remedy="compute the radio map on a plane whose rows are parallel to x",
         )
     if (gain < 0.0).any():
         raise InputError(
-            "a linear gain is negative",
+            "has a negative value, but linear path gains are positive",
             key=name,
-            remedy="give path gains, not decibels, or name the variable that has decibels",
+            remedy="give linear path gains, or choose the variable with gains in dB",
         )
     decibels = np.full(gain.shape, np.nan)
     np.log10(gain, out=decibels, where=gain > 0.0)
@@ -489,8 +501,8 @@ def raster_ending(path: Path) -> str:
     ending = path.suffix.lower()
     if ending not in READERS:
         raise InputError(
-            f"{ending or 'a name without ending'!r} is no format of maps",
+            f"is not a map: the ending {ending!r} is unknown",
             file=path,
-            remedy=f"end the name in one of {', '.join(READERS)}",
+            remedy=f"use a name that ends in one of {', '.join(READERS)}",
         )
     return ending

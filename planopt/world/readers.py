@@ -46,9 +46,9 @@ def read_obstacles(path: Path, unknown: UnknownCells = "occupied") -> tuple[Obst
     except InputError as error:
         raise error.located(path) from error
     raise InputError(
-        f"obstacles cannot be read from a file ending in {ending!r}",
+        f"is not a file of obstacles: the ending {ending!r} is unknown",
         file=path,
-        remedy="use .geojson, .json, .wkt, .yaml or .csv",
+        remedy="use a name that ends in .geojson, .json, .wkt, .yaml or .csv",
     )
 
 
@@ -57,8 +57,8 @@ def obstacle_from_wkt(name: str, text: str) -> Obstacle:
     obstacles = list(obstacles_of_geometry(name, _parsed_wkt(name, text)))
     if len(obstacles) != 1:
         raise InputError(
-            f"{name}: {len(obstacles)} polygons in one obstacle",
-            remedy="give each polygon its own obstacle",
+            f"{name}: one obstacle consists of {len(obstacles)} polygons",
+            remedy="make one obstacle for each polygon",
         )
     return obstacles[0]
 
@@ -71,7 +71,7 @@ def _from_wkt_file(stem: str, text: str) -> Iterator[Obstacle]:
         return
     lines = [(row, line) for row, line in enumerate(text.splitlines(), start=1) if line.strip()]
     if not lines:
-        raise InputError("the file is empty", remedy="give a GeoJSON or WKT file of areas")
+        raise InputError("the file is empty", remedy="give a GeoJSON or WKT file with polygons")
     for row, line in lines:
         name = stem if len(lines) == 1 else f"{stem} line {row}"
         try:
@@ -86,7 +86,8 @@ def _tolerant_wkt(text: str) -> shapely.Geometry | None:
     depth = np.cumsum((letters == ord("(")).astype(np.int64) - (letters == ord(")")))
     if depth.max(initial=0) > DEEPEST:
         raise InputError(
-            f"not WKT of areas: nested {depth.max()} deep", remedy="write POLYGON ((x y, x y, x y))"
+            f"the WKT is nested too deeply ({depth.max()} levels)",
+            remedy="write POLYGON ((x y, x y, x y))",
         )
     try:
         with np.errstate(all="ignore"):
@@ -104,7 +105,7 @@ def _parsed_wkt(name: str, text: str) -> shapely.Geometry:
         return shapely.from_wkt(text)
     except (shapely.GEOSException, NotImplementedError) as error:
         raise InputError(
-            f"{name}: not WKT: {error}", remedy="write POLYGON ((x y, x y, x y))"
+            f"{name}: invalid WKT: {error}", remedy="write POLYGON ((x y, x y, x y))"
         ) from error
 
 
@@ -121,7 +122,7 @@ def obstacles_of_geometry(name: str, geometry: shapely.Geometry) -> Iterator[Obs
         for part_name, part in _named_parts(name, list(parts)):
             yield from obstacles_of_geometry(part_name, part)
     else:
-        raise InputError(f"{name}: a {type(geometry).__name__} is not an area", remedy=_AREAS)
+        raise InputError(f"{name}: a {type(geometry).__name__} is not a polygon", remedy=_AREAS)
 
 
 def _from_json(stem: str, text: str) -> tuple[Obstacle, ...]:
@@ -130,16 +131,16 @@ def _from_json(stem: str, text: str) -> tuple[Obstacle, ...]:
         data: Any = json.loads(text)
     except json.JSONDecodeError as error:
         raise InputError(
-            f"not JSON: {error.msg}",
+            f"invalid JSON: {error.msg}",
             row=error.lineno,
-            remedy="mend the JSON, or name a WKT file .wkt",
+            remedy="correct the JSON; a WKT file needs a name that ends in .wkt",
         ) from error
     except (ValueError, RecursionError) as error:
-        raise InputError(f"not JSON that can be read: {error}", remedy=_GEOJSON) from error
+        raise InputError(f"invalid JSON: {error}", remedy=_GEOJSON) from error
     try:
         obstacles = list(_areas(stem, data))
     except RecursionError:
-        raise InputError("not GeoJSON of areas: nested too deeply", remedy=_GEOJSON) from None
+        raise InputError("the GeoJSON is nested too deeply", remedy=_GEOJSON) from None
     if "buildings" not in data:
         _require_metres(data, obstacles)
     return tuple(obstacles)
@@ -166,7 +167,7 @@ def _areas(name: str, value: Any) -> Iterator[Obstacle]:
             exterior, *holes = rings or [[]]
             yield footprint(name, exterior, holes)
         case _:
-            raise InputError(f"{name}: {_short(value)} is not an area", remedy=_GEOJSON)
+            raise InputError(f"{name}: {_short(value)} is not a polygon", remedy=_GEOJSON)
 
 
 def _building(name: str, value: Any) -> Obstacle:
@@ -178,7 +179,9 @@ def _building(name: str, value: Any) -> Obstacle:
             return footprint(str(value.get("name", name)), exterior)
         case _:
             pass
-    raise InputError(f"{name}: {_short(value)} has no exterior or wrong holes", remedy=_GEOJSON)
+    raise InputError(
+        f"{name}: {_short(value)} has no exterior ring, or an invalid hole", remedy=_GEOJSON
+    )
 
 
 def _require_metres(table: dict[str, object], obstacles: list[Obstacle]) -> None:
@@ -194,7 +197,7 @@ def _require_metres(table: dict[str, object], obstacles: list[Obstacle]) -> None
     if within and (named or afar):
         raise InputError(
             f"the coordinates, such as {x[0]:g}, {y[0]:g}, are degrees of longitude and latitude",
-            remedy="project the file to metres; metres that look like this can be given as .wkt",
+            remedy="reproject the file to metres; if these are metres, save them as .wkt",
         )
 
 
@@ -265,10 +268,11 @@ def _obstacles(source: Any, name: str) -> Iterator[Obstacle]:
             yield from _obstacles(geometry, own)
     elif getattr(source, "dtype", None) == np.bool_:
         raise InputError(
-            f"{name}: an array of bool {np.shape(source)} is no list of corners",
+            f"{name}: an array of bool with shape {np.shape(source)} is an occupancy grid, but "
+            "its position is missing",
             key="world.obstacles",
-            remedy="give its cells a place: planopt.problems.OccupancyGrid(occupied, unknown, "
-            "resolution_m=0.5, origin_m=(0.0, 0.0)) with two arrays of bool",
+            remedy="give planopt.problems.OccupancyGrid(occupied, unknown, resolution_m=0.5, "
+            "origin_m=(0.0, 0.0))",
         )
     elif _is_ring(source):
         yield footprint(name, cast("Any", np.asarray(source)).tolist())
@@ -278,7 +282,7 @@ def _obstacles(source: Any, name: str) -> Iterator[Obstacle]:
             yield from _obstacles(entry, name if len(entries) == 1 else f"{name} {number}")
     else:
         raise InputError(
-            f"{name}: a {type(source).__name__} is not an area",
+            f"{name}: a {type(source).__name__} is not a polygon",
             key="world.obstacles",
             remedy="give polygons, a GeoDataFrame, corners (n, 2) or an OccupancyGrid",
         )

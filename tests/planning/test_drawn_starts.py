@@ -80,11 +80,11 @@ def test_starts_are_clear_and_apart(fig4):
 def test_what_cannot_be_drawn_is_refused(fig4):
     """No room for three robots that far apart; a target too fast to stay."""
     far = replace(fig4, constraints=replace(fig4.constraints, separation_m=40.0))
-    with pytest.raises(InputError, match="no free place") as error:
+    with pytest.raises(InputError, match="no free start position") as error:
         with_drawn_starts(far, 0)
     assert error.value.key is not None and error.value.key.endswith("start_spread_m")
     fast = replace(fig4, targets=(replace(fig4.targets[0], velocity_m_s=(60.0, 0.0)),))
-    with pytest.raises(InputError, match="no straight path"):
+    with pytest.raises(InputError, match="no straight target path"):
         solve(fast)
     fixed = replace(fig4.targets[0], start_m=(1.0, 1.0), velocity_m_s=(-9.0, 0.0))
     gone = replace(fig4, targets=(replace(fixed, start_distance_m=None),))
@@ -149,7 +149,7 @@ def test_without_a_first_measurement(fig4, tmp_path):
     assert check(tmp_path / "run").verdict.value == "verified"
     check_files(replace(fig4, channel=channel))
     unknown = replace(fig4, channel=replace(channel, given=None))
-    with pytest.raises(InputError, match="no first measurements"):
+    with pytest.raises(InputError, match="no initial measurements"):
         simulate(unknown, seed=1)
-    with pytest.raises(InputError, match=r"or all of channel\.fit\.given"):
+    with pytest.raises(InputError, match=r"or all parameters in channel\.fit\.given"):
         check_files(unknown)

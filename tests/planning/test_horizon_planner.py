@@ -95,7 +95,7 @@ def test_an_expression_of_ones_own_is_planned(horizon):
 def test_an_expression_of_another_horizon_is_refused():
     """As an error of ours, when the horizon is overridden."""
     problem = terms_problem(own_term(lambda path: -ca.sumsqr(path.positions_m)))
-    with pytest.raises(InputError, match=r"is 5, and planner\.horizon is 3"):
+    with pytest.raises(InputError, match=r"is 5, but planner\.horizon is 3"):
         solve(problem, horizon=3)
 
 

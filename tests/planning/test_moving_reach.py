@@ -193,7 +193,7 @@ def test_a_goal_that_is_cut_off_on_the_way_ends_the_run(tmp_path):
     ring = Obstacle("ring", goal.buffer(8.0).difference(goal.buffer(6.0)), 6.0)
     workspace = replace(problem.workspace, timed=[ring])
     run = planopt.simulate(replace(problem, workspace=workspace), horizon=3, seed=1)
-    assert run.outcome is Outcome.NO_PLAN and "cut off" in run.reason
+    assert run.outcome is Outcome.NO_PLAN and "separate" in run.reason
     assert len(run.plans[0]) == 3 and run.verified_rate == 1.0
     run.save(tmp_path)
     assert check(tmp_path).verdict is Verdict.VERIFIED
@@ -285,7 +285,7 @@ def test_times_are_read_saved_and_checked():
     tables["world"]["obstacles"][0]["until_s"] = 2.0
     with pytest.raises(InputError, match=r"world\.obstacles\[0\].*until_s"):
         problem_from_dict(tables)
-    with pytest.raises(InputError, match="known from"):
+    with pytest.raises(InputError, match="known_from_s = "):
         planopt.Problem(
             **{
                 key: getattr(problem, key)

@@ -146,7 +146,7 @@ def test_a_robot_that_is_carried_off(name: str) -> None:
         ((float("nan"), 2.0), "2 finite numbers"),
         ("ab", "2 finite numbers"),
         (None, "2 finite numbers"),
-        ((-1e6, 2.0), "outside the bounds"),
+        ((-1e6, 2.0), "outside world.bounds_m"),
     ],
 )
 def test_a_state_that_is_none(log: Measurements, state, words: str) -> None:

@@ -354,7 +354,7 @@ def test_what_the_planners_do_not_plan_is_refused():
         robots=(problem.robots[0], replace(problem.robots[0], name="b", start_m=(12.0, 8.0))),
         constraints=replace(problem.constraints, separation_m=1.0),
     )
-    with pytest.raises(InputError, match="without separation_m"):
+    with pytest.raises(InputError, match="no separation_m"):
         simulate(apart, seed=0)
     learning = terms_problem(LEARNING, name="unaware")
     with pytest.raises(InputError, match="tracks a target"):

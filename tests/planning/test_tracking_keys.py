@@ -51,7 +51,10 @@ def test_a_terminal_weight_is_the_last_steps():
 @pytest.mark.parametrize(
     ("keys", "words"),
     [
-        ({"criterion": "determinant", "form": "additive"}, "is no criterion of the form additive"),
+        (
+            {"criterion": "determinant", "form": "additive"},
+            "which form = .additive. does not support",
+        ),
         ({"step_weights": [0.0]}, "no step counts"),
         ({"step_weights": [-1.0]}, "step_weights"),
         ({"terminal_weight": 0.0}, "terminal_weight"),

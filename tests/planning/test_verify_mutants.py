@@ -176,7 +176,7 @@ CASES: dict[str, Case] = {
     "through it, no clearance asked": Case(
         along(19, 21), {CLEARANCE}, small_problem(WALL, clearance_m=0.0), clearance_m=0.0
     ),
-    "on the border": Case(along(36, 38, 40)),
+    "on the edge": Case(along(36, 38, 40)),
     "out to the right": Case(along(37, 39, 40.5), {BOUNDS}),
     "out and back": Case(along(39, 40.5, 39), {BOUNDS}),
     "too fast first": Case(along(5, 7.001, 8, 9), {SPEED}, defect_m=1e-3),

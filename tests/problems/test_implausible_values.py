@@ -42,7 +42,7 @@ def warned(command: str, path: Path, capsys) -> str:
         ("threshold_dbm = -59.0", "threshold_dbm = 59.0", "threshold_dbm 59 dBm is implausible"),
         ("step_s = 2.0", "step_s = 2000", "m in a step, in a world"),
         ("position_m = [60.0, 8.0]", "position_m = [691000, 5348000]", "5,392 km from the world"),
-        ("[channel.truth]", f"{WALL}[channel.truth]", "cut off robots[0].goal_m"),
+        ("[channel.truth]", f"{WALL}[channel.truth]", "separate the goal robots[0].goal_m"),
     ],
 )
 def test_implausible_problems(old: str, new: str, words: str, tmp_path: Path, capsys) -> None:

@@ -99,7 +99,7 @@ def test_connected_path_is_there_or_not(name: str, *, is_joined: bool) -> None:
 def test_courtyard_has_no_free_path(capsys: pytest.CaptureFixture[str]) -> None:
     """Planning ends with exit code 4 and says that obstacles are the reason."""
     assert main(["solve", "munich_courtyard"]) == 4
-    assert "obstacles cut off robots[0].goal_m [177.0, 29.0]" in capsys.readouterr().out
+    assert "obstacles separate the goal robots[0].goal_m = [177.0, 29.0]" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("name", ["connect_rooftop", "connect_street"])

@@ -187,12 +187,12 @@ def test_mutated_tables_give_a_problem_or_our_error(
         table: Any = mutated
         for part in parents:
             table = table[part]
-        action = data.draw(st.sampled_from(["replace", "delete", "rename", "add"]))
+        action = data.draw(st.sampled_from(["replace", "delete", "printable", "add"]))
         if action == "replace":
             table[last] = data.draw(VALUES)
         elif action == "delete" or isinstance(table, list):
             del table[last]
-        elif action == "rename":
+        elif action == "printable":
             table[data.draw(KEYS)] = table.pop(last)
         else:
             table[data.draw(KEYS)] = data.draw(VALUES)

@@ -123,7 +123,7 @@ def test_terms_of_one_power_are_refused(task: str, term: dict[str, Any]) -> None
     with refused() as caught:
         changed(change)
     assert caught.value.remedy is not None
-    assert caught.value.remedy.endswith("leave one entry of stations")
+    assert caught.value.remedy.endswith("keep only one entry of stations")
 
 
 def test_logs_are_read_by_station(tmp_path: Path) -> None:

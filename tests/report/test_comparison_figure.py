@@ -22,9 +22,9 @@ def test_units_and_settings(comparison):
     assert labels_of(figure) == {
         "horizon [steps]",
         "time to goal [s]",
-        "connected in truth [%]",
+        "steps connected [%]",
         "longest outage [m]",
-        "gain of the polish [%]",
+        "gain by refinement [%]",
         "runs of 2 [count]",
         "step time [ms]",
     }

@@ -46,7 +46,7 @@ def test_mean_without_interval(comparison):
     title, table, *_ = blocks_of(replace(comparison, rows=(row,)))
     assert table[-1].split()[:7] == ["geodesic", "auto", "10", "1", "0", "61.2", "-"]
     words = " ".join(title)
-    assert "no intervals with fewer than 5" in words and "brackets" not in words
+    assert "no intervals for fewer than 5" in words and "brackets" not in words
 
 
 def test_reliability_lines():
@@ -56,7 +56,7 @@ def test_reliability_lines():
     realised = np.where(np.arange(count) % 2 == 0, np.arange(count) % 20 < 10, True)
     few = reliability(predicted, realised, np.arange(count) % 4)
     title, header, *lines = reliability_lines(few, "steps", "seeds")
-    assert title.endswith("no intervals with fewer than 5 seeds")
+    assert title.endswith("no intervals for fewer than 5 seeds")
     assert header.split()[-1] == "connected"
     assert [line.split()[2:] for line in lines] == [
         ["0.85", "250", "2", "0.8000", "0.5000"],

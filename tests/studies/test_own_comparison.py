@@ -167,13 +167,13 @@ def test_settings_with_several_keys_are_numbered(comparison) -> None:
     assert "      2  n_pl = 1.0, planner one_step, horizon 1" in text
     assert f"n_pl is {GIVEN}.n_pl" in text
     assert max(map(len, text.splitlines())) <= 100
-    paired = text[text.index("paired differences") :].splitlines()
+    paired = text[text.index("mean differences") :].splitlines()
     (line,) = (one for one in paired[:9] if one.startswith("      4"))
     rows = {(str(row.sweep), row.metric): row for row in comparison.rows}
     row = rows[str(WANTED[3]), "rms_db"]
     assert row.paired_difference is not None and f"{row.paired_difference:+.2f} (" in line
     # Wrong parameters change no path here, which is said, not left out.
-    assert "the same in every run: " in text
+    assert "equal in all settings: " in text
     assert layout_of(comparison).ticks == ("1", "2", "3", "4")
 
 

@@ -266,7 +266,7 @@ def test_the_command(tmp_path: Path, capsys) -> None:
     ]
     assert main([*command, "--workers", "2"]) == 4
     words = capsys.readouterr().out
-    assert "8 runs were finished before" in " ".join(words.split())
+    assert "8 runs were reused" in " ".join(words.split())
     assert "constraints.p_min" in words and max(map(len, words.splitlines())) <= 100
 
 

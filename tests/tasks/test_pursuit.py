@@ -62,9 +62,13 @@ def test_pictures(tmp_path, run):
     ("name", "change", "words"),
     [
         ("pursuit_fleeing", ("endless = true", "endless = false"), "network.endless"),
-        ("pursuit_static", ("640, 640]", "650, 640]"), "beyond the grid of motes"),
+        ("pursuit_static", ("640, 640]", "650, 640]"), "leaves the mote grid"),
         ("pursuit_static", ("[40, 60]", "[40, 700]"), "pursuers[0].start_m"),
-        ("pursuit_obstacles", ("start_m = [20, 20]", "start_m = [100, 100]"), "no free place"),
+        (
+            "pursuit_obstacles",
+            ("start_m = [20, 20]", "start_m = [100, 100]"),
+            "no free start position",
+        ),
         (
             "pursuit_obstacles",
             ('"wandering" }', '"foresighted", horizon = 3, plan_step_s = 1.0 }'),

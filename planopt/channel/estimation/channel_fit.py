@@ -142,17 +142,26 @@ def require_method(method: str, key: str) -> FitMethod:
     """Return `method` if it exists, or raise an error about the option `key`."""
     if method not in get_args(FitMethod):
         remedy = f"use {', '.join(get_args(FitMethod))}"
-        raise InputError(f"{method!r} is no method", key=key, remedy=remedy)
+        raise InputError(
+            f"is {method!r}, which is not an estimation method", key=key, remedy=remedy
+        )
     return cast(FitMethod, method)
 
 
 def require_loss(loss: str, method: FitMethod, key: str) -> None:
     """Raise an error about the option `key` if the method does not support the loss."""
     if loss not in get_args(Loss):
-        raise InputError(f"{loss!r} is no loss", key=key, remedy=f"use {', '.join(get_args(Loss))}")
+        raise InputError(
+            f"is {loss!r}, which is not a loss function",
+            key=key,
+            remedy=f"use {', '.join(get_args(Loss))}",
+        )
     if loss != "squares" and method != "convex":
         raise InputError(
-            f"{method} has no choice of loss", key=key, remedy="use it with method convex"
+            f"is {loss!r}, which only the estimation method convex supports; the method is "
+            f"{method}",
+            key=key,
+            remedy="leave it out, or use the method convex",
         )
 
 

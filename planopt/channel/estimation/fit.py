@@ -319,9 +319,9 @@ def fit_channel(
     require_loss(loss, chosen, "loss")
     if not forgetting_s > 0.0:
         raise InputError(
-            f"{forgetting_s!r} s is no forgetting time",
+            f"is {forgetting_s!r} s, should be above 0",
             key="forgetting_s",
-            remedy="give more than 0, or inf for a channel that does not drift",
+            remedy="give a time constant in seconds, or inf for a channel that does not change",
         )
     # Errors name a row of the input, so check before sorting.
     allows = examine(measurements, station)

@@ -79,21 +79,23 @@ def require_usable(measurements: Measurements, station: Station | None) -> None:
     """Raise an error if nothing can be estimated from the measurements."""
     count = len(measurements)
     if count == 0:
-        raise InputError("there are no measurements", remedy="give at least three")
+        raise InputError(
+            "there are no measurements to fit", remedy="give at least three measurements"
+        )
     if station is not None:
         offset = measurements.positions_m - np.asarray(station.position_m)
         at_station = np.flatnonzero((offset**2).sum(axis=1) + station.height_m**2 == 0.0)
         if len(at_station):
             index = int(at_station[0])
             raise InputError(
-                f"measurement {index} (counted from 0) is exactly at the station: "
-                "log of zero distance",
+                f"measurement {index} (counted from 0) is exactly at the station, where the "
+                "path loss is undefined (log of zero distance)",
                 row=index,
                 remedy="correct the position, or give the station's height",
             )
     if count > 1 and np.ptp(measurements.positions_m, axis=0).max() < LEAST_EXTENT_M:
         raise InputError(
-            f"all {count} measurements are in one place",
+            f"all {count} measurements are at the same position",
             remedy="measure at different distances from the station",
         )
 

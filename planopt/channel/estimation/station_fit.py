@@ -147,7 +147,7 @@ def fit_channel_and_station(
     measurements = as_measurements(measurements)
     if station_method not in get_args(StationMethod):
         raise InputError(
-            f"{station_method!r} is no method to find the station",
+            f"is {station_method!r}, which is not a method for locating the station",
             key="station_method",
             remedy=f"use {', '.join(get_args(StationMethod))}",
         )
@@ -157,12 +157,13 @@ def fit_channel_and_station(
     exact = measurements.positions_m[~measurements.censored]
     if len(exact) < MIN_UNCENSORED:
         raise InputError(
-            f"{len(exact)} uncensored measurements cannot tell where the station is", remedy=remedy
+            f"{len(exact)} uncensored measurements are too few to locate the station", remedy=remedy
         )
     spread = np.linalg.svd(exact - exact.mean(axis=0), compute_uv=False)
     if spread[1] < 1e-3 * spread[0]:
         raise InputError(
-            "all measurements are on one line: the station may be on either side", remedy=remedy
+            "all measurements are on one straight line: the station may be on either side of it",
+            remedy=remedy,
         )
     station = locate(measurements, station_method, height_m, forgetting_s)
     found = fit_channel(measurements, station, method, forgetting_s, loss=loss)
@@ -289,7 +290,8 @@ def _grid_starts(surface: StationSurface) -> list[Floats]:
     loss = losses(surface, grid)[0].reshape(GRID, GRID)
     if not np.isfinite(loss).any():
         raise InputError(
-            "power grows with the distance from every position on the grid",
+            "the station cannot be located: from every candidate position, power increases "
+            "with distance",
             remedy="give the station's position",
         )
     padded = np.pad(loss, 1, constant_values=np.inf)

@@ -43,9 +43,9 @@ def _columns_of(table: ColumnsTable) -> Columns:
 def _columns_keys(columns: Sequence[str | None]) -> dict[str, Any]:
     if not isinstance(cast("object", columns), tuple) or len(columns) != len(AXES):
         raise InputError(
-            f"{columns!r} are not three names",
+            f"should be three column names, but is {columns!r}",
             key="channel.measurements.columns",
-            remedy="give those of x, y and power, or None for a name that is detected",
+            remedy="give the names of x, y and power; None for a name that planopt should detect",
         )
     return {axis: name for axis, name in zip(AXES, columns, strict=True) if name is not None}
 

@@ -49,10 +49,10 @@ class Cell:
         """Return the text, or raise an error if it is empty or not printable."""
         cell = self.text.strip()
         if not cell:
-            raise self.error("the cell is empty", "fill it, or leave the row out")
+            raise self.error("is empty", "fill the cell, or remove the row")
         if not cell.isprintable():
             words = f"{cell!a} has a character that cannot be printed"
-            raise self.error(words, "write letters, digits and signs")
+            raise self.error(words, "use printable characters only")
         return cell
 
     def number(self) -> float:
@@ -62,7 +62,7 @@ class Cell:
             # Python reads 1_0 as 10.
             number = math.nan if "_" in cell else float(cell)
         except ValueError:
-            remedy = "write a number with a decimal point, such as -61.5"
+            remedy = "write a number such as -61.5"
             raise self.error(f"{cell!r} is not a number", remedy) from None
         if not math.isfinite(number):
             remedy = "remove the row, or mark it censored at the receiver's floor"
@@ -73,7 +73,7 @@ class Cell:
         """Return the cell as a flag."""
         flag = FLAGS.get(self.text.strip().lower())
         if flag is None:
-            raise self.error(f"{self.text.strip()!r} is not a flag", "use 0 or 1")
+            raise self.error(f"{self.text.strip()!r} is not a truth value", "use 0 or 1")
         return flag
 
     def error(self, words: str, remedy: str) -> InputError:
@@ -95,13 +95,14 @@ class LogTable:
         """Return the index of a column; raise an error if it is missing or not unique."""
         if self.names.count(name) == 1:
             return self.names.index(name)
-        problem = "appears twice" if name in self.names else "is missing"
+        problem = "is the name of several columns" if name in self.names else "is missing"
         raise InputError(
-            f"column {name!r} {problem}; the file has {listed(self.names)}",
+            f"{problem}; the columns are {listed(self.names)}",
             file=self.file,
             key=name,
             row=self.header_line,
-            remedy="name columns as the header does; x=NAME,y=NAME,power=NAME for the first three",
+            remedy="use the names in the header; --columns x=NAME,y=NAME,power=NAME names position "
+            "and power",
         )
 
     def cells(self, name: str) -> list[Cell]:
@@ -118,8 +119,8 @@ class LogTable:
         points = next((cell for cell in cells if "." in cell.text), None)
         if points is not None:
             raise commas[0].error(
-                f"{commas[0].text.strip()!r} has a comma, and {points.text.strip()!r} in line "
-                f"{points.line} a point",
+                f"{commas[0].text.strip()!r} has a decimal comma, but {points.text.strip()!r} "
+                f"in line {points.line} has a point",
                 "write all numbers with a decimal point and no thousands separator",
             )
         return [
@@ -154,16 +155,21 @@ def read_delimited(path: Path, preambles: Sequence[str] = ()) -> LogTable:
     if named is not None:
         lines = lines[1:]
     if not lines:
-        raise InputError("the file is empty", file=path, remedy="a header and rows are needed")
+        raise InputError(
+            "the file is empty",
+            file=path,
+            remedy="give a CSV file with a header and one row for each measurement",
+        )
     delimiter = named[1] if named is not None else _delimiter_of([line for _, line in lines])
     rows = _split(path, lines, delimiter)
     header_line, header = next(rows)
     if len(header) == 1:
         raise InputError(
-            "the first line has one column",
+            "the header has only one column",
             file=path,
             row=header_line,
-            remedy="save the log as CSV: names of columns, then rows, separated by commas",
+            remedy="save the log as CSV: a line with column names, then the rows, separated by "
+            "commas",
         )
     names = tuple(name.strip() for name in header)
     return LogTable(path, names, list(_complete(path, rows, len(names))), header_line, delimiter)
@@ -227,9 +233,9 @@ def _complete(
     for line, cells in rows:
         if len(cells) != count:
             raise InputError(
-                f"{len(cells)} cells where the header has {count}",
+                f"the row has {len(cells)} cells, but the header has {count}",
                 file=path,
                 row=line,
-                remedy="give each row as many cells as the header",
+                remedy="give each row as many cells as the header has",
             )
         yield line, cells

@@ -117,11 +117,11 @@ def measurements_of(table: LogTable, columns: LogColumns, log_format: LogFormat)
         outside = np.flatnonzero((values < least) | (values > largest)).tolist()
         if outside:
             raise InputError(
-                f"{values[outside[0]]:g} {words} is out of range",
+                f"is {values[outside[0]]:g} {words}, which is out of range",
                 file=table.file,
                 key=name,
                 row=table.rows[outside[0]][0],
-                remedy=f"from {least:g} to {largest:g} {words}; correct or remove the row",
+                remedy=f"the range is {least:g} to {largest:g} {words}; correct or remove the row",
             )
     labels = _labels(table, log_format.receiver_column)
     # Receivers are numbered by first appearance.
@@ -142,7 +142,7 @@ def _from_milliwatts(cells: Sequence[Cell], power: NDArray[np.float64]) -> NDArr
     """Return powers in dBm; zero has no logarithm."""
     if (power <= 0.0).any():
         cell = cells[int(np.argmax(power <= 0.0))]
-        raise cell.error("a power in mW should be above 0", "remove the row, or write dBm")
+        raise cell.error("the power in mW should be above 0", "remove the row, or write dBm")
     return 10.0 * np.log10(power)
 
 
@@ -164,7 +164,9 @@ def _position_std_m(
         ]
     )
     if (found < 0.0).any():
-        raise cells[int(np.argmax(found < 0.0))].error("an accuracy is negative", "write metres")
+        raise cells[int(np.argmax(found < 0.0))].error(
+            "the accuracy is negative", "write an accuracy in metres of at least 0"
+        )
     return found
 
 
@@ -177,10 +179,10 @@ def _positions_m(
     afar = np.flatnonzero(np.isnan(positions_m[:, 0])).tolist()
     if afar:
         raise InputError(
-            f"is more than {FARTHEST_M / 1000.0:.0f} km from the origin",
+            f"the position is more than {FARTHEST_M / 1000.0:.0f} km from the origin",
             file=table.file,
             row=table.rows[afar[0]][0],
-            remedy="give an origin near the log; x is the longitude, y the latitude",
+            remedy="give an origin near the measurements; x is the longitude, y the latitude",
         )
     return positions_m
 

@@ -142,11 +142,12 @@ def columns_of(table: LogTable, log_format: LogFormat) -> LogColumns:
         )
     if in_degrees and log_format.origin_deg is None:
         raise InputError(
-            f"columns {x} and {y} are in degrees",
+            f"the positions in columns {x} and {y} are in degrees, but planopt needs metres "
+            "from an origin",
             file=table.file,
             key="origin_deg",
             row=table.header_line,
-            remedy="give the origin of the map with --origin LAT,LON or origin_deg",
+            remedy="give the latitude and longitude of the origin: --origin LAT,LON, or origin_deg",
         )
     return LogColumns(
         x,

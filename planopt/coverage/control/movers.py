@@ -50,9 +50,9 @@ class Gains:
         largest = max(self.event_per_s, self.coverage_per_s) * time_step_s
         if not 0.0 < largest <= 1.0 + 1e-12:
             raise InputError(
-                f"{time_step_s:g} s times the largest gain is {largest:g}",
+                f"is {time_step_s:g} s; multiplied by the largest gain it is {largest:g}",
                 key="control.time_step_s",
-                remedy="keep it above 0 and at most 1, or agents overshoot",
+                remedy="keep this product above 0 and at most 1, otherwise agents overshoot",
             )
         return np.minimum(
             time_step_s * np.where(responds, self.event_per_s, self.coverage_per_s), 1.0
@@ -197,7 +197,8 @@ def _inert_moves(task: _Task, now: Floats) -> tuple[Floats, Floats]:
     speed = np.linalg.norm(now, axis=1)
     if not _shorter(now, most).all():
         raise InputError(
-            f"agent {int(speed.argmax())} is faster than {task.limits.speed_m_s:g} m/s",
+            f"agent {int(speed.argmax())} exceeds its maximum speed of "
+            f"{task.limits.speed_m_s:g} m/s",
             key="velocities",
         )
     stops = places + braking_offsets_m(now, change)

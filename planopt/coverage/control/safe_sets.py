@@ -161,8 +161,8 @@ def separate_cells(
     if (gap <= 2.0 * body_radius_m).any():
         worst = int(gap.argmin())
         raise InputError(
-            f"agents {one[worst]} and {other[worst]} are {gap[worst]:g} m apart, their bodies "
-            f"touch at {2.0 * body_radius_m:g} m",
+            f"agents {one[worst]} and {other[worst]} overlap: their centres are {gap[worst]:g} "
+            f"m apart, less than the body diameter of {2.0 * body_radius_m:g} m",
             key="agents",
             remedy="place them farther apart, or give a smaller agents.body_radius_m",
         )
@@ -212,7 +212,7 @@ def ground_sets(
     if outside.any():
         which = int(outside.argmax())
         x, y = places_m[which]
-        raise InputError(f"({x:g}, {y:g}) is not in the free area", key=f"agents[{which}]")
+        raise InputError(f"is at ({x:g}, {y:g}) m, outside the free area", key=f"agents[{which}]")
     if isinstance(ground, ConvexGround):
         region = ground.region
         heights = np.maximum(places_m @ region.normals.T, stops_m @ region.normals.T)
@@ -223,9 +223,9 @@ def ground_sets(
     kept_m = float(shapely.distance(border, ground.area.polygon))  # pyright: ignore[reportUnknownMemberType]
     if kept_m < keep_m - ON_BORDER * ground.hull.radius_m:
         raise InputError(
-            f"the ground keeps {kept_m:g} m from obstacles, agents have to keep {keep_m:g} m",
+            f"the region was built with a clearance of {kept_m:g} m, but agents need {keep_m:g} m",
             key="world.clearance_m",
-            remedy="make the ground with that clearance",
+            remedy="build the region with the clearance that agents need",
         )
     # Clip the line to the aim to its reachable and free part.
     line = aims_m - places_m

@@ -111,7 +111,9 @@ def program_of(expression: Any, steps: int) -> str:
     """Return the program text of a CasADi expression for a path of `steps` steps."""
     if not isinstance(steps, int | np.integer) or steps < 1:
         raise InputError(
-            f"is {steps!r}", key="horizon", remedy="give the whole number of steps that are planned"
+            f"is {steps!r}, should be a whole number of at least 1",
+            key="horizon",
+            remedy="give the number of planned steps",
         )
     symbols = {name: ca.SX.sym(name, *shape) for name, shape in _shapes(steps).items()}
     remedy = f"return a scalar of {', '.join(symbols)}"
@@ -120,13 +122,13 @@ def program_of(expression: Any, steps: int) -> str:
         function = ca.Function("value", list(symbols.values()), [ca.densify(ca.SX(value))])
     except (RuntimeError, NotImplementedError, TypeError, ValueError) as error:
         raise InputError(
-            f"the expression is not one of CasADi: {str(error).splitlines()[-1]}",
+            f"is not a CasADi expression: {str(error).splitlines()[-1]}",
             key="expression",
             remedy=remedy,
         ) from None
     if function.size_out(0) != (1, 1):
         raise InputError(
-            f"the expression has the shape {function.size_out(0)}, not that of a number",
+            f"has the shape {function.size_out(0)}, should be a scalar",
             key="expression",
             remedy=remedy,
         )
@@ -221,12 +223,11 @@ def _parsed(program: str, symbols: Mapping[str, Any], steps: int) -> Any:
                     raise ValueError
         except (SyntaxError, ValueError, KeyError, TypeError, RecursionError, MemoryError):
             raise InputError(
-                f"line {row} of {len(lines)} ({line[:60]}) is not one of an expression of "
-                f"{steps} steps",
+                f"has an invalid line for {steps} steps: line {row} of {len(lines)}, {line[:60]}",
                 key="program",
-                remedy="write programs by planopt.extend.casadi_term",
+                remedy="create programs with planopt.extend.casadi_term",
             ) from None
-    raise InputError("has no value in its last line", key="program")
+    raise InputError("does not compute a value in its last line", key="program")
 
 
 def _built(node: ast.AST, names: Mapping[str, Any], symbols: Mapping[str, Any]) -> Any:
@@ -264,7 +265,7 @@ def _value(expression: Any, symbols: dict[str, Any], remedy: str) -> Any:
     if not isinstance(expression, ca.Function):
         if not callable(expression):
             raise InputError(
-                f"is a {type(expression).__name__}, nothing that can be called",
+                f"is of type {type(expression).__name__}, should be a function",
                 key="expression",
                 remedy=f"give a function of path, for instance lambda path: ...; {remedy}",
             )
@@ -274,9 +275,9 @@ def _value(expression: Any, symbols: dict[str, Any], remedy: str) -> Any:
     unknown = [name for name in names if name not in symbols]
     if unknown or expression.n_out() != 1:
         raise InputError(
-            f"has the inputs {names} and {expression.n_out()} outputs",
+            f"has the inputs {names} and {expression.n_out()} outputs, which do not fit",
             key="expression",
-            remedy=f"name inputs as in {', '.join(symbols)}, and give one output",
+            remedy=f"name each input as one of {', '.join(symbols)}, and return one output",
         )
     return expression.expand()(*(symbols[name] for name in names))
 
@@ -296,7 +297,7 @@ def _line(function: Any, k: int, names: list[str], steps: int) -> str:
         return f"v{writes[0]} = {function.instruction_constant(k)!r}".replace("inf", "1e999")
     if code not in TEXTS:
         raise InputError(
-            f"operation {code} of the expression cannot be saved",
+            f"has the CasADi operation {code}, which cannot be saved",
             key="expression",
             remedy=f"use + - * / **, comparisons and {', '.join(FUNCTIONS)}",
         )
@@ -326,36 +327,35 @@ class CasadiTerm(Term):
         for name in ("mean_db", "deviation_db"):
             if setting.stations > 1 and name in names_in(self.program):
                 raise InputError(
-                    f"reads {name}, which is of one station's power, and there are "
+                    f"reads {name}, the power of a single station, but the problem has "
                     f"{setting.stations} stations",
                     key="program",
-                    remedy="read connectivity, which is to any of them, or leave one entry of "
-                    "stations",
+                    remedy="read connectivity, the probability of connection to any station, or "
+                    "keep only one entry of stations",
                 )
         steps = setting.horizon
         if self.steps != steps:
             raise InputError(
-                f"is {self.steps}, and planner.horizon is {steps}",
+                f"is {self.steps}, but planner.horizon is {steps}",
                 key="steps",
-                remedy="write the term by planopt.extend.casadi_term for this horizon",
+                remedy="create the term again for this horizon with planopt.extend.casadi_term",
             )
         nothing = {name: np.zeros((1, steps, width)) for name, width in WIDTHS.items()}
         expression_values(self.program, steps, nothing | {START: np.zeros((1, 1, 2))})
         if "target_m" in names_in(self.program) and not setting.has_target:
             raise InputError(
-                "reads target_m, and there is no target",
+                "reads target_m, but the problem has no target",
                 key="program",
-                remedy="add an entry of targets and a term of kind tracking, of weight 0 if need "
-                "be",
+                remedy="add an entry of targets and a term of kind tracking (its weight may be 0)",
             )
 
     def known(self, at: TermContext, steps: int) -> dict[str, Floats]:
         """Return the inputs that do not depend on the path: start, and target if any."""
         if self.steps != steps:
             raise InputError(
-                f"an expression is for {self.steps} steps, the plan has {steps}",
+                f"contains an expression for {self.steps} steps, but the plan has {steps}",
                 key="objective.terms",
-                remedy=f"build it again by planopt.extend.casadi_term, with horizon {steps}",
+                remedy=f"create it again with planopt.extend.casadi_term for horizon {steps}",
             )
         known = {START: at.position_m[None]}
         if at.target_m is not None:
@@ -376,9 +376,9 @@ class CasadiTerm(Term):
         value = float(expression_values(self.program, self.steps, each)[0])
         if not np.isfinite(value):
             raise InputError(
-                f"is {value:g} for a path that may be driven",
+                f"is {value:g} for a feasible path",
                 key="program",
-                remedy="keep logarithms and quotients away from 0, for every path",
+                remedy="avoid logarithms of 0 and division by 0 for every path",
             )
         return value
 

@@ -255,9 +255,11 @@ class MappingTerm(MeasuredTerm):
         """Reject the two-layer form with several stations."""
         if self.form == "two_layer" and setting.stations > 1:
             raise InputError(
-                f"two_layer steers by one station's map, and there are {setting.stations}",
+                'is "two_layer", which supports only one station, but the problem has '
+                f"{setting.stations}",
                 key="form",
-                remedy="information, average or path, or leave one entry of stations",
+                remedy='use form = "information", "average" or "path", or keep only one entry of '
+                "stations",
             )
 
     def gain(self, at: TermContext, posterior: ChannelPosterior) -> Gain:

@@ -140,8 +140,8 @@ class Term:
     def _without(self, method: str) -> InputError:
         """Return the error for a class that lacks `method`."""
         return InputError(
-            f"{class_name(self)} has no method {method}",
-            remedy=f"define {method}, or derive the class from planopt.extend.OwnTerm and define "
+            f"{class_name(self)} does not define the method {method}",
+            remedy="define it, or derive the class from planopt.extend.OwnTerm and define "
             "expression",
         )
 
@@ -203,8 +203,8 @@ def register(term: type[Term]) -> None:
     known = _kinds.get(kind)
     if known is not None and class_name(known) != class_name(term):
         raise InputError(
-            f"kind {kind!r} of {class_name(term)} is that of {class_name(known)} already",
-            remedy="give the term a kind of its own",
+            f"the kind {kind!r} of {class_name(term)} is already used by {class_name(known)}",
+            remedy="choose another kind",
         )
     _kinds[kind] = term
 
@@ -214,16 +214,16 @@ def require_kind(term: Term, key: str) -> None:
     made = type(term)
     if not hasattr(made, "kind"):
         raise InputError(
-            f"{class_name(made)} has no kind",
+            f"the class {class_name(made)} has no attribute kind",
             key=key,
-            remedy='add kind: ClassVar[str] = "..." to the class: its name in problem files',
+            remedy='add kind: ClassVar[str] = "...", the name of the term in problem files',
         )
     known = {each.name for each in fields(term)} | {*inspect.get_annotations(Term)}
     stray = [name for name in inspect.get_annotations(made) if name not in known]
     if (stray or "__init__" in vars(made)) and "__dataclass_params__" not in vars(made):
         raise InputError(
-            f"{class_name(made)} is no dataclass: {listed(stray or ['__init__'])} would not be "
-            "saved",
+            f"the class {class_name(made)} is not a dataclass: {listed(stray or ['__init__'])} "
+            "would not be saved",
             key=key,
             remedy="write @dataclass(frozen=True) above the class",
         )

@@ -132,13 +132,15 @@ class TrackingTerm(Term):
         """Require a criterion that the form supports, and a positive step weight."""
         if self.criterion != "trace" and self.form == "additive":
             raise InputError(
-                f"{self.criterion} is no criterion of the form additive",
+                f'is {self.criterion!r}, which form = "additive" does not support',
                 key="criterion",
                 remedy='use form = "recourse", or criterion = "trace"',
             )
         if self.step_weights and not any(self.step_weights):
             raise InputError(
-                "no step counts", key="step_weights", remedy="give a step a weight above 0"
+                "has only zeros, so that no step counts",
+                key="step_weights",
+                remedy="give at least one step a weight above 0",
             )
 
     def settings(self, at: TermContext) -> Tracking:

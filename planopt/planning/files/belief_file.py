@@ -204,7 +204,7 @@ def _read_station(path: Path, prefix: str, arrays: Arrays) -> SavedBelief:
         if stored.shape is None:
             continue
         if stored.name not in arrays:
-            raise fault(stored.name, "the array is missing")
+            raise fault(stored.name, "is missing")
         found = arrays[stored.name]
         wanted = [count if size == "n" else size for size in stored.shape]
         fits = found.ndim == len(wanted) and all(
@@ -214,7 +214,7 @@ def _read_station(path: Path, prefix: str, arrays: Arrays) -> SavedBelief:
             message = f"an array of shape {found.shape} and type {found.dtype} does not fit"
             raise fault(stored.name, message)
         if not ((found >= stored.least) & (found <= stored.largest)).all():
-            raise fault(stored.name, f"a number is not from {stored.least:g} to {stored.largest:g}")
+            raise fault(stored.name, f"has a number outside {stored.least:g} to {stored.largest:g}")
     numbers = arrays["parameters"].tolist()
     if numbers[3] <= 0.0 or numbers[2] < 0.0 or numbers[4] < 0.0:
         raise fault("parameters", f"{numbers} are no channel parameters")

@@ -159,7 +159,12 @@ def drive_of(
             raise InputError(message, file=file, key=key, remedy=REMEDY)
         numbers = np.array(column, dtype=np.float64)
         if not np.isfinite(numbers[1 if name in dynamics.input_names else 0 :]).all():
-            raise InputError("lacks a number", file=file, key=f"{key}.{name}", remedy=REMEDY)
+            raise InputError(
+                "has an empty cell where a number is needed",
+                file=file,
+                key=f"{key}.{name}",
+                remedy=REMEDY,
+            )
         columns.append(numbers)
     split = len(dynamics.state_names) - 2
     states = np.column_stack([positions_m, *columns[:split]])

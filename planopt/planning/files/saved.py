@@ -272,15 +272,15 @@ def _json_file(path: Path) -> Path:
     found = [path / name for name in (PLAN_FILE, RUN_FILE) if (path / name).is_file()]
     if not found:
         raise InputError(
-            f"no saved plan or run: neither {PLAN_FILE} nor {RUN_FILE} is there",
+            f"has no saved plan or run: {PLAN_FILE} and {RUN_FILE} are missing",
             file=path,
-            remedy="name the folder that --out was given",
+            remedy="give the folder that was given to --out",
         )
     if len(found) > 1:
         raise InputError(
-            f"{PLAN_FILE} and {RUN_FILE} are both there, and the other files belong to one of them",
+            f"has both {PLAN_FILE} and {RUN_FILE}, but the other files belong to only one of them",
             file=path,
-            remedy="remove one",
+            remedy="remove one of the two",
         )
     return found[0]
 
@@ -300,7 +300,7 @@ def _read_json(file: Path) -> Mapping[str, Any]:
     try:
         data = json.loads(text, object_pairs_hook=once)
     except (ValueError, RecursionError) as error:
-        raise InputError(f"is no JSON: {error}", file=file, remedy=REMEDY) from None
+        raise InputError(f"is not JSON: {error}", file=file, remedy=REMEDY) from None
     if HALF_PAIR.search(text):
         try:
             json.dumps(data, ensure_ascii=False).encode()
@@ -308,7 +308,7 @@ def _read_json(file: Path) -> Mapping[str, Any]:
             message = "has a text with half of a surrogate pair"
             raise InputError(message, file=file, remedy=REMEDY) from None
     if not isinstance(data, dict):
-        raise InputError("is no JSON object", file=file, remedy=REMEDY)
+        raise InputError("is not a JSON object", file=file, remedy=REMEDY)
     return cast("Mapping[str, Any]", data)
 
 

@@ -379,7 +379,10 @@ class Run(Result):
 def _only(several: Sequence[_Entry], name: str) -> _Entry:
     """Return the only entry of `several`."""
     if len(several) != 1:
-        raise InputError(f"there are {len(several)} robots", remedy=f"use {name}, one of each")
+        raise InputError(
+            f"the run has {len(several)} robots, so that a single result is undefined",
+            remedy=f"use {name}, which has one entry for each robot",
+        )
     return several[0]
 
 

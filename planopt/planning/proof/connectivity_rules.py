@@ -51,20 +51,20 @@ class EachStep(Rule):
         end_s = max(planner.max_steps, planner.horizon) * planner.step_s
         if min(times_s, default=0.0) > end_s * (1.0 + WHOLE_STEPS):
             raise InputError(
-                f"begin with {min(times_s):g}, and a run ends after {end_s:g} s: nothing would be "
-                "asked",
+                f"has only times from {min(times_s):g} s on, but a run ends after {end_s:g} s",
                 file=problem.file,
                 key="constraints.connected_times_s",
-                remedy="state earlier times, or raise planner.max_steps",
+                remedy="give earlier times, or increase planner.max_steps",
             )
         for number, time_s in enumerate(times_s):
             steps = time_s / planner.step_s
             if round(steps) < 1 or abs(steps - round(steps)) > WHOLE_STEPS:
                 raise InputError(
-                    f"is {time_s:g}, which is no multiple of planner.step_s {planner.step_s:g}",
+                    f"is {time_s:g} s, which is not a multiple of planner.step_s "
+                    f"({planner.step_s:g} s)",
                     file=problem.file,
                     key=f"constraints.connected_times_s[{number}]",
-                    remedy="state times at which a step ends",
+                    remedy="give times at which a step ends",
                 )
 
     def counted(self, history: History, count: int) -> NDArray[np.bool_]:
@@ -134,10 +134,10 @@ def _require_shown(problem: Problem, words: str, remedy: str) -> None:
     p_min = problem.constraints.p_min
     if p_min > MOST_PROBABLE:
         raise InputError(
-            f"is {p_min:g}, and more than {MOST_PROBABLE:g} cannot be shown {words}",
+            f"is {p_min:g}, but more than {MOST_PROBABLE:g} cannot be verified {words}",
             file=problem.file,
             key="constraints.p_min",
-            remedy=f"ask for less, or {remedy}",
+            remedy=f"require less, or {remedy}",
         )
 
 
@@ -181,7 +181,7 @@ class Joint(Rule):
         """Raise an InputError for a probability that several stations cannot demonstrate."""
         if len(problem.stations) > 1:
             words = f"of all steps together with {len(problem.stations)} stations"
-            _require_shown(problem, words, "leave one entry of stations")
+            _require_shown(problem, words, "keep only one entry of stations")
 
     def achieved(
         self, probability: NDArray[np.float64], history: History
@@ -366,5 +366,5 @@ def _require_deliverable(problem: Problem) -> None:
             "deadline_s when always connected",
             file=problem.file,
             key="constraints.data_mbit",
-            remedy="lessen it, or allow more time",
+            remedy="reduce it, or increase constraints.deadline_s or constraints.rate_mbit_s",
         )

@@ -140,12 +140,12 @@ class Rule(ABC):
         if (slope * PROBE < -ROUNDING * size).any():
             worst = int(np.argmin(slope))
             raise InputError(
-                f"{class_name(self)}.achieved falls by {-slope.flat[worst]:.3g} for each 1 by "
-                f"which the probability of step {worst % slope.shape[-1] + 1} rises, at "
-                f"{probability.flat[worst]:.3g}",
+                f"{class_name(self)}.achieved decreases if the probability of connection at "
+                f"step {worst % slope.shape[-1] + 1} increases (slope {slope.flat[worst]:.3g} "
+                f"at {probability.flat[worst]:.3g})",
                 key="constraints.connectivity",
-                remedy="return what does not fall where a probability of connection rises, such "
-                "as 1 less a probability of outage",
+                remedy="return a value that never decreases with a probability of connection, such "
+                "as 1 minus a probability of outage",
             )
         return value, np.maximum(slope, 0.0)
 
@@ -266,7 +266,8 @@ class OwnRule(Rule):
         super().__init_subclass__(**keywords)
         if not cls.asks_p_min and cls.asked is OwnRule.asked:
             raise InputError(
-                f"{class_name(cls)} has asks_p_min = False and no method asked",
+                f"the class {class_name(cls)} sets asks_p_min = False but does not define the "
+                "method asked",
                 key="asked",
                 remedy="define asked(self, p_min), or leave asks_p_min out",
             )
@@ -323,7 +324,7 @@ class OwnRule(Rule):
         if (np.abs(values - inside) > ROUNDING).any():
             worst = values.flat[int(np.argmax(np.abs(values - inside)))]
             raise InputError(
-                f"{class_name(self)}.{method} returned {worst:.6g}, which is no {self.unit}",
+                f"{class_name(self)}.{method} returned {worst:.6g}, which is not a {self.unit}",
                 key=KEY,
                 remedy=f'return {words}, or set the attribute unit, e.g. unit = "steps"',
             )

@@ -140,10 +140,11 @@ def _derivatives(term: Term, near: NearPath) -> Part:
         part = term.derivatives(near)
     if not isinstance(cast("object", part), PathDerivatives | Derivatives):
         raise InputError(
-            f"{class_name(term)}.derivatives returned a {type(part).__name__}",
+            f"{class_name(term)}.derivatives returned a {type(part).__name__}, should return "
+            "PathDerivatives",
             key="objective.terms",
             remedy="return PathDerivatives(value, gradient, hessian), or derive the class from "
-            "planopt.extend.OwnTerm, which needs an expression alone",
+            "planopt.extend.OwnTerm, which needs only an expression",
         )
     if is_own(term):
         _require_shapes(term, part, len(near.places_m))

@@ -365,7 +365,7 @@ def test_first_measurements_that_cannot_be_fitted(run_folder: Path) -> None:
 def test_plan_and_run_in_one_folder(plan_folder: Path, run_folder: Path) -> None:
     """Nobody can tell which of them the other files belong to."""
     (run_folder / "run.json").replace(plan_folder / "run.json")
-    with pytest.raises(InputError, match="both there"):
+    with pytest.raises(InputError, match="has both"):
         check(plan_folder)
 
 

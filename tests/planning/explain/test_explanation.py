@@ -15,7 +15,7 @@ from planopt.planning.explanation import Relaxation
     [
         (
             "constraints.p_min",
-            "constraints.p_min = 2 cannot be kept at steps 1-2, 4, short by 3 dB",
+            "constraints.p_min = 2 cannot be met at steps 1-2, 4, short by 3 dB",
         ),
         (
             "robots[0].speed_max_m_s",
@@ -31,7 +31,7 @@ def test_limits_stand_in_the_way(key, words):
     """What is asked for cannot be kept; nobody asks for a limit to be kept."""
     said = str(Relaxation(key, "", 2.0, (1, 2, 4), 3.0, "dB", 4.0, True, "robot"))
     assert said.startswith(words)
-    assert said.endswith("; 4 would do (verified by solving again)")
+    assert said.endswith("; 4 would suffice (confirmed by solving again)")
 
 
 def test_a_problem_whose_plan_is_verified_has_nothing_to_relax() -> None:

@@ -209,7 +209,7 @@ def test_damage_is_an_error(plan_folder: Path, run_folder: Path, file, key, dama
 
 def test_a_named_file_that_is_not_there(tmp_path: Path) -> None:
     """The JSON file itself, when it does not exist."""
-    with pytest.raises(InputError, match="there is no such file"):
+    with pytest.raises(InputError, match="does not exist"):
         read_saved(tmp_path / "plan.json")
 
 

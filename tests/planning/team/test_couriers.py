@@ -180,7 +180,9 @@ def test_no_path_names_the_robot():
     """The wall cuts off one goal of two."""
     wall = shapely.box(20, 0, 21, 30)
     problem = couriers((wall,), [((5, 5), (15, 25)), ((5, 25), (35, 25))])
-    with pytest.raises(planopt.NoPlanError, match=r"courier1: obstacles cut off robots\[1\]"):
+    with pytest.raises(
+        planopt.NoPlanError, match=r"courier1: obstacles separate the goal robots\[1\]"
+    ):
         simulate(problem, prepared=prepared_of(problem))
 
 

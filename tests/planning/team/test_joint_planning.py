@@ -223,8 +223,8 @@ def test_weights_are_read_and_saved():
     [
         ((1.0,), r"weights has 1 numbers for 2 objective\.terms"),
         ((0.0, 0.0), r"weights are all 0"),
-        ((-1.0, 1.0), r"robots\[\]\.weights\[0\]: is -1\.0"),
-        ((float("nan"), 1.0), r"robots\[\]\.weights\[0\]: is nan"),
+        ((-1.0, 1.0), r"robots\[\]\.weights\[0\] is -1\.0"),
+        ((float("nan"), 1.0), r"robots\[\]\.weights\[0\] is nan"),
     ],
 )
 def test_weights_that_say_nothing_are_named(weights, words):

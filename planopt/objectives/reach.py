@@ -48,10 +48,10 @@ def charged_length_m(lengths_m: Floats, share: Floats) -> float:
     return float(0.5 * lengths_m @ (share[:-1] + share[1:]))
 
 
-PIECE_M = 0.5
+PIECE_M = 1.0
 """Longest piece of the quadrature of a route's cost."""
 
-GAUSS = np.polynomial.legendre.leggauss(4)
+GAUSS = np.polynomial.legendre.leggauss(3)
 
 
 def integrated_cost_m(metre_cost: Callable[[Floats], Floats], places_m: Floats) -> float:

@@ -21,7 +21,7 @@ from planopt.world.clearance import ObstacleIndex, segments_clear
 MetreCost = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 """Function from positions (n, 2) to the cost of a metre at each; (n,)."""
 
-PIECES = (8, 16, 32, 64)
+PIECES = (8, 16, 32, 64, 128, 256)
 """Numbers of pieces of a route on the levels of smoothing."""
 
 OFFSETS = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
@@ -30,13 +30,16 @@ OFFSETS = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
 WIDEST, NARROWEST = 0.25, 0.002
 """First and last unit of a level, in lengths of its pieces."""
 
+FINEST = 2.0
+"""Shortest piece of a level, in spacings of the raster."""
+
 PASSES = 4
 """Maximum number of passes with the same unit."""
 
 RASTER_SHARE = 3e-3
 """Spacing of the raster of costs, in diagonals of the workspace; values are interpolated."""
 
-RASTER_M = (0.2, 1.5)
+RASTER_M = (0.2, 3.0)
 """Smallest and largest spacing."""
 
 
@@ -48,14 +51,13 @@ def smooth_route(
     corners_m: NDArray[np.float64],  # (n, 2)
 ) -> NDArray[np.float64]:
     """Return a route between the same ends that costs at most as much; (m, 2)."""
-    raster = _Raster(metre_cost, bounds_m)
-    best, best_m = corners_m, integrated_cost_m(metre_cost, corners_m)
+    raster = CostRaster(metre_cost, bounds_m)
     total = float(np.linalg.norm(np.diff(corners_m, axis=0), axis=1).sum())
     route = corners_m
     for pieces in PIECES:
-        if total == 0.0:
-            break
         longest = total / pieces
+        if longest < FINEST * raster.spacing_m:
+            break
         route = stops_along(_taut(raster, index, clearance_m, route), longest)
         unit = WIDEST * longest
         while unit > NARROWEST * longest:
@@ -66,13 +68,11 @@ def smooth_route(
                 if is_same:
                     break
             unit *= 0.5
-        cost_m = integrated_cost_m(metre_cost, route)
-        if cost_m < best_m:
-            best, best_m = route, cost_m
-    return best
+    costs_m = [integrated_cost_m(metre_cost, each) for each in (corners_m, route)]
+    return route if costs_m[1] < costs_m[0] else corners_m
 
 
-class _Raster:
+class CostRaster:
     """Cost of a metre at the nodes of a raster, computed where needed and interpolated."""
 
     def __init__(self, metre_cost: MetreCost, bounds_m: tuple[float, float, float, float]) -> None:
@@ -111,7 +111,7 @@ class _Raster:
 
 
 def _taut(
-    raster: _Raster,
+    raster: CostRaster,
     index: ObstacleIndex,
     clearance_m: float,
     corners_m: NDArray[np.float64],
@@ -136,7 +136,7 @@ def _taut(
 
 
 def _moved(
-    raster: _Raster,
+    raster: CostRaster,
     index: ObstacleIndex,
     bounds_m: tuple[float, float, float, float],
     clearance_m: float,
@@ -175,3 +175,47 @@ def _moved(
     for k in range(count - 1, 0, -1):
         chosen.append(int(before[k][chosen[-1]]))
     return places[np.arange(count), chosen[::-1]]
+
+
+ROUND = np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]), axis=-1).reshape(-1, 2)
+"""Moves of a position of a plan in each pass, in units of the pass; no move is in the middle."""
+
+STEP_UNITS = 0.25 * 0.5 ** np.arange(7)
+"""Units of the passes over the positions of a plan, in longest steps."""
+
+STEP_PASSES = 6
+"""Maximum number of passes with the same unit."""
+
+
+def smooth_steps(
+    leg_value: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]],
+    places_m: NDArray[np.float64],
+    longest_m: float,
+) -> NDArray[np.float64]:
+    """Return positions (k + 1, 2) whose legs cost least; the first and the last position stay.
+
+    `leg_value` maps starts and ends (n, k, 2) of the k legs to costs (n, k), infinite if a leg is
+    not allowed.
+    """
+    places = places_m.copy()
+    choices, still = len(ROUND), len(ROUND) // 2
+    for unit in (longest_m * STEP_UNITS).tolist():
+        for _ in range(STEP_PASSES):
+            moved = places[:, None] + unit * ROUND
+            moved[0], moved[-1] = places[0], places[-1]
+            starts = np.repeat(moved[:-1], choices, axis=1).swapaxes(0, 1)
+            values = leg_value(starts, np.tile(moved[1:], (1, choices, 1)).swapaxes(0, 1))
+            legs = values.T.reshape(-1, choices, choices)
+            cost, before = legs[0][still], list[NDArray[np.intp]]()
+            for leg in legs[1:]:
+                through = cost[:, None] + leg
+                before.append(through.argmin(axis=0))
+                cost = through.min(axis=0)
+            chosen = [still]
+            for back in before[::-1]:
+                chosen.append(int(back[chosen[-1]]))
+            found = moved[1:-1][np.arange(len(places) - 2), chosen[:0:-1]]
+            if not np.isfinite(cost[still]) or np.array_equal(found, places[1:-1]):
+                break
+            places[1:-1] = found
+    return places

@@ -1,0 +1,191 @@
+"""Attacks on route bounds: best known routes in random scenes, enumeration, wrong potentials."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise, permutations
+
+import numpy as np
+import pytest
+import shapely
+from scipy.sparse import csr_matrix
+from scipy.sparse.csgraph import dijkstra
+
+from planopt.bounds.route import RouteProblem, route_bounds, verified_value
+from planopt.channel import ChannelParameters, Measurements, Station, condition
+from planopt.objectives.reach import integrated_cost_m
+
+SIZE_M = (40.0, 30.0)
+GRID_M = 2.0
+MOVES = [(1, 0), (0, 1), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1)]
+
+
+def random_problem(seed: int) -> RouteProblem:
+    """A random channel, up to four obstacles, one or two stations, either charge."""
+    generator = np.random.default_rng(seed)
+    posteriors = []
+    for _ in range(int(generator.integers(1, 3))):
+        site = generator.uniform((0.0, 0.0), SIZE_M)
+        height = float(generator.choice([0.0, 2.0]))
+        parameters = ChannelParameters(
+            -30.0,
+            float(generator.uniform(2.0, 4.0)),
+            float(generator.uniform(1.0, 8.0)),
+            float(generator.uniform(2.0, 20.0)),
+            float(generator.uniform(0.5, 3.0)),
+            Station((float(site[0]), float(site[1])), height),
+        )
+        positions = generator.uniform((0.0, 0.0), SIZE_M, (int(generator.integers(5, 40)), 2))
+        power = -30.0 - 28.0 * np.log10(np.hypot(*(positions - site).T) + 1.0)
+        power += generator.normal(0.0, 5.0, len(positions))
+        posteriors.append(condition(parameters, Measurements(positions, power)))
+    corners = generator.uniform((4.0, 4.0), (30.0, 22.0), (int(generator.integers(0, 5)), 2))
+    boxes = [shapely.box(x, y, x + 5.0, y + 4.0) for x, y in corners]
+    return RouteProblem(
+        bounds_m=(0.0, 0.0, *SIZE_M),
+        obstacles=boxes,
+        clearance_m=float(generator.choice([0.0, 0.5, 1.0])),
+        start_m=np.array([2.0, float(generator.integers(1, 15)) * GRID_M]),
+        goal_m=np.array([38.0, float(generator.integers(1, 15)) * GRID_M]),
+        goal_radius_m=float(generator.choice([0.1, 1.0])),
+        price=float(generator.choice([0.0, 1.0, 10.0])),
+        free_above=float(generator.choice([2.0, 0.8])),
+        posteriors=posteriors,
+        thresholds_dbm=[float(generator.uniform(-75.0, -60.0)) for _ in posteriors],
+    )
+
+
+def metre_costs(problem: RouteProblem, places_m: np.ndarray) -> np.ndarray:
+    """The cost of a metre, from the posteriors' own predictions."""
+    silent = np.ones(len(places_m))
+    for posterior, threshold in zip(problem.posteriors, problem.thresholds_dbm, strict=True):
+        silent *= 1.0 - posterior.connectivity(places_m, threshold)
+    silent[1.0 - silent >= problem.free_above] = 0.0
+    return 1.0 + problem.price * silent
+
+
+def is_clear(problem: RouteProblem, line: shapely.LineString) -> bool:
+    """Whether a segment keeps the clearance."""
+    gap = min((line.distance(each) for each in problem.obstacles), default=np.inf)
+    return gap > 0.0 and gap >= problem.clearance_m
+
+
+def best_known_m(problem: RouteProblem) -> float | None:
+    """The cost of the cheapest route on a grid with 16 headings; None without one."""
+    xs = np.arange(0.0, SIZE_M[0] + 0.1, GRID_M)
+    ys = np.arange(0.0, SIZE_M[1] + 0.1, GRID_M)
+    nodes = np.stack(np.meshgrid(xs, ys, indexing="ij"), axis=-1)
+    index = np.arange(nodes[..., 0].size).reshape(nodes.shape[:2])
+    pairs = []
+    for right, up in MOVES:
+        one = index[: len(xs) - right, max(0, -up) : len(ys) - max(0, up)]
+        other = index[right:, max(0, up) : len(ys) + min(0, up)]
+        pairs.append(np.column_stack([one.ravel(), other.ravel()]))
+    ends, flat = np.vstack(pairs), nodes.reshape(-1, 2)
+    lines = shapely.linestrings(flat[ends])
+    gap = np.full(len(lines), np.inf)
+    for each in problem.obstacles:
+        gap = np.minimum(gap, shapely.distance(lines, each))
+    ends = ends[(gap > 0.0) & (gap >= problem.clearance_m)]
+    middle = flat[ends].mean(axis=1)
+    length = np.linalg.norm(np.diff(flat[ends], axis=1)[:, 0], axis=1)
+    graph = csr_matrix((length * metre_costs(problem, middle), tuple(ends.T)), (len(flat),) * 2)
+    start, goal = (
+        int(np.linalg.norm(flat - place, axis=1).argmin())
+        for place in (problem.start_m, problem.goal_m)
+    )
+    cost, before = dijkstra(graph, directed=False, indices=start, return_predecessors=True)
+    if not np.isfinite(cost[goal]):
+        return None
+    route = [goal]
+    while route[-1] != start:
+        route.append(int(before[route[-1]]))
+    return integrated_cost_m(lambda places: metre_costs(problem, places), flat[route[::-1]])
+
+
+def compare(seeds: range, seconds: float) -> int:
+    """Compare bounds with the best known routes; return the number of comparisons."""
+    compared = solved = 0
+    for seed in seeds:
+        problem = random_problem(seed)
+        known = best_known_m(problem)
+        if known is None:
+            continue
+        *_, last = route_bounds(problem, seconds)
+        # The grid's route reaches the centre; its quadrature has an error.
+        assert last.value_m <= known * (1.0 + 1e-6), f"seed {seed}"
+        compared += 1
+        solved += last.potential is not None
+    print(f"{compared} comparisons, {solved} of them with a potential")
+    return compared
+
+
+def test_no_known_route_is_cheaper() -> None:
+    """Twenty random scenes; the slow test has ten thousand."""
+    assert compare(range(20), 0.4) >= 10
+
+
+@pytest.mark.slow
+def test_no_known_route_is_cheaper_in_ten_thousand_scenes() -> None:
+    """Ten thousand comparisons in random scenes."""
+    assert compare(range(20, 12_500), 0.1) >= 10_000
+
+
+def test_no_enumerated_route_is_cheaper() -> None:
+    """Every order of up to four waypoints of a set costs at least the bound."""
+    compared = 0
+    for seed in range(3):
+        problem = random_problem(seed)
+        *_, last = route_bounds(problem, 0.3)
+        generator = np.random.default_rng(seed)
+        places = generator.uniform((0.0, 0.0), SIZE_M, (5, 2))
+        for count in range(5):
+            for order in permutations(range(5), count):
+                route = np.vstack([problem.start_m, places[list(order)], problem.goal_m])
+                if all(is_clear(problem, shapely.LineString(leg)) for leg in pairwise(route)):
+                    cost = integrated_cost_m(lambda at, p=problem: metre_costs(p, at), route)
+                    assert last.value_m <= cost * (1.0 + 1e-6)
+                    compared += 1
+    print(f"{compared} comparisons")
+    assert compared > 50
+
+
+def test_wrong_potentials_only_loosen() -> None:
+    """Scaled, shifted and disturbed potentials prove at most the cost of a known route."""
+    generator = np.random.default_rng(0)
+    compared = 0
+    for seed in range(8):
+        problem = random_problem(seed)
+        known = best_known_m(problem)
+        *_, last = route_bounds(problem, 1.5)
+        if known is None or last.potential is None:
+            continue
+        assert verified_value(problem, last.potential) == pytest.approx(last.value_m, rel=1e-9)
+        for scale in (1e-4, 1e-2, 1.0, 100.0):
+            at_nodes = last.potential.at_nodes + generator.normal(
+                0.0, scale, last.potential.at_nodes.shape
+            )
+            factor = float(generator.uniform(-5.0, 5.0))
+            for changed in (
+                replace(last.potential, at_nodes=at_nodes),
+                replace(last.potential, at_nodes=last.potential.at_nodes + scale),
+                replace(
+                    last.potential,
+                    at_nodes=factor * last.potential.at_nodes,
+                    at_sides=factor * last.potential.at_sides,
+                ),
+            ):
+                assert verified_value(problem, changed) <= known
+                compared += 1
+    print(f"{compared} comparisons")
+    assert compared >= 12
+
+
+def test_holes_in_a_mesh_prove_nothing() -> None:
+    """A mesh without one of its triangles, or with a triangle twice, is no certificate."""
+    problem = random_problem(1)
+    *_, last = route_bounds(problem, 3.0)
+    assert last.potential is not None
+    corners = last.potential.corners
+    for changed in (corners[1:], np.vstack([corners, corners[:1]]), corners[:, ::-1]):
+        assert verified_value(problem, replace(last.potential, corners=changed)) == 0.0

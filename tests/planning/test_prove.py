@@ -53,14 +53,13 @@ def saved(solution: Solution, folder: Path) -> dict[str, object]:
 
 
 def test_plan_and_bound_are_close(solution: Solution) -> None:
-    """The bound is below the cost, the gap at most 10 %, and the route no longer than before."""
+    """The bound is below the cost, the gap at most 10 %, and no plan is dearer than before."""
     bound, plain = solution.plan.bound, planopt.solve(planopt.load("open_field")).plan
     assert plain.bound is None and bound is not None and bound.value is not None
     assert bound.value <= bound.cost <= plain.objective
     assert bound.gap == pytest.approx(1.0 - bound.value / bound.cost)
     assert bound.gap <= 0.1
     assert solution.plan.objective == pytest.approx(bound.cost, rel=2e-3)
-    assert (solution.plan.positions_m == plain.positions_m).all()
 
 
 def test_the_bound_is_saved_and_proven_again(solution: Solution, tmp_path: Path) -> None:

@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 67_300,
-    "lines of code": 48_200,
-    "files": 292,
-    "functions": 3_550,
+    "lines": 68_200,
+    "lines of code": 48_900,
+    "files": 296,
+    "functions": 3_600,
     "docstring lines": 8_740,
-    "lines of tests": 47_400,
+    "lines of tests": 47_650,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

@@ -25,6 +25,7 @@ from planopt.commands.output import print_out, standard_output, stopping
 from planopt.commands.path import export_path
 from planopt.commands.planning import check, simulate, solve
 from planopt.commands.problem_files import init, list_problems, schema, show_problem, validate
+from planopt.commands.report import report
 from planopt.errors import InputError, OutputError, PlanoptError, require_text
 from planopt.files.writing import strict_text
 
@@ -47,6 +48,7 @@ app.command("map")(map_log)
 app.command("import")(import_problem)
 app.command()(check)
 app.command("path")(export_path)
+app.command()(report)
 app.add_typer(bench, name="bench")
 app.command()(schema)
 app.command()(init)

@@ -41,7 +41,7 @@ PARQUET_FILE = "runs.parquet"
 
 COMPARISON = (
     *(COMPARISON_FILE, MANIFEST_FILE, RUNS_FILE, PARQUET_FILE),
-    *("comparison.png", "reliability.png", "traces.png"),
+    *("comparison.png", "reliability.png", "traces.png", "report.html"),
 )
 """Files of a comparison, including figures."""
 

@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from planopt.planning.check.check import CheckResult
+    from planopt.report.page import Page
     from planopt.studies.bench_cases import States
 
 RUN_PLANNER, RUN_STEPS = "auto", 20
@@ -220,6 +221,12 @@ class MotionTask(Task):
 
         is_plan = isinstance(result, Solution)
         return solution_in_words(result) if is_plan else run_in_words(result)
+
+    def page(self, result: Solution | Run) -> Page:
+        """Return the content of the HTML page of a result."""
+        from planopt.report.page_content import motion_page
+
+        return motion_page(result)
 
     def data(self, result: Solution | Run) -> dict[str, Any]:
         """Return the JSON object of a result."""

@@ -29,6 +29,8 @@ from planopt.problems.tasks import TaskProblem, problem_from, task_of
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from planopt.report.page import Page
+
 ANIMATION = "run.gif"
 
 NO_PLAN, NOT_VERIFIED = 4, 3
@@ -156,6 +158,21 @@ class Task:
             save_figures(self.figures(result), folder)
         if self.animate is not None and animation:
             self.animate(result, folder / ANIMATION)
+
+    def page(self, result: Any) -> Page:
+        """Return the content of the HTML page of a result."""
+        from planopt.report.page_content import task_page
+
+        problem = result.problem
+        return task_page(
+            problem.name,
+            problem.description,
+            result.data,
+            result.words,
+            {name: (self.columns[name], data) for name, data in result.tables.items()},
+            getattr(problem, "obstacles", ()),
+            self.tables(problem),
+        )
 
     def no_plan(self, action: Action, problem: Any, seed: int, error: NoPlanError) -> Any:
         """Return the result of an action without a plan."""

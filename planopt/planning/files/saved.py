@@ -64,6 +64,7 @@ PLAN_FILE, RUN_FILE = "plan.json", "run.json"
 PLAN_OR_RUN = (
     *(PLAN_FILE, RUN_FILE, STEPS_FILE, BELIEF_FILE, "belief_*.npz", TARGET_FILE),
     *(BOUND_FILE, KNOWLEDGE_FILE, "plan.png", "run.png", "run.gif", "series.png", "belief.png"),
+    "report.html",
 )
 """Files of a plan or run, including figures; a folder contains either a plan or a run."""
 

@@ -1,0 +1,35 @@
+"""``planopt report``: the HTML page of a saved result."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from planopt.commands.options import JsonOption
+from planopt.commands.output import progress, show
+
+
+def report(
+    result: Annotated[
+        Path, typer.Argument(metavar="PATH", help="The folder given as --out, or its JSON file.")
+    ],
+    json: JsonOption = False,
+) -> int:
+    """Write report.html next to a saved result: map, time slider, charts and tables."""
+    from planopt.files.writing import write_text
+    from planopt.report.page import PAGE_FILE, page_html
+    from planopt.tasks.calls import load_result
+    from planopt.tasks.pages import page_of
+
+    with progress("reading"):
+        found = load_result(result)
+    with progress("drawing"):
+        page = page_of(found)
+        file = (result if result.is_dir() else result.parent) / PAGE_FILE
+        write_text(file, page_html(page))
+    steps = 0 if page.map is None else len(page.map.times_s) - 1
+    data = {"file": str(file), "title": page.title, "steps": steps}
+    show(json, data, f"{file}: {page.title}")
+    return 0

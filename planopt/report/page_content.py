@@ -1,0 +1,492 @@
+"""Content of the pages of motion plans and runs, results of other tasks, and comparisons."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planopt.channel.posterior import Belief
+from planopt.files.tables import Column, Data
+from planopt.planning.files.run_tables import tables_of
+from planopt.planning.loop.log import StepLog
+from planopt.planning.loop.results import Run, Solution
+from planopt.planning.plan import Plan, Verdict
+from planopt.problems.load import problem_to_dict
+from planopt.problems.problem import Problem, problem_of_robot
+from planopt.report.maps import believed_rasters, map_window
+from planopt.report.motion_words import MEANING, certificate_in_words, planned_in_words
+from planopt.report.page import (
+    METRE_DIGITS,
+    POWER_DIGITS,
+    PROBABILITY_DIGITS,
+    SYMBOLS,
+    Chart,
+    Layer,
+    Page,
+    PageMap,
+    PageTable,
+    Place,
+    Track,
+    plain,
+    rounded,
+    table_of_columns,
+)
+from planopt.report.panel import (
+    BAND_WORDS,
+    BAND_Z,
+    BLACK,
+    GREEN,
+    ORANGE,
+    ROBOT_COLOURS,
+    VERMILLION,
+    YELLOW,
+)
+from planopt.report.tables import comparison_text, metric_label, metric_name
+from planopt.short_repr import shown_number
+from planopt.studies.comparison import Comparison, run_columns
+from planopt.studies.comparison_rows import setting_words, short_keys
+from planopt.studies.study import program
+from planopt.world.workspace import Obstacle
+
+TIME = "time [s]"
+
+
+def motion_page(result: Solution | Run) -> Page:
+    """Return the page of a motion plan or run."""
+    problem, run = result.problem, result if isinstance(result, Run) else None
+    plans = result.plans if isinstance(result, Solution) else ()
+    belief = result.belief if isinstance(result, Solution) else result.beliefs[0]
+    tracks = [_planned(plan) for plan in plans] if run is None else list(_driven(run))
+    known = [
+        PageTable("Key figures", ("name", "value"), _figures(result)),
+        *_result_tables(tables_of(result)),
+        *_settings(problem_to_dict(problem), result.seed),
+    ]
+    return Page(
+        title=f"{'Plan' if run is None else 'Run'} of {problem.name}",
+        description=problem.description,
+        words=result.words,
+        certificate=_plan_certificates(problem, plans) if run is None else _run_certificates(run),
+        map=_motion_map(problem, belief, tracks),
+        charts=_planned_charts(problem, plans) if run is None else _run_charts(run),
+        tables=known,
+    )
+
+
+def task_page(
+    name: str,
+    description: str,
+    data: Mapping[str, Any],
+    words: Sequence[str],
+    tables: Mapping[str, tuple[Sequence[Column], Data]],
+    obstacles: Sequence[Obstacle],
+    settings: Mapping[str, Any],
+) -> Page:
+    """Return the page of a result with paths in `data`, its JSON object, if any."""
+    tracks = [
+        Track(
+            str(robot["name"]),
+            np.array(robot["t_s"], dtype=np.float64),
+            np.column_stack([robot["x_m"], robot["y_m"]]),
+            str(robot.get("role", "robot")),
+        )
+        for robot in data.get("robots", ())
+    ]
+    figures = [(key, value) for key, value in _flat(data) if isinstance(value, int | float | str)]
+    faults = data.get("faults")
+    certificate = () if faults is None else (*map(str, faults),)
+    if faults == []:
+        certificate = ("The independent verifier found no violated constraint in any step.",)
+    return Page(
+        title=f"{'Run' if 'outcome' in data else 'Plan'} of {name}",
+        description=description,
+        words=words,
+        certificate=certificate,
+        map=PageMap(tracks, obstacles) if tracks else None,
+        tables=[
+            PageTable("Key figures", ("name", "value"), figures),
+            *_result_tables(tables),
+            *_settings(settings, data.get("seed")),
+        ],
+        charts=[
+            chart
+            for columns, table in tables.values()
+            if len(table.get("t_s", ())) > 1 and (np.diff(table["t_s"]) > 0.0).all()
+            for chart in _column_charts(columns, table)
+        ],
+    )
+
+
+def _result_tables(tables: Mapping[str, tuple[Sequence[Column], Data]]) -> list[PageTable]:
+    """Return the saved tables of a result."""
+    return [
+        table_of_columns(f"Table {name}", data, {one.name: one.unit for one in columns}, name)
+        for name, (columns, data) in tables.items()
+    ]
+
+
+def _column_charts(columns: Sequence[Column], table: Data) -> Iterator[Chart]:
+    """Yield a chart of each numeric column over time."""
+    for column in columns:
+        if column.kind == "number" and column.name != "t_s":
+            curve = _curve(0, column.name, table["t_s"], rounded(table[column.name], METRE_DIGITS))
+            label = plain(f"{column.name} [{column.unit or '1'}]")
+            yield Chart(column.meaning, [curve], TIME, label, over_time=True)
+
+
+def comparison_page(comparison: Comparison, settings: Mapping[str, Any]) -> Page:
+    """Return the page of a comparison; `settings` are the tables of its first problem."""
+    runs, found = comparison.runs, comparison.settings
+    names = short_keys(runs)
+    several = bool(comparison.others)
+    labels = [setting_words(each.one, names, several_problems=several) for each in found]
+    metrics = dict.fromkeys(row.metric for row in comparison.rows)
+    rows = [
+        (label, row.metric, row.mean, row.ci_low, row.ci_high, row.count, row.paired_ratio)
+        for label, setting in zip(labels, found, strict=True)
+        for row in setting.rows.values()
+    ]
+    head = ("setting", "metric", "mean", "95 % from", "95 % to", "runs", "paired ratio")
+    columns = run_columns(comparison)
+    listed = [name for name in columns if name != "step_s"]
+    counts = list(zip(*(columns[name] for name in listed), strict=True))
+    others = [problem.name for problem in comparison.others]
+    return Page(
+        title=f"Comparison of {', '.join([comparison.problem.name, *others])}",
+        description=comparison.problem.description,
+        words=comparison_text(comparison).splitlines(),
+        charts=[
+            *(_metric_chart(comparison, metric, labels) for metric in metrics),
+            *_reliability_chart(comparison),
+        ],
+        tables=[
+            PageTable("Settings and metrics", head, rows),
+            PageTable("Runs", listed, counts, len(counts)),
+            *_settings(settings, None),
+        ],
+    )
+
+
+def _motion_map(problem: Problem, belief: Belief, tracks: Sequence[Track]) -> PageMap:
+    goals = [robot.goal_m for robot in problem.robots if robot.goal_m is not None]
+    shown = np.concatenate([*(track.positions_m for track in tracks), np.reshape(goals, (-1, 2))])
+    window = map_window(problem, shown)
+    mean, deviation, chance = believed_rasters(problem, belief, window)
+    p_min = problem.constraints.step_p_min
+    return PageMap(
+        tracks=tracks,
+        obstacles=(*problem.workspace.lasting, *problem.workspace.timed),
+        moving=problem.workspace.moving,
+        layers=(
+            Layer(
+                "P(connected)", "1", "Cividis", chance, (0.0, 1.0), p_min if p_min > 0.0 else None
+            ),
+            Layer("predicted power", "dBm", "Viridis", mean),
+            Layer("standard deviation", "dB", "Cividis", deviation),
+        ),
+        places=[
+            *(
+                Place(f"{one.name}, start", one.start_m, GREEN, "circle-open")
+                for one in problem.robots
+            ),
+            *(
+                Place(f"{one.name}, goal", one.goal_m, YELLOW, "star")
+                for one in problem.robots
+                if one.goal_m is not None
+            ),
+            *(
+                Place(one.name, one.site.position_m, ORANGE, "triangle-up")
+                for one in problem.stations
+            ),
+        ],
+        window=window,
+    )
+
+
+def _planned(plan: Plan) -> Track:
+    """Return the planned path of a robot."""
+    powers = _by_step(plan, plan.mean_dbm), _by_step(plan, plan.connectivity)
+    notes = [
+        f"predicted {_known(power, ' dBm', 3)}, P(connected) {_known(chance)}"
+        for power, chance in zip(*powers, strict=True)
+    ]
+    return Track(plan.robot, plan.t_s, plan.positions_m, plans=[plan.positions_m], notes=notes)
+
+
+def _by_step(plan: Plan, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return values at all positions of a plan; those missing at its start are NaN."""
+    missing = len(plan.t_s) - len(values)
+    return np.concatenate([np.full(missing, np.nan), values])
+
+
+def _driven(run: Run) -> Iterator[Track]:
+    """Yield the driven path of each robot with its plans, then that of the target."""
+    for one, plans in zip(run.runs, run.plans, strict=True):
+        yield Track(
+            one.robot,
+            one.log.t_s,
+            one.log.positions_m,
+            plans=[*(plan.positions_m for plan in plans), np.zeros((0, 2))],
+            notes=_step_notes(one.log),
+        )
+    if run.target is not None:
+        yield Track("target", run.runs[0].log.t_s, run.target.true_m, "target")
+
+
+def _step_notes(log: StepLog) -> list[str]:
+    """Return power, connection and verdict of every step as text."""
+    return [
+        f"predicted {_known(predicted, ' dBm', 3)}, received {_known(true, ' dBm', 3)}, "
+        f"P(connected) {_known(chance)}, {verdict.value} ({rung.value})"
+        + ("" if connected else ", not connected")
+        for predicted, true, chance, connected, verdict, rung in zip(
+            log.predicted_dbm,
+            log.true_dbm,
+            log.connectivity,
+            log.connected,
+            log.verdict,
+            log.rung,
+            strict=True,
+        )
+    ]
+
+
+def _known(value: float, unit: str = "", digits: int = 4) -> str:
+    """Return a number with its unit; a dash for NaN."""
+    return shown_number(None if np.isnan(value) else value, unit, digits)
+
+
+def _plan_certificates(problem: Problem, plans: Sequence[Plan]) -> list[str]:
+    return [
+        line
+        for number, plan in enumerate(plans)
+        for line in certificate_in_words(problem_of_robot(problem, number), plan)
+    ]
+
+
+def _run_certificates(run: Run) -> list[str]:
+    """Return the verdicts of the plans of each robot and their least margins as text."""
+    lines: list[str] = []
+    for plans in run.plans:
+        if not plans:
+            continue
+        proofs = [plan.certificate for plan in plans]
+        clearance = min(proof.min_clearance_m for proof in proofs)
+        connectivity = min(proof.min_connectivity for proof in proofs)
+        verdicts = [plan.verdict for plan in plans]
+        lines.append(f"{plans[0].robot}: {planned_in_words(clearance, connectivity)}")
+        lines += [
+            f"  {verdicts.count(verdict)} of {len(plans)} plans {verdict.value}: {MEANING[verdict]}"
+            for verdict in Verdict
+            if verdict in verdicts
+        ]
+    return lines
+
+
+def _planned_charts(problem: Problem, plans: Sequence[Plan]) -> list[Chart]:
+    power: list[Mapping[str, Any]] = []
+    chance: list[Mapping[str, Any]] = []
+    for number, plan in enumerate(plans):
+        mean, deviation = _by_step(plan, plan.mean_dbm), _by_step(plan, plan.deviation_db)
+        power += _predicted(number, plan.robot, plan.t_s, mean, deviation)
+        values = rounded(_by_step(plan, plan.connectivity), PROBABILITY_DIGITS)
+        chance.append(_curve(number, plan.robot, plan.t_s, values))
+    return _charts_over_time(problem, "Predicted power", power, chance, plans[0].t_s)
+
+
+def _run_charts(run: Run) -> list[Chart]:
+    power: list[Mapping[str, Any]] = []
+    chance: list[Mapping[str, Any]] = []
+    pairs: list[Mapping[str, Any]] = []
+    for number, one in enumerate(run.runs):
+        log, name = one.log, plain(one.robot)
+        power += _predicted(number, one.robot, log.t_s, log.predicted_dbm, log.deviation_db)
+        true = rounded(log.true_dbm, POWER_DIGITS)
+        look = {"color": BLACK, "symbol": SYMBOLS[number % len(SYMBOLS)], "size": 6}
+        received = {"type": "scatter", "mode": "markers", "marker": look, "y": true}
+        times = rounded(log.t_s, METRE_DIGITS)
+        power.append({**received, "x": times, "name": f"{name}, received"})
+        predicted = rounded(log.predicted_dbm, POWER_DIGITS)
+        half = {"type": "data", "array": rounded(BAND_Z * log.deviation_db, POWER_DIGITS)}
+        bars = {**half, "color": "#b3b3b3", "thickness": 1}
+        look = {**look, "color": ROBOT_COLOURS[number % len(ROBOT_COLOURS)]}
+        pairs.append({**received, "x": predicted, "name": name, "error_x": bars, "marker": look})
+        values = rounded(log.connectivity, PROBABILITY_DIGITS)
+        chance.append(_curve(number, one.robot, log.t_s, values))
+    title, t_s = "Predicted and received power", run.runs[0].log.t_s
+    charts = _charts_over_time(run.problem, title, power, chance, t_s)
+    known = np.concatenate([one.log.true_dbm for one in run.runs])
+    if not np.isfinite(known).any():
+        return charts
+    ends = rounded([np.nanmin(known), np.nanmax(known)], POWER_DIGITS)
+    pairs.append({**_line(ends, ends, "equal"), "type": "scatter"})
+    label = f"predicted one step ahead [dBm] ({BAND_WORDS})"
+    title = "Received against predicted power"
+    return [*charts, Chart(title, pairs, label, "received [dBm]")]
+
+
+def _charts_over_time(
+    problem: Problem,
+    title: str,
+    power: list[Mapping[str, Any]],
+    chance: list[Mapping[str, Any]],
+    t_s: NDArray[np.float64],
+) -> list[Chart]:
+    """Return the charts of power and probability of connection, with their thresholds."""
+    ends, p_min = [float(t_s[0]), float(t_s[-1])], problem.constraints.step_p_min
+    for station in problem.stations:
+        threshold = [station.threshold_dbm] * 2
+        power.append(_line(ends, threshold, f"{plain(station.name)}, threshold"))
+    if p_min > 0.0:
+        chance.append(_line(ends, [p_min] * 2, f"p_min = {p_min:g}"))
+    limits = {"yaxis": {"range": [-0.03, 1.03]}}
+    return [
+        Chart(title, power, TIME, "power [dBm]", over_time=True),
+        Chart("Predicted P(connected)", chance, TIME, "P [1]", over_time=True, layout=limits),
+    ]
+
+
+def _predicted(
+    number: int,
+    robot: str,
+    t_s: NDArray[np.float64],
+    mean_dbm: NDArray[np.float64],
+    deviation_db: NDArray[np.float64],
+) -> list[Mapping[str, Any]]:
+    """Return the predicted power of a robot with its band."""
+    known = np.isfinite(mean_dbm)
+    half, mean, times = BAND_Z * deviation_db[known], mean_dbm[known], t_s[known]
+    band = {
+        "type": "scatter",
+        "mode": "lines",
+        "x": rounded(np.concatenate([times, times[::-1]]), METRE_DIGITS),
+        "y": rounded(np.concatenate([mean - half, (mean + half)[::-1]]), POWER_DIGITS),
+        "fill": "toself",
+        "opacity": 0.25,
+        "line": {"width": 0, "color": ROBOT_COLOURS[number % len(ROBOT_COLOURS)]},
+        "hoverinfo": "skip",
+        "name": f"{plain(robot)}, {BAND_WORDS}",
+    }
+    return [band, _curve(number, f"{robot}, predicted", t_s, rounded(mean_dbm, POWER_DIGITS))]
+
+
+def _curve(number: int, name: str, t_s: NDArray[np.float64], values: list[Any]) -> dict[str, Any]:
+    """Return the curve of a robot."""
+    colour = ROBOT_COLOURS[number % len(ROBOT_COLOURS)]
+    look = {"symbol": SYMBOLS[number % len(SYMBOLS)], "size": 5, "color": colour}
+    line, times = {"color": colour, "width": 2}, rounded(t_s, METRE_DIGITS)
+    shown = {"type": "scatter", "mode": "lines+markers", "line": line, "marker": look}
+    return {**shown, "x": times, "y": values, "name": plain(name)}
+
+
+def _line(x: list[float], y: list[float], name: str) -> dict[str, Any]:
+    """Return a dashed line."""
+    line = {"color": VERMILLION, "width": 1.5, "dash": "dash"}
+    return {"type": "scatter", "mode": "lines", "x": x, "y": y, "name": name, "line": line}
+
+
+def _metric_chart(comparison: Comparison, metric: str, labels: Sequence[str]) -> Chart:
+    """Return the values of a metric by setting: every run, and the mean with its interval."""
+    scale = metric_name(metric).scale
+    settings = list(zip(labels, comparison.settings, strict=True))
+    dots = [
+        (plain(label), run.metrics[metric] * scale)
+        for label, setting in settings
+        for run in setting.runs
+        if np.isfinite(run.metrics.get(metric, np.nan))
+    ]
+    rows = [(plain(label), each.rows[metric]) for label, each in settings if metric in each.rows]
+    known = [(label, row) for label, row in rows if row.mean is not None]
+    means = np.array([row.mean for _, row in known], dtype=np.float64) * scale
+    lows, highs = (
+        np.array([getattr(row, end) for _, row in known], dtype=np.float64) * scale
+        for end in ("ci_low", "ci_high")
+    )
+    bars = {
+        "type": "data",
+        "symmetric": False,
+        "array": [float(one) for one in np.nan_to_num(highs - means)],
+        "arrayminus": [float(one) for one in np.nan_to_num(means - lows)],
+    }
+    shared = {"type": "scatter", "mode": "markers"}
+    return Chart(
+        metric_name(metric).words,
+        [
+            {
+                **shared,
+                "x": [float(value) for _, value in dots],
+                "y": [label for label, _ in dots],
+                "name": "runs",
+                "marker": {"symbol": "circle-open", "size": 7, "color": "#767676"},
+            },
+            {
+                **shared,
+                "x": [float(value) for value in means],
+                "y": [label for label, _ in known],
+                "error_x": bars,
+                "name": "mean, 95 % interval",
+                "marker": {"symbol": "diamond", "size": 11, "color": ROBOT_COLOURS[0]},
+            },
+        ],
+        metric_label(metric),
+        "",
+        layout={"yaxis": {"type": "category", "automargin": True}},
+    )
+
+
+def _reliability_chart(comparison: Comparison) -> list[Chart]:
+    bins = comparison.reliability
+    if not bins:
+        return []
+    points = {
+        "type": "scatter",
+        "mode": "markers",
+        "x": rounded([one.predicted for one in bins], PROBABILITY_DIGITS),
+        "y": rounded([one.realised for one in bins], PROBABILITY_DIGITS),
+        "text": [f"{one.count} predictions" for one in bins],
+        "name": "all settings",
+        "marker": {"size": 10, "color": ROBOT_COLOURS[0]},
+    }
+    label = "predicted P(connected) [1]"
+    return [Chart("Reliability", [points, _line([0, 1], [0, 1], "equal")], label, "connected [1]")]
+
+
+def _figures(result: Solution | Run) -> list[tuple[str, object]]:
+    """Return the key figures of a plan or run."""
+    if isinstance(result, Run):
+        head = [("outcome", result.outcome.value), ("reason", result.reason)]
+        numbers = {"verified_rate": result.verified_rate, **result.metrics}
+        return [*head, *((name, float(value)) for name, value in numbers.items())]
+    bound = result.bound
+    return [
+        ("verdict", result.verdict.value),
+        ("objective", float(sum(plan.objective for plan in result.plans))),
+        ("bound", None if bound is None else bound.value),
+        ("iterations", sum(plan.iterations for plan in result.plans)),
+        ("wall_s", float(sum(plan.wall_s for plan in result.plans))),
+    ]
+
+
+def _settings(settings: Mapping[str, Any], seed: object) -> list[PageTable]:
+    """Return the tables of the problem's keys and of the versions that made the page."""
+    keys = [("seed", seed), *_flat(settings)] if seed is not None else list(_flat(settings))
+    return [
+        PageTable("Settings", ("key", "value"), keys),
+        PageTable("Versions that made this page", ("package", "version"), program()),
+    ]
+
+
+def _flat(table: Mapping[str, Any], head: str = "") -> Iterator[tuple[str, object]]:
+    """Yield the keys of nested tables with their values; long lists are shortened."""
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _flat(cast("Mapping[str, Any]", value), f"{head}{key}.")
+        elif isinstance(value, list | tuple):
+            text = json.dumps(value, default=str)
+            yield f"{head}{key}", text if len(text) <= 200 else f"{text[:200]} ..."
+        else:
+            yield f"{head}{key}", value

@@ -357,7 +357,7 @@ def test_what_the_planners_do_not_plan_is_refused():
     with pytest.raises(InputError, match="no separation_m"):
         simulate(apart, seed=0)
     learning = terms_problem(LEARNING, name="unaware")
-    with pytest.raises(InputError, match="tracks a target"):
+    with pytest.raises(InputError, match="needs a tracking term"):
         planner_for(learning, ground, np.random.default_rng(0))
     assert isinstance(
         planner_for(

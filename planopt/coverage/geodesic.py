@@ -26,6 +26,9 @@ from planopt.world.shortest_paths import FreeArea, free_area, nearest_places
 SLIVER = 1e-6
 """Share of a grid square below which a free part is ignored."""
 
+LINE = 1
+"""Type number of line strings in Shapely."""
+
 MAX_NODES = 200_000
 """Largest number of nodes; visibility from more nodes takes minutes."""
 
@@ -96,20 +99,40 @@ class GeodesicGround:
         return TwoNearest(nodes, self.mass, owner, cells.distance_m**2, second**2)
 
     def borders(self, agents_m: Floats) -> Floats:
-        """Return cell boundaries ``(e, 2, 2)``: grid lines between nodes of different agents."""
-        owner = geodesic_cells(self, self.nearest(agents_m)).owner
-        low = np.asarray(self.free.bounds[:2])
-        at = np.floor((self.nodes_m - low) / self.spacing_m).astype(np.intp)
-        image = np.full(at.max(axis=0) + 1, -1)
-        image[at[:, 0], at[:, 1]] = owner
-        found = [np.zeros((0, 2, 2))]
-        for axis in (0, 1):
-            one, other = (image[:-1], image[1:]) if axis == 0 else (image[:, :-1], image[:, 1:])
-            where = np.argwhere((one != other) & (one >= 0) & (other >= 0)).astype(np.float64)
-            where[:, axis] += 1.0
-            along = np.array([0.0, 1.0]) if axis == 0 else np.array([1.0, 0.0])
-            found.append(low + self.spacing_m * np.stack((where, where + along), axis=1))
-        return np.concatenate(found)
+        """Return cell boundaries ``(e, 2, 2)`` inside the free area, for figures.
+
+        On the line between nodes of two agents the boundary is where both are equally far.
+        """
+        agents = self.nearest(agents_m)
+        cells, low = geodesic_cells(self, agents), np.asarray(self.free.bounds[:2])
+        at = np.floor((self.nodes_m - low) / self.spacing_m).astype(np.intp) + 1
+        image = np.full(at.max(axis=0) + 2, -1)
+        image[at[:, 0], at[:, 1]] = np.arange(len(at))
+        # Blocks of four nodes, anticlockwise; nodes that do not exist are -1.
+        rings = (image[:-1, :-1], image[1:, :-1], image[1:, 1:], image[:-1, 1:])
+        block = np.stack(rings, axis=-1).reshape(-1, 4)
+        ends = np.stack((block, np.roll(block, -1, axis=1)), axis=-1)
+        owner = np.where(ends >= 0, cells.owner[ends], -1)
+        sides = (ends >= 0).all(axis=2) & (owner[..., 0] != owner[..., 1])
+        crossed = np.full((*block.shape, 2), np.nan)
+        node, mine = ends[sides], owner[sides]
+        away = _path_lengths_m(self, agents, mine[:, ::-1].ravel(), node.ravel()).reshape(-1, 2)
+        lead = np.maximum(away - cells.distance_m[node], 0.0)
+        share = lead[:, :1] / np.maximum(lead.sum(axis=1, keepdims=True), 1e-12 * self.spacing_m)
+        start, end = self.nodes_m[node[:, 0]], self.nodes_m[node[:, 1]]
+        crossed[sides] = start + share * (end - start)
+        some = np.flatnonzero(sides.any(axis=1))
+        middle = np.nanmean(crossed[some], axis=1)
+        # At the edge of the grid a boundary runs on at right angles to the line of both nodes.
+        lone = some[sides[some].sum(axis=1) == 1]
+        across = ends[lone][sides[lone]]
+        step = self.nodes_m[across[:, 1]] - self.nodes_m[across[:, 0]]
+        middle[np.isin(some, lone)] += np.stack((-step[:, 1], step[:, 0]), axis=1)
+        which, side = np.nonzero(sides[some])
+        lines = np.stack((crossed[some[which], side], middle[which]), axis=1)
+        inside = shapely.get_parts(shapely.intersection(shapely.linestrings(lines), self.free))
+        inside = inside[shapely.get_type_id(inside) == LINE]
+        return np.asarray(shapely.get_coordinates(inside), dtype=np.float64).reshape(-1, 2, 2)
 
     def distances_m(self, agents_m: Floats, places_m: Floats) -> Floats:
         """Return the lengths ``(n, k)`` of shortest paths to the nearest allowed positions."""
@@ -325,18 +348,26 @@ def _nearest(tree: KDTree, places: Floats, count: int) -> Indices:
 
 def _own_cost(ground: GeodesicGround, agents: Floats, owner: Indices, wanted: Indices) -> Floats:
     """Return the cost (n,) of each cell from its agent's position; 0 for unselected agents."""
-    row = np.full(len(agents), -1)
-    row[wanted] = np.arange(len(wanted))
-    nodes = np.flatnonzero(row[owner] >= 0)
-    own, ends = owner[nodes], ground.ends_m[nodes]
-    distance = np.linalg.norm(ends - agents[own], axis=1)
-    blind = ~ground.area.sees(agents[own], ends)
-    if blind.any():
-        reach, _ = ground.area.to_corners_m(agents[wanted])
-        last = ground.area.last_legs_m(ends[blind], ground.corner_sees[nodes[blind]])
-        distance[blind] = (reach[row[own[blind]]] + last).min(axis=1)
+    chosen = np.zeros(len(agents), dtype=np.bool_)
+    chosen[wanted] = True
+    nodes = np.flatnonzero(chosen[owner])
+    own = owner[nodes]
+    distance = _path_lengths_m(ground, agents, own, nodes)
     costs = np.bincount(own, ground.mass[nodes] * distance**2, minlength=len(agents))
     return np.asarray(costs, dtype=np.float64)
+
+
+def _path_lengths_m(ground: GeodesicGround, agents: Floats, who: Indices, nodes: Indices) -> Floats:
+    """Return the lengths (k,) of shortest paths from agents (k,) to nodes (k,), by number."""
+    ends = ground.ends_m[nodes]
+    distance = np.linalg.norm(ends - agents[who], axis=1)
+    blind = np.flatnonzero(~ground.area.sees(agents[who], ends))
+    if len(blind):
+        used, row = np.unique(who[blind], return_inverse=True)
+        reach, _ = ground.area.to_corners_m(agents[used])
+        last = ground.area.last_legs_m(ends[blind], ground.corner_sees[nodes[blind]])
+        distance[blind] = (reach[row] + last).min(axis=1)
+    return distance
 
 
 def _reached(area: FreeArea, starts: Floats, steps: Floats) -> Floats:

@@ -180,3 +180,18 @@ def test_borders_of_agents_that_rounding_puts_into_an_obstacle() -> None:
     inside = corner + [[-1e-3, 1e-3], [0.0, 0.0]]
     assert not ground.allows(inside).all()
     assert np.array_equal(ground.borders(inside), ground.borders(ground.nearest(inside)))
+
+
+def test_borders_are_equally_far_from_two_agents() -> None:
+    """Cell borders lie in the free area, where the two nearest agents are equally far."""
+    walls = [shapely.box(20, 20, 40, 70), shapely.Polygon([(60, 10), (90, 30), (70, 60)])]
+    region = geodesic_ground(OUTLINE, walls, 2.0)
+    agents = free_places(region, 9, np.random.default_rng(5))
+    lines = region.borders(agents)
+    drawn = shapely.linestrings(lines)
+    assert shapely.length(drawn).sum() > 200.0
+    assert shapely.length(shapely.difference(drawn, shapely.buffer(region.free, 1e-9))).sum() < 1e-6
+    ends = lines.reshape(-1, 2)
+    nearest = np.sort(region.distances_m(agents, ends), axis=0)[:2]
+    gaps = nearest[1] - nearest[0]
+    assert np.quantile(gaps, 0.9) < 0.3 and gaps.max() < 2.0 * region.spacing_m

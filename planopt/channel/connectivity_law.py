@@ -317,11 +317,12 @@ class ConnectivityLaw:
         """Return P(connected) at positions (n, 2), all thresholds `slack_db` lower; ``(n,)``."""
         return any_probability(self.each_power(positions_m), self.thresholds_dbm, slack_db)
 
-    def margin_db(
-        self, positions_m: NDArray[np.float64], predict: Predictor = predict
-    ) -> NDArray[np.float64]:
+    def margin_db(self, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the margin of the chance constraint P(connected) >= p_min in dB; ``(n,)``."""
-        power = self.power(positions_m, predict)
+        return self.margin_of_db(self.power(positions_m))
+
+    def margin_of_db(self, power: Prediction) -> NDArray[np.float64]:
+        """Return the margin of the chance constraint in dB for a law of the serving power."""
         return bound_margin_db(
             power.mean_db, power.deviation_db, self.thresholds_dbm[0], self.p_min
         )

@@ -131,7 +131,7 @@ class GeodesicGround:
         which, side = np.nonzero(sides[some])
         lines = np.stack((crossed[some[which], side], middle[which]), axis=1)
         inside = shapely.get_parts(shapely.intersection(shapely.linestrings(lines), self.free))
-        inside = inside[shapely.get_type_id(inside) == LINE]
+        inside = inside[shapely.get_type_id(inside) == LINE]  # pyright: ignore[reportUnknownMemberType]
         return np.asarray(shapely.get_coordinates(inside), dtype=np.float64).reshape(-1, 2, 2)
 
     def distances_m(self, agents_m: Floats, places_m: Floats) -> Floats:

@@ -23,6 +23,7 @@ from planopt.planning.proof.context import (
     VerifierContext,
     certified_prediction,
     connectivity_law,
+    search_power,
     search_prediction,
     stations_law,
 )
@@ -336,7 +337,7 @@ def _best_score(
     best = best_margins_by_step(
         index,
         problem.workspace.bounds_m,
-        lambda places: score(search_prediction(law, places)),
+        lambda places: score(law.predicted(places, search_power)),
         state[:2],
         problem.step_length_m,
         np.arange(1, horizon + 1),

@@ -11,7 +11,6 @@ exception (:mod:`planopt.planning.proof.searches`).
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -100,12 +99,14 @@ def verify_single_steps(
             is_compared=priced.is_compared,
             rule=result,
         )
+    law = context.law
     best = context.best_margins(
         steps,
         lambda: best_margins_by_step(
             context.index,
             problem.workspace.bounds_m,
-            partial(context.law.margin_db, predict=search_power),
+            # Readings excuse nothing: a robot need not return to where a packet arrived.
+            lambda places_m: law.margin_of_db(law.predicted(places_m, search_power)),
             context.position_m,
             problem.step_length_m,
             missed,

@@ -55,7 +55,8 @@ def said():
 def everywhere() -> np.ndarray:
     """Mean and deviation at the verifier's places in the workspace, by kriging written out."""
     places = build_goal_grid(PROBLEM, index_obstacles(PROBLEM.workspace)).nodes_m
-    return kriged(belief_of(PROBLEM, slope), places)
+    mean, deviation = kriged(belief_of(PROBLEM, slope), places)
+    return mean, np.maximum(deviation, 1e-9)
 
 
 def test_largest_probability_anywhere(said):

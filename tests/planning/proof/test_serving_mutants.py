@@ -36,8 +36,8 @@ MUTANTS = (
     (LAW, "prediction.mean_db - threshold\n", "prediction.mean_db - thresholds_dbm[0]\n"),
     (
         LAW,
-        "return self.combined([predict(station, positions_m) for station in self.posteriors])",
-        "return predict(self.posteriors[0], positions_m)",
+        "return self.combined(self.each_power(positions_m, predict))",
+        "return self.each_power(positions_m, predict)[0]",
     ),
     (
         CONTEXT,

@@ -14,7 +14,7 @@ from pathlib import Path
 
 BUDGET = {
     "lines": 68_200,
-    "lines of code": 48_900,
+    "lines of code": 49_000,
     "files": 296,
     "functions": 3_600,
     "docstring lines": 8_740,

@@ -142,7 +142,7 @@ def calling(
             file=frames[-1].filename if frames else None,
             row=frames[-1].lineno if frames else None,
             key=key,
-            remedy=remedy or f"correct {method or 'the code'}",
+            remedy=remedy or f"correct {f'the method {method}' if method else 'the code'}",
         ) from error
 
 

@@ -171,10 +171,10 @@ def above_thresholds_db(
 def any_margin_db(
     above_db: NDArray[np.float64], deviation_db: NDArray[np.float64], p_min: float
 ) -> NDArray[np.float64]:
-    """Return the margin: the rise of all thresholds at which P(any) = `p_min`; (m, n) -> ``(n,)``.
+    """Return the rise of all thresholds at which P(connected to any) = `p_min`; (m, n) -> ``(n,)``.
 
-    The score is convex and decreasing in the rise, so Newton's method converges from the best
-    single station's margin. The margin of m stations as good as the best is an upper bound.
+    The combined score :func:`any_score` is convex and decreasing in the rise, so Newton's method
+    converges from the margin of the best station. The margin of m such stations is an upper bound.
     """
     wanted = bound_quantile(p_min)
     shared = bound_quantile(-math.expm1(math.log1p(-p_min) / len(above_db)))

@@ -197,7 +197,7 @@ class LocalChannel:
 
     @cached_property
     def added_m2(self) -> Floats:
-        """Blur that the kernel adds to the squared distance of each measurement, ``(..., m)``."""
+        """Smoothing term of the kernel, added to squared distances to measurements; (..., m)."""
         blur = self.origins.blur_m2
         return np.zeros(self.columns.shape[:-1]) if blur is None else blur
 

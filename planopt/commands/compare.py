@@ -134,10 +134,9 @@ def compare(
             return NO_PLAN
         if folder is not None:
             comparison.save(folder, parquet=parquet)
-        words = "all numbers with their intervals:"
-        where = f" {COMPARISON_FILE} of --out FOLDER"
+        where = f" {COMPARISON_FILE}, written with --out FOLDER"
         where = where if folder is None else f"\n{folder / COMPARISON_FILE}"
-        text = "" if json else f"{comparison_text(comparison)}\n{words}{where}"
+        text = "" if json else f"{comparison_text(comparison)}\nall numbers:{where}"
         show(json, comparison_json(comparison) if json else {}, text)
         with drawing(folder, COMPARISON, wanted=figures) as new:
             if new is not None:

@@ -87,9 +87,7 @@ def map_log(
     from planopt.world.raster_files import check_raster_output, write_rasters
 
     if out is None and nav2 is None:
-        raise InputError(
-            "there is nothing to write", key="--out", remedy="give --out FILE or --nav2 DIR"
-        )
+        raise InputError("no output is requested", remedy="give --out FILE or --nav2 DIR")
     if out is not None:
         check_raster_output(out)
     MaskLimits(keepout_below, 0.9 if p_min is None else p_min)

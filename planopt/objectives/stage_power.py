@@ -53,8 +53,9 @@ def softened_m2(added_m2: Floats | float, parameters: ChannelParameters) -> Floa
 def fill_rounded_kernel(
     rows: Floats, x: Floats, y: Floats, parameters: ChannelParameters, soft_m2: Floats | float
 ) -> None:
-    """Write the kernel at offsets `x`, `y` (...) and its derivatives x, y, xx, xy, yy."""
-    # The output `rows` (6, ...) is a buffer that solvers reuse. `soft_m2` comes from `softened_m2`.
+    """Fill `rows` with the kernel at offsets (...) and its first and second derivatives."""
+    # `rows` (6, ...): value, d/dx, d/dy, d2/dx2, d2/dxdy, d2/dy2; a buffer that solvers reuse.
+    # `soft_m2` comes from `softened_m2`.
     beta = parameters.decorrelation_m
     value, by_x, by_y, by_xx, by_xy, by_yy = rows
     r = x * x

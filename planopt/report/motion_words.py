@@ -16,7 +16,7 @@ from planopt.planning.explanation import Crossing
 from planopt.planning.loop.metrics import run_holes, run_reliability
 from planopt.planning.plan import Verdict
 from planopt.problems.problem import Problem, problem_of_robot
-from planopt.report.tables import reliability_lines
+from planopt.report.tables import BAND_ENDS, BANDS, metric_name, reliability_lines
 from planopt.short_repr import shown_number
 
 if TYPE_CHECKING:
@@ -24,8 +24,35 @@ if TYPE_CHECKING:
     from planopt.planning.loop.results import Run, Solution
     from planopt.planning.plan import Plan
 
-COLUMNS = 3
+COLUMNS = 2
 """Number of metrics per line."""
+
+ORIGINS = {
+    "plan": "refined path",
+    "cold_retry": "path refined from another guess",
+    "lattice": "lattice path",
+    "relaxed": "path that misses p_min",
+    "direct": "shortest path",
+    "give_way": "part of the paths of all robots",
+    "shifted": "last plan, shifted by one step",
+    "stop": "standing still or braking",
+    "leave": "step out of a clearance",
+    "reserved": "rest of the last plan",
+}
+"""Origin of a released path; JSON has the keys."""
+
+STOPPED = {
+    "converged": "converged",
+    "acceptable": "converged to its looser tolerance",
+    "lattice_only": "not used",
+    "iteration_limit": "stopped at the iteration limit",
+    "time_limit": "stopped at the time limit",
+    "infeasible": "found no feasible point",
+    "numerical_failure": "failed numerically",
+    "no_path": "had no path to refine",
+    "stopped": "stopped by the user",
+}
+"""End of the solver."""
 
 MEANING = {
     Verdict.VERIFIED: "constraints hold; contact is lost only if unavoidable or worth the price",
@@ -59,20 +86,20 @@ def _value(problem: Problem, objective: float) -> str:
     """Return an objective value as text; with a goal it is a cost in seconds, not a travel time."""
     if problem.task == "reach":
         return f"cost {shown_number(objective, ' s')} (travel time, effort and outage)"
-    return f"objective value {shown_number(objective)}"
+    return f"objective ({problem.sense}imised) {shown_number(objective)}"
 
 
 def plan_in_words(problem: Problem, plan: Plan) -> list[str]:
     """Return verdict, objective, distances, connectivity and coverage holes of a robot's plan."""
     proof, unit = plan.certificate, " s" if problem.task == "reach" else ""
     lines = [
-        f"{plan.robot}: {plan.verdict.value}; candidate: {plan.rung.value}; solver: "
-        f"{plan.termination.value} after {plan.iterations} iterations; planning time "
+        f"{plan.robot}: {plan.verdict.value}; {ORIGINS[plan.rung.value]}; solver "
+        f"{STOPPED[plan.termination.value]} ({plan.iterations} iterations); planned in "
         f"{shown_number(plan.wall_s, ' s', 2)}",
-        f"  {_value(problem, plan.objective)}; lattice path before refinement "
-        f"{shown_number(plan.lattice_objective, unit)}",
-        f"  {planned_in_words(proof.min_clearance_m, proof.min_connectivity)} "
-        f"(posterior: {proof.posterior})",
+        f"  {_value(problem, plan.objective)}; "
+        f"{shown_number(plan.lattice_objective, unit)} before refinement",
+        f"  {planned_in_words(proof.min_clearance_m, proof.min_connectivity)}"
+        + ("" if problem.constraints.asks_connection or problem.task == "reach" else " (no limit)"),
         *apart_in_words(proof.min_separation_m, proof.min_moving_clearance_m),
     ]
     if proof.rule is not None:
@@ -130,7 +157,7 @@ def run_in_words(run: Run) -> list[str]:
     """Return the outcome of a run and its metrics as text."""
     problem = run.problem
     planner = problem.planner
-    rungs = ", ".join(f"{name} {count}" for name, count in run.rungs.items())
+    origins = ", ".join(f"{ORIGINS.get(name, name)} {count}" for name, count in run.rungs.items())
     robots = "1 robot" if len(run.runs) == 1 else f"{len(run.runs)} robots"
     steps = sum(len(one.log.t_s) - 1 for one in run.runs)
     measured = sum(one.metrics.measured_steps for one in run.runs)
@@ -141,14 +168,11 @@ def run_in_words(run: Run) -> list[str]:
     )
     if steps == 0:
         return [head, f"  {robots}, no step was driven"]
-    metrics = [
-        (name, shown_number(None if isnan(value) else value)) for name, value in run.metrics.items()
-    ]
     lines = [
-        f"{robots}; plans verified: {run.verified_rate:.1%}; measurements taken at {measured} of "
-        f"{steps} steps",
-        f"plans by candidate: {rungs or 'none'}",
-        *in_columns(metrics),
+        f"{robots}; plans verified: {run.verified_rate:.1%}; {measured} measurements in {steps} "
+        "steps" + (" of all robots" if len(run.runs) > 1 else ""),
+        f"released paths: {origins or 'none'}",
+        *in_columns([*_metrics_in_words(run)]),
         *_unverified_in_words(run),
     ]
     if problem.task == "reach":
@@ -158,6 +182,23 @@ def run_in_words(run: Run) -> list[str]:
             lines += holes_in_words(problem, run_holes(one), crossed)
     lines += reliability_lines(run_reliability(run.runs), "steps")
     return [head, *(f"  {line}" for line in lines)]
+
+
+def _metrics_in_words(run: Run) -> Iterator[tuple[str, str]]:
+    """Yield name and value of each known metric that no other line of a run has."""
+    elsewhere = {"measured_steps", *BAND_ENDS}
+    elsewhere |= {"realised_cost_m", "clairvoyant_cost_m"} if run.problem.task == "reach" else set()
+    for metric, value in run.metrics.items():
+        if metric in elsewhere or isnan(value):
+            continue
+        name = metric_name(metric)
+        yield (
+            name.words,
+            f"{shown_number(name.scale * value)} {name.unit.removesuffix('1')}".strip(),
+        )
+        if metric in BANDS:
+            low, high, words = BANDS[metric]
+            yield f"NIS of {words}", f"{run.metrics[low]:.3g} to {run.metrics[high]:.3g}"
 
 
 def _unverified_in_words(run: Run) -> list[str]:
@@ -181,7 +222,8 @@ def _costs_in_words(run: Run) -> list[str]:
     lines = [
         f"cost of the run: {shown_number(run.costs['realised_cost_m'], ' m')} (path length plus "
         f"{run.problem.reach.outage_price:g} m for each metre out of contact)",
-        f"cost with known channel: {shown_number(run.costs['clairvoyant_cost_m'], ' m')}",
+        "cost of a lattice path planned with the known channel: "
+        f"{shown_number(run.costs['clairvoyant_cost_m'], ' m')}",
     ]
     proofs = [plan.certificate for made in run.plans for plan in made]
     excess_m = [proof.excess_m for proof in proofs if proof.excess_m is not None]

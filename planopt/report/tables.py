@@ -141,13 +141,15 @@ def comparison_text(comparison: Comparison) -> str:
         title += f"; {comparison.resumed} runs were reused from an earlier call"
     if to_goal:
         title += (
-            "; time to goal and cost ratio over the runs that arrived; cost ratio 1 is a planner "
-            "that knows the channel"
+            "; time to goal and cost ratio over the runs that arrived; cost ratio: cost over that "
+            "of a lattice path planned with the known channel"
         )
     header, *lines = _names(comparison, to_goal=to_goal)
     metrics = [name for _, name in shown]
     headings = ["runs", "stalled runs", *(heading for heading, _ in shown)]
-    table = [[*header, *headings, "planning time, median [ms]", "planning time, 95 % [ms]"]]
+    table = [
+        [*header, *headings, "planning time, median [ms]", "planning time, 95th percentile [ms]"]
+    ]
     for names, setting in zip(lines, settings, strict=True):
         table.append([*names, *_cells(setting, metrics)])
     text = [*textwrap.wrap(title, WIDTH), "", *_listed(comparison), *_in_blocks(table, len(header))]

@@ -93,7 +93,7 @@ class SingleIntegrator(BaseDynamics):
         return float(np.max(step_s * (np.hypot(*inputs.T) - self.speed_max_m_s), initial=-np.inf))
 
     def unit_m(self, step_s: float) -> tuple[float, ...]:
-        """Return ones, because the state is the position."""
+        """Return the length in metres of one unit of each state, 1 for positions."""
         return (1.0, 1.0)
 
 

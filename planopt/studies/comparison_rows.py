@@ -83,7 +83,8 @@ def settings_of_runs(runs: Sequence[RunSummary], rows: Sequence[Row]) -> list[Se
 def comparison_rows(runs: Sequence[RunSummary]) -> list[Row]:
     """Return the rows of all settings, whose runs have the same seeds in the same order.
 
-    Settings are paired with the first of their problem, or the very first if each has only one.
+    Each setting is compared with the first setting of its problem, or, if every problem has one
+    setting, with the first of all.
     """
     settings = runs_by_setting(runs)
     first = {each[0].problem: each for each in reversed(settings)}

@@ -377,13 +377,15 @@ def in_words(result: TaskResult) -> Sequence[str]:
     """Return a text summary of a deployment or run, line by line."""
     data, name = result.data, result.problem.name
     if "verdict" in data:
-        bound = "none is proved" if data["bound"] is None else f"{data['bound']:.6g}"
+        bound = "no lower bound is proven"
+        if data["bound"] is not None:
+            bound = f"proven: no deployment costs less than {data['bound']:.6g}"
         radio = cast("CoverageProblem", result.problem).radio is not None
         worst = max(data["start_costs"]) / data["objective"]
         return (
-            f"{name}: {data['verdict']}, coverage cost {data['objective']:.6g}, "
-            f"lower bound {bound}",
-            f"  best of {STARTS} starts, the worst of which costs {worst:.4f} times as much",
+            f"{name}: {data['verdict']}, coverage cost {data['objective']:.6g}",
+            f"  {bound}",
+            f"  best of {STARTS} starts; the worst start costs {worst:.4f} times as much",
             *(("  links are not considered: simulate keeps them",) if radio else ()),
         )
     found = data["metrics"]

@@ -45,6 +45,29 @@ FRONT_DESIGNS = 25
 
 PICTURE = "design.png"
 
+REQUIREMENT_WORDS = {
+    "payload of a slot below what it carries": "bits to send in a slot",
+    "y = v_e period below 1": "y",
+    "a of the error over 1 - y below 1": "a, with errors divided by 1 - y",
+    "growth while waiting below 1": "growth of the distance while waiting",
+    "floor below the capture radius": "least distance that is guaranteed",
+    "time to capture below the deadline": "time to capture",
+    "a + x below 1": "a + x",
+    "a + x + margin below 1": "a + x + margin",
+    "a + (1 - 1/alpha) x below 1": "a + (1 - evader speed / pursuer speed) x",
+    "a below 1": "a",
+}
+"""Left sides of the requirements for people; JSON has the keys."""
+
+SYMBOLS = {words for words, left in REQUIREMENT_WORDS.items() if left[:2] in ("y", "a", "a,", "a ")}
+"""Requirements with the symbols a, x or y."""
+
+ACTIVE = 1e-6
+"""Share of a limit below which a margin is shown as none."""
+
+LEAST_EFFECT = 0.005
+"""Effect in per cent below which a parameter is not listed."""
+
 MethodName = Literal["least_power", "least_power_rated", "least_energy", "capture_in_time"]
 TheoremName = Literal["lemma", "any_instant", "sampled_distance", "snapshots"]
 
@@ -418,9 +441,11 @@ def in_words(result: TaskResult) -> Sequence[str]:
             f"{100.0 * data['gap']:.2g} %"
         )
     if data["capture_time_s"] is not None:
+        holds = "would be guaranteed" if data["message"] else "is guaranteed"
         lines.append(
-            f"  capture guaranteed within {data['capture_time_s']:.4g} s "
-            f"(theorem {problem.theorem.value})"
+            f"  capture {holds} within {data['capture_time_s']:.4g} s "
+            f"(theorem {problem.theorem.value}"
+            + (", if every record were on time)" if data["message"] else ")")
         )
     if data["energy_per_capture_j"] is not None and problem.method.of_energy:
         lines.append(f"  energy per capture at most {data['energy_per_capture_j']:.4g} J")
@@ -432,7 +457,9 @@ def in_words(result: TaskResult) -> Sequence[str]:
         lines.append(f"  verified: a slot carries {blocks} blocks, so that every record is on time")
     effects = sorted(data["sensitivities"].items(), key=lambda item: -abs(item[1]))
     what = "energy" if problem.method.of_energy else "power"
-    shown = ", ".join(f"{name} {value:+.2f} %" for name, value in effects)
+    shown = ", ".join(
+        f"{name} {value:+.2f} %" for name, value in effects if abs(value) >= LEAST_EFFECT
+    )
     lines.append(f"  change of the least {what} if a parameter increases by 1 %: {shown}")
     return lines
 
@@ -446,12 +473,17 @@ def _requirements_in_words(requirements: Sequence[dict[str, Any]]) -> list[str]:
 
     table = [["requirement (checked by the verifier)", "value", "limit", "margin", ""]]
     for each in requirements:
-        sides = (shown(each[key], each["unit"]) for key in ("left", "right", "margin"))
-        table.append([each["words"], *sides, "" if each["holds"] else "violated"])
+        sides = [shown(each[key], each["unit"]) for key in ("left", "right", "margin")]
+        if each["margin"] is not None and 0.0 <= each["margin"] <= ACTIVE * abs(each["right"]):
+            sides[2] = "none"
+        words = REQUIREMENT_WORDS.get(each["words"], each["words"])
+        table.append([words, *sides, "" if each["holds"] else "violated"])
     lines = aligned(table, 1)
-    if any(each["words"].startswith("a ") for each in requirements):
-        lines.append("a: position error of a record, x: movement of the evader during its age;")
-        lines.append("both per metre of distance between pursuer and evader")
+    if any(each["words"] in SYMBOLS for each in requirements):
+        lines.append("a: distance left after a stage with fresh records; x and y: movement of the")
+        lines.append(
+            "evader during the age of a record and between rounds; all per metre of distance"
+        )
     return lines
 
 

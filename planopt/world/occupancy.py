@@ -101,8 +101,8 @@ class OccupancyGrid:
             numbers = np.full(3, np.nan)
         if numbers.shape != (3,) or not (np.isfinite(numbers).all() and numbers[0] > 0.0):
             raise InputError(
-                f"has a grid with resolution_m = {self.resolution_m!r} and origin_m = "
-                f"{self.origin_m!r}, which are not valid",
+                f"has a grid with a wrong resolution_m ({self.resolution_m!r}) or origin_m "
+                f"({self.origin_m!r})",
                 key="world.obstacles",
                 remedy="give a resolution above 0 m, and the corner (x, y) of the grid in metres",
             )

@@ -152,13 +152,17 @@ def parse_station(text: str, origin_deg: Origin | None = None) -> Station | None
     if text.strip().lower() == "unknown":
         return None
     form = "X,Y[,HEIGHT] in metres" if origin_deg is None else "LAT,LON[,HEIGHT] in degrees"
-    remedy = f"write {form}, or unknown"
+    remedy = f"write {form}, or the word unknown"
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError:
         numbers = []
     if len(numbers) not in (2, 3) or not all(math.isfinite(number) for number in numbers):
-        raise InputError(f"cannot read {text!r}", key="station", remedy=remedy)
+        raise InputError(
+            f"{text!r} is not a position of two or three finite numbers",
+            key="station",
+            remedy=remedy,
+        )
     place, height_m = np.array(numbers[:2]), (*numbers, 0.0)[2]
     if origin_deg is not None:
         (place,) = east_north_m(place[1:], place[:1], origin_deg)

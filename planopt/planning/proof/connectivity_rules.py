@@ -134,7 +134,7 @@ def _require_shown(problem: Problem, words: str, remedy: str) -> None:
     p_min = problem.constraints.p_min
     if p_min > MOST_PROBABLE:
         raise InputError(
-            f"is {p_min:g}, but more than {MOST_PROBABLE:g} cannot be verified {words}",
+            f"is {p_min:g}, but at most {MOST_PROBABLE:g} can be verified {words}",
             file=problem.file,
             key="constraints.p_min",
             remedy=f"require less, or {remedy}",
@@ -332,7 +332,7 @@ class Data(Rule):
         return p_min > 0.0
 
     def by_slack(self, case: PathCase) -> BySlack:
-        """Return the expectation, or a lower bound of the probability from drawn channels."""
+        """Return what the rule achieves: an expectation, or a lower bound of a probability."""
         p_min, count = case.problem.constraints.p_min, len(case.positions_m) - 1
         if p_min == 0.0:
             return super().by_slack(case)

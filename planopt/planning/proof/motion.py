@@ -107,7 +107,7 @@ def verify_motion(
 
 
 def drive_fault(dynamics: Dynamics, positions_m: NDArray[np.float64], drive: Drive | None) -> str:
-    """Return why a drive does not match a finite path; empty if it matches."""
+    """Return why states and inputs do not reproduce a path of finite numbers; empty if they do."""
     states, inputs = len(dynamics.state_names), len(dynamics.input_names)
     if (
         drive is None

@@ -1,8 +1,8 @@
 """Dynamic programming over N steps on the lattice: maximise the sum of rewards.
 
 The search is exact for rewards that are additive over steps. The first move leads from the robot's
-position to any node within a step; later moves are the lattice's 21 moves. A move has a value minus
-a surcharge that depends on its two ends; moving obstacles block moves in single steps. Each stage
+position to any node within a step; later moves are the lattice's 21 moves. A surcharge on a move
+depends on its two ends; a moving obstacle blocks it only in the steps when it is there. Each stage
 computes the best value of every node in the reachable window from shifted slices of the previous
 stage's values; paths are traced back from these values. A window is a part of the lattice with a
 margin of blocked nodes around it.

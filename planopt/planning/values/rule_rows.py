@@ -270,7 +270,8 @@ def _held_patterns(rule: Rule, context: StepContext, count: int) -> list[NDArray
 def missing(at: StepContext, legs_m: NDArray[np.float64], power: Prediction) -> NDArray[np.float64]:
     """Return the shortfall of each path, 0 if it satisfies the rule; (c,).
 
-    The unit is dB, summed over steps; for other rules, the number of missing connected steps.
+    The unit is dB, summed over steps, for rules on each step, and otherwise the number of connected
+    steps that are lacking.
     """
     # Shapes: legs_m (c, N).
     constraints, history = at.problem.constraints, at.history

@@ -236,7 +236,7 @@ def test_plans_of_a_team(simulation, belief, plan, task):
         line_of(figure.axes[0], "robot_1, planned").get_xydata(), plan.positions_m
     )
     words = "\n".join(text.get_text() for axes in figure.axes for text in axes.texts)
-    assert words.count("verified; candidate: plan; solver: converged") == words.count("0.812") == 2
+    assert words.count("verified; refined path; solver converged") == words.count("0.812") == 2
     if target_m is not None:
         curve = panel_of(figure, "distance").lines[0].get_xydata()
         np.testing.assert_allclose(curve, np.stack([plan.t_s[1:], np.full(4, 5.0)], axis=1))

@@ -249,7 +249,7 @@ def _bounds(drawn: PageMap) -> tuple[float, float, float, float]:
     paths = [track.positions_m for track in drawn.tracks]
     outlines = [shapely.get_coordinates(one.polygon) for one in drawn.obstacles]
     points = np.concatenate([*paths, *outlines])
-    low, high = points.min(axis=0), points.max(axis=0)
+    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     margin = EDGE_MARGIN * max(float((high - low).max()), 1.0)
     (x_min, y_min), (x_max, y_max) = (low - margin).tolist(), (high + margin).tolist()
     return x_min, y_min, x_max, y_max
@@ -264,7 +264,7 @@ def _groups(tracks: Sequence[Track]) -> list[dict[str, Any]]:
         groups.setdefault(name, []).append(track)
     found: list[dict[str, Any]] = []
     for number, members in enumerate(groups.values()):
-        target = members[0].role == "target"
+        target = members[0].role in ("target", "event")
         found.append(
             {
                 "name": members[0].name if named else f"{members[0].role}s",

@@ -96,6 +96,8 @@ def task_page(
         )
         for robot in data.get("robots", ())
     ]
+    if tracks:
+        tracks += [track for _, table in tables.values() for track in _events(table)]
     figures = [(key, value) for key, value in _flat(data) if isinstance(value, int | float | str)]
     faults = data.get("faults")
     certificate = () if faults is None else (*map(str, faults),)
@@ -121,6 +123,17 @@ def task_page(
     )
 
 
+def _events(table: Data) -> Iterator[Track]:
+    """Yield the positions of each event of a table; NaN while it is not there."""
+    if not {"event", "there", "t_s", "x_m", "y_m"} <= set(table):
+        return
+    for name in dict.fromkeys(table["event"].tolist()):
+        own = table["event"] == name
+        points = np.column_stack([table["x_m"][own], table["y_m"][own]])
+        there = table["there"][own].astype(bool)
+        yield Track(name, table["t_s"][own], np.where(there[:, None], points, np.nan), "event")
+
+
 def _result_tables(tables: Mapping[str, tuple[Sequence[Column], Data]]) -> list[PageTable]:
     """Return the saved tables of a result."""
     return [
@@ -132,7 +145,7 @@ def _result_tables(tables: Mapping[str, tuple[Sequence[Column], Data]]) -> list[
 def _column_charts(columns: Sequence[Column], table: Data) -> Iterator[Chart]:
     """Yield a chart of each numeric column over time."""
     for column in columns:
-        if column.kind == "number" and column.name != "t_s":
+        if column.kind == "number" and not column.name.endswith(("t_s", "x_m", "y_m")):
             curve = _curve(0, column.name, table["t_s"], rounded(table[column.name], METRE_DIGITS))
             label = plain(f"{column.name} [{column.unit or '1'}]")
             yield Chart(column.meaning, [curve], TIME, label, over_time=True)
@@ -366,8 +379,9 @@ def _predicted(
         "x": rounded(np.concatenate([times, times[::-1]]), METRE_DIGITS),
         "y": rounded(np.concatenate([mean - half, (mean + half)[::-1]]), POWER_DIGITS),
         "fill": "toself",
-        "opacity": 0.25,
-        "line": {"width": 0, "color": ROBOT_COLOURS[number % len(ROBOT_COLOURS)]},
+        # Two hexadecimal digits of opacity
+        "fillcolor": f"{ROBOT_COLOURS[number % len(ROBOT_COLOURS)]}40",
+        "line": {"width": 0},
         "hoverinfo": "skip",
         "name": f"{plain(robot)}, {BAND_WORDS}",
     }

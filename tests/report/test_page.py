@@ -6,11 +6,14 @@ import shutil
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 import planopt
 from planopt.cli import main
+from planopt.files.tables import Column
 from planopt.report.page import MOST_ROWS, Chart, Page, PageTable, page_html, plain
+from planopt.report.page_content import task_page
 
 HOSTILE = "</script><script>alert(1)</script><img src=x onerror=alert(2)> & \"'"
 
@@ -139,6 +142,22 @@ def test_map_of_a_run(saved: dict[str, Path], pages: dict[str, str]) -> None:
     assert received[0]["y"] == pytest.approx(run.run.log.true_dbm, abs=0.01)
     words = Elements(pages["run"]).texts
     assert "plans verified" in "".join(words["pre"])
+
+
+def test_events_are_on_the_map(tmp_path: Path) -> None:
+    """An event is drawn while it is there; the charts of its table leave positions out."""
+    times, there = np.arange(4.0), np.array([0, 1, 1, 0])
+    names = np.array(["leak"] * 4)
+    table = {"event": names, "t_s": times, "there": there, "x_m": times, "y_m": 2.0 * times}
+    columns = [Column("event", "", kind="text"), Column("t_s", "time", "s"), Column("x_m", "", "m")]
+    robot = {"name": "agent0", "t_s": [0.0, 3.0], "x_m": [0.0, 1.0], "y_m": [0.0, 1.0]}
+    tables = {"events.csv": (columns, table)}
+    page = task_page("net", "", {"robots": [robot]}, (), tables, (), {})
+    assert page.map is not None and not page.charts
+    groups = content_of(page_html(page))["map"]["groups"]
+    (track,) = groups[1]["tracks"]
+    assert groups[1]["symbol"] == "star"
+    assert track["x"] == [None, 1.0, 2.0, None] and track["y"] == [None, 2.0, 4.0, None]
 
 
 def test_plan_states_its_certificate(pages: dict[str, str]) -> None:

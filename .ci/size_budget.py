@@ -13,8 +13,8 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 68_200,
-    "lines of code": 49_000,
+    "lines": 68_300,
+    "lines of code": 49_100,
     "files": 296,
     "functions": 3_600,
     "docstring lines": 8_740,

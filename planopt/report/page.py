@@ -333,7 +333,7 @@ def _table_html(table: PageTable) -> str:
     """Return a table with a caption and header cells, in a disclosure that keys can open."""
     head = "".join(f'<th scope="col">{escape(name)}</th>' for name in table.header)
     body = "\n".join(
-        "<tr>" + "".join(f"<td>{escape(_cell(value))}</td>" for value in row) + "</tr>"
+        "<tr>" + "".join(f"<td>{escape(cell_text(value))}</td>" for value in row) + "</tr>"
         for row in table.rows
     )
     hidden = table.total - len(table.rows)
@@ -349,7 +349,7 @@ def _table_html(table: PageTable) -> str:
     )
 
 
-def _cell(value: object) -> str:
+def cell_text(value: object) -> str:
     """Return the text of a table cell; an empty one has no value."""
     if value is None:
         return ""

@@ -62,7 +62,7 @@ def motion_page(result: Solution | Run) -> Page:
     belief = result.belief if isinstance(result, Solution) else result.beliefs[0]
     tracks = [_planned(plan) for plan in plans] if run is None else list(_driven(run))
     known = [
-        PageTable("Key figures", ("name", "value"), _figures(result)),
+        PageTable("Key figures", ("name", "value"), key_figures(result)),
         *_result_tables(tables_of(result)),
         *_settings(problem_to_dict(problem), result.seed),
     ]
@@ -469,7 +469,7 @@ def _reliability_chart(comparison: Comparison) -> list[Chart]:
     return [Chart("Reliability", [points, _line([0, 1], [0, 1], "equal")], label, "connected [1]")]
 
 
-def _figures(result: Solution | Run) -> list[tuple[str, object]]:
+def key_figures(result: Solution | Run) -> list[tuple[str, object]]:
     """Return the key figures of a plan or run."""
     if isinstance(result, Run):
         head = [("outcome", result.outcome.value), ("reason", result.reason)]

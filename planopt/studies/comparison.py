@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from planopt.channel.calibration import ReliabilityBin
 from planopt.errors import A_FOLDER, InputError, NoPlanError, path_of
@@ -22,7 +22,7 @@ from planopt.files.typed_json import decoded, encoded, finite
 from planopt.files.writing import replaced_results, strict_text, write_text, write_whole
 from planopt.planning.files.result_json import reliability_json, summary_json
 from planopt.planning.files.saved import PLAN_FILE, RUN_FILE
-from planopt.planning.loop.results import RunSummary
+from planopt.planning.loop.results import NOT_DONE, RunSummary
 from planopt.problems.problem import Problem
 from planopt.problems.tasks import TaskProblem, problem_from, task_of
 from planopt.short_repr import short_repr
@@ -35,6 +35,9 @@ from planopt.studies.comparison_rows import (
     settings_of_runs,
 )
 from planopt.studies.study import cpu_name, digest_of_tables, program
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 COMPARISON_FILE, MANIFEST_FILE, RUNS_FILE = "comparison.json", "manifest.json", "runs.jsonl"
 PARQUET_FILE = "runs.parquet"
@@ -114,6 +117,23 @@ class Comparison:
             if parquet:
                 write_whole(new / PARQUET_FILE, lambda path: _write_parquet(self, path))
             write_text(new / COMPARISON_FILE, strict_text(data))
+
+    def plot(self) -> Figure:
+        """Draw mean and interval of every metric by setting; no window is opened."""
+        # Accessed by name because the package of figures depends on this one.
+        return import_module("planopt.report").draw_comparison(self)
+
+    def _repr_html_(self) -> str:
+        """Return the picture and key figures for notebooks."""
+        figures = [
+            ("settings", len(self.settings)),
+            ("runs", len(self.runs)),
+            ("runs that completed the task", sum(run.exit_code != NOT_DONE for run in self.runs)),
+            ("exit_code", self.exit_code),
+            ("wall_s", self.wall_s),
+        ]
+        name, notebook = self.problem.name, import_module("planopt.report.notebook")
+        return notebook.summary_html(f"comparison of {name}", figures, self.plot())
 
     def to_dataframe(self) -> Any:
         """Return the runs as a pandas DataFrame: a row per run, a column per setting and metric.

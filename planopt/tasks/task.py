@@ -476,6 +476,16 @@ class TaskResult:
             )
         return next(iter(figures(self).values()))
 
+    def _repr_html_(self) -> str:
+        """Return the picture, if there is one, and key figures for notebooks."""
+        from planopt.report.notebook import summary_html
+
+        end = "verdict" if "verdict" in self.data else "outcome"
+        numbers = _scalars(self.data) | _scalars(self.data.get("metrics", {}))
+        drawn = self.task.figures is not None and self.value is not None
+        figures = [(end, self.data.get(end)), *numbers.items()]
+        return summary_html(self.problem.name, figures, self.plot() if drawn else None)
+
     def draw(self, folder: Path, *, animation: bool = False) -> None:
         """Draw the figures selected by the problem, and optionally an animation."""
         if self.value is not None:

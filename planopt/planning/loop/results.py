@@ -77,6 +77,10 @@ class Result(ABC):
         # Accessed by name because the packages of figures and files depend on this one.
         return getattr(import_module("planopt.report"), self._drawn_by)(self)
 
+    def _repr_html_(self) -> str:
+        """Return the picture and key figures for notebooks."""
+        return import_module("planopt.report.notebook").result_html(self)
+
     def save(self, folder: Path | str) -> None:
         """Save the result as a folder that ``planopt check`` and :func:`planopt.load_result` read.
 

@@ -29,6 +29,8 @@ VARIABLE = (
     (r"(?<=[a-z]Error: ).*?(?= \([a-z][^()]*\)$|$)", "..."),
     (r"(?<=CasADi: )\.\.\..*|(?<=table: )Unable to.*", "..."),
     (r"0x[0-9a-f]{6,}", "0x..."),
+    (r"([nx])\1{20,}\.\.\.\1+", r"\1..."),
+    (r"(?<=while decoding a JSON )(array|object)", "..."),
     (r"(?<=,) '(corridor|sending)',| or (corridor|sending)", ""),
     (r"line \d+ column \d+ \(char \d+\)", "line N"),
     (r"(?<=\d\.\d{3})\d{6,}", ""),

@@ -181,7 +181,7 @@ def test_standard_output_is_closed() -> None:
         process.stdout.close()
         errors = process.stderr.read()
     assert process.returncode == 2
-    assert errors == "planopt: standard output cannot be written: Broken pipe\n"
+    assert errors == "planopt: cannot write to standard output: Broken pipe\n"
 
 
 COMMANDS = {

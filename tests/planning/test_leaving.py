@@ -76,5 +76,5 @@ def test_a_step_out_of_bounds_is_another_frame():
     """Farther out than a step, the place is refused."""
     problem = load("open_field")
     far = problem.workspace.bounds_m[2] + 1.1 * problem.step_length_m
-    with pytest.raises(InputError, match="outside the bounds"):
+    with pytest.raises(InputError, match=r"outside world\.bounds_m"):
         Planner(problem, horizon=2).step((far, 50.0))

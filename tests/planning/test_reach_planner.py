@@ -19,7 +19,7 @@ from scenes import (
     verified,
 )
 
-import planopt.planning.refinement as refine_module
+import planopt.planning.goal_refinement as refine_module
 from planopt import Plan, Problem, Verdict
 from planopt.extend import Rung, Termination
 from planopt.objectives.reach import path_cost_s

@@ -87,8 +87,8 @@ def test_every_command_takes_it(
         (["bench", "run", "--problems", str(file), "--out", f"{out}/bench"], 0, "4 cases answered"),
         (["bench", "report", f"{out}/bench", "--no-figures"], 0, "walk"),
         (["schema", "--task", "walk"], 0, "Radius of the circle"),
-        (["simulate", str(file), "--animation", "--out", out], 2, "not available for"),
-        (["simulate", str(file), "--planner", "auto"], 2, "not available for"),
+        (["simulate", str(file), "--animation", "--out", out], 2, "is not available for"),
+        (["simulate", str(file), "--planner", "auto"], 2, "is not an option of the task walk"),
     ):
         assert main(command) == code
         captured = capsys.readouterr()

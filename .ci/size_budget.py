@@ -13,7 +13,7 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 68_300,
+    "lines": 68_500,
     "lines of code": 49_100,
     "files": 296,
     "functions": 3_600,

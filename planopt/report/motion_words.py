@@ -44,7 +44,7 @@ ORIGINS = {
 STOPPED = {
     "converged": "converged",
     "acceptable": "converged to its looser tolerance",
-    "lattice_only": "not used",
+    "lattice_only": "not used for this path",
     "iteration_limit": "stopped at the iteration limit",
     "time_limit": "stopped at the time limit",
     "infeasible": "found no feasible point",

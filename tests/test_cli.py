@@ -203,6 +203,18 @@ def test_help_and_version(capsys) -> None:
     assert capsys.readouterr().out == f"{planopt.__version__}\n"
 
 
+@pytest.mark.parametrize("command", ["simulate", "compare"])
+def test_help_lists_the_planners_of_every_task(command, capsys) -> None:
+    """Those of networks and pursuits are as their schemas have them."""
+    assert main([command, "--help"]) == 0
+    words = re.findall(r"\w+", capsys.readouterr().out)
+    for task in ("coverage", "pursuit"):
+        assert main(["schema", "--task", task]) == 0
+        tables = json.loads(capsys.readouterr().out)["$defs"]
+        names = tables["PlannerTable"]["properties"]["name"]["enum"]
+        assert set(names) <= set(words)
+
+
 def test_an_interrupt_is_exit_code_130(
     field: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
 ) -> None:

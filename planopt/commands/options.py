@@ -13,7 +13,8 @@ import typer
 
 from planopt.problems.planner_kinds import OWN
 
-PLANNERS = ", ".join(OWN)
+PLANNERS = f"{', '.join(OWN)}; networks: law, receding, deploy; pursuits: drive, retarget, receding"
+"""Planners by task, for help texts."""
 
 
 def option(name: str, metavar: str | None, text: str, **settings: Any) -> Any:

@@ -259,7 +259,7 @@ def _kinds(model: type[BaseModel]) -> tuple[object, ...]:
 
 
 def _tables(annotation: Any) -> list[type[BaseModel]]:
-    """Return all tables in an annotation, including those registered later."""
+    """Return all classes of tables that an annotation names, registered ones included."""
     if isinstance(annotation, OpenTables):
         return list(annotation.tables())
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):

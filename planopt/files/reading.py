@@ -114,5 +114,5 @@ def require_array_size(path: Path, key: str, *lengths: int) -> None:
     """Raise an error for an array that declares too many values, before it is read."""
     if min(lengths, default=0) < 0 or math.prod(map(int, lengths)) > LARGEST_ARRAY_VALUES:
         shape = " x ".join(str(int(length)) for length in lengths)
-        fault = f"declares {shape} values, more than the limit of {LARGEST_ARRAY_VALUES}"
+        fault = f"has {shape} values, more than the limit of {LARGEST_ARRAY_VALUES}"
         raise InputError(fault, file=path, key=key, remedy="give a smaller map")

@@ -276,11 +276,11 @@ def at_ends(
     retreats: Retreats,
     settings: FilteredTracking,
 ) -> NDArray[np.float64]:
-    """Return s_k and e_k of equation 4.21 from the path ends on; ``(2, c, k)``.
+    """Return s_k and e_k of equation 4.21 for the steps after the ends of paths; ``(2, c, k)``.
 
     After a successful probe the robot stays during the first `STAYED_STEPS` steps. A path that ends
-    with its first step probes nothing. Otherwise a stationary robot would score like a moving one,
-    because the model ignores obstacles and other robots and lets it leave at any step.
+    with its first step probes nothing. Without both rules a robot at rest would score like one that
+    moves, because in the model it may leave at any step.
     """
     tracking, stops = settings.tracking, paths_m[:, -1]
     staying = sensing_information(tracking.sensor, stops[:, None], tracking.target_m)

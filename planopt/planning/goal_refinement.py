@@ -118,9 +118,9 @@ class GoalRefinement:
         return better if better.verdict is Verdict.VERIFIED and is_better else None
 
     def _from(self, path_m: NDArray[np.float64], rung: Rung) -> Iterator[Candidate]:
-        """Yield refinements of a path, each with lines for the verified violations added.
+        """Yield refinements of a path, each with separating lines for the last one's collisions.
 
-        Steps that meet the bound in the guess must keep it; with `rung` RELAXED others are free.
+        Steps that meet the connectivity bound in the guess keep it; RELAXED frees the other steps.
         """
         if self.budget.spent:
             return

@@ -114,7 +114,7 @@ class UnicycleMotion:
     def _after(
         self, states: Floats, speed_m_s: Floats, rate_rad_s: Floats, lasts_s: Floats
     ) -> Floats:
-        """Return exact steps of the robot; inputs are scaled by their duration, over one second."""
+        """Return the exact states after inputs of different durations, (...) in seconds."""
         moved = self.robot.step(
             (states[..., 0], states[..., 1], states[..., 2]),
             (speed_m_s * lasts_s, rate_rad_s * lasts_s),

@@ -44,7 +44,7 @@ ORIGINS = {
 STOPPED = {
     "converged": "converged",
     "acceptable": "converged to its looser tolerance",
-    "lattice_only": "not used for this path",
+    "lattice_only": "result replaced by a lattice path",
     "iteration_limit": "stopped at the iteration limit",
     "time_limit": "stopped at the time limit",
     "infeasible": "found no feasible point",
@@ -222,8 +222,8 @@ def _costs_in_words(run: Run) -> list[str]:
     lines = [
         f"cost of the run: {shown_number(run.costs['realised_cost_m'], ' m')} (path length plus "
         f"{run.problem.reach.outage_price:g} m for each metre out of contact)",
-        "cost of a lattice path planned with the known channel: "
-        f"{shown_number(run.costs['clairvoyant_cost_m'], ' m')}",
+        "cost of a lattice path planned with the known channel (clairvoyant): "
+        f"{shown_number(run.costs['clairvoyant_cost_m'], ' m')}; a refined path may cost less",
     ]
     proofs = [plan.certificate for made in run.plans for plan in made]
     excess_m = [proof.excess_m for proof in proofs if proof.excess_m is not None]

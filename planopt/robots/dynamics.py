@@ -107,7 +107,7 @@ class Dynamics(Protocol):
         ...
 
     def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
-        """Return an approximate turning time before driving to a position; smooth, 0 there."""
+        """Return the approximate time to turn towards a position, smooth, and 0 at the position."""
         ...
 
     def braking(self, state: Floats, step_s: float, steps: int) -> Floats:

@@ -167,7 +167,7 @@ def problem_of(case: Case) -> AnyProblem:
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """Result of a case in rows and references; with several robots, the sum or the worst."""
+    """Result of a benchmark case: sums over robots, and the worst robot's distances."""
 
     problem: str
     kind: str

@@ -74,7 +74,7 @@ def solve(
     Raises
     ------
     InputError
-        The task cannot be solved or lacks the setting, or a setting or file is invalid.
+        The task has no plans or no such setting, or a setting or file is invalid.
     NoPlanError
         No plan exists, for instance because obstacles block the goal.
 
@@ -152,8 +152,8 @@ def simulate(
     Raises
     ------
     InputError
-        The task cannot be simulated or lacks the setting, a setting or file is invalid, or there
-        is no ground truth.
+        The task has no runs or no such setting, a setting or file is invalid, or there is no ground
+        truth.
     NoPlanError
         No plan exists, for instance because obstacles block the goal.
 

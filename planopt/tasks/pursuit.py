@@ -142,9 +142,9 @@ def _stage_shares(problem: PursuitProblem, pursuit: Pursuit) -> Iterator[tuple[T
 def _guarantee_json(
     problem: PursuitProblem, pursuit: Pursuit, shares: Sequence[tuple[Theorem, float]]
 ) -> dict[str, Any]:
-    """Return the guarantee for the first pursuer and evader, and the largest ratios to its bounds.
+    """Return the guarantee for the first pursuer and evader, and how much of its bounds was used.
 
-    The capture time is bounded only for a single pursuer and evader; others may be pursued first.
+    The capture time is bounded only for one pursuer and one evader; several may be chased in turn.
     """
     radius_m, uses = problem.given.pursuit.capture_radius_m, pursuit.uses
     alone = len(problem.given.pursuers) == len(problem.given.evaders) == 1
@@ -298,8 +298,8 @@ def _in_words(result: TaskResult) -> Sequence[str]:
     ]
     if metrics["records"]:
         lines.append(
-            f"  {metrics['records']} records used, on average {metrics['mean_age_s']:.2f} s old "
-            f"with an error of {metrics['mean_error_m']:.2f} m"
+            f"  records used: {metrics['records']}, mean age {metrics['mean_age_s']:.2f} s, mean "
+            f"error {metrics['mean_error_m']:.2f} m"
         )
     if guarantee["detour"] > 1.0:
         lines.append(
@@ -315,12 +315,12 @@ def _in_words(result: TaskResult) -> Sequence[str]:
         else:
             within = "" if lasts_s is None else f" within {lasts_s:.4g} s"
             reached = (
-                "only one stage"
+                "the run had one stage, so no bound between stages was tested"
                 if share is None
                 else f"stages reached at most {100.0 * share:.1f} % of their bound"
             )
             words = f"capture guaranteed{within}; {reached}"
-        lines.append(f"  {theorem}: {words}")
+        lines.append(f"  theorem {theorem}: {words}")
     return lines
 
 

@@ -47,8 +47,8 @@ PICTURE = "design.png"
 
 REQUIREMENT_WORDS = {
     "payload of a slot below what it carries": "bits to send in a slot",
-    "y = v_e period below 1": "y",
-    "a of the error over 1 - y below 1": "a, with errors divided by 1 - y",
+    "y = v_e period below 1": "movement of the evader between rounds, y",
+    "a of the error over 1 - y below 1": "distance left after a stage, a(y)",
     "growth while waiting below 1": "growth of the distance while waiting",
     "floor below the capture radius": "least distance that is guaranteed",
     "time to capture below the deadline": "time to capture",
@@ -59,7 +59,7 @@ REQUIREMENT_WORDS = {
 }
 """Left sides of the requirements for people; JSON has the keys."""
 
-SYMBOLS = {words for words, left in REQUIREMENT_WORDS.items() if left[:2] in ("y", "a", "a,", "a ")}
+SYMBOLS = {words for words in REQUIREMENT_WORDS if words[:2] in ("y ", "a ")}
 """Requirements with the symbols a, x or y."""
 
 ACTIVE = 1e-6

@@ -324,7 +324,7 @@ def _column(header: list[str], name: str) -> int:
             if name not in header
             else (f"the file has two columns {name!r}"),
             key=name,
-            remedy=f"it has {listed(header)}",
+            remedy=f"its columns are {listed(header)}" if header else "write a header with columns",
         )
     return header.index(name)
 

@@ -1,9 +1,10 @@
 # pyright: basic
 """Nonlinear programme over N steps, for any smooth objective of a path.
 
-The variables are the positions q_1..q_N and a slack s_k of each stage's connectivity bound::
+The variables are the positions q_1..q_N and a slack s_k of each stage's connectivity bound, or one
+slack t of a total::
 
-    max   scale * (value(q_1, ..., q_N) - cost) - slack_weight sum s_k
+    max   scale * (value(q_1, ..., q_N) - cost) - slack_weight (sum s_k or t)
     s.t.  |q_k - q_{k-1}|^2 <= L^2                   k = 1..N             "speed"
           n_kj . q_k     >= b_kj                     k = 1..N, all j      "line_end"
           n_kj . q_{k-1} >= a_kj                     k = 2..N, all j      "line_start"
@@ -13,7 +14,7 @@ The variables are the positions q_1..q_N and a slack s_k of each stage's connect
 L is the longest step. The separating lines (n, b, a) are fixed from the initial guess and applied
 to both ends of a segment, so that the whole segment is clear; b and a differ for a moving obstacle.
 The connectivity rows are margins, or one total (a sum over stages), or none. The total's slack t is
-in dB; c is the change of the total per dB. The cost applies to a goal of a robot with dynamics
+in dB; c is the change of the total per dB. A cost exists only if a robot with dynamics has a goal
 (:mod:`planopt.planning.programme.goal_value`); its variables and rows
 (:mod:`planopt.planning.programme.path_rows`) follow the positions and precede "connectivity".
 

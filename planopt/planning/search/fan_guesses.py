@@ -1,8 +1,8 @@
-"""Initial guesses for objectives that couple the positions of a path: a fan of paths that climb.
+"""Initial guesses for objectives that couple the positions of a path: a fan of straight paths.
 
-All paths are driven at once. If the next step of a path would leave free space, the path turns
-aside by the smallest sufficient angle. While driving, a raster of clearances decides; afterwards
-every segment is checked exactly, and a path stops before its first blocked segment.
+All paths are extended together, step by step. If the next step of a path would leave free space,
+the path turns aside by the smallest sufficient angle. Meanwhile a raster of clearances decides;
+afterwards every segment is checked exactly, and a path stops before its first blocked segment.
 
 Paths to the base station are added while path loss is uncertain: a measurement next to the station
 is the most informative one, and the fan may have no path near it.

@@ -151,7 +151,7 @@ class Checked(OwnRule):
         (
             10.0,
             r"\S*Checked\.__post_init__ failed: ValueError: is large: mend steps, "
-            r"at most: 9 \(correct __post_init__\)$",
+            r"at most: 9 \(correct the method __post_init__\)$",
         ),
     ],
 )

@@ -476,7 +476,7 @@ def _requirements_in_words(requirements: Sequence[dict[str, Any]]) -> list[str]:
         sides = [shown(each[key], each["unit"]) for key in ("left", "right", "margin")]
         if each["margin"] is not None and 0.0 <= each["margin"] <= ACTIVE * abs(each["right"]):
             sides[2] = "none"
-        words = REQUIREMENT_WORDS.get(each["words"], each["words"])
+        words = str(REQUIREMENT_WORDS.get(each["words"], each["words"]))
         table.append([words, *sides, "" if each["holds"] else "violated"])
     lines = aligned(table, 1)
     if any(each["words"] in SYMBOLS for each in requirements):

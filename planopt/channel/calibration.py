@@ -1,9 +1,9 @@
 """Calibration of predictions: ratios over groups, and reliability tables.
 
-Powers of one walk, and steps of one run, are correlated: thousands of them may be worth only a
-handful of independent ones. Intervals are therefore based on groups. The variance of a ratio of
-sums is the linearised ratio estimator of cluster sampling, and quantiles are those of Student's t
-with one degree of freedom less than groups.
+Powers of one walk, and steps of one run, are correlated: thousands of them may contain as much
+information as a handful of independent ones. Intervals are therefore based on groups. The variance
+of a ratio of sums is estimated by linearisation, as in cluster sampling. For g groups the quantiles
+are those of Student's t with g - 1 degrees of freedom.
 
 A reliability table bins predictions by the predicted probability of connection and compares the
 mean of each bin with the realised share. Its intervals for cluster surveys are by Korn and Graubard
@@ -45,11 +45,11 @@ class GroupedRatio:
     high: float
 
     def share(self) -> GroupedRatio:
-        """Return the ratio as a share, with an interval of at most one."""
+        """Return the ratio with the upper end of its interval clipped to one."""
         return GroupedRatio(self.value, self.low, min(self.high, 1.0))
 
     def root(self) -> GroupedRatio:
-        """Return the square root of a ratio of squares."""
+        """Return the square root of the ratio and of its interval, such as an RMSE."""
         return GroupedRatio(math.sqrt(self.value), math.sqrt(self.low), math.sqrt(self.high))
 
 
@@ -109,7 +109,7 @@ class ReliabilityBin:
 
     @property
     def agrees(self) -> bool | None:
-        """Return whether the interval contains the mean prediction; None without an interval."""
+        """Return True if the interval contains the mean prediction; None without an interval."""
         if self.interval is None:
             return None
         return self.interval[0] <= self.predicted <= self.interval[1]

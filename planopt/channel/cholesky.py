@@ -37,12 +37,12 @@ PUT_ROWS = 64
 
 
 def lower_factor(matrix: Floats) -> Floats:
-    """Return lower triangular L with L L' = `matrix`, symmetric and positive definite; (n, n)."""
+    """Return the lower Cholesky factor L of a positive definite `matrix` = L L'; (n, n)."""
     return np.tril(_half_factor(matrix, overwrite=False))
 
 
 def whitened_by(matrix: Floats, right: Floats) -> Floats:
-    """Return L^-1 `right` (n, m), L the factor of `matrix`, which is overwritten."""
+    """Return L^-1 `right` (n, m), with L the factor of `matrix`; `matrix` is overwritten."""
     return factor_and_whitened(matrix, right)[1]
 
 
@@ -53,7 +53,7 @@ def factor_and_whitened(matrix: Floats, right: Floats) -> tuple[Floats, Floats]:
 
 
 def put_lower_factor(into: Floats, matrix: Floats) -> None:
-    """Write the factor of `matrix`, which is overwritten, into the zero matrix `into` (n, n)."""
+    """Write the factor of `matrix` into `into` (n, n), initially zero; `matrix` is overwritten."""
     factor = _half_factor(matrix, overwrite=True)
     for start in range(0, len(into), PUT_ROWS):
         rows = slice(start, start + PUT_ROWS)
@@ -62,7 +62,7 @@ def put_lower_factor(into: Floats, matrix: Floats) -> None:
 
 
 def _half_factor(matrix: Floats, overwrite: bool) -> Floats:
-    """Return L in C order, undefined above the diagonal."""
+    """Return the Cholesky factor L of `matrix` in C order, undefined above the diagonal."""
     # LAPACK gets the transpose, because copying to Fortran order and clearing the other half would
     # take as long as the factorisation at 512 rows.
     factor, info = FACTOR(matrix.T, lower=False, clean=False, overwrite_a=overwrite)
@@ -144,12 +144,12 @@ def log_determinant(lower: Floats) -> float:
 
 
 DETERMINED = 1e-10
-"""Conditional variance, as a share of the largest variance, below which earlier values determine a
-value."""
+"""A value is a function of the earlier ones if its conditional variance is below this share of the
+largest variance."""
 
 
 def semidefinite_factor(covariance: Floats) -> Floats:
-    """Return lower triangular L with L L' = `covariance`; columns of determined values are zero."""
+    """Return lower L with L L' = `covariance`, which may be singular: L then has zero columns."""
     try:
         return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
     except np.linalg.LinAlgError:
@@ -177,7 +177,7 @@ def one_blas_thread() -> Generator[None]:
 
 @cache
 def _controller() -> ThreadpoolController:
-    """Return the controller of the loaded libraries, cached as the search takes milliseconds."""
+    """Return the controller of the BLAS threads, cached because loading takes milliseconds."""
     return ThreadpoolController()
 
 

@@ -12,15 +12,15 @@ only if S >= t_1. S is not normal. It is represented by the normal law with the 
 S >= t_1 and the same margin, i.e. the same power exceeded with probability p_min. The margin is the
 amount by which all thresholds may rise until the chance constraint is active.
 
-Multipath is constant at a position, so that a reading within `SAME_PLACE_M` is the power that a
-later packet meets: it replaces the prediction there, with standard deviation zero.
+Multipath is constant at a position. A reading within `SAME_PLACE_M` is therefore the power of a
+later packet at this position: it replaces the prediction, with standard deviation zero.
 
 Station i connects with probability Phi(z_i). For independent stations
 
     P(any) = 1 - prod (1 - Phi(z_i)) = Phi(z)
 
-defines the combined score z, which remains informative where P rounds to 0 or 1. Logarithms of both
-tails are stored, so that z has twelve digits from -1e3 to 1e3.
+defines the combined score z, which remains informative if P rounds to 0 or 1. It is computed from
+the logarithms of both tails and has twelve correct digits from -1e3 to 1e3.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ def _log_normal(scores: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _log_any(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return log P(any) from P(a or b) = P(a) + P(b) (1 - P(a)), without cancellation."""
+    """Return log P(any) by repeated P(a or b) = P(a) + P(b) (1 - P(a)), without cancellation."""
     found = _log_normal(scores[0])
     none = _log_normal(-scores[0])
     with np.errstate(invalid="ignore"):  # NaN scores remain NaN
@@ -109,7 +109,7 @@ def _score(log_any: NDArray[np.float64], log_none: NDArray[np.float64]) -> NDArr
 
 
 SECANT_FROM_DB = 1e-4
-"""Minimum margin for the secant of the score; below, its slope is used."""
+"""Minimum |margin| in dB for the score's secant slope; below, its derivative is used."""
 
 SETTLED_DB = 1e-10
 """Tolerance of Newton's method on the margin, which typically takes six steps."""
@@ -139,7 +139,7 @@ def any_probability(
     thresholds_dbm: Sequence[float],
     slack_db: float = 0.0,
 ) -> NDArray[np.float64]:
-    """Return P(connected to at least one of m stations), thresholds `slack_db` lower; ``(n,)``."""
+    """Return P(connected to any station), thresholds lowered by `slack_db`; ``(n,)``."""
     above, deviation = above_thresholds_db(predictions, thresholds_dbm)
     return np.asarray(ndtr(any_score((above + slack_db) / deviation)), dtype=np.float64)
 
@@ -147,7 +147,7 @@ def any_probability(
 def serving_power_dbm(
     powers_dbm: NDArray[np.float64], thresholds_dbm: Sequence[float]
 ) -> NDArray[np.float64]:
-    """Return the serving power S of known powers ``(m, ...)``; ``(...)``."""
+    """Return the serving power S for known powers ``(m, ...)`` of m stations; ``(...)``."""
     if len(powers_dbm) == 1:
         return powers_dbm[0]
     offsets = thresholds_dbm[0] - np.asarray(thresholds_dbm)
@@ -157,7 +157,7 @@ def serving_power_dbm(
 def above_thresholds_db(
     predictions: Sequence[Prediction], thresholds_dbm: Sequence[float]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return each station's mean minus its threshold, and standard deviation; both ``(m, n)``."""
+    """Return mean minus threshold, and standard deviation, for each station; both ``(m, n)``."""
     above = np.stack(
         [
             prediction.mean_db - threshold
@@ -201,7 +201,7 @@ def any_margin_db(
 
 @dataclass(frozen=True, eq=False)
 class KnownPower:
-    """Positions at which readings show whether the power reaches the threshold."""
+    """Bounds of the power at positions where readings decide the connection."""
 
     rows: NDArray[np.intp]  # (k,) indices of the positions
     # (k,) bounds of the power; equal for an exact reading, minus infinity for a censored one
@@ -209,7 +209,7 @@ class KnownPower:
     most_dbm: NDArray[np.float64]
 
     def replace_in(self, power: Prediction) -> Prediction:
-        """Return the prediction clipped to the bounds, without uncertainty, at these rows."""
+        """Return the prediction with known rows clipped to their bounds and without variance."""
         if not len(self.rows):
             return power
         mean, deviation = power.mean_db.copy(), power.deviation_db.copy()
@@ -223,7 +223,7 @@ def known_power(
 ) -> KnownPower:
     """Return the known power at positions (n, 2) (equation 3.12).
 
-    Readings at one position on both sides of the threshold leave the connection unknown.
+    If readings at a position lie on both sides of the threshold, its power is unknown.
     """
     places, read = station.index.within(positions_m, SAME_PLACE_M)
     least, most = _power_bounds_dbm(station, read)
@@ -237,7 +237,7 @@ def known_power(
 def _power_bounds_dbm(
     station: ChannelPosterior, read: NDArray[np.intp] | slice
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the bounds of the power at the positions of readings, for all times.
+    """Return time-independent bounds of the power at the positions of readings.
 
     Rounding and censoring widen them. A reading of a time-varying channel, with a position error or
     with a receiver's offset has no bounds.
@@ -302,7 +302,7 @@ class ConnectivityLaw:
     def predicted(
         self, positions_m: NDArray[np.float64], predict: Predictor = predict
     ) -> Prediction:
-        """Return the law of :meth:`power` with unknown multipath everywhere, a smooth function."""
+        """Return the serving power without known readings, which is smooth in position."""
         return self.combined([predict(station, positions_m) for station in self.posteriors])
 
     def power(self, positions_m: NDArray[np.float64], predict: Predictor = predict) -> Prediction:
@@ -314,7 +314,7 @@ class ConnectivityLaw:
     def probability(
         self, positions_m: NDArray[np.float64], slack_db: float = 0.0
     ) -> NDArray[np.float64]:
-        """Return P(connected) at positions (n, 2), all thresholds `slack_db` lower; ``(n,)``."""
+        """Return P(connected) at positions (n, 2), thresholds lowered by `slack_db`; ``(n,)``."""
         return any_probability(self.each_power(positions_m), self.thresholds_dbm, slack_db)
 
     def margin_db(self, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -322,7 +322,7 @@ class ConnectivityLaw:
         return self.margin_of_db(self.power(positions_m))
 
     def margin_of_db(self, power: Prediction) -> NDArray[np.float64]:
-        """Return the margin of the chance constraint in dB for a law of the serving power."""
+        """Return the margin of the chance constraint in dB for a serving power prediction."""
         return bound_margin_db(
             power.mean_db, power.deviation_db, self.thresholds_dbm[0], self.p_min
         )
@@ -342,7 +342,7 @@ class ConnectivityLaw:
         return found
 
     def sample(self, path_m: NDArray[np.float64], count: int, seed: int) -> NDArray[np.float64]:
-        """Return samples ``(count, N)`` of the serving power along a path, a seed per station."""
+        """Return samples ``(count, N)`` of the serving power along a path; one seed per station."""
         drawn = [
             joint.sample(count, np.random.default_rng([seed, number] if number else seed))
             for number, joint in enumerate(self.along(path_m))
@@ -363,7 +363,7 @@ class UncertainParameters(ConnectivityLaw):
     def predicted(
         self, positions_m: NDArray[np.float64], predict: Predictor = predict
     ) -> Prediction:
-        """Return the normal law that represents the mixture; `predict` is not used."""
+        """Return the normal law that represents the mixture; the argument `predict` is ignored."""
         weights = self.marginal.weights
         parts = [component.predict(positions_m) for component in self.marginal.components]
         deviation = mixture(weights, parts).deviation_db
@@ -373,7 +373,7 @@ class UncertainParameters(ConnectivityLaw):
     def probability(
         self, positions_m: NDArray[np.float64], slack_db: float = 0.0
     ) -> NDArray[np.float64]:
-        """Return P(connected) from the mixture, all thresholds `slack_db` lower; ``(n,)``."""
+        """Return P(connected) from the mixture, thresholds lowered by `slack_db`; ``(n,)``."""
         threshold, (known,) = self.thresholds_dbm[0] - slack_db, self.known(positions_m)
         found = self.marginal.connectivity(positions_m, threshold)
         found[known.rows] = known.least_dbm >= threshold
@@ -383,7 +383,7 @@ class UncertainParameters(ConnectivityLaw):
 MOST_ROUNDS = 60
 """Maximum number of Newton or bisection steps for a quantile."""
 NEWTON_STEP_DB = 1e-8
-"""Tolerance of Newton steps; the step after one this short is within rounding."""
+"""Tolerance of Newton steps; after such a short step the error is within rounding."""
 
 
 def mixture_quantile_dbm(

@@ -35,10 +35,10 @@ NODES, WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
 """Quadrature over [0, 1]; 40 nodes integrate the normal density with an error of 5e-14."""
 
 NEGLIGIBLE = 76.0
-"""Increase of x^2 over its minimum at which the density has fallen by exp(-38) = 3e-17."""
+"""Increase of x^2 above its minimum at which the density is smaller by exp(-38) = 3e-17."""
 
 LEAST_CLOSED_FORM = -20.0
-"""Minimum end of a half-line for the closed form. The relative error of its variance grows with the
+"""Minimum end of a half-line for the closed form. The variance's relative error grows with the
 fourth power of the end and is 1e-10 here."""
 
 
@@ -147,7 +147,7 @@ class LatentPrior:
         return LatentPrior(mean_db, covariance_db2, nothing, np.zeros((0, 0)), np.zeros(0))
 
     def integrated(self) -> tuple[LatentPrior, float]:
-        """Return the prior with delta integrated out, and the log of the integral over delta."""
+        """Return the prior with delta integrated out, and the log of the integral."""
         # This makes EP's sweeps cheaper. `information` must be positive definite.
         lower = lower_factor(self.information)
         moved = solve_lower(lower, self.columns.T)
@@ -188,7 +188,7 @@ def first_sites(
     width_db: Floats,  # (m,)
     noise_variance_db2: float,
 ) -> tuple[Floats, Floats]:
-    """Return initial precisions and shifts (m,): interval midpoints; no information for limits."""
+    """Return initial precisions and shifts (m,): interval midpoints, or zero for limits."""
     precision = 1.0 / (noise_variance_db2 + rounded_variance_db2(width_db))
     return precision, precision * (limit_db - 0.5 * np.where(np.isinf(width_db), 0.0, width_db))
 
@@ -199,7 +199,7 @@ def matched_sites(
     inside: TruncatedNormal,
     noise_variance_db2: float,
 ) -> tuple[Floats, Floats]:
-    """Return precisions and shifts (m,) of sites that match cavities times interval likelihoods."""
+    """Return precisions and shifts (m,) of sites matched to cavity times interval likelihood."""
     # The precision is (1 - s^2) / (omega^2 + s^2 v), v the cavity's variance and s^2 the truncated
     # variance relative to omega^2 + v. This form has no cancellation in narrow intervals.
     shrink = np.maximum(1.0 - inside.variance, 0.0)
@@ -244,7 +244,7 @@ def interval_sites(
 
 @dataclass(frozen=True)
 class _Sweep:
-    """Sites, the sites that match their cavities, and the maximum difference between them."""
+    """Sites before and after one EP sweep, and the maximum change between them."""
 
     precision: Floats
     shift: Floats
@@ -289,7 +289,7 @@ def _swept(
 def _conditioned(
     prior: LatentPrior, precision: Floats, shift: Floats
 ) -> tuple[Floats, Floats, float]:
-    """Return variances and means of f - mean given the sites, and the log of the integral."""
+    """Return variances and means of f - mean given the sites, and the log-evidence."""
     # Conditions on the sites by factorising I + S^1/2 covariance S^1/2, S the precisions.
     root = np.sqrt(precision)
     scaled = root[:, None] * prior.covariance_db2

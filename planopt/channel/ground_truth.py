@@ -39,7 +39,7 @@ MIN_M = 0.5
 """Minimum m of the Nakagami distribution; 1 is Rayleigh fading."""
 
 STRONGEST = 1e8
-"""Maximum m and K of a search; omega is then below 0.001 dB."""
+"""Upper end of the search for m and K; omega is then below 0.001 dB."""
 
 BISECTIONS = 60
 
@@ -126,7 +126,7 @@ class Rician:
         return self._moments()[1]
 
     def _moments(self) -> tuple[float, float]:
-        """Return mean and standard deviation in dB by a series over J."""
+        """Return mean and standard deviation in dB, by a series over the Poisson variable."""
         # With J Poisson of mean K, the power times K + 1 is Gamma(1 + J).
         k_factor = self.k_factor
         reach = SERIES_DEVIATIONS * math.sqrt(k_factor)
@@ -268,7 +268,7 @@ class Truth:
     raster
         Power in dBm at cell centres; a measurement reads the nearest cell.
     floor_dbm
-        Sensitivity floor of the receiver, a lower bound of all values; None for none.
+        Sensitivity floor of the receiver, a lower bound of all values; None without a floor.
     mean_dbm
         ``[iy, ix]`` power without small-scale fading in the same cells.
     """
@@ -331,7 +331,7 @@ def model_truth(
     cell_m
         Cell side in metres.
     floor_dbm
-        Sensitivity floor of the receiver; None for none.
+        Sensitivity floor of the receiver; None without a floor.
     generator
         Random number generator of shadowing and multipath.
     multipath
@@ -358,7 +358,7 @@ def fitted_truth(
     floor_dbm: float | None,
     generator: np.random.Generator,
 ) -> Truth:
-    """Draw the ground truth from a posterior; other parameters as in :func:`model_truth`."""
+    """Draw the ground truth from a posterior; the other parameters are those of `model_truth`."""
     mean = conditional_field(posterior, bounds_m, cell_m, generator)
     return _faded(mean, Lognormal(posterior.parameters.multipath_std_db), floor_dbm, generator)
 

@@ -52,7 +52,7 @@ PATH_LOSS = "path_loss"
 """Name of the reference predictor."""
 
 MARGINAL_EXACT_LIMIT = 1000
-"""Maximum number of measurements with factors in the marginalised channel, which needs one for each
+"""Maximum number of measurements for factors of the marginalised channel, which needs one for each
 of its about 15 components. Beyond it the nearest measurements are used; on the campus logs, with
 days held out, this raises the RMSE of the channel itself from 6.48 to 6.53 dB."""
 
@@ -60,9 +60,9 @@ days held out, this raises the RMSE of the channel itself from 6.48 to 6.53 dB."
 def predictors_of(
     fit: Callable[[Measurements], ChannelFit],
 ) -> Callable[[Measurements], dict[str, Predictor]]:
-    """Return a function that learns the predictors to compare from training measurements.
+    """Return a function that learns all predictors to compare from training measurements.
 
-    They are the fitted channel, path loss alone and the baselines. `fit` is called once for all.
+    The predictors are the fitted channel, path loss alone and the baselines; `fit` is called once.
     """
 
     def learn(measurements: Measurements) -> dict[str, Predictor]:
@@ -102,7 +102,7 @@ def learn_plain_line(measurements: Measurements, station: Station) -> Predictor:
 def _line_predictor(
     measurements: Measurements, station: Station, *, unbiased: bool = False
 ) -> Predictor:
-    """Learn a least-squares line; `unbiased` divides its variance by the degrees of freedom."""
+    """Learn a least-squares line; with `unbiased`, its variance has n - 2 degrees of freedom."""
     identifiable = examine(measurements, station).n_pl_reason is None
     model = mean_model(measurements.positions_m, ~measurements.censored, station, identifiable)
     line = least_squares(model, measurements)
@@ -125,10 +125,10 @@ MOST_LIKELIHOOD, MOST_CONDITIONED = 400, 4_000
 because the cost is cubic."""
 
 FEWEST_PLACES = 6
-"""Minimum number of distinct positions for a correlated process; below, it is white noise."""
+"""Minimum number of distinct positions for a correlated process; with fewer it is white noise."""
 
 LENGTHS, LOGITS = 7, (-3.0, -1.5, 0.0, 1.5, 3.0)
-"""Number of length scales on the grid, and its logits of the noise share."""
+"""Grid of the search: number of length scales, and logits of the noise share."""
 
 FINER = (-2.0 / 3.0, -1.0 / 3.0, 0.0, 1.0 / 3.0, 2.0 / 3.0)
 """Offsets of the refined grid from the best point, in steps of the first grid."""
@@ -184,7 +184,7 @@ def _most_likely(positions_m: Floats, centred_db: Floats) -> Point:
     distance_m = pairwise_distance_m(positions_m, positions_m)
 
     def likelihood(point: Point) -> float:
-        """Return the log-likelihood with the variance profiled out."""
+        """Return the profiled log-likelihood at a point; the best variance is inserted."""
         lower = lower_factor(_correlation(distance_m, math.exp(point[0]), _logistic(point[1])))
         half = solve_lower(lower, centred_db)
         variance = max(float(half @ half) / len(half), LEAST_VARIANCE_DB2)
@@ -352,7 +352,7 @@ def part_between(
     low: float,
     high: float,
 ) -> Floats:
-    """Return the share of each PIT within [low, high), (n,); 1 belongs to the last interval."""
+    """Return the share of each PIT value in [low, high), (n,); the last interval includes 1."""
     inside = (pit >= low) & ((pit < high) | (high >= 1.0))
     below = np.clip(pit, low, high) - low
     # A PIT of 0 lies entirely in the first interval.

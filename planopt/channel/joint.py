@@ -2,7 +2,7 @@
 
 Prediction errors are correlated along a path, so joint events depend on their covariance. The
 longest outage and the data delivered by a deadline have no closed form; they are sampled. Packets
-are sent at the positions of the path, with independent multipath. A leg is connected if its end
+are sent at the path's positions, with independent multipath. A leg is connected if its end
 position is, as in the metrics of the closed loop.
 """
 
@@ -97,7 +97,7 @@ def joint_prediction(
     positions_m
         ``(h, 2)`` positions in metres. Multipath is independent, even at a repeated position.
     latent
-        True to leave multipath out.
+        True to predict the power without multipath.
 
     Raises
     ------
@@ -159,7 +159,7 @@ def sample_power(
     generator
         Random number generator.
     latent
-        True to leave multipath out.
+        True to draw the power without multipath.
 
     Raises
     ------
@@ -199,7 +199,7 @@ def predict_readings(
 
 @dataclass(frozen=True)
 class Interval:
-    """Estimate with its 95 % confidence interval."""
+    """Point estimate with its 95 % confidence interval."""
 
     value: float
     low: float
@@ -323,9 +323,9 @@ class LongestOutage:
     Attributes
     ----------
     metres
-        Length of the outage that is longest in metres.
+        Length of the longest outage by distance.
     seconds
-        Duration of the outage that is longest in seconds.
+        Duration of the longest outage by time.
     """
 
     metres: SampledDistribution
@@ -436,7 +436,7 @@ def delivered_data(
 
 
 def longest_run(sizes: Floats, missed: Mask, begun: float = 0.0) -> Floats:
-    """Return the largest sum of `sizes` over consecutive `missed` steps, both (..., N)."""
+    """Return the largest sum of `sizes` over a run of `missed` steps; both arrays are (..., N)."""
     # `begun` is added to a sequence that begins with the first step.
     longest, run = np.zeros(missed.shape[:-1]), np.full(missed.shape[:-1], begun)
     for step in range(missed.shape[-1]):

@@ -124,16 +124,16 @@ NEIGHBOURS_BEYOND = 192
 100 m square, mean and standard deviation are within 0.005 dB and 1e-5 dB of those from 1,024."""
 
 GROUP = 64
-"""Maximum number of positions that share measurements: a path, or a square of a grid."""
+"""Maximum number of positions predicted from the same measurements: a path, or a grid square."""
 
 GROUP_SHARE = 2.5
-"""Maximum number of measurements of a group, as a multiple of those per position. Larger groups are
-split, because a factor costs the cube of its rows."""
+"""Maximum number of measurements for a group of positions, as a multiple of those for one. Larger
+groups are split, because a factor costs the cube of its rows."""
 
 
 @dataclass(frozen=True, eq=False)
 class LocalChannel:
-    """Kriging model of one set of m measurements, or of k sets of m (leading axis k)."""
+    """Kriging from a subset of m measurements, or from k such subsets (leading axis k)."""
 
     # With phi_i(q) = xi^2 exp(-sqrt(|q - position_i|^2 + blur_i) / beta), a prediction at q has
     # mean ``gamma theta + phi' (weights - trend theta)`` and variance ``xi^2 + omega^2 - phi'
@@ -156,7 +156,7 @@ class LocalChannel:
         used: Indices,  # (..., m) indices of the measurements
         offsets: OffsetsGivenTheta | None = None,
     ) -> LocalChannel:
-        """Return the channel conditional on the measurements `used`."""
+        """Return the channel conditional on the subset `used` of the measurements."""
         parameters = posterior.parameters
         offsets = offsets or offsets_given_theta(posterior)
         origins = posterior.origins.at(used).without_offsets()
@@ -203,7 +203,7 @@ class LocalChannel:
 
     @cached_property
     def inverse(self) -> Floats:
-        """Inverse U_mm^-1 with the offsets' uncertainty, without age factors; ``(..., m, m)``."""
+        """Inverse U_mm^-1 with uncertain receiver offsets, without age factors; ``(..., m, m)``."""
         # It is P - P Z V Z' P, P the inverse for known offsets and V their covariance given theta.
         if self.covariance_db2.ndim == 2:
             found = inverse(lower_factor(self.covariance_db2))
@@ -216,7 +216,7 @@ class LocalChannel:
 
     @cached_property
     def _weighted(self) -> Floats:
-        """Product U_mm^-1 [y, Gamma_m] for known offsets, without age factors; ``(..., m, 3)``."""
+        """Product U_mm^-1 [y, Gamma_m] for mean offsets, without age factors; ``(..., m, 3)``."""
         if not len(self.offsets.receivers):
             return self.inverse @ self.columns
         return np.asarray(np.linalg.solve(self.covariance_db2, self.columns), dtype=np.float64)
@@ -250,7 +250,7 @@ class LocalChannel:
         places_m: Floats,  # (..., p, 2)
         position_std_m: Floats | None = None,  # (..., p)
     ) -> Floats:
-        """Return covariances of positions with the measurements, with age; ``(..., p, m)``."""
+        """Return covariances of positions with measurements, times age factors; ``(..., p, m)``."""
         places = place_origins(places_m, self.now_s, self.parameters, position_std_m)
         return covariance_db2(places, self.origins, self.parameters)
 
@@ -259,7 +259,7 @@ class LocalChannel:
         places_m: Floats,  # (..., p, 2)
         rows_db2: Floats | None = None,  # (..., p, m) from `rows_db2`, if computed
     ) -> KrigingTerms:
-        """Return kriging terms at positions from each set of measurements."""
+        """Return kriging terms at positions (..., p, 2) for each subset of measurements."""
         rows = self.rows_db2(places_m) if rows_db2 is None else rows_db2
         latent = np.full(rows.shape[:-1], self.parameters.shadow_std_db**2)
         if rows.ndim == 2:
@@ -300,7 +300,7 @@ def nearest_to_path(posterior: ChannelPosterior, path_m: Floats, count: int) -> 
 
 @dataclass(frozen=True, eq=False)
 class LocalGrid:
-    """Grid positions with precomputed kriging terms of one local channel."""
+    """Grid positions with their kriging terms for one local channel."""
 
     positions_m: Floats  # (g, 2)
     root_weight: Floats  # (g,) square roots of the weights
@@ -309,7 +309,7 @@ class LocalGrid:
 
     @staticmethod
     def of(channel: LocalChannel, grid_m: Floats, weight: Floats) -> LocalGrid:
-        """Precompute the terms of `grid_m` (g, 2) with weights (g,) >= 0."""
+        """Precompute the kriging terms of grid positions (g, 2) with weights (g,) >= 0."""
         phi = shadow_covariance_db2(
             channel.positions_m, grid_m, channel.parameters, channel.added_m2[:, None]
         )
@@ -353,7 +353,7 @@ def nearby_terms(
 def _groups(
     posterior: ChannelPosterior, positions_m: Floats, count: int
 ) -> Iterator[tuple[Indices, Indices]]:
-    """Yield groups of positions with the union of the measurements nearest to each."""
+    """Yield groups of positions, each with the union of its positions' nearest measurements."""
     pending = [np.arange(len(positions_m))] if len(positions_m) else []
     while pending:
         rows = pending.pop()

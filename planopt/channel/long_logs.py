@@ -88,7 +88,7 @@ def vecchia_information(
     noise_variance_db2: Floats,  # (n,) with sites for intervals
     before: tuple[VecchiaInformation, PlaceIndex] | None = None,  # Sums over the first ones
 ) -> VecchiaInformation:
-    """Return the information from `measurements`, added to that of the first ones in `before`."""
+    """Return the information of all `measurements`, extending that of the first ones, `before`."""
     places = measurements.positions_m
     if before is None:
         windows = earlier_windows(places, place_blocks(places, BLOCK), BLOCK_NEIGHBOURS)
@@ -121,7 +121,7 @@ def vecchia_information(
 
 @dataclass(frozen=True)
 class ReceiverOffset:
-    """Offset of a receiver's readings from those of receiver 0."""
+    """Estimated offset of a receiver's readings from those of receiver 0."""
 
     receiver: int  # Number of the receiver
     offset_db: float
@@ -144,7 +144,7 @@ class OffsetsGivenTheta:
 
 
 def offsets_given_theta(posterior: ChannelPosterior) -> OffsetsGivenTheta:
-    """Return the offsets given all measurements and theta, in O(R kappa^2) with a factor."""
+    """Return the law of offsets given all measurements and theta; O(R kappa^2) with a factor."""
     if posterior.information is not None:
         # s^2 Z' U^-1 = V Z' U0^-1, with V the offsets' covariance.
         covariance = posterior.information.offset_covariance_db2()
@@ -190,7 +190,7 @@ and by 0.1 at most."""
 MAX_SWEEPS = 60
 
 AT_REST = 0.25
-"""A block is skipped if the last changes in its window are below this share of the tolerance. After
+"""A block is skipped if its window's last changes are below this share of the tolerance. After
 three sweeps this applies to half of the blocks."""
 
 TOLERANCE = 1e-3
@@ -200,7 +200,7 @@ measurements. It takes about ten sweeps."""
 
 @dataclass(frozen=True, eq=False)
 class IntervalRows:
-    """Interval measurements (m among n) with the windows in which their sites are matched."""
+    """The m of n measurements that are intervals, with windows for matching their sites."""
 
     rows: Indices  # (m,) indices, ascending
     known: Intervals
@@ -315,7 +315,7 @@ def _cavities(
     own: int,
     rows: Indices,
 ) -> tuple[Floats, Floats]:
-    """Return leave-one-out means and variances of `rows` of the block (the last `own` rows)."""
+    """Return leave-one-out means and variances of the block's `rows`."""
     lower, whitened = factor_and_whitened(covariance, centred_db)
     near = len(lower) - own
     inverse = lower_inverse(np.tril(lower[near:, near:]))

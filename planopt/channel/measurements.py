@@ -158,7 +158,7 @@ class Measurements:
         return Measurements(*(getattr(self, part.name)[rows] for part in fields(self)))
 
     def by_place(self) -> Measurements:
-        """Return the measurements sorted by x, then y, power and the other columns."""
+        """Return the measurements sorted by x, then y, power and the remaining columns."""
         others = (getattr(self, part.name) for part in reversed(fields(self)[1:]))
         return self.take(np.lexsort((*others, self.positions_m[:, 1], self.positions_m[:, 0])))
 
@@ -195,7 +195,7 @@ def as_measurements(data: Measurements | Table) -> Measurements:
 
 
 def as_received(data: Measurements | Table) -> Measurements:
-    """Convert as :func:`as_measurements`; raise an error if a receiver cannot report a power."""
+    """Convert like `as_measurements`, and raise an error for a power that no receiver reports."""
     received = as_measurements(data)
     power = received.power_dbm
     within = (power >= LEAST_POWER_DBM) & (power <= LARGEST_POWER_DBM)
@@ -274,12 +274,12 @@ def pairwise_distance_m(a: Floats, b: Floats, blur_m2: Floats | None = None) -> 
 def shadow_covariance_db2(
     a: Floats, b: Floats, parameters: ChannelParameters, blur_m2: Floats | None = None
 ) -> Floats:
-    """Return the covariance of shadowing; arguments and shapes as in `pairwise_distance_m`."""
+    """Return the covariance of shadowing between `a` and `b` (see `pairwise_distance_m`)."""
     return decayed_db2(pairwise_distance_m(a, b, blur_m2), parameters)
 
 
 def decayed_db2(distance_m: NDArray[Real], parameters: ChannelParameters) -> NDArray[Real]:
-    """Overwrite distances of any shape and precision with the covariance of shadowing."""
+    """Return the covariance of shadowing at distances of any shape; overwrites them."""
     covariance = distance_m
     covariance *= -1.0 / parameters.decorrelation_m
     np.exp(covariance, out=covariance)
@@ -318,7 +318,7 @@ def measured_path_loss_variance_db2(
 
 @dataclass(frozen=True, eq=False)
 class Origins:
-    """Positions, times and receivers of measured or predicted powers."""
+    """Positions, times and receivers of powers, from which covariances are computed."""
 
     positions_m: Floats  # (..., n, 2)
     # (..., n) increase of squared distances due to position errors; None without errors
@@ -337,12 +337,12 @@ class Origins:
         )
 
     def without_offsets(self) -> Origins:
-        """Return the origins without receivers, as if all offsets were known."""
+        """Return the origins without receivers, so that covariances exclude the offsets."""
         return self if self.receiver is None else replace(self, receiver=None)
 
 
 def measured_origins(measurements: Measurements, parameters: ChannelParameters) -> Origins:
-    """Return the origins of measurements; columns without effect are None."""
+    """Return the origins of measurements; columns that do not affect covariances are None."""
     std_m = measurements.position_std_m
     return Origins(
         measurements.positions_m,
@@ -396,7 +396,7 @@ def own_covariance_db2(
     parameters: ChannelParameters,
     distance_m: Floats | None = None,  # (..., n, n) blurred; None to compute them
 ) -> Floats:
-    """Return the covariance matrix of the powers at `origins`; (..., n, n) in dB^2."""
+    """Return the covariance of the powers at `origins` with each other; (..., n, n) in dB^2."""
     count = origins.positions_m.shape[-2]
     if distance_m is not None:
         covariance = covariance_over_db2(distance_m.copy(), origins, origins, parameters)
@@ -433,7 +433,7 @@ def own_distance_m(origins: Origins) -> Floats:
 
 
 def ageing(one_s: Floats | float, other_s: Floats | float, parameters: ChannelParameters) -> Floats:
-    """Return the age factor exp(-|t_1 - t_2| / T) of two times, which are broadcast."""
+    """Return the age factor exp(-|t_1 - t_2| / T); the arrays of times are broadcast."""
     gap = np.abs(np.subtract(one_s, other_s))
     return np.exp(-gap / parameters.forgetting_s)
 

@@ -1,12 +1,12 @@
-"""Nearest-neighbour search of measurements, and blocks of measurements with their neighbours.
+"""Nearest-neighbour search in measurements, and blocks of measurements with their neighbours.
 
 A k-d tree contains most of the measured positions. Later ones are compared one by one until the
 tree is rebuilt, because measurements arrive singly and a tree of 50,000 takes 15 ms to build.
 
 Approximate likelihoods divide measurements into compact blocks. A window is a block with the
 measurements nearest to it, among all others or among earlier blocks (Vecchia's factorisation of a
-density into conditional ones). Blocks are ordered from coarse to fine: each is the farthest from
-all before. Windows depend on positions, not on the order of rows, except for ties.
+density into conditionals). Blocks are ordered from coarse to fine: each is the farthest from all
+earlier ones. Windows depend on positions, not on the order of rows, except for ties.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ the exact ones, and theta within 0.11. 32 and 64 give 0.46 and 0.24; 64 and 192 
 without a gain."""
 
 PRESELECTED = 4
-"""Ratio of candidates, preselected by distance from the block's bounding box, to neighbours."""
+"""Candidates per neighbour, preselected by distance from the block's bounding box."""
 
 
 class PlaceTree:
@@ -77,7 +77,7 @@ class PlaceIndex:
         return PlaceIndex(positions_m).grown(positions_m)
 
     def grown(self, positions_m: Floats) -> PlaceIndex:
-        """Return the index extended to `positions_m` (n, 2), which begin with those of this one."""
+        """Return the index extended to `positions_m` (n, 2), which begin with its own positions."""
         treed = self._treed
         keep = len(positions_m) - treed <= max(MOST_UNTREED, UNTREED_SHARE * treed)
         return PlaceIndex(positions_m, self.tree if keep else PlaceTree(positions_m))
@@ -87,7 +87,7 @@ class PlaceIndex:
         centres_m: Floats,  # (k, 2)
         count: int,
     ) -> tuple[Indices, Floats]:
-        """Return indices (k, count) of the nearest positions, unsorted, and the largest square."""
+        """Return unsorted indices (k, count) of the nearest positions, and the largest d^2 (k,)."""
         # If there are at most `count` positions, all are returned, with infinite distances.
         total = len(self.positions_m)
         if count >= total:
@@ -115,7 +115,7 @@ class PlaceIndex:
         return np.take_along_axis(indices, chosen, axis=1), farthest
 
     def within(self, centres_m: Floats, reach_m: float) -> tuple[Indices, Indices]:
-        """Return index pairs of centres (k, 2), ascending, and positions within `reach_m`."""
+        """Return pairs (centre, position) of indices within `reach_m`, sorted; centres (k, 2)."""
         pairs = [np.zeros((2, 0), dtype=np.intp)]
         for first, tree in (0, self.tree), (self._treed, self._late_tree):
             if tree is None:
@@ -138,7 +138,7 @@ class PlaceIndex:
 
     @cached_property
     def _late_tree(self) -> PlaceTree | None:
-        """Tree of the positions that are not in the main tree; None if there are none."""
+        """Tree of the positions outside the main tree; None if the main tree has all."""
         late = self.positions_m[self._treed :]
         return PlaceTree(late) if len(late) else None
 
@@ -152,7 +152,7 @@ class Window:
 
     @property
     def rows(self) -> Indices:
-        """Indices ``(h + b,)`` of the neighbours, then of the block."""
+        """Indices ``(h + b,)``: the h neighbours, then the b measurements of the block."""
         return np.concatenate([self.near, self.own])
 
 
@@ -177,7 +177,7 @@ def earlier_windows(
     blocks: tuple[Indices, ...],
     count: int,
 ) -> tuple[Window, ...]:
-    """Return blocks from coarse to fine, each with the `count` nearest in earlier blocks."""
+    """Return blocks from coarse to fine, each with its `count` nearest earlier measurements."""
     windows: list[Window] = []
     before = np.zeros(0, dtype=np.intp)
     for number in _coarse_to_fine(coordinates, blocks):
@@ -209,7 +209,7 @@ def surrounding_windows(
 
 
 def _coarse_to_fine(coordinates: Floats, blocks: tuple[Indices, ...]) -> list[int]:
-    """Return the order of blocks: the most central first, then the farthest from all before it."""
+    """Return the order of blocks: the most central, then always the farthest from earlier ones."""
     if not blocks:
         return []
     centres = np.array([coordinates[own].mean(axis=0) for own in blocks])

@@ -218,7 +218,7 @@ def _design(data: LikelihoodData, centre: Floats, box: Floats) -> Floats:
 
 
 def _likelihood(data: LikelihoodData, point: Floats) -> tuple[float, float]:
-    """Return the log-likelihood with alpha integrated out, up to a constant, and the best alpha."""
+    """Return the log-likelihood integrated over alpha (plus a constant), and the best alpha."""
     return profiled_log_likelihood(data, *_values(point))
 
 

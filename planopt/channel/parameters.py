@@ -30,7 +30,7 @@ PRIOR_N_PL_STD = 1.0
 
 
 def require_places(positions_m: ArrayLike, at_least: int = 1) -> Floats:
-    """Return `positions_m` (h, 2) as floats, or raise an error if they are invalid."""
+    """Return `positions_m` (h, 2) as floats; raise an error if they are invalid."""
     remedy = f"give an array (h, 2) of x and y in metres, with h at least {at_least}"
     try:
         places = np.asarray(positions_m, dtype=np.float64)
@@ -191,7 +191,7 @@ def station_distance_m(positions_m: Floats, station: Station) -> Floats:
 
 
 def regressors(positions_m: Floats, station: Station) -> Floats:
-    """Return the rows gamma(q) = [1, -10 log10 d(q)] of equation 1.1; (n, 2) -> (n, 2)."""
+    """Return the regressors gamma(q) = [1, -10 log10 d(q)] of equation 1.1; (n, 2) -> (n, 2)."""
     rows = np.ones(np.shape(positions_m))
     rows[..., 1] = -10.0 * np.log10(station_distance_m(positions_m, station))
     return rows
@@ -226,7 +226,7 @@ class MeanModel:
 def mean_model(
     positions_m: Floats, exact: Mask, station: Station, n_pl_identifiable: bool
 ) -> MeanModel:
-    """Return the mean model at `positions_m` (n, 2); `exact` (n,) is false for censored ones."""
+    """Return the mean model at `positions_m` (n, 2); `exact` (n,) marks uncensored measurements."""
     gamma = regressors(positions_m, station)
     regressor_mean = float(gamma[exact if exact.any() else slice(None), 1].mean())
     if n_pl_identifiable:

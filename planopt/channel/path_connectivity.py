@@ -1,6 +1,6 @@
 """Connectivity along a path: P(connected at all positions), and the first connection.
 
-Powers along a path are correlated, so the product of the marginal probabilities is not the joint
+Powers along a path are correlated, so the product of marginal probabilities is not the joint
 probability. It is a lower bound only if no correlation is negative, which is checked here. Exact
 values come from Genz's separation of variables for the multivariate normal distribution.
 """
@@ -43,7 +43,7 @@ FAR = 1e8
 """Limit of scores, so that their squares do not overflow."""
 
 ERRORS = 3.0
-"""Reported error in standard errors over the shifts."""
+"""Number of standard errors over the shifts in the reported error."""
 
 
 def bivariate_normal_cdf(first: Floats, second: Floats, correlation: Floats) -> Floats:
@@ -68,13 +68,13 @@ def bivariate_normal_cdf(first: Floats, second: Floats, correlation: Floats) -> 
 
 
 def _score(values: Floats) -> Floats:
-    """Return scores clipped such that their quotients are finite."""
+    """Return scores clipped to +-`FAR_SCORE`, with vanishing ones set to zero."""
     scores = np.clip(_array(values), -FAR_SCORE, FAR_SCORE)
     return np.where(np.abs(scores) < VANISHING, 0.0, scores)
 
 
 def _owen(score: Floats, across: Floats, narrow: Floats) -> Floats:
-    """Return Owen's T(score, across / (score narrow)); a zero score makes the slope infinite."""
+    """Return Owen's function T(score, across / (score narrow)), also for a zero score."""
     # Adding zero turns -0 into 0. The caller replaces the results of 0 / 0.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         slope = across / (score * narrow + 0.0)
@@ -128,7 +128,7 @@ def prefix_probabilities(
 
 
 def _products(bound: Floats, lower: Floats, uniform: Floats) -> Floats:
-    """Return sample means of the products of conditional probabilities up to each k; (h,)."""
+    """Return lattice means of the products of the first k conditional probabilities; (h,)."""
     # Products are stored as logarithms, so that improbable prefixes do not underflow.
     samples, count = len(uniform), len(bound)
     drawn = np.zeros((samples, count))
@@ -178,7 +178,7 @@ class Bound:
 
     @property
     def proven(self) -> bool:
-        """Return whether the bound is proven."""
+        """Return True if the bound has a value."""
         return self.value is not None
 
 
@@ -207,7 +207,7 @@ class JointConnectivity:
     product
         Lower bound prod p_i, valid if no two positions are negatively correlated.
     corrected_product
-        Lower bound: prod p_i less the maximum loss from negatively correlated pairs.
+        Lower bound: prod p_i minus the maximum loss from negatively correlated pairs.
     upper
         Upper bound min p_i.
     """

@@ -63,7 +63,7 @@ WEAK_THETA_DEVIATION = (20.0, 1.0)
 
 MAX_INFORMATION_CONDITION = 1e10
 """Maximum condition number of theta's information matrix, in units of `WEAK_THETA_DEVIATION`; above
-it the measurements do not identify theta."""
+that limit the measurements do not identify theta."""
 
 MOST_JOINT_SITES = 300
 """Maximum number of censored or coarsely rounded measurements with joint sites. More are matched
@@ -79,7 +79,7 @@ ThetaRule = Literal["estimated", "known", "least_squares"]
 
 
 class FactorBuffer:
-    """Lower Cholesky factor that grows by rows; rows from `used` on are free."""
+    """Storage of a lower Cholesky factor that grows by rows; rows from `used` on are free."""
 
     def __init__(self, count: int) -> None:
         # Zeroed memory pages are free until written.
@@ -94,7 +94,7 @@ class FactorBuffer:
         noise_variance_db2: Floats,  # (n,)
         columns: Floats,  # (n, c), the first `used` rows already whitened
     ) -> None:
-        """Append the rows from `used` on, and whiten these rows of `columns` in place."""
+        """Append rows `used` onwards to the factor, and whiten these rows of `columns` in place."""
         lower, count = self.lower, len(columns)
         block = AT_ONCE if count <= AT_ONCE else FACTOR_BLOCK
         for start in range(self.used, count, block):
@@ -233,7 +233,7 @@ class ChannelPosterior:
         return all(np.array_equal(mine[:count], former) for mine, former in pairs)
 
     def covariance_with_db2(self, positions_m: Floats) -> Floats:
-        """Return covariances (kappa, n) of measurements with power at positions (n, 2), `now_s`."""
+        """Return covariances (kappa, n) of measurements with the power at positions, at `now_s`."""
         places = place_origins(positions_m, self.now_s, self.parameters)
         return covariance_db2(self.origins, places, self.parameters)
 
@@ -337,7 +337,7 @@ def extend(posterior: ChannelPosterior, more: Measurements) -> ChannelPosterior:
 
 
 def with_expected(posterior: ChannelPosterior, positions_m: Floats) -> ChannelPosterior:
-    """Return the posterior as if the predicted power had been measured at positions (n, 2)."""
+    """Return the posterior after fictitious measurements of the predicted power at (n, 2)."""
     count = len(posterior.measurements) + len(positions_m)
     # Extending an existing factor is faster than conditioning on neighbours.
     limit = max(posterior.exact_limit, count) if posterior.has_factor else posterior.exact_limit
@@ -348,7 +348,7 @@ def with_expected(posterior: ChannelPosterior, positions_m: Floats) -> ChannelPo
 
 
 def factored_near(posterior: ChannelPosterior, path_m: Floats) -> ChannelPosterior:
-    """Return a posterior with a factor, if needed of the measurements near a path (h, 2) only."""
+    """Return a posterior with a factor; without one, condition only on data near a path (h, 2)."""
     # Theta and its covariance remain those of all measurements.
     if posterior.has_factor:
         return posterior
@@ -418,7 +418,7 @@ def _append(posterior: ChannelPosterior, more: Measurements, sites: Sites) -> Ch
 
 
 def _with_theta(posterior: ChannelPosterior, products: Floats) -> ChannelPosterior:
-    """Estimate theta by the posterior's rule; `products` as in `theta_estimate`."""
+    """Return the posterior with theta estimated by its rule from `products`."""
     if posterior.theta_known:
         return posterior
     theta, covariance = theta_estimate(posterior.parameters, products)
@@ -445,7 +445,7 @@ def theta_estimate(
 
 
 def least_squares_theta(posterior: ChannelPosterior) -> tuple[Floats, Floats] | None:
-    """Return theta and its error covariance (G'G)^-1 G'UG (G'G)^-1; None if not identified."""
+    """Return theta and its error covariance (G'G)^-1 G'UG (G'G)^-1; None if unidentifiable."""
     # Censored measurements have no residual and are left out. Receivers' offsets are estimated
     # together with theta.
     exact = ~posterior.measurements.censored
@@ -469,7 +469,7 @@ def _one_site(posterior: ChannelPosterior, one: Measurements) -> Sites:
 
 @dataclass(frozen=True)
 class Belief:
-    """Fit and posterior of a station's channel, and those of further stations.
+    """Fit and posterior of each station's channel; those after the first are in `further`.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""Predicted power, its kriging terms, and the probability of connection."""
+"""Predicted power, its kriging terms, and connection probabilities."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def bound_margin_db(
 ) -> Floats:
     """Return the margin ``mean - z_p deviation - threshold`` in dB (equation 3.2).
 
-    It is infinite for a `p_min` of 0, also for a known power.
+    The margin is infinite if `p_min` is 0, even for a known power.
     """
     kept_db = bound_quantile(p_min) * (deviation_db if p_min > 0.0 else 1.0)
     return mean_db - kept_db - threshold_dbm

@@ -5,9 +5,9 @@ transform (circulant embedding). If the torus is too small, some eigenvalues are
 until their share, which is clipped, is negligible. Realisations are not standardised, because that
 would change the covariance.
 
-A conditional field is an unconditional one plus the kriged difference from the measured values
+A conditional field is an unconditional one plus the kriged differences to the measured values
 (conditioning by kriging). Its mean and covariance are those of the posterior, but no covariance
-between all cells is needed. A field has one time and exact positions, so measurements that age or
+between all cells is needed. A field has one time and exact positions: measurements that age or
 have position errors are rejected.
 """
 
@@ -188,7 +188,7 @@ def added_to_lattice_db(
     decorrelation_m: float,
     generator: np.random.Generator,
 ) -> Floats:
-    """Draw shadowing at positions, conditional on a lattice field; ``(n,)``."""
+    """Draw shadowing at positions (n, 2), conditional on a lattice field; ``(n,)`` in dB."""
     # Each value is conditioned on the surrounding nodes and the nearest earlier positions. This is
     # nearly exact within the lattice: under the exponential covariance near values screen far ones.
     places, back = _distinct(positions_m)
@@ -218,7 +218,7 @@ def _distinct(positions_m: Floats) -> tuple[Floats, Indices]:
 
 
 def _correlation(places_m: Floats, decorrelation_m: float) -> Floats:
-    """Return exp(-d / beta) with the nugget on its diagonal; (n, n)."""
+    """Return the correlation exp(-d / beta) with a nugget on the diagonal; (n, n)."""
     correlation = np.exp(-pairwise_distance_m(places_m, places_m) / decorrelation_m)
     correlation[np.diag_indices_from(correlation)] += NUGGET
     return correlation

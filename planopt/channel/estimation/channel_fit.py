@@ -65,7 +65,7 @@ class CovarianceFit:
 def covariance_bounds(
     residual_variance_db2: float, decorrelation_bounds_m: tuple[float, float]
 ) -> CovarianceBounds:
-    """Return bounds from the least-squares line's residual variance and the range of beta."""
+    """Return bounds of xi^2 and omega^2 from the line's residual variance, and those of beta."""
     floor = max(MIN_VARIANCE_DB2, MIN_NUGGET_SHARE * residual_variance_db2)
     high = max(MAX_SHADOW_RATIO * residual_variance_db2, 100.0 * MIN_VARIANCE_DB2)
     return CovarianceBounds((MIN_VARIANCE_DB2, high), (floor, high), decorrelation_bounds_m)
@@ -74,7 +74,7 @@ def covariance_bounds(
 def fallback_fit(
     total_variance_db2: float, decorrelation_bounds_m: tuple[float, float], reason: str
 ) -> CovarianceFit:
-    """Return an assumed covariance, with beta a quarter of the extent (the upper bound)."""
+    """Return assumed parameters; beta is a quarter of its upper bound, the extent."""
     low, high = decorrelation_bounds_m
     total = max(total_variance_db2, 2.0 * MIN_VARIANCE_DB2)
     return CovarianceFit(
@@ -139,7 +139,7 @@ Loss = Literal["squares", "huber", "absolute"]
 
 
 def require_method(method: str, key: str) -> FitMethod:
-    """Return `method` if it exists, or raise an error about the option `key`."""
+    """Return `method`; raise an error that names the option `key` if there is no such method."""
     if method not in get_args(FitMethod):
         remedy = f"use {', '.join(get_args(FitMethod))}"
         raise InputError(
@@ -149,7 +149,7 @@ def require_method(method: str, key: str) -> FitMethod:
 
 
 def require_loss(loss: str, method: FitMethod, key: str) -> None:
-    """Raise an error about the option `key` if the method does not support the loss."""
+    """Raise an error that names the option `key` if the method does not support the loss."""
     if loss not in get_args(Loss):
         raise InputError(
             f"is {loss!r}, which is not a loss function",

@@ -217,7 +217,7 @@ def nls_fit(
 
 
 def _scatter(bins: LogBins, intercept: float, rate_per_m: float) -> Floats:
-    """Return residuals of equal variance, sqrt(tau) (log r - intercept + rate d), sum(tau) = 1."""
+    """Return weighted residuals sqrt(tau) (log r - intercept + rate d), where sum(tau) = 1."""
     scatter = bins.log_covariance - intercept + rate_per_m * bins.lag_m
     return np.sqrt(bins.weight / bins.weight.sum()) * scatter
 
@@ -241,7 +241,7 @@ def _line_errors(bins: LogBins, intercept: float, squares: float) -> tuple[float
 
 
 def _weighed_by_line(bins: LogBins, intercept: float, rate: float) -> LogBins:
-    """Return the bins with weights n r^2, r taken from the line."""
+    """Return the bins with weights n r^2, where r is the value of the fitted line."""
     above = intercept - rate * bins.lag_m - bins.log_covariance
     # Relative to the largest to avoid overflow; only ratios of weights matter.
     return replace(bins, weight=bins.weight * np.exp(2.0 * (above - above.max())))

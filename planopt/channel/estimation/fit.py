@@ -174,7 +174,7 @@ def _weak_words(
 
 
 def _mode_words(parameters: ChannelParameters, below: float) -> str:
-    """Return the warning about a mode whose log-likelihood is lower by only `below`."""
+    """Return the warning about another likelihood mode, lower in log-likelihood by `below`."""
     return (
         f"another set of parameters is nearly as likely (log likelihood {below:.2f} lower): "
         f"K_PL {parameters.k_pl_db:.1f} dBm, n_PL {parameters.n_pl:.2f}, shadowing "
@@ -197,7 +197,7 @@ LEAST_PILE = 5
 """Minimum count of the lowest power for a suspected floor."""
 
 PILE_RATIO = 2.0
-"""Ratio of the lowest power's count to any other count above which a floor is suspected. Rounded
+"""A floor is suspected if the lowest power's count exceeds any other by this ratio. Rounded
 powers repeat too, but mostly in the middle of their range."""
 
 PILE_NEIGHBOURS = 3
@@ -247,13 +247,13 @@ def suspected_floor(measurements: Measurements) -> str | None:
 
 
 def floor_pile_dbm(power_dbm: Floats) -> float | None:
-    """Return the lowest power if it occurs too often for the end of a range, else None."""
+    """Return the lowest power if its count suggests a receiver floor, else None."""
     values, counts = np.unique(power_dbm, return_counts=True)
     return float(values[0]) if len(values) > 1 and _is_pile(counts) else None
 
 
 def _is_pile(counts: Indices) -> bool:
-    """Return whether the count of the lowest value is too high for the end of a range."""
+    """Return True if the count of the lowest power suggests a receiver floor."""
     pile, beside = int(counts[0]), int(counts[1 : 1 + PILE_NEIGHBOURS].max())
     if pile < LEAST_PILE:
         return False

@@ -60,7 +60,7 @@ class Identifiability:
 
 
 def examine(measurements: Measurements, station: Station) -> Identifiability:
-    """Check which parameters of the channel to `station` the measurements can identify."""
+    """Return which channel parameters the measurements can identify, and why others cannot be."""
     require_usable(measurements, station)
     exact = ~measurements.censored
     positions = measurements.positions_m[exact]
@@ -134,7 +134,7 @@ def nearest_distance_m(positions_m: Floats) -> Floats:
 
 MAX_SWEEPS = 500
 OFFSET_RIDGE = 1e-6
-"""Ridge weight of receiver offsets. It determines what the measurements do not, such as the common
+"""Ridge weight of receiver offsets. It fixes unidentifiable combinations, such as the common
 part of all offsets if receiver 0 has no measurements."""
 
 TOLERANCE_DB = 1e-6
@@ -156,7 +156,7 @@ class LeastSquares:
 
 
 def least_squares(model: MeanModel, measurements: Measurements) -> LeastSquares:
-    """Fit the line to measurements of which at least one is uncensored."""
+    """Fit the line to the measurements; at least one must be uncensored."""
     power = measurements.power_dbm - model.offset_db
     columns = np.column_stack([model.columns, receiver_columns(measurements)])
     inverse = _ridged_inverse(columns, model.columns.shape[1])
@@ -215,7 +215,7 @@ def receiver_columns(measurements: Measurements) -> Floats:
 
 
 def _ridged_inverse(columns: Floats, free: int) -> Floats:
-    """Return the pseudoinverse (q, n) of `columns`, with a ridge on all but the first `free`."""
+    """Return the pseudoinverse (q, n) of `columns`; the first `free` columns have no ridge."""
     if columns.shape[1] == free:
         return np.asarray(np.linalg.pinv(columns), dtype=np.float64)
     ridge = np.sqrt(OFFSET_RIDGE) * np.eye(columns.shape[1])[free:]

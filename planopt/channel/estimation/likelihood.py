@@ -127,7 +127,7 @@ class LikelihoodData:
         )
 
     def flat_columns(self) -> Floats:
-        """Return a basis of the columns, for offsets under a flat prior; ``(n, k)``."""
+        """Return independent columns of the mean with offsets under a flat prior; ``(n, k)``."""
         # Offsets are left out if fewer than `LEAST_FREEDOM` degrees of freedom would remain.
         mean = self.columns[:, : len(self.line)]
         if self.columns.shape[1] == len(self.line):
@@ -152,7 +152,7 @@ def likelihood_data(
     as_interval: Mask | None = None,  # (n,); None for the censored ones
     block_decorrelation_m: tuple[float, float] | None = None,
 ) -> LikelihoodData:
-    """Return measurements as one window, or as blocks for a range of decorrelation distances."""
+    """Return the measurements prepared for the likelihood, as one window or as blocks."""
     chosen = measurements.censored if as_interval is None else as_interval
     origins = measured_origins(measurements, known).without_offsets()
     displaced = measured_path_loss_variance_db2(measurements, known)
@@ -208,12 +208,12 @@ SITE_TOLERANCE = 1e-4
 log L is far below the accuracy required of the optimum."""
 
 MEAN_TOLERANCE = 0.2
-"""Sites are matched again if the mean of an interval moves by more standard errors than this."""
+"""Sites are matched again if an interval's mean changes by more standard errors than this."""
 
 
 @dataclass(frozen=True, eq=False)
 class Precision:
-    """Inverse covariance of all measurements, and the terms of the projection P."""
+    """Inverse covariance of all measurements, and the factors of the projection P."""
 
     half: Floats  # (n, n) upper half of V^-1, zeros below
     weights: Floats  # (n, q) V^-1 X
@@ -255,7 +255,7 @@ class RestrictedLikelihood:
         return self._blocks(covariance)
 
     def information(self, covariance: Covariance, at: Evaluation) -> Floats:
-        """Return the expected information (3, 3), the inverse of the parameters' covariance.
+        """Return the expected information (3, 3), whose inverse is the parameters' covariance.
 
         `at` is the evaluation at the same point.
         """

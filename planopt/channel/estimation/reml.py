@@ -77,13 +77,13 @@ NO_DIP = 0.1
 """Maximum dip of log L halfway between two optima that belong to one ridge."""
 
 FLAT = 1e-6
-"""Regularisation of the information in logarithms where the likelihood is flat."""
+"""Regularisation of the information matrix (in logarithms) for a flat likelihood."""
 
 NEARLY_AS_LIKELY = 2.0
 """Maximum difference in log L of other optima that are reported with the best."""
 
 LITTLE_MULTIPATH = 0.03
-"""Share omega^2 / alpha below which a point has practically no multipath."""
+"""Share omega^2 / alpha below which multipath counts as negligible."""
 
 MAX_CONDITION = 1e12
 """Maximum condition number of the information; above, the parameters are not identified."""
@@ -143,7 +143,7 @@ def thinned(count: int, limit: int) -> Indices:
 
 
 def variances(logs: Floats) -> Covariance:
-    """Return (xi^2, omega^2, beta) from their logarithms."""
+    """Return (xi^2, omega^2, beta) for logarithms of them."""
     shadow, nugget, beta = np.exp(logs)
     return float(shadow), float(nugget), float(beta)
 
@@ -185,7 +185,7 @@ def _grid_starts(sample: LikelihoodData, bounds: CovarianceBounds) -> list[Float
 def _modes(
     likelihood: RestrictedLikelihood, starts: Iterable[Floats], box: Floats, fine: float
 ) -> list[Mode]:
-    """Return the distinct optima reached from `starts`, except those that are much less likely."""
+    """Return the distinct optima reached from `starts`; much less likely ones are dropped."""
     found = _distinct(likelihood, [_climbed(likelihood, start, box, fine) for start in starts])
     least = found[0].at.log_likelihood - NEARLY_AS_LIKELY
     return [mode for mode in found if mode.at.log_likelihood >= least]
@@ -228,7 +228,7 @@ def _distinct(likelihood: RestrictedLikelihood, modes: Iterable[Mode]) -> list[M
 
 
 def _beyond_best(likelihood: RestrictedLikelihood, best: Mode, box: Floats) -> Floats | None:
-    """Return a point with little instead of much multipath, or vice versa, as an initial guess."""
+    """Return an initial guess with little multipath if `best` has much, or vice versa."""
     # Returns None unless the likelihood there increases away from `best`.
     shadow, nugget, beta = best.covariance
     total = shadow + nugget

@@ -66,7 +66,7 @@ GRID_MARGIN = 0.5
 """Margin of the grid around the measurements, as a share of their extent."""
 
 MARGIN = 2.0
-"""Margin of the refinement, in extents; from there all distances agree within a factor of 2."""
+"""Margin of the refinement in extents; at its edge all distances agree within a factor of 2."""
 
 STARTS = 4
 """Number of grid minima used as initial guesses."""
@@ -194,7 +194,7 @@ def fit_channel_and_station(
 
 @dataclass(frozen=True, eq=False)
 class StationSurface:
-    """Whitened measurements that define the likelihood l(q) of the station's position."""
+    """Likelihood surface l(q) of the station's position q, as whitened measurements."""
 
     positions_m: Floats  # (n, 2)
     height_m: float  # Antenna height of the station
@@ -232,7 +232,7 @@ def station_surface(
 
 
 def losses(surface: StationSurface, places_m: Floats) -> tuple[Floats, Floats]:
-    """Return l ``(m,)`` and theta ``(m, 2)`` for stations at `places_m` (m, 2)."""
+    """Return the loss l ``(m,)`` and theta ``(m, 2)`` for stations at `places_m` (m, 2)."""
     # l is infinite where n_PL is below `MIN_N_PL`.
     dx = surface.positions_m[:, None, 0] - places_m[:, 0]
     dy = surface.positions_m[:, None, 1] - places_m[:, 1]
@@ -399,7 +399,7 @@ def line_covariance_m2(measurements: Measurements, parameters: ChannelParameters
 
 
 def joint_covariance_m2(measurements: Measurements, parameters: ChannelParameters) -> Floats | None:
-    """Return the likelihood's second moments about the joint estimate; None if undetermined."""
+    """Return the second moments of the likelihood about the estimate; None if undetermined."""
     # They are sums over a lattice along the principal axes of the information, up to `MARGIN`
     # extents. Its spacing grows from a fraction of the standard deviation with the distance.
     surface = station_surface(measurements, parameters, has_prior=True)

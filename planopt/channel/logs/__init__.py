@@ -1,1 +1,1 @@
-"""Power logs: tables of programs and files, their columns, and measurements."""
+"""Power logs: file formats of known programs, column detection, and measurements."""

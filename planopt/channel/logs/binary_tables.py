@@ -23,16 +23,16 @@ from planopt.files.reading import (
 )
 
 MOST_STEPS = 2_000
-"""Maximum number of thousands of instructions of SQLite's virtual machine for each megabyte."""
+"""Maximum instructions of SQLite's virtual machine per megabyte of the file, in thousands."""
 
 LEAST_STEPS = 50_000
 
 Ranked = Callable[[Sequence[str]], int]
-"""Score of a table by the names of its columns; the largest one is read, 0 is no log."""
+"""Function that scores a table by its column names; the best is read, and 0 means no log."""
 
 
 def read_sqlite(path: Path, rank: Ranked) -> LogTable:
-    """Read the table of an SQLite file whose columns are most like those of a log."""
+    """Read the table of an SQLite file that looks most like a log, by its column names."""
     import sqlite3
 
     content = read_bytes(path)
@@ -118,7 +118,7 @@ def table_of_frame(frame: Any) -> LogTable:
 
 
 def _with_points(frame: Any, columns: dict[str, list[Any]]) -> dict[str, list[Any]]:
-    """Return the columns with the positions of points in place of other positions."""
+    """Return the columns with positions replaced by the coordinates of the points."""
     points = frame.geometry
     if not (points.geom_type == "Point").all():
         raise InputError(

@@ -1,4 +1,4 @@
-"""Names of columns by role, as programs and people usually write them."""
+"""Common names of log columns, by role."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ ALIASES = {
 
 
 def alias(table: LogTable, role: str) -> str | None:
-    """Return the column of a role by its name; None if there is none."""
+    """Return the column with a known name of this role, or None."""
     found = next((each for each in ALIASES[role] if each in table.folded), None)
     return None if found is None else table.folded[found]
 
 
 def is_position(name: str) -> bool:
-    """Return whether a column has the name of a coordinate."""
+    """Return True if a column is named like a coordinate."""
     return any(fold(name) in ALIASES[role] for role in ("x", "y", "longitude", "latitude"))

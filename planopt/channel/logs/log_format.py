@@ -1,4 +1,4 @@
-"""Format of a power log: columns, units and row filter, declared once as keys and options."""
+"""Format of a power log (columns, units, row filter) as keys of problem files and as options."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class WhereKeys(Table):
 class LogFormat(Part):
     """Columns, units and row filter of a power log.
 
-    Omitted columns are detected by their names, as those of known programs are
+    Omitted columns are detected by the names that known programs use
     (:mod:`planopt.channel.logs.readers`).
     """
 
@@ -104,7 +104,7 @@ class LogFormat(Part):
     """Name of the program that wrote the log; default: detected."""
 
     def to_keys(self) -> dict[str, Any]:
-        """Return the keys of the table that differ from their defaults."""
+        """Return those keys of the table whose values differ from the defaults."""
         keys = super().to_keys()
         changed = {
             each.name: keys[each.name]
@@ -117,7 +117,7 @@ class LogFormat(Part):
 
     @classmethod
     def of_keys(cls, table: Any) -> dict[str, Any]:
-        """Return the fields, with the row filter as pairs."""
+        """Return the fields for table keys; the row filter becomes pairs of column and text."""
         return {**super().of_keys(table), "where": tuple(table.where.items())}
 
 
@@ -177,7 +177,7 @@ def parse_station(text: str, origin_deg: Origin | None = None) -> Station | None
 
 @dataclass(frozen=True)
 class GroupColumn:
-    """Grouping column of a log."""
+    """Column of a log that defines groups of rows, optionally by blocks of its values."""
 
     name: str
     # Block length: numbers in one block, counted from zero, form a group; None: one group per text

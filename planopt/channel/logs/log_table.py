@@ -25,20 +25,20 @@ BLANKS = " "
 """Delimiter of columns that are separated by any number of blanks."""
 
 SAMPLED_LINES = 20
-"""Number of lines from which the delimiter is found."""
+"""Number of lines used to detect the delimiter."""
 
 EXCEL_DELIMITER = re.compile(r"sep=(.)", re.IGNORECASE)
-"""First line by which Excel names the delimiter."""
+"""First line that Excel writes to declare the delimiter."""
 
 DECIMAL_COMMA = re.compile(r"[+-]?\d+,\d+([eE][+-]?\d+)?")
 
 FLAGS = {"1": True, "true": True, "0": False, "false": False}
-"""Accepted flags, in lower case; upper case is accepted too."""
+"""Accepted texts of flags; case is ignored."""
 
 
 @dataclass(frozen=True)
 class Cell:
-    """Cell of a log with its location."""
+    """Cell of a log with its line and column."""
 
     text: str
     file: Path | None  # None for a table in Python
@@ -128,7 +128,7 @@ class LogTable:
         ]
 
     def where(self, pairs: Sequence[tuple[str, str]]) -> LogTable:
-        """Return the rows that have these texts in these columns."""
+        """Return the table of the rows that match all pairs of column and text."""
         wanted = [(self.index(name), text) for name, text in pairs]
         kept = [
             (line, cells)
@@ -139,7 +139,7 @@ class LogTable:
 
     @cached_property
     def folded(self) -> dict[str, str]:
-        """Return the names of columns by their lower case letters and digits."""
+        """Return a mapping from lower-case letters and digits to column names."""
         return {fold(name): name for name in reversed(self.names)}
 
 
@@ -190,7 +190,7 @@ def _lines(text: str, preambles: tuple[str, ...]) -> Iterator[tuple[int, str]]:
 
 
 def _delimiter_of(lines: Sequence[str]) -> str:
-    """Return the delimiter that divides the header and all sampled rows alike, and most often."""
+    """Return the delimiter that splits the header and sampled rows into equally many cells."""
     sample = lines[:SAMPLED_LINES]
     counts = {each: [_count(line, each) for line in sample] for each in DELIMITERS}
     found = [each for each in DELIMITERS if counts[each][0] > 1]
@@ -229,7 +229,7 @@ def _split(
 def _complete(
     path: Path, rows: Iterator[tuple[int, list[str]]], count: int
 ) -> Iterator[tuple[int, list[str]]]:
-    """Yield the rows; raise an error for one with another number of cells than the header."""
+    """Yield the rows; raise an error if a row and the header differ in their number of cells."""
     for line, cells in rows:
         if len(cells) != count:
             raise InputError(

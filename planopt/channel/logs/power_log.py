@@ -1,6 +1,6 @@
-"""Measurements of power logs; errors name the line and the column.
+"""Reading of power logs as measurements; errors name the line and the column.
 
-Rows belong to one group if all grouping columns agree: ``day`` for whole days, ``day,t_s:600``
+Rows with equal values in all grouping columns form a group: ``day`` for whole days, ``day,t_s:600``
 for blocks of 600 in the column ``t_s`` within each day.
 """
 
@@ -153,7 +153,7 @@ def _labels(table: LogTable, column: str | None) -> list[str]:
 def _position_std_m(
     table: LogTable, columns: LogColumns, log_format: LogFormat
 ) -> NDArray[np.float64]:
-    """Return the standard deviation of each position, from the accuracy where a row has it."""
+    """Return each position's standard deviation: from its accuracy cell, else the format's."""
     if columns.accuracy is None:
         return np.full(len(table.rows), log_format.position_std_m)
     cells = table.numbers(columns.accuracy)
@@ -269,7 +269,7 @@ def _no_rows(table: LogTable, log_format: LogFormat) -> InputError:
 
 
 FEWEST_READINGS = 20
-"""Minimum number of readings of a transmitter that is used without being named."""
+"""Minimum number of readings of a transmitter, unless the user names it."""
 
 
 def transmitters_of(

@@ -1,4 +1,4 @@
-"""Programs whose logs are known, detection of columns by name, and kinds of files.
+"""Known logging programs, detection of columns by name, and readers of file formats.
 
 A reader is a declaration in :mod:`planopt.channel.logs.programs`; its name in `READERS` is the only
 other entry that it needs. A package adds readers by the entry-point group ``planopt.log_readers``.
@@ -57,7 +57,7 @@ KINDS: dict[str, Callable[[Path, Ranked], LogTable]] = {
 class LogReader:
     """Declaration of the logs that a program writes.
 
-    Rows without a position or a power are no readings, nor are positions at 0, 0 degrees.
+    Rows without a position or a power, or with the position 0, 0 degrees, are skipped.
     """
 
     summary: str  # For the documentation
@@ -110,7 +110,7 @@ def known_readers() -> dict[str, LogReader]:
 
 
 def _likeness(names: Sequence[str]) -> int:
-    """Return how much columns are like those of a log: most if a program is known."""
+    """Return a score of column names: 0 for no log, largest for a known program's columns."""
     table = LogTable(None, tuple(names), ())
     known = [len(each.signature) for each in known_readers().values() if _is_of(table, each)]
     roles = [("x", "y"), ("longitude", "latitude")]
@@ -177,12 +177,12 @@ def _position_columns(
 
 
 def _named(table: LogTable, name: str) -> str:
-    """Return the table's own spelling of a column's name."""
+    """Return the spelling that the table uses for a column's name."""
     return table.folded.get(fold(name), name)
 
 
 def _is_of(table: LogTable, reader: LogReader) -> bool:
-    """Return whether a table has the columns that identify a program."""
+    """Return True if a table has the columns that identify the reader's program."""
     has = {fold(name) for name in table.names}
     return {fold(name) for name in reader.signature} <= has
 
@@ -196,7 +196,7 @@ def _reader_of(table: LogTable, log_format: LogFormat) -> tuple[str, LogReader] 
 
 
 def readings_of(table: LogTable, columns: LogColumns) -> LogTable:
-    """Return the rows that are readings; only known programs write others."""
+    """Return the table without the rows of a known program that contain no reading."""
     reader = columns.reader
     if reader is None:
         return table
@@ -212,5 +212,5 @@ def readings_of(table: LogTable, columns: LogColumns) -> LogTable:
 
 
 def _is_zero(text: str) -> bool:
-    """Return whether a cell is zero, as programs write before the first position."""
+    """Return True for a zero, which programs write before the first position fix."""
     return not text.strip().strip("+-0.,")

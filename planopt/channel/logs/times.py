@@ -1,4 +1,4 @@
-"""Times of a log: seconds, Unix times in any unit, and dates, as seconds from the first."""
+"""Conversion of a log's seconds, Unix times or dates to seconds from the first one."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from planopt.channel.logs.log_table import Cell
 
 UNIX_SCALES = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3), (1e8, 1.0))
-"""Least Unix times in ns, us, ms and s (from 1973 on), and the seconds in one unit."""
+"""Smallest Unix times in ns, us, ms and s (from 1973 on), each with its unit in seconds."""
 
 DATES = ("%d.%m.%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S", "%H:%M:%S", "%H:%M:%S.%f")
-"""Forms of dates besides ISO 8601."""
+"""Accepted date formats in addition to ISO 8601."""
 
 
 def times_s(cells: Iterable[Cell]) -> NDArray[np.float64]:

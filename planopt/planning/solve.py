@@ -32,8 +32,7 @@ from planopt.planning.loop.drive import drive, true_world
 from planopt.planning.loop.results import Run, Solution
 from planopt.planning.plan import Plan
 from planopt.planning.scene import Scene, build_scenes
-from planopt.planning.stepping import Stepper
-from planopt.planning.target_watch import expected_target, watch_target
+from planopt.planning.stepping import Stepper, expected_target, watch_target
 from planopt.planning.team.couriers import planning
 from planopt.problems.load import require_motion, with_overrides
 from planopt.problems.planner_kinds import planner_kind

@@ -280,7 +280,7 @@ def _run_answer(problem: Problem, seed: int, shared: Any, recorded: States) -> d
     from planopt.planning.free_space import with_drawn_starts
     from planopt.planning.initial_data import team_seeds
     from planopt.planning.loop.drive import first_steps, true_world
-    from planopt.planning.target_watch import watch_target
+    from planopt.planning.stepping import watch_target
     from planopt.planning.team.couriers import planning
 
     begun = process_time()

@@ -16,7 +16,7 @@ from planopt import InputError, Measurements, Planner, Problem, Verdict, load, s
 from planopt.channel import measure
 from planopt.planning.initial_data import prepare, team_seeds
 from planopt.planning.loop.metrics import true_serving_dbm
-from planopt.planning.target_watch import watch_target
+from planopt.planning.stepping import watch_target
 from planopt.problems import Unicycle
 from planopt.targets.sensor import sense
 

@@ -39,8 +39,7 @@ from planopt.planning.proof.context import VerifierContext, search_prediction, v
 from planopt.planning.proof.searches import GoalGrid
 from planopt.planning.proof.verify import verify
 from planopt.planning.reservations import discs_to_avoid, others_of
-from planopt.planning.stepping import Planning, PlanStep, Stepper, TeamMoment
-from planopt.planning.target_watch import watch_target
+from planopt.planning.stepping import Planning, PlanStep, Stepper, TeamMoment, watch_target
 from planopt.planning.values.context import Aim, counts_others, places_of_others, step_context
 from planopt.planning.values.exploration import workspace_region
 from planopt.planning.values.objective_value import ObjectiveValue, ReachCost

@@ -1,8 +1,4 @@
-"""Belief about the channel in ``belief.npz``: measurements, parameters and their origin.
-
-Measurements are in chronological order. Array names of further stations have the prefix
-``stations[1].`` and so on; those of the first station have none.
-"""
+"""Arrays of saved results: beliefs in ``belief.npz``, certificates of bounds in ``bound.npz``."""
 
 from __future__ import annotations
 
@@ -15,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.bounds.bound import Potential
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import Belief
@@ -23,6 +20,7 @@ from planopt.files.npz import read_npz
 from planopt.files.tables import LARGEST, REMEDY
 from planopt.files.writing import write_whole
 from planopt.planning.loop.results import Run
+from planopt.planning.plan import Plan
 
 BELIEF_FILE = "belief.npz"
 
@@ -234,3 +232,53 @@ def _read_station(path: Path, prefix: str, arrays: Arrays) -> SavedBelief:
         known_before_step=known,
         arrays=arrays,
     )
+
+
+BOUND_FILE = "bound.npz"
+
+KINDS = {
+    "nodes_m": ("f", 2),
+    "corners": ("iu", 3),
+    "at_nodes": ("f", None),
+    "at_sides": ("f", None),
+}
+"""Types of the arrays of a potential, and their numbers of columns."""
+
+
+def bound_arrays(plans: Sequence[Plan]) -> Arrays:
+    """Return the arrays of the potentials of plans, by the number of the robot."""
+    return {
+        f"{number}_{name}": getattr(plan.bound.certificate, name)
+        for number, plan in enumerate(plans)
+        if plan.bound is not None and plan.bound.certificate is not None
+        for name in KINDS
+    }
+
+
+def read_potentials(path: Path, count: int) -> tuple[Potential | None, ...]:
+    """Return the potential of each of `count` robots; None for those without."""
+    if not path.is_file():
+        return (None,) * count
+    arrays = read_npz(path)
+    return tuple(_potential(path, arrays, number) for number in range(count))
+
+
+def _potential(path: Path, arrays: Arrays, number: int) -> Potential | None:
+    names = {name: f"{number}_{name}" for name in KINDS}
+    if not any(key in arrays for key in names.values()):
+        return None
+    for name, (kinds, columns) in KINDS.items():
+        key = names[name]
+        if key not in arrays:
+            raise InputError("the array is missing", file=path, key=key, remedy=REMEDY)
+        shape = arrays[key].shape
+        fits = len(shape) == 1 if columns is None else shape[1:] == (columns,)
+        if not fits or arrays[key].dtype.kind not in kinds or not len(arrays[key]):
+            message = f"an array of shape {shape} and type {arrays[key].dtype} does not fit"
+            raise InputError(message, file=path, key=key, remedy=REMEDY)
+    nodes, at_nodes, at_sides = (
+        np.asarray(arrays[names[name]], dtype=np.float64)
+        for name in ("nodes_m", "at_nodes", "at_sides")
+    )
+    corners = np.asarray(arrays[names["corners"]], dtype=np.intp)
+    return Potential(nodes, corners, at_nodes, at_sides)

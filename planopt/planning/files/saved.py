@@ -25,14 +25,16 @@ from planopt.planning.certificate import BlockedWay
 from planopt.planning.explanation import Crossing, Relaxation
 from planopt.planning.files.belief_file import (
     BELIEF_FILE,
+    BOUND_FILE,
     Arrays,
     SavedBelief,
     belief_of_plan,
     beliefs_of_run,
+    bound_arrays,
     read_belief,
+    read_potentials,
     write,
 )
-from planopt.planning.files.bound_file import BOUND_FILE, bound_arrays, read_potentials
 from planopt.planning.files.result_json import (
     NoPlanRecord,
     PlanRecord,

@@ -15,7 +15,7 @@ from planopt.channel.parameters import regressors
 from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.proof.context import search_power
-from planopt.planning.target_watch import TargetWatch
+from planopt.planning.stepping import TargetWatch
 from planopt.robots.dynamics import Drive
 from planopt.short_repr import short_repr
 from planopt.targets.information_filter import predict

@@ -11,7 +11,7 @@ from scipy.stats import chi2
 from planopt import load, simulate
 from planopt.planning.loop.log import target_log
 from planopt.planning.loop.metrics import nis_interval
-from planopt.planning.target_watch import counted, watch_target
+from planopt.planning.stepping import counted, watch_target
 from planopt.targets.sensor import noise_covariance_m2, sense
 
 STEPS = 150

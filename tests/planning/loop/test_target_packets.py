@@ -13,7 +13,7 @@ from planopt.channel import condition
 from planopt.objectives import TermsObjective
 from planopt.planning.loop.metrics import run_metrics
 from planopt.planning.loop.results import summary_of
-from planopt.planning.target_watch import aim_of, counted, watch_target
+from planopt.planning.stepping import aim_of, counted, watch_target
 from planopt.targets.information_filter import predict, predicted_information
 
 STEPS = 6

@@ -20,7 +20,7 @@ from terms_scene import (
 import planopt.planning.planners as one_step_module
 from planopt import Measurements, Obstacle, Verdict, check
 from planopt.extend import Rung
-from planopt.planning.loop.ending import STALL_STEPS, Progress, terms_ending
+from planopt.planning.loop.drive import STALL_STEPS, Progress, terms_ending
 from planopt.planning.loop.log import Outcome
 from planopt.planning.solve import simulate
 from planopt.planning.values.exploration import left_to_learn

@@ -23,7 +23,7 @@ from planopt.planning.programme.path_polish import (
     lines_with_violated,
     polish_path,
 )
-from planopt.planning.refinement import candidate_of, margins_at
+from planopt.planning.refinement import candidate_of, tightened
 from planopt.planning.scene import Scene, retime
 from planopt.planning.search.global_search import GlobalStart
 from planopt.planning.search.pivot import Ahead
@@ -55,9 +55,13 @@ class GoalRefinement:
         The shifted last plan is the better guess if it arrives sooner than the lattice path.
         """
         start_m = self.start.path_m
-        starts = [(self._retimed(), Rung.PLAN), (start_m, Rung.COLD_RETRY)]
-        if bool((self.start.margin_db < 0.0).any()):
-            starts = [(start_m, Rung.RELAXED)]
+        starts = [(start_m, Rung.RELAXED)]
+        if not (self.start.margin_db < 0.0).any():
+            problem = self.scorer.problem
+            effort, fastest = problem.reach.effort_weight_s2_m2, problem.robots[0].speed_max_m_s
+            step_m = cruising_speed_m_s(effort, fastest) * problem.planner.step_s - STEP_PAD_M
+            retimed = retime(self.scorer.position_m, start_m, self.start.beyond_m, step_m)
+            starts = [(retimed, Rung.PLAN), (start_m, Rung.COLD_RETRY)]
         if shifted_m is not None:
             shifted_m = self._drawn_on(shifted_m)
             margins = step_rows(self.step, shifted_m).margins_db(self.cost.power(shifted_m))
@@ -84,13 +88,6 @@ class GoalRefinement:
             return shifted_m
         return np.vstack([shifted_m[:-1], before + to_pivot * min(1.0, longest / away)])
 
-    def _retimed(self) -> NDArray[np.float64]:
-        """Return the lattice path at cruising speed."""
-        problem, start = self.scorer.problem, self.start
-        effort, fastest = problem.reach.effort_weight_s2_m2, problem.robots[0].speed_max_m_s
-        step_m = cruising_speed_m_s(effort, fastest) * problem.planner.step_s - STEP_PAD_M
-        return retime(self.scorer.position_m, start.path_m, start.beyond_m, step_m)
-
     def _sooner(self, candidate: Candidate) -> Candidate | None:
         """Return a candidate that arrives in fewer steps; None if the path is too long."""
         problem = self.scorer.problem
@@ -107,8 +104,8 @@ class GoalRefinement:
         begun = perf_counter()
         rows = step_rows(self.step, faster)
         task = self._task(faster, rows)
-        bound = np.minimum(margins_at(task, faster), MARGIN_PAD_DB)
-        better = self._refined(task, rows, bound, candidate.rung, begun)
+        bound = tightened(task, rows, self.cost.power(faster), feasible=True)
+        better = self._refined(task, bound, candidate.rung, begun)
         better = replace(
             better,
             solve_s=better.solve_s + candidate.solve_s,
@@ -126,19 +123,15 @@ class GoalRefinement:
             return
         rows = step_rows(self.step, path_m)
         task = self._task(path_m, rows)
-        exact = rows.margins_db(self.cost.power(path_m))
-        local = margins_at(task, path_m)
-        # If the local model is optimistic, its bound is raised by the error.
-        wanted = MARGIN_PAD_DB + np.maximum(local - exact, 0.0)
-        begun = perf_counter()
-        free = (exact < 0.0) & (rung is Rung.RELAXED)
-        # A guess that meets the bound must stay feasible.
-        bound = np.where(exact >= 0.0, np.minimum(wanted, local), wanted)
+        power = self.cost.power(path_m)
+        bound = tightened(task, rows, power, feasible=True)
+        free = (rows.margins_db(power) < 0.0) & (rung is Rung.RELAXED)
         bound[free] = -np.inf
+        begun = perf_counter()
         for _ in range(REPAIRS):
             if self.budget.spent:
                 return
-            candidate = self._refined(task, rows, bound, rung, begun)
+            candidate = self._refined(task, bound, rung, begun)
             yield candidate
             begun = perf_counter()
             if not candidate.sound:
@@ -165,14 +158,12 @@ class GoalRefinement:
     def _refined(
         self,
         task: PathTask,
-        rows: RuleRows,
-        bound_db: NDArray[np.float64],
+        bound: NDArray[np.float64],
         rung: Rung,
         begun_s: float,
     ) -> Candidate:
         """Return the verified candidate of a task with these bounds of the constrained steps."""
-        bound_db = np.where(rows.bounded, bound_db, -np.inf)
-        point = polish_path(self.nlp, replace(task, bound_db=bound_db))
+        point = polish_path(self.nlp, replace(task, bound=bound))
         solve_s = perf_counter() - begun_s
         candidate = candidate_of(self.scorer, point, rung, self.lattice_objective, solve_s)
         assessed = self.scorer.assessed(candidate)
@@ -216,7 +207,6 @@ class GoalRefinement:
             bounds_m=problem.workspace.bounds_m,
             evaluate=value,
             scale=1.0,
-            bound_db=np.full(len(path_m), -np.inf),
             arrival=arrival + 1 if dwells else None,
         )
 

@@ -46,42 +46,12 @@ from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Drive, braked_motion, rolled_out
 from planopt.world.moving_discs import MovingDiscs
 from planopt.world.separation import (
-    PackedPieces,
     SeparatingLines,
     joined_lines,
     separating_lines,
     split_lines,
     tail_lines,
 )
-
-
-def lines_of_guess(
-    problem: Problem,
-    pieces: PackedPieces,
-    discs: MovingDiscs,
-    path_m: NDArray[np.float64],
-    drive: Drive | None,
-    count: int,
-) -> tuple[SeparatingLines, SeparatingLines | None]:
-    """Return `count` lines per segment of a guess (N + 1, 2), and lines for waiting after it.
-
-    The second value is for discs that move after the plan; None if there are none.
-    """
-    horizon = len(path_m) - 1
-    tail = tail_count(discs, horizon)
-    lines = lines_about(problem, pieces, discs, path_m, count - tail)
-    if not tail:
-        return lines, None
-    last, still = tail_lines(
-        discs,
-        braked_motion(path_m, drive, problem.planner.step_s),
-        horizon,
-        path_m[-1] if drive is None else standstill_m(problem, drive.states[-1]),
-        problem.constraints.clearance_m,
-        tail,
-        LINE_REACH_STEPS * problem.step_length_m,
-    )
-    return joined_lines(lines, last), still
 
 
 def candidate_of(
@@ -104,28 +74,6 @@ def candidate_of(
     )
 
 
-def motion_task(
-    problem: Problem,
-    ground: Ground,
-    shape: MotionShape,
-    drive: Drive,
-    still: SeparatingLines | None,
-) -> MotionTask:
-    """Return the motion data of a refinement; `still` are separating lines at rest."""
-    last = drive.states[-1]
-    end = standstill_m(problem, last)[None]
-    reach = LINE_REACH_STEPS * problem.step_length_m
-    count = shape.lines - (0 if still is None else int(still.piece.shape[1]))
-    lines = separating_lines(ground.pieces, last[None, :2], end, count, reach)
-    return MotionTask(shape, drive, lines if still is None else joined_lines(lines, still))
-
-
-def standstill_m(problem: Problem, state: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a resting position (2,) reached by braking from `state` (s,), or slightly beyond."""
-    points = problem.robots[0].dynamics.stop_points(tuple(state), problem.planner.step_s)
-    return np.array(points[-1] if points else state[:2], dtype=np.float64)
-
-
 LOCAL_PAD_DB = 0.04
 """Margin added to the corrected bound: nine of ten returned paths have a smaller error (48
 neighbours, 1,000 measurements, xi 4, beta 20 m)."""
@@ -137,25 +85,41 @@ MISSING_DB_COST = 100.0
 """Cost per dB of slack in the solver if the bound cannot be met."""
 
 
+def tightened(
+    task: PathTask, rows: RuleRows, power: Prediction, *, feasible: bool
+) -> NDArray[np.float64]:
+    """Return the bounds of the local model's rows: what is required, plus its error at the path.
+
+    With `feasible` a row that the path meets by the exact `power` stays feasible.
+    """
+    local, per_db = task.evaluate(task.path_m).rows, rows.per_db(power)
+    missing = rows.total - rows.achieved(power)
+    bound = missing + local + LOCAL_PAD_DB * per_db
+    kept = feasible & (missing <= MARGIN_TOLERANCE_DB * per_db)
+    return np.where(kept, np.minimum(bound, local), bound)
+
+
 def with_bounds(task: PathTask, context: StepContext, rows: RuleRows) -> PathTask:
     """Return the task with bounds that the guess meets; elsewhere with the least shortfall.
 
-    The initial guess stays feasible. Bounded slack is available to all steps at its price.
+    Bounded slack is available to all rows at its price; a row that the guess violates beyond it has
+    unlimited slack, which costs more.
     """
-    if rows.weight is not None:
-        return _with_total(task, context, rows)
-    if not context.problem.constraints.asks_connection:
+    constraints = context.problem.constraints
+    if not constraints.asks_connection:
         return task
-    wanted, local, exact = _wanted(task, context, rows)
-    kept = exact >= -MARGIN_TOLERANCE_DB
-    bound = np.where(kept, np.minimum(wanted, local), wanted)
-    limit, weight = _slack(context, task.scale, np.where(np.isfinite(exact), -exact, 0.0))
-    if not context.problem.constraints.rule.by_step:
-        weight = weight if np.isinf(limit).any() else weight / max(int(rows.bounded.sum()), 1)
+    power, rule = context.predicted(task.path_m), constraints.rule
+    short_db, allowed = rows.shortfall_db(power), rule.slack_max_db or 0.0
+    limit = np.where(short_db <= allowed + MARGIN_TOLERANCE_DB, allowed, np.inf)
+    weight = MISSING_DB_COST
+    if allowed > 0.0 and not np.isinf(limit).any():
+        shared = 1 if rule.by_step else max(int(rows.bounded.sum()), 1)
+        weight = task.scale * rule.slack_price / shared
     return replace(
         task,
-        bound_db=np.where(rows.bounded, bound, -np.inf),
-        slack_limit_db=np.where(rows.bounded, limit, 0.0),
+        bound=tightened(task, rows, power, feasible=True),
+        per_db=rows.per_db(power),
+        slack_limit_db=np.where(np.isneginf(short_db), 0.0, limit),
         slack_weight=weight,
     )
 
@@ -170,25 +134,17 @@ def lacks(
     """
     if not len(point.slack_db) or not np.isfinite(point.path_m).all():
         return False
-    power = context.predicted(point.path_m)
-    if rows.weight is not None:
-        # The shortfall of the sum in dB, to first order.
-        short_db = (rows.total - rows.sum_of(power)) / _per_db(rows, power)
-        missing = short_db > MARGIN_TOLERANCE_DB
-        return bool(point.slack_db[0] <= GIVEN_UP_DB and missing)
-    margins = rows.margins_db(power)
-    unsure = firmly and not is_search_exact(context.posterior)
-    least = SEARCH_ERROR_DB if unsure else -MARGIN_TOLERANCE_DB
-    return bool((margins[point.slack_db <= GIVEN_UP_DB] < least).any())
+    short_db = rows.shortfall_db(context.predicted(point.path_m))
+    unsure = firmly and rows.weight is None and not is_search_exact(context.posterior)
+    most = -SEARCH_ERROR_DB if unsure else MARGIN_TOLERANCE_DB
+    return bool((short_db[point.slack_db <= GIVEN_UP_DB] > most).any())
 
 
 def recentred(task: PathTask, context: StepContext, rows: RuleRows, point: RefinedPath) -> PathTask:
     """Return the task corrected by the local model's error at a returned path."""
     task = moved(task, context, rows, point.path_m)
-    if rows.weight is not None:
-        return replace(task, total_bound=_wanted_total(task, context, rows)[0])
-    wanted = _wanted(task, context, rows)[0]
-    return replace(task, bound_db=np.where(rows.bounded, wanted, -np.inf))
+    power = context.predicted(point.path_m)
+    return replace(task, bound=tightened(task, rows, power, feasible=False))
 
 
 def moved(
@@ -196,72 +152,6 @@ def moved(
 ) -> PathTask:
     """Return the task for another path (N, 2), with the local channel near it."""
     return replace(task, path_m=path_m, evaluate=local_value(context, path_m, rows))
-
-
-def _with_total(task: PathTask, context: StepContext, rows: RuleRows) -> PathTask:
-    power = context.predicted(task.path_m)
-    task = replace(task, total_per_db=_per_db(rows, power))
-    wanted, local = _wanted_total(task, context, rows)
-    short_db = (rows.total - rows.sum_of(power)) / task.total_per_db
-    limit, weight = _slack(context, task.scale, np.array([short_db]))
-    return replace(
-        task,
-        total_bound=wanted if short_db > 0.0 else min(wanted, local),
-        slack_limit_db=limit,
-        slack_weight=weight,
-    )
-
-
-def _slack(
-    context: StepContext, scale: float, missing_db: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], float]:
-    """Return the limit of each row's slack, and the slack's cost per dB in the solver.
-
-    The limit is infinite for rows that the guess violates beyond the slack; slack then costs more.
-    """
-    rule = context.problem.constraints.rule
-    allowed = rule.slack_max_db or 0.0
-    limit = np.where(missing_db <= allowed + MARGIN_TOLERANCE_DB, allowed, np.inf)
-    if np.isinf(limit).any() or allowed == 0.0:
-        return limit, MISSING_DB_COST
-    return limit, scale * rule.slack_price
-
-
-def _wanted(
-    task: PathTask, context: StepContext, rows: RuleRows
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the required local margins, and the guess's local and exact margins.
-
-    The requirement includes the local model's error at the guess.
-    """
-    local, exact = margins_at(task, task.path_m), rows.margins_db(context.predicted(task.path_m))
-    return LOCAL_PAD_DB + local - exact, local, exact
-
-
-def margins_at(task: PathTask, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the margins (N,) of a path by the local model of a bounded task."""
-    margins = task.evaluate(path_m).margins
-    if margins is None:
-        raise AssertionError("a bounded problem has margins")
-    return margins.value
-
-
-def _wanted_total(task: PathTask, context: StepContext, rows: RuleRows) -> tuple[float, float]:
-    """Return the required local sum, and the guess's local sum."""
-    total = task.evaluate(task.path_m).total
-    if total is None:
-        raise AssertionError("a bounded sum is there")
-    off = total.value - rows.sum_of(context.predicted(task.path_m))
-    return rows.total + off + LOCAL_PAD_DB * task.total_per_db, total.value
-
-
-def _per_db(rows: RuleRows, power: Prediction) -> float:
-    """Return the derivative of the sum by the threshold reduction in dB; not zero."""
-    if rows.weight is None:
-        raise AssertionError("no sum is bounded")
-    score = (power.mean_db - rows.threshold_dbm) / power.deviation_db
-    density = np.exp(-0.5 * score**2) / (np.sqrt(2.0 * np.pi) * power.deviation_db)
-    return max(float(rows.weight @ density), 1e-3 * float(rows.weight.max(initial=0.0)), 1e-9)
 
 
 LINES_PER_SEGMENT = 2
@@ -326,10 +216,14 @@ class GuessRefinement:
         if budget.spent:
             return []
         rows = rule_rows(context, guess.path_m)
-        evaluate = local_value(context, guess.path_m, rows)
-        ends = np.vstack([context.position_m, guess.path_m])
-        pieces = self._ground.pieces
-        lines, still = lines_of_guess(problem, pieces, moving, ends, guess.drive, nlp.shape.lines)
+        lines, stop = self._lines_about(context, guess.path_m, guess.drive, nlp.shape.lines)
+        motion = None
+        if nlp.shape.motion is not None and guess.drive is not None:
+            motion = MotionTask(nlp.shape.motion, guess.drive, stop)
+        # A goal's cost is scaled by the horizon in seconds.
+        value = guess.value
+        if guess.charge is not None:
+            value = problem.planner.step_s * len(guess.path_m)
         task = PathTask(
             start_m=context.position_m,
             path_m=guess.path_m,
@@ -337,12 +231,11 @@ class GuessRefinement:
             clearance_m=problem.constraints.clearance_m,
             step_length_m=problem.step_length_m,
             bounds_m=problem.workspace.bounds_m,
-            evaluate=evaluate,
-            scale=VALUE_IN_SOLVER / (abs(_counted(problem, guess)) or VALUE_IN_SOLVER),
+            evaluate=local_value(context, guess.path_m, rows),
+            scale=VALUE_IN_SOLVER / (abs(value) or VALUE_IN_SOLVER),
+            motion=motion,
+            charge=guess.charge,
         )
-        if nlp.shape.motion is not None and guess.drive is not None:
-            motion = motion_task(problem, self._ground, nlp.shape.motion, guess.drive, still)
-            task = replace(task, motion=motion, charge=guess.charge)
         task = with_bounds(task, context, rows)
         correlates = rule_of(problem).correlates(problem.constraints.p_min)
         allocations = ALLOCATIONS if correlates else 0
@@ -355,9 +248,8 @@ class GuessRefinement:
             if point.inputs is not None:
                 dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
                 drive = rolled_out(dynamics, scorer.state, point.inputs, step_s)
-            spent_s = perf_counter() - begun
-            lattice = scorer.sense * guess.value
-            candidate = candidate_of(scorer, point, rung, lattice, spent_s, drive)
+            solve_s, lattice = perf_counter() - begun, scorer.sense * guess.value
+            candidate = candidate_of(scorer, point, rung, lattice, solve_s, drive)
             if lacks(context, rows, point, firmly=attempt == 0):
                 # The local model was inaccurate, and a verification would be expensive.
                 found.append(candidate)
@@ -411,28 +303,38 @@ class GuessRefinement:
             lines = joined_lines(lines, last)
         if lines is not None:
             return replace(task, lines=lines)
-        if candidate.drive is not None:
-            return self._about(task, context, candidate.path_m, candidate.drive)
-        return None
+        drive, motion = candidate.drive, task.motion
+        if drive is None or motion is None:
+            return None
+        path = candidate.path_m
+        lines, stop = self._lines_about(context, path, drive, motion.shape.lines)
+        motion = replace(motion, drive=drive, stop_lines=stop)
+        return replace(task, path_m=path, lines=lines, motion=motion)
 
-    def _about(
-        self, task: PathTask, context: StepContext, path_m: NDArray[np.float64], drive: Drive
-    ) -> PathTask:
-        """Return the task that starts from a drive, with lines about its curve and braking path."""
-        if task.motion is None:
-            raise AssertionError("a single integrator has no drive")
-        problem = self._problem
-        ends, count = np.vstack([task.start_m, path_m]), task.motion.shape.lines
-        lines, still = lines_of_guess(
-            problem, self._ground.pieces, context.moving, ends, drive, count
-        )
-        motion = motion_task(problem, self._ground, task.motion.shape, drive, still)
-        return replace(task, path_m=path_m, lines=lines, motion=motion)
+    def _lines_about(
+        self, context: StepContext, path_m: NDArray[np.float64], drive: Drive | None, count: int
+    ) -> tuple[SeparatingLines, SeparatingLines]:
+        """Return `count` lines per segment of a guess (N, 2), and those of its braking segment.
 
-
-def _counted(problem: Problem, guess: Guess) -> float:
-    """Return the value that scales the solver's objective; for a goal, the horizon in seconds."""
-    return guess.value if guess.charge is None else problem.planner.step_s * len(guess.path_m)
+        The last lines of each are for discs that move after the plan.
+        """
+        problem, discs, pieces = self._problem, context.moving, self._ground.pieces
+        ends, tail = np.vstack([context.position_m, path_m]), tail_count(discs, len(path_m))
+        reach = LINE_REACH_STEPS * problem.step_length_m
+        end = rest = path_m[-1]
+        if drive is not None:
+            # Braking ends at the last of these points or slightly before.
+            end, step_s = drive.states[-1, :2], problem.planner.step_s
+            points = drive.dynamics.stop_points(tuple(drive.states[-1]), step_s)
+            rest = np.array(points[-1] if points else end, dtype=np.float64)
+        lines = lines_about(problem, pieces, discs, ends, count - tail)
+        stop = separating_lines(pieces, end[None], rest[None], count - tail, reach)
+        if not tail:
+            return lines, stop
+        motion = braked_motion(ends, drive, problem.planner.step_s)
+        clearance = problem.constraints.clearance_m
+        last, still = tail_lines(discs, motion, len(path_m), rest, clearance, tail, reach)
+        return joined_lines(lines, last), joined_lines(stop, still)
 
 
 def _driven_from(task: PathTask, drive: Drive | None) -> PathTask:

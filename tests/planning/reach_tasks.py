@@ -100,6 +100,6 @@ def reach_task(horizon, line_count, **changes):
         bounds_m=(-100.0, -100.0, 100.0, 100.0),
         evaluate=value,
         scale=1.0,
-        bound_db=np.zeros(horizon),
+        bound=np.zeros(horizon),
     )
     return changed(task, **changes)

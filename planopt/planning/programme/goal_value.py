@@ -68,6 +68,15 @@ class Evaluation:
     margins: Derivatives | None  # Margins of the N stages
     total: PathValue | None = None  # Sum over stages with Hessian (N, 3)
 
+    @property
+    def rows(self) -> NDArray[np.float64]:
+        """Return the values of the bounded rows: N margins, or one sum."""
+        if self.margins is not None:
+            return self.margins.value
+        if self.total is None:
+            raise AssertionError("no row is bounded")
+        return np.array([self.total.value])
+
 
 EvaluatePath = Callable[[NDArray[np.float64]], Evaluation]
 """Function from positions (N, 2) to their evaluation."""

@@ -61,13 +61,11 @@ class PathTask:
     bounds_m: tuple[float, float, float, float]  # The workspace (x_min, y_min, x_max, y_max)
     evaluate: EvaluatePath  # Function from a path to its value and margins
     scale: float  # Factor of the value, as solver tolerances are absolute
-    # (N,) lower bounds of the margins; None if connectivity is unconstrained
-    bound_db: NDArray[np.float64] | None = None
-    # (N,) upper bounds of the slack in dB, zero for a hard bound; (1,) for a total
-    slack_limit_db: NDArray[np.float64] | None = None
+    # (N,) lower bounds of the margins in dB, or (1,) of their sum; None without connectivity rows
+    bound: NDArray[np.float64] | None = None
+    per_db: float = 1.0  # Change of a row per dB of slack
+    slack_limit_db: NDArray[np.float64] | None = None  # Upper bounds of the slack; 0 if hard
     slack_weight: float = 0.0  # Cost per dB of slack
-    total_bound: float | None = None  # Lower bound of the sum over stages
-    total_per_db: float = 0.0  # Change of the sum per dB of slack
     motion: MotionTask | None = None  # None for the single integrator
     charge: GoalCharge | None = None  # Goal cost; None without a goal
     # Step (1..N) from which guess and refined path stay at their end; None if the path moves until
@@ -79,9 +77,7 @@ def polish_path(nlp: PathNlp, task: PathTask) -> RefinedPath:
     """Solve the programme from the task's guess."""
     shape, motion = nlp.shape, task.motion
     n, lines = shape.horizon, shape.lines
-    bound = np.zeros(0) if task.bound_db is None else task.bound_db
-    if task.total_bound is not None:
-        bound = np.append(bound, task.total_bound)
+    bound = np.zeros(0) if task.bound is None else task.bound
     slack_limit = np.zeros(shape.slacks) if task.slack_limit_db is None else task.slack_limit_db
     pad = 0.0 if shape.motion is None else shape.motion.dynamics.hull_pad_m(shape.motion.step_s)
     kept = task.clearance_m + pad + CLEARANCE_PAD_M
@@ -114,11 +110,13 @@ def polish_path(nlp: PathNlp, task: PathTask) -> RefinedPath:
             ]
         ),
     )
-    head = np.array([*task.start_m, task.scale, task.slack_weight, task.total_per_db])
+    head = np.array([*task.start_m, task.scale, task.slack_weight, task.per_db])
     charge = np.zeros(0) if task.charge is None else task.charge.numbers
     parameters = np.concatenate([head, line, own, charge])
     nlp.source.use(task.evaluate)
-    missing = np.zeros(0) if shape.slacks == 0 else _missing_db(task, bound)
+    missing = np.zeros(0)
+    if shape.slacks:
+        missing = np.maximum(bound - task.evaluate(task.path_m).rows, 0.0) / task.per_db
     guess = np.concatenate([task.path_m.ravel(), np.minimum(missing, slack_limit), driven])
     point = nlp.solve(guess, parameters, variables, row_bounds)
     slack, driven = np.split(point.others, [shape.slacks])
@@ -141,16 +139,6 @@ def _position_bounds(task: PathTask, n: int) -> tuple[NDArray[np.float64], NDArr
         arrived = slice(2 * (task.arrival - 1), 2 * n)
         lower[arrived] = upper[arrived] = task.path_m[task.arrival - 1 :].ravel()
     return lower, upper
-
-
-def _missing_db(task: PathTask, bound: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the slack that the guess requires."""
-    at = task.evaluate(task.path_m)
-    if at.margins is not None:
-        return np.maximum(bound - at.margins.value, 0.0)
-    if at.total is None:
-        raise AssertionError("a bound on nothing")
-    return np.maximum(bound - at.total.value, 0.0) / task.total_per_db
 
 
 def _residual(

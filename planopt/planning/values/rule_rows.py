@@ -58,6 +58,23 @@ class RuleRows:
         margins = power.mean_db - self.quantile * power.deviation_db - self.threshold_dbm
         return np.where(self.bounded, margins, np.inf)
 
+    def achieved(self, power: Prediction) -> NDArray[np.float64]:
+        """Return the value of each row: the steps' margins (N,), or the sum (1,)."""
+        return self.margins_db(power) if self.weight is None else np.array([self.sum_of(power)])
+
+    def per_db(self, power: Prediction) -> float:
+        """Return the change of a row per dB of a lower threshold; not zero, 1 for margins."""
+        if self.weight is None:
+            return 1.0
+        score = (power.mean_db - self.threshold_dbm) / power.deviation_db
+        density = np.exp(-0.5 * score**2) / (np.sqrt(2.0 * np.pi) * power.deviation_db)
+        least = max(1e-3 * float(self.weight.max(initial=0.0)), 1e-9)
+        return max(float(self.weight @ density), least)
+
+    def shortfall_db(self, power: Prediction) -> NDArray[np.float64]:
+        """Return by how much each row is missed in dB, to first order."""
+        return (self.total - self.achieved(power)) / self.per_db(power)
+
     def sum_of(self, power: Prediction) -> float:
         """Return the weighted sum of connection probabilities at predicted powers."""
         if self.weight is None:

@@ -108,7 +108,7 @@ def task(weights, structure, bounded, lines, **changes):
         "bounds_m": (-5.0, -5.0, 5.0, 5.0),
         "evaluate": evaluate(weights, structure, bounded),
         "scale": 1.0,
-        "bound_db": np.zeros(N) if bounded else None,
+        "bound": np.zeros(N) if bounded else None,
         "slack_limit_db": np.zeros(N) if bounded else None,
     }
     return PathTask(**{**settings, **changes})
@@ -131,7 +131,7 @@ def summed_task(weights, bound, structure="stagewise", **changes):
         found = evaluate(weights, structure, False)(positions)
         return replace(found, total=total(positions))
 
-    settings = {"total_bound": bound, "total_per_db": 0.5, "slack_limit_db": np.zeros(1)}
+    settings = {"bound": np.array([bound]), "per_db": 0.5, "slack_limit_db": np.zeros(1)}
     return task(weights, structure, False, no_lines(), evaluate=at, **{**settings, **changes})
 
 
@@ -237,7 +237,7 @@ def test_a_bound_out_of_reach_is_missed_by_the_least():
         "stagewise",
         True,
         no_lines(),
-        bound_db=np.full(N, 3.5),
+        bound=np.full(N, 3.5),
         slack_limit_db=np.full(N, np.inf),
         slack_weight=100.0,
     )

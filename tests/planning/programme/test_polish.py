@@ -114,7 +114,7 @@ def test_a_path_that_arrives_at_once_has_nothing_to_choose(nlp):
     task = reach_task(N, LINES, path_m=path, arrival=1)
     polished = solved(nlp, task)
     np.testing.assert_array_equal(polished.path_m, path)
-    broken = polish_path(nlp, changed(task, bound_db=np.full(N, 11.0)))
+    broken = polish_path(nlp, changed(task, bound=np.full(N, 11.0)))
     assert broken.termination is Termination.INFEASIBLE
     assert broken.kkt_residual == pytest.approx(1.0)
 
@@ -221,7 +221,7 @@ def test_round_an_obstacle(nlp):
 def test_a_slope_stops_the_path_where_the_bound_does(nlp):
     """Margin 6 - x with 2 dB asked for: x_3 = 4, and the multipliers balance the cost."""
     task = reach_task(
-        N, LINES, margins=scored(slope_margins([-1.0, 0.0], 6.0)), bound_db=np.full(N, 2.0)
+        N, LINES, margins=scored(slope_margins([-1.0, 0.0], 6.0)), bound=np.full(N, 2.0)
     )
     polished = solved(nlp, task)
     np.testing.assert_allclose(polished.path_m, 4.0 / 3.0 * ALONG, atol=1e-3)
@@ -234,7 +234,7 @@ def test_a_slope_stops_the_path_where_the_bound_does(nlp):
 
 def test_a_hard_bound_out_of_reach_is_infeasible(nlp):
     """It is refused, and by how much is in the residual."""
-    task = reach_task(N, LINES, bound_db=np.full(N, 11.0))
+    task = reach_task(N, LINES, bound=np.full(N, 11.0))
     polished = polish_path(nlp, task)
     assert polished.termination is Termination.INFEASIBLE
     assert polished.kkt_residual >= 0.99
@@ -330,7 +330,7 @@ def test_the_residual_of_a_priced_path_by_differences(nlp):
 
 HARD = {
     "margins": scored(bowl_margins([2.0, 2.0], 9.0)),
-    "bound_db": np.full(N, 3.0),
+    "bound": np.full(N, 3.0),
     "lines": with_line(no_lines(N, LINES), 1, [-0.6, 0.8], 0.2),
     "pivot_m": np.array([9.0, 4.0]),
 }
@@ -358,7 +358,7 @@ FAILURES = {
         {"margins": scored(constant_margins(np.nan))},
         Termination.NUMERICAL_FAILURE,
     ),
-    "bound out of reach": ({"bound_db": np.full(N, 1e3)}, Termination.INFEASIBLE),
+    "bound out of reach": ({"bound": np.full(N, 1e3)}, Termination.INFEASIBLE),
     "start not a number": ({"path_m": np.full((N, 2), np.nan)}, Termination.NUMERICAL_FAILURE),
     "start far off": (
         {"path_m": ALONG + np.array([0.0, 1e6]), "bounds_m": (-1e7, -1e7, 1e7, 1e7)},

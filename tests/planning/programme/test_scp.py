@@ -59,7 +59,7 @@ def test_the_circle_and_the_line():
 def test_it_finds_what_ipopt_finds(solvers, bound_db):
     """Path and multipliers, with the connectivity bound slack and tight."""
     task = reach_task(
-        N, LINES, margins=scored(bowl_margins([3.0, 1.5], 4.0)), bound_db=np.full(N, bound_db)
+        N, LINES, margins=scored(bowl_margins([3.0, 1.5], 4.0)), bound=np.full(N, bound_db)
     )
     by_ipopt, by_scp = (polish_path(nlp, task) for nlp in solvers)
     assert by_scp.termination is Termination.CONVERGED
@@ -89,7 +89,7 @@ def test_it_finds_what_ipopt_finds_at_a_price_of_outage(solvers):
 
 def test_rows_that_cannot_be_kept(solvers):
     """A bound above what any place has: infeasible, not converged."""
-    task = reach_task(N, LINES, margins=scored(constant_margins(-5.0)), bound_db=np.zeros(N))
+    task = reach_task(N, LINES, margins=scored(constant_margins(-5.0)), bound=np.zeros(N))
     assert polish_path(solvers[1], task).termination is Termination.INFEASIBLE
 
 
@@ -99,8 +99,8 @@ def test_no_numbers(solvers):
     before = polish_path(solvers[1], task)
     for spoilt in (
         replace(task, path_m=np.full((N, 2), np.nan)),
-        replace(task, bound_db=np.full(N, np.nan)),
-        changed(task, margins=scored(constant_margins(np.nan)), bound_db=np.zeros(N)),
+        replace(task, bound=np.full(N, np.nan)),
+        changed(task, margins=scored(constant_margins(np.nan)), bound=np.zeros(N)),
     ):
         lost = polish_path(solvers[1], spoilt)
         assert lost.termination is Termination.NUMERICAL_FAILURE

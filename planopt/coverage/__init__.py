@@ -1,7 +1,7 @@
 """Sensor networks that cover a region, respond to events, and estimate their own number of agents.
 
-The modules take arrays and frozen data, and need no problem file. Names are imported when they are
-first used; the stub ``__init__.pyi`` lists them.
+The modules take arrays and frozen dataclasses; no problem file is needed. Names are imported when
+they are first used; the stub ``__init__.pyi`` lists them.
 """
 
 from planopt.lazy_names import lazy_names

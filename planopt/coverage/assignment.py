@@ -1,6 +1,6 @@
 """Assignment of agents to events: demands, flag propagation and distributed matching.
 
-The P agents nearest to one event are connected in the Voronoi neighbour graph, so lists of nearest
+The P agents nearest to an event are connected in the Voronoi neighbour graph, so lists of nearest
 agents passed between neighbours reach all of them. Deferred acceptance divides the agents among
 several events. Its matching is stable: no agent and event both prefer each other to their match.
 :func:`optimal_assignment` returns the assignment of least total distance.
@@ -22,20 +22,20 @@ from planopt.coverage.network import Loss, Network, gets_through
 from planopt.errors import InputError
 
 Demand = Callable[[int], int]
-"""Function from the number of agents to the number that an event requires."""
+"""Function that maps the number of agents to the number that an event requires."""
 
 HEXAGON = 5.0 / (18.0 * math.sqrt(3.0))
 """Second moment of a regular hexagon of area 1 about its centre."""
 
 LEAST_ON_RING = 2
-"""Least number of agents on a ring; a single one measures the distance only."""
+"""Minimum number of agents on a ring; a single one measures the distance only."""
 
 NONE = -1
-"""Event number of a covering agent."""
+"""Event number that marks a covering agent."""
 
 
 def demanded(demand: Demand, agents: int) -> int:
-    """Evaluate a demand for a number of agents; raise `InputError` if the result is invalid."""
+    """Return a demand's value for a number of agents; raise `InputError` if it is invalid."""
     wanted = demand(agents)
     if wanted != int(wanted) or not 0 <= wanted <= agents:
         raise InputError(
@@ -53,7 +53,7 @@ def table_demand(steps: Mapping[int, int]) -> Demand:
 
 
 def capped_demand(share: float, most: int, remaining: int) -> Demand:
-    """Return a demand for a share of the agents, limited by `most` and by `remaining` coverers."""
+    """Return a demand for a share of n agents: at most `most`, and at most n - `remaining`."""
     # Rounding first keeps 0.3 of 10 agents at 3; the ceiling of the float product may be 4.
     return lambda n: max(min(n - remaining, most, math.ceil(round(share * n, 9))), 0)
 
@@ -61,7 +61,7 @@ def capped_demand(share: float, most: int, remaining: int) -> Demand:
 def accuracy_demand(
     sensor: EventSensor, accuracy_m: float, measurements: int = 1, strength_known: bool = True
 ) -> Demand:
-    """Return the demand for the fewest agents that locate an event with the required accuracy."""
+    """Return the demand for the smallest team that locates an event with the required accuracy."""
     # Agents are at equal angles (two agents 90 degrees apart) on the most informative ring. The
     # Cramer-Rao bound on the mean squared error is ``4 sigma^2 / (P m g^2)`` with g the slope of
     # the signal on the ring.
@@ -94,7 +94,7 @@ def trade_off_demand(
 
 @dataclass(frozen=True, eq=False)
 class Flags:
-    """Result of flag propagation."""
+    """Flags of the agents that respond to an event, with the messages they took."""
 
     flagged: Mask  # (n,) whether the agent responds to the event
     messages: int  # Number of transmissions over single links
@@ -154,7 +154,7 @@ def _flag_round(
     loss: Loss,
     generator: np.random.Generator | None,
 ) -> Indices:
-    """Return the lists after one exchange, truncated to `most` (n,) entries."""
+    """Return the agents' lists after one exchange, truncated to `most` (n,) entries each."""
     n = network.count
     sender, receiver = network.directed
     heard = gets_through(len(sender), loss, generator)
@@ -181,7 +181,7 @@ class Assignment:
 
 
 def fair_shares(demands: Indices, agents: int) -> Indices:
-    """Ration the agents among events with demands ``(k,)`` if the demands exceed `agents`; (k,)."""
+    """Return the agents per event for demands ``(k,)``, rationed if they exceed `agents`; (k,)."""
     # Agents go one by one to the event with the smallest fulfilled share of its demand (max-min
     # fairness in lexicographic order). Ties go to the smaller demand, then to the smaller event
     # number.
@@ -226,7 +226,7 @@ def deferred_acceptance(distances_m: Floats, demands: Indices) -> Assignment:
 
 
 def optimal_assignment(distances_m: Floats, demands: Indices) -> Assignment:
-    """Assign agents to events such that the sum of the distances ``(n, k)`` is minimal."""
+    """Assign agents to events with the least sum of distances; the distances are ``(n, k)``."""
     # The linear programme ``min sum c x, sum_k x_ik <= 1, sum_i x_ik = P_k, x >= 0`` has the same
     # optimum because its matrix is totally unimodular.
     _check(distances_m, demands)

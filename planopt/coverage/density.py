@@ -19,7 +19,7 @@ from planopt.errors import InputError
 from planopt.world.raster import Raster
 
 NODES = 6
-"""Gauss points along either side of a patch."""
+"""Number of Gauss points along each side of a patch."""
 
 MAX_PATCHES = 2_000_000
 """Largest number of quadrature patches; more take minutes and gigabytes."""
@@ -167,7 +167,7 @@ def fan_moments(density: Callable[[Floats], Floats], boundary: Boundary, patch_m
 
 
 def _rays(u: Floats, v: Floats, angle: Floats, t: Floats) -> tuple[Floats, Floats]:
-    """Return points (p, k, 2) on pieces at parameters `t` (p, k), and twice the area per unit t."""
+    """Return points (p, k, 2) on boundary pieces at parameters (p, k), and Jacobians (p,)."""
     rays = u[:, None] + t[..., None] * (v - u)[:, None]
     stretch = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
     arcs = np.flatnonzero(angle)
@@ -179,20 +179,20 @@ def _rays(u: Floats, v: Floats, angle: Floats, t: Floats) -> tuple[Floats, Float
 
 
 def _summed(boundary: Boundary, *values: Floats) -> list[Floats]:
-    """Sum values (e,) of boundary pieces by cell; (g,) each."""
+    """Return the sums of values (e,) of boundary pieces over each cell; (g,) each."""
     count = len(boundary.centres_m)
     sums = (np.bincount(boundary.cell, value, minlength=count) for value in values)
     return [np.asarray(one, dtype=np.float64) for one in sums]
 
 
 STRAIGHT_NODES = 2
-"""Gauss points along a straight part, where F dy is a cubic and two points are exact."""
+"""Number of Gauss points along a straight part; exact, because F dy is a cubic there."""
 
 ARC_NODES = 8
-"""Gauss points along a part of an arc, which turns by less than `ARC_TURN`."""
+"""Number of Gauss points along a part of an arc that turns by at most `ARC_TURN`."""
 
 ARC_TURN = 0.5
-"""Largest angle of a part of an arc in rad; eight points then leave an error below 1e-15."""
+"""Maximum angle of a part of an arc in rad; the error of eight points is then below 1e-15."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -266,7 +266,7 @@ class RasterDensity:
         return Moments(mass, about - mass[:, None] * centres, second)
 
     def _along_lines(self, start: Floats, end: Floats) -> Floats:
-        """Return contour integrals (5, e) along straight pieces with end points (e, 2)."""
+        """Return the contour integrals (5, e) of straight boundary pieces with ends (e, 2)."""
         along = end - start
         cuts: list[tuple[Indices, Floats]] = []
         for axis, edges in enumerate(self._edges):
@@ -280,7 +280,7 @@ class RasterDensity:
         return self._summed(piece, places, rise, len(start))
 
     def _along_arcs(self, centre: Floats, start: Floats, angle: Floats) -> Floats:
-        """Return contour integrals (5, e) along arcs about centres (e, 2) from offsets (e, 2)."""
+        """Return the contour integrals (5, e) of arcs about centres (e, 2) from offsets (e, 2)."""
         radius = np.hypot(start[:, 0], start[:, 1])
         begin = np.arctan2(start[:, 1], start[:, 0])
         even = np.ceil(angle / ARC_TURN)
@@ -304,7 +304,7 @@ class RasterDensity:
         return self._summed(piece, centre[piece, None] + ray, rise, len(angle))
 
     def _summed(self, piece: Indices, places: Floats, rise: Floats, count: int) -> Floats:
-        """Sum F dy over points (p, k, 2) with steps dy (p, k) by boundary piece; (5, count)."""
+        """Return sums of F dy over the points (p, k, 2) of each boundary piece; (5, count)."""
         # All points of a part are in the raster cell of its midpoint.
         ix, iy = self._cells(places.mean(axis=1))
         rows, columns = self.raster.values.shape
@@ -337,7 +337,7 @@ class RasterDensity:
 
 
 Density = UniformDensity | CallableDensity | GaussianMixture | RasterDensity
-"""Non-negative weight per square metre."""
+"""Non-negative density of weight per square metre over a region."""
 
 
 def _gauss(nodes: int) -> tuple[Floats, Floats]:
@@ -347,7 +347,7 @@ def _gauss(nodes: int) -> tuple[Floats, Floats]:
 
 
 def _between(edges: Floats, start: Floats, end: Floats) -> tuple[Indices, Indices]:
-    """Return pair and line numbers (l,) of grid lines strictly between coordinate pairs (e,)."""
+    """Return pairs (l,) of coordinate pair and grid line strictly between its coordinates."""
     low, high = np.minimum(start, end), np.maximum(start, end)
     begin = np.searchsorted(edges, low, side="right")
     counts = np.maximum(np.searchsorted(edges, high, side="left") - begin, 0)
@@ -357,7 +357,7 @@ def _between(edges: Floats, start: Floats, end: Floats) -> tuple[Indices, Indice
 
 
 def _parts(count: int, cuts: list[tuple[Indices, Floats]]) -> tuple[Indices, Floats, Floats]:
-    """Cut pieces at parameters in [0, 1]; return the piece, start and end of each part."""
+    """Cut boundary pieces at parameters in [0, 1]; return piece, start and end of each part."""
     every = np.arange(count)
     piece = np.concatenate((every, every, *(c[0] for c in cuts)))
     share = np.concatenate((np.zeros(count), np.ones(count), *(c[1] for c in cuts)))

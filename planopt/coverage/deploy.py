@@ -1,7 +1,7 @@
 """Target positions that drive a network to a low-cost deployment.
 
-The control laws descend to the nearest local optimum of the coverage cost. A deployer searches a
-deployment of lower cost first, assigns its positions to the covering agents by least total squared
+The control laws descend to the nearest local optimum of the coverage cost. A deployer searches for
+a deployment of lower cost first, assigns its positions to covering agents by least total squared
 path length, and keeps them until agents join, leave, respond to an event or return.
 """
 
@@ -18,7 +18,7 @@ from planopt.coverage.optima import STARTS, best_deployment
 
 
 class Deployer:
-    """Positions assigned to the covering agents of a network."""
+    """Search for a deployment, and its positions assigned to covering agents."""
 
     def __init__(self, ground: Ground, generator: np.random.Generator) -> None:
         self._ground, self._generator = ground, generator

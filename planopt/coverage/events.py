@@ -30,13 +30,13 @@ from planopt.coverage.localisation import (
 from planopt.coverage.voronoi import ConvexRegion
 
 BEARINGS = 72
-"""Number of bearings among which positions on a partly blocked ring are chosen."""
+"""Number of candidate bearings on a partly blocked ring."""
 
 EXCHANGES = 20
 """Maximum number of rounds in which every bearing is exchanged."""
 
 LOOSE = 0.02
-"""Extra separation of bodies packed around an event, as a share of the least one."""
+"""Extra separation of bodies packed around an event, as a share of the minimum."""
 
 
 def ring_angles(count: int) -> Floats:
@@ -72,9 +72,9 @@ def free_ring_places(
 ) -> Floats:
     """Return the most informative positions (k, 2) on the allowed part of a ring.
 
-    An exchange of one bearing at a time minimises the trace of the position's covariance, with the
-    strength as a further unknown if it is not known. A ring that is free all round, or too short
-    for the agents, gives :func:`ring_places`.
+    Exchanging one bearing at a time minimises the trace of the position covariance; an unknown
+    strength is estimated too. If the ring is entirely free, or too short for the agents, the result
+    is that of :func:`ring_places`.
     """
     count, bearings = len(agents_m), ring_angles(BEARINGS)
     units = np.stack((np.cos(bearings), np.sin(bearings)), axis=1)
@@ -100,19 +100,19 @@ def free_ring_places(
 
 
 def _errors(information: Floats) -> Floats:
-    """Return the traces (...) of the position's covariance for information matrices (..., d, d)."""
+    """Return traces (...) of the position covariance for information matrices (..., d, d)."""
     covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
     return np.asarray(covariance[..., 0, 0] + covariance[..., 1, 1], dtype=np.float64)
 
 
 def _nearest_slots(agents_m: Floats, places_m: Floats) -> Floats:
-    """Return the positions (k, 2) in the order of agents, with the least sum of squared moves."""
+    """Return positions (k, 2) matched to agents by the least sum of squared distances."""
     squares = ((agents_m[:, None] - places_m) ** 2).sum(axis=2)
     return places_m[cast("Indices", linear_sum_assignment(squares)[1])]
 
 
 def packed_places(agents_m: Floats, event_m: Floats, body_radius_m: float) -> Floats:
-    """Return a position for each agent of a team of bodies packed around an event."""
+    """Return densely packed positions around an event, one for each agent (k, 2)."""
     # Positions are the nodes of a hexagonal lattice nearest to the event. The event is at a node or
     # midway between two or three nodes, whichever minimises the largest distance. The assignment
     # minimises the sum of squared distances, so agents that block each other swap positions.
@@ -147,7 +147,7 @@ def event_places(
 
 
 GRID_READINGS = 150
-"""Number of readings above which only the last estimate serves as initial guess."""
+"""Number of readings above which the last estimate is the only initial guess."""
 
 
 @dataclass(frozen=True)
@@ -166,7 +166,7 @@ class Event:
         return np.array(self.place_m) + moved_s * np.array(self.velocity_m_s)
 
     def is_there(self, time_s: float) -> bool:
-        """Return whether the event is active at a time."""
+        """Return True if the event is active at a time."""
         return self.appears_s <= time_s < self.ends_s
 
 
@@ -186,7 +186,7 @@ class Sensing:
 
 @dataclass(frozen=True, eq=False)
 class Watch:
-    """Knowledge of the network about one event."""
+    """Readings and estimate of one event, as known to the network."""
 
     logs: tuple[tuple[float, Readings], ...] = ()  # Readings with their times
     estimate: EventEstimate | None = None  # None for an undetected event
@@ -194,7 +194,7 @@ class Watch:
 
     @property
     def is_known(self) -> bool:
-        """Return whether the network regards the event as active."""
+        """Return True if the network regards the event as active."""
         return self.estimate is not None
 
     @property

@@ -24,7 +24,7 @@ from planopt.errors import InputError
 from planopt.world.shortest_paths import FreeArea, free_area, nearest_places
 
 SLIVER = 1e-6
-"""Share of a grid square below which a free part is ignored."""
+"""Minimum area of a free part of a grid square, as a share of the square."""
 
 LINE = 1
 """Type number of line strings in Shapely."""
@@ -33,13 +33,13 @@ MAX_NODES = 200_000
 """Largest number of nodes; visibility from more nodes takes minutes."""
 
 HALVINGS = 8
-"""Largest number of halvings of a step until it lowers the cost of the agent's own cell."""
+"""Maximum number of halvings of a step until it lowers the cost of the agent's own cell."""
 
 NEAREST = 8
-"""Number of agents nearest in a straight line among which the second nearest is sought."""
+"""Number of agents, nearest in a straight line, that are candidates for the second nearest."""
 
 AT_CORNER = 1e-9
-"""Share of the region's extent within which an agent counts as being at a corner."""
+"""Distance to a corner, as a share of the region's extent, that counts as being at it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ class GeodesicGround:
         return Cover(cells.cost, geodesic_targets(self, agents, cells))
 
     def two_nearest(self, agents_m: Floats) -> TwoNearest:
-        """Return the nodes with their two nearest agents; the second among the nearest few."""
+        """Return the nodes with their two nearest agents; the second is approximate."""
         agents = self.nearest(agents_m)
         cells = geodesic_cells(self, agents)
         area, nodes, owner = self.area, self.ends_m, cells.owner
@@ -101,7 +101,7 @@ class GeodesicGround:
     def borders(self, agents_m: Floats) -> Floats:
         """Return cell boundaries ``(e, 2, 2)`` inside the free area, for figures.
 
-        On the line between nodes of two agents the boundary is where both are equally far.
+        The boundary crosses a line between nodes of two agents where both are equally distant.
         """
         agents = self.nearest(agents_m)
         cells, low = geodesic_cells(self, agents), np.asarray(self.free.bounds[:2])
@@ -214,7 +214,7 @@ def _parts(area: shapely.Geometry) -> list[shapely.Polygon]:
 def _nodes(
     free: shapely.Polygon, spacing_m: float, density: Density
 ) -> tuple[Floats, Floats, float]:
-    """Return nodes (m, 2), their masses (m,) and the cost if every node had its own agent."""
+    """Return nodes (m, 2), masses (m,) and the cost that remains with an agent at every node."""
     x_min, y_min, x_max, y_max = free.bounds
     columns = math.ceil((x_max - x_min) / spacing_m)
     rows = math.ceil((y_max - y_min) / spacing_m)
@@ -248,7 +248,7 @@ def _nodes(
 
 
 def _boundaries(pieces: NDArray[np.object_], nodes_m: Floats) -> Boundary:
-    """Return the boundaries of polygons (m,) about their nodes (m, 2); holes count negative."""
+    """Return the boundaries of polygons (m,) relative to nodes (m, 2); holes count negative."""
     rings, piece = shapely.get_rings(shapely.orient_polygons(pieces), return_index=True)
     corners, ring = shapely.get_coordinates(rings, return_index=True)
     cell = piece[ring]
@@ -358,7 +358,7 @@ def _own_cost(ground: GeodesicGround, agents: Floats, owner: Indices, wanted: In
 
 
 def _path_lengths_m(ground: GeodesicGround, agents: Floats, who: Indices, nodes: Indices) -> Floats:
-    """Return the lengths (k,) of shortest paths from agents (k,) to nodes (k,), by number."""
+    """Return the lengths (k,) of shortest paths between agents and nodes with numbers (k,)."""
     ends = ground.ends_m[nodes]
     distance = np.linalg.norm(ends - agents[who], axis=1)
     blind = np.flatnonzero(~ground.area.sees(agents[who], ends))
@@ -371,7 +371,7 @@ def _path_lengths_m(ground: GeodesicGround, agents: Floats, who: Indices, nodes:
 
 
 def _reached(area: FreeArea, starts: Floats, steps: Floats) -> Floats:
-    """Return the end points of steps (k, 2) that start from allowed positions (k, 2)."""
+    """Return end points of steps (k, 2), shortened or moved so that they stay allowed."""
     # A step ends at its full length if that position is allowed and visible, else at the nearest
     # allowed position if that is visible, else at the last allowed position on the line.
     ends = starts + steps

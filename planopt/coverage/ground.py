@@ -31,11 +31,11 @@ SAMPLES = 100
 """Number of sample points along each side of the bounding box."""
 
 EMPTY = 1e-12
-"""Share of the mass below which a cell counts as empty; its centroid would be rounding error."""
+"""Share of the mass below which a cell counts as empty, since its centroid is inaccurate."""
 
 
 TOUCHING = 1e-7
-"""Distance, as a share of the region's radius, below which agents share their neighbours."""
+"""Distance, as a share of the region's radius, below which agents have the same neighbours."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,7 +30,7 @@ class StationMap:
     failures: Floats
 
     def near(self, starts_m: Floats, ends_m: Floats) -> Floats:
-        """Return the largest probabilities (n, s) near lines from starts (n, 2) to ends (n, 2)."""
+        """Return the largest failure probabilities (n, s) near lines from starts to ends (n, 2)."""
         worst = np.ones((len(starts_m), len(self.posteriors)))
         for row, start, end in zip(worst, starts_m, ends_m, strict=True):
             met = line_distances_m(self.nodes_m, start, end)[1] <= self.radius_m
@@ -39,7 +39,7 @@ class StationMap:
 
 
 def line_distances_m(places_m: Floats, start_m: Floats, end_m: Floats) -> tuple[Floats, Floats]:
-    """Return the points ``(m, 2)`` of a line segment nearest to positions, and the distances."""
+    """Return the points ``(m, 2)`` of a line segment nearest to m positions, and the distances."""
     along, offset = end_m - start_m, places_m - start_m
     square = float(along @ along)
     share = np.clip(offset @ along / (square if square > 0.0 else 1.0), 0.0, 1.0)
@@ -132,7 +132,7 @@ class Motion:
 
 
 def packing_reach_m(agents: int, body_radius_m: float) -> float:
-    """Return the largest distance to an event of bodies packed around it; 0 for points."""
+    """Return the largest distance between an event and bodies packed around it; 0 for points."""
     # In the hexagonal packing, ``m`` shells about a central body hold ``1 + 3 m (m + 1)`` bodies,
     # the outermost at ``2 m`` radii. One more shell is allowed because bodies that arrive one by
     # one leave gaps.
@@ -155,7 +155,7 @@ class LinkLaw:
 
 @dataclass(frozen=True, eq=False)
 class RadioLimits:
-    """Requirement that agents stay connected to base stations, directly or over other agents."""
+    """Requirement that agents stay connected to base stations, directly or via other agents."""
 
     stations_m: Floats  # (s, 2) positions of base stations
     # Model of links to a station, a law or a map, and law of links between agents

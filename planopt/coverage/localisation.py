@@ -25,7 +25,7 @@ SETTLED = 1e-10
 """Step length, as a share of the region's radius, below which the iteration stops."""
 
 RIVAL = 8.0
-"""Excess of twice the negative log-likelihood up to which another maximum is reported (likelihood
+"""Other maxima are reported if -2 log L is higher than the best by at most this (likelihood
 ratio of at least 1 to 55)."""
 
 SINGULAR = 1e-12
@@ -189,7 +189,7 @@ def _grid(region: ConvexRegion) -> Floats:
 
 
 def _starts(sensor: EventSensor, readings: Readings, grid: Floats, strength_known: bool) -> Floats:
-    """Return event parameters (b, 5) at the best grid positions that are not adjacent."""
+    """Return event parameters (b, 5) at the best non-adjacent grid positions."""
     shape = sensor.profile(np.linalg.norm(grid[:, None] - readings.positions_m, axis=2))
     strength = np.full(len(grid), sensor.strength)
     if not strength_known:
@@ -212,7 +212,7 @@ def _starts(sensor: EventSensor, readings: Readings, grid: Floats, strength_know
 def _linearised(
     sensor: EventSensor, readings: Readings, drift: Drift | None, values: Floats
 ) -> tuple[Floats, Floats]:
-    """Return residuals (b, r) over the noise, and derivatives (b, r, 5) of the prediction."""
+    """Return residuals (b, r) divided by the noise, and derivatives (b, r, 5) of predictions."""
     # Rows of `values` (b, 5) hold position, velocity and strength of an event. The prior of the
     # velocity adds two residuals.
     place, velocity, strength = values[:, None, :2], values[:, None, 2:4], values[:, 4:]
@@ -274,7 +274,7 @@ def _refined(
 
 
 def _inside(region: ConvexRegion, positions: Floats) -> Floats:
-    """Project positions (j, 2) outside the region onto the line of each side in turn."""
+    """Return positions (j, 2) projected into the region, onto one side after the other."""
     moved = positions.copy()
     for _ in range(3):
         for normal, offset in zip(region.normals, region.offsets_m, strict=True):
@@ -292,7 +292,7 @@ def _covariance(information: Floats) -> Floats:
 
 
 def _rivals(places: Floats, misfits: Floats, covariance: Floats, region: ConvexRegion) -> Floats:
-    """Return other maxima (r, 2) nearly as likely as the first and outside its uncertainty."""
+    """Return other maxima (r, 2) that are nearly as likely and outside the best's uncertainty."""
     width = 4.0 * float(np.sqrt(np.diag(covariance).max()))
     width = max(width if np.isfinite(width) else 0.0, 1e-6 * region.radius_m)
     found = [places[0]]

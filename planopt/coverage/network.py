@@ -1,6 +1,6 @@
 """Communication between agents: links, message losses and distributed counting.
 
-Agents estimate the size of the network in several rounds of messages in every step.
+Agents estimate the size of the network by several rounds of messages in every step.
 
 The method `leader` is average consensus: the leader starts from 1, all others from 0, and all
 values tend to 1 / n. With `minima` every agent draws exponential random numbers and the network
@@ -203,7 +203,7 @@ def tally_step(
     generator: np.random.Generator,
     loss: Loss = 0.0,
 ) -> Tally:
-    """Return the counting state after the rounds of one step."""
+    """Return the counting state after the message rounds of one step."""
     rounds, method = counting.rounds, counting.method
     if tally is None:
         rounds, width = counting.epoch_rounds, counting.draws if method == "minima" else 1

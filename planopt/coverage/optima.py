@@ -15,13 +15,13 @@ from planopt.coverage.geodesic import GeodesicGround, Ground
 from planopt.coverage.ground import ConvexGround
 
 LEAP = 1.7
-"""Over-relaxation factor tried first in every step toward the targets; it converges faster."""
+"""Over-relaxation factor of the first trial in every step toward the targets."""
 
 SETTLED = 1e-6
 """Relative decrease of the cost in a step below which a deployment is settled."""
 
 STARTS = 10
-"""Number of initial deployments; the first one is that of the problem."""
+"""Number of initial deployments; the first is the problem's own."""
 
 MAX_STEPS = 500
 """Maximum number of steps from one initial deployment."""
@@ -30,7 +30,7 @@ CANDIDATES = 20
 """Number of candidate positions per agent for random initial deployments."""
 
 SINGLES = 3
-"""Number of agents, and of destinations, whose single relocations are tried at last."""
+"""Number of agents, and of destinations, for the final trials of single relocations."""
 
 LEVELS = 200
 """Number of cells along each side of the region for bounds of a mixture's density."""
@@ -119,9 +119,9 @@ def _candidates(
 
 
 def _relocated(ground: Ground, places: Floats, cost: float) -> tuple[Floats, float]:
-    """Move agents from where they help least to where one more helps most, and settle.
+    """Relocate the least useful agents to the cells that gain most from a second one, and settle.
 
-    Moves are estimated on sample points, tried together, then fewer at a time, then one by one.
+    Gains are estimated on sample points. All moves are tried at once, then fewer, then single ones.
     """
     count = len(places)
     if count < 3:
@@ -143,21 +143,21 @@ def _relocated(ground: Ground, places: Floats, cost: float) -> tuple[Floats, flo
 
 
 Relocation = tuple[int, int, Floats]
-"""Agent to move, cell to halve, and the new positions (2, 2) of the agent and the cell's own."""
+"""Agent to move, cell to halve, and new positions (2, 2) of this agent and the cell's agent."""
 
 
 def _relocations(ground: Ground, places: Floats) -> tuple[list[Relocation], list[Relocation]]:
-    """Return moves of different agents that pay, best first, and single moves that may pay.
+    """Return relocations with positive estimated gain, best first, and candidate single ones.
 
-    Without an agent, its part of the region is as far away as the second nearest agent. A second
-    agent in a cell halves it across its longest extent.
+    If an agent leaves, the second nearest agent takes over its part of the region. A second agent
+    in a cell halves it across its longest extent.
     """
     near = ground.two_nearest(places)
     count, mass = len(places), np.where(near.mass > 0.0, near.mass, 0.0)
     losses = np.bincount(near.owner, mass * (near.second_m2 - near.first_m2), minlength=count)
 
     def means(group: Indices, groups: int) -> tuple[Floats, Floats]:
-        """Return masses (groups,) and centroids (groups, 2) of the sample points by group."""
+        """Return the mass (groups,) and centroid (groups, 2) of each group of sample points."""
         total = np.asarray(np.bincount(group, mass, minlength=groups), dtype=np.float64)
         some = np.where(total > 0.0, total, 1.0)
         sums = [np.bincount(group, mass * axis, minlength=groups) for axis in near.samples_m.T]

@@ -35,7 +35,7 @@ ABSENT = -2
 """State of an agent that has not joined yet or has left; `NONE` marks a covering agent."""
 
 FOLLOWED_M = 1e-6
-"""Largest difference (m, m/s, rad) at which a simulation adopts a saved motion."""
+"""Maximum difference (m, m/s, rad) to a saved motion for which the simulation adopts it."""
 
 Signals = Callable[[int, Indices], Floats]
 """Function of an event number and agent numbers (m,) that returns their present signals (m,)."""
@@ -43,7 +43,7 @@ Signals = Callable[[int, Indices], Floats]
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Problem of a network: ground, events and settings; agents start where the run says."""
+    """Problem of a network: ground, events and settings, without the starting positions."""
 
     ground: Ground
     joins_s: Floats  # (n,): an agent is a member for joins_s <= time < leaves_s
@@ -73,7 +73,7 @@ class Scene:
         return (self.joins_s <= time_s) & (time_s < self.leaves_s)
 
     def members(self, time_s: float, places_m: Floats, before: Mask) -> Mask:
-        """Return a mask ``(n,)`` of the members at a time; bodies join only where there is room.
+        """Return a mask ``(n,)`` of the members at a time; bodies wait to join until there is room.
 
         Positions have shape ``(n, 2)``; `before` is the result of the previous step.
         """
@@ -87,7 +87,7 @@ class Scene:
         return members
 
     def has_settled(self, time_s: float, residual_m: float, known: Mask, members: Mask) -> bool:
-        """Return whether all agents are settled permanently."""
+        """Return True if all agents are settled and no event or membership will change."""
         # All agents are at their targets, exactly the active events are detected (`known`, (k,)),
         # no agent waits to join, no event moves, and no event or membership changes later.
         there = np.array([each.is_there(time_s) for each in self.events], dtype=np.bool_)
@@ -127,7 +127,7 @@ class NetworkRun:
 
 
 def _is_near(own: Motion, saved: Motion) -> bool:
-    """Return whether two motions are equal up to rounding."""
+    """Return True if two motions are equal up to rounding."""
     pairs = (
         (own.places_m, saved.places_m),
         (own.velocities_m_s, saved.velocities_m_s),
@@ -405,12 +405,12 @@ class NetworkController:
 
 
 def _demand_of(demand: Demand, count: float) -> int:
-    """Return a demand for an agent's count of the members; 0 before it has a count."""
+    """Return the demand for an agent's estimate of the network's size; 0 without an estimate."""
     return demanded(demand, round(count)) if np.isfinite(count) else 0
 
 
 def _numbers(key: str, values: Any, shape: tuple[int, ...]) -> Floats:
-    """Return an array of finite numbers; raise `InputError` if shape or values are wrong."""
+    """Return values as an array; raise `InputError` for a wrong shape or non-finite values."""
     try:
         found = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError):

@@ -22,13 +22,13 @@ SLACK = 1e-6
 """Relative tolerance of motion limits; tolerance in metres of distances to boundaries."""
 
 SAMPLES = 512
-"""Number of shorter lengths at which the failure probability of a link is also evaluated."""
+"""Number of shorter lengths at which a link's failure probability is evaluated in addition."""
 
 LOOKS = 9
 """Number of positions along a move at which estimated base-station channels are evaluated."""
 
 SHORTEST_M = 0.01
-"""Least length in metres at which a link is evaluated."""
+"""Minimum length in metres at which a link is evaluated."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def verify_moves(
 
 
 def _border_faults(free: shapely.Polygon, swept: NDArray[np.object_], keep_m: float) -> list[Fault]:
-    """Return clearance faults of agents whose swept areas (n,) are too near to the boundary."""
+    """Return clearance faults of agents whose swept areas (n,) are too close to the boundary."""
     away = np.asarray(shapely.distance(shapely.boundary(free), swept), dtype=np.float64)  # pyright: ignore[reportUnknownMemberType]
     slack = SLACK * max(1.0, keep_m)
     within = np.asarray(shapely.covers(free.buffer(slack), swept), dtype=np.bool_)
@@ -107,7 +107,7 @@ def _border_faults(free: shapely.Polygon, swept: NDArray[np.object_], keep_m: fl
 def _contacts(
     swept: NDArray[np.object_], corners: Floats, least_m: float, timed: bool
 ) -> list[Fault]:
-    """Return faults of pairs within `least_m`, at equal times if `timed`, else at any two times."""
+    """Return faults of pairs within `least_m`: at equal times if `timed`, else at any times."""
     tree = shapely.STRtree(swept)
     pairs = tree.query(swept, predicate="dwithin", distance=least_m)
     found: list[Fault] = []
@@ -178,13 +178,13 @@ def _failures(corners: Floats, radio: RadioLimits) -> Floats:
 
 
 def _below(predicted: Prediction, threshold_dbm: float) -> Floats:
-    """Return the probabilities of predicted powers below a threshold."""
+    """Return P(power < threshold) of predicted powers."""
     score = (predicted.mean_db - threshold_dbm) / np.maximum(predicted.deviation_db, 1e-9)
     return 0.5 * np.asarray(erfc(score / math.sqrt(2.0)), dtype=np.float64)
 
 
 def _fails(law: LinkLaw, lengths_m: Floats, threshold_dbm: float) -> Floats:
-    """Return the largest failure probability of a link over all lengths up to the given ones."""
+    """Return the largest failure probability of links up to each of the lengths."""
 
     def below(distance_m: Floats) -> Floats:
         slope = -10.0 * np.log10(distance_m)

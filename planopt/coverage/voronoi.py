@@ -113,7 +113,7 @@ COINCIDENT = 1e-12
 """Distance, as a share of the region's radius, below which agents share one cell."""
 
 FAR = 4.0
-"""Distance of the four extra points in radii of the region; from 3 on, bisectors stay outside."""
+"""Distance of the four extra points in radii of the region; bisectors stay outside from 3 on."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -213,7 +213,7 @@ def agent_neighbours(cells: Cells) -> Indices:
 
 
 def merge_coincident(places_m: Floats, within_m: float) -> tuple[Floats, Indices]:
-    """Merge points linked by chains of gaps up to a distance; return points and group numbers."""
+    """Merge points that chains of short gaps link; return merged points and group numbers."""
     # Shapes: places_m (n, d); returns (g, d) and (n,).
     tree = KDTree(places_m)
     found = tree.query_pairs(within_m, output_type="ndarray")  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
@@ -227,7 +227,7 @@ def merge_coincident(places_m: Floats, within_m: float) -> tuple[Floats, Indices
 
 
 def _diagram(places: Floats) -> Polygons:
-    """Return the cells of positions (g, 2) near the origin; the unit disc is not clipped."""
+    """Return the Voronoi cells of positions (g, 2), exact within the unit disc."""
     count = len(places)
     far = FAR * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
     sites = shapely.multipoints(np.concatenate((places, far)))
@@ -297,7 +297,7 @@ def cell_boundary(cells: Cells, sensing_range_m: float | None = None) -> Boundar
 
 
 def region_boundary(region: ConvexRegion) -> Boundary:
-    """Return the boundary of a whole region as a single cell about its centre."""
+    """Return the boundary of the whole region as one cell about the region's centre."""
     middle = region.corners_m.mean(axis=0)
     start = region.corners_m - middle
     sides = len(start)
@@ -310,7 +310,7 @@ def region_boundary(region: ConvexRegion) -> Boundary:
 def _within_range(
     centres_m: Floats, cell: Indices, start: Floats, end: Floats, range_m: float
 ) -> Boundary:
-    """Clip boundaries to the range by arcs; arguments and result as in :class:`Boundary`."""
+    """Return boundaries clipped to the sensing range; parts beyond it become arcs."""
     along = end - start
     square = (along * along).sum(axis=1)
     middle = (start * along).sum(axis=1)
@@ -338,7 +338,7 @@ def _within_range(
 
 
 def _arc(start: Floats, end: Floats, range_m: float) -> tuple[Floats, Floats, Floats]:
-    """Project both ends (e, 2) of pieces onto the range circle; return ends and angles."""
+    """Project the ends (e, 2) of pieces onto the range circle; return new ends and angles."""
     cross = start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]
     angle = np.arctan2(cross, (start * end).sum(axis=1))
     length = np.hypot(start[:, 0], start[:, 1]), np.hypot(end[:, 0], end[:, 1])

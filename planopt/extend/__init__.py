@@ -1,4 +1,4 @@
-"""Extend planopt: own terms, rules of connectivity, dynamics, planners and tasks.
+"""Interfaces for extensions: terms, connectivity rules, dynamics, planners and tasks.
 
 Names are imported when they are first used; the stub ``__init__.pyi`` lists them.
 """

@@ -41,12 +41,12 @@ TOLERANCES = {
     **dict.fromkeys(("parameters", "standard_errors", "theta", "theta_covariance"), FIT),
     **dict.fromkeys(("precision", "precision_mean"), SITE),
 }
-"""Tolerances of keys and columns other than `EXACT`."""
+"""Tolerances of keys and columns that differ from the default `EXACT`."""
 
 ACCEPTED = frozenset(
     ("bound_wall_s", "iterations", "rung", "solve_s", "step_s", "termination", "wall_s")
 )
-"""Wall times, iteration counts, fallbacks and solver states, which cannot be recomputed."""
+"""Keys of wall times, iteration counts, fallbacks and solver states, which are not recomputed."""
 
 TAKEN = frozenset(
     (
@@ -54,7 +54,7 @@ TAKEN = frozenset(
         *("lattice_objective", "pivot", "route", "seed", "x_m", "y_m"),
     )
 )
-"""Planning results from which a replay starts; the digest covers all values below these keys."""
+"""Keys of planning results that a replay takes as input; the digest covers their values."""
 
 DIGEST = "digest"
 
@@ -108,7 +108,7 @@ def differences(
 
 
 def in_words(file: str, found: Iterable[Difference], source: str = "found") -> list[str]:
-    """Return a line for each difference; those that differ only in an index are abbreviated."""
+    """Return a line per difference; of lines that differ only in an index, a few are kept."""
     by_kind: dict[str, list[Difference]] = {}
     for one in found:
         by_kind.setdefault(_INDEX.sub("[]", one.key), []).append(one)
@@ -121,7 +121,7 @@ def in_words(file: str, found: Iterable[Difference], source: str = "found") -> l
 
 
 def _at(file: str, key: str) -> str:
-    """Return the location of a difference; rows of a CSV table are counted from the header."""
+    """Return the location of a difference as text; row 1 of a CSV table is the header."""
     column, _, index = key.rstrip("]").rpartition("[")
     if file.endswith(".csv") and index.isdecimal():
         return f"row {int(index) + 2}, key {column}"
@@ -129,7 +129,7 @@ def _at(file: str, key: str) -> str:
 
 
 def digest(data: Mapping[str, object]) -> str:
-    """Return a digest of the values below the keys of `TAKEN`, except for those of the problem."""
+    """Return a digest of all values below the keys in `TAKEN`, outside the problem's tables."""
     taken = list(_taken({key: part for key, part in data.items() if key != "problem_file"}))
     return digest_of(json.dumps(taken))
 
@@ -152,7 +152,7 @@ def _taken(data: object) -> Iterator[tuple[str, object]]:
 
 
 def same_words(saved: str, found: str) -> bool:
-    """Return whether two texts are equal up to the last shown digit of decimal numbers."""
+    """Return True if two texts agree up to rounding of the last digit of decimal numbers."""
     these, those = _NUMBER.split(saved), _NUMBER.split(found)
     # The separators of the split, at odd indices, are the numbers.
     return len(these) == len(those) and all(
@@ -162,7 +162,7 @@ def same_words(saved: str, found: str) -> bool:
 
 
 def _same_shown(saved: str, found: str) -> bool:
-    """Return whether two printed numbers agree up to rounding of the last digit."""
+    """Return True if two printed numbers agree up to rounding of the last digit."""
     if "e" in saved + found:
         return math.isclose(float(saved), float(found), rel_tol=0.1)
     digits = max(len(number.partition(".")[2]) for number in (saved, found))

@@ -1,6 +1,6 @@
 """Arrays of an npz file, read after a check of their declared sizes.
 
-NumPy's own reader allocates the size declared in a header and unpacks any zip archive.
+NumPy's own reader would allocate any size declared in a header and unpack any zip archive.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Reading of untrusted input files: devices, pipes, endless, huge or damaged files.
+"""Safe reading of input files, which may be devices, pipes, endless, huge or damaged.
 
 Only the named file is read, and sizes are checked before memory is used: first the file size, then
 the sizes declared by arrays.
@@ -107,7 +107,7 @@ def foreign_reader(path: Path, kind: str, key: str | None = None) -> Generator[N
 
 
 def _ignore(*_: object) -> None:
-    """Ignore all arguments."""
+    """Do nothing, whatever the arguments."""
 
 
 def require_array_size(path: Path, key: str, *lengths: int) -> None:

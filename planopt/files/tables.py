@@ -62,7 +62,7 @@ def names_of(columns: Iterable[Column]) -> tuple[str, ...]:
 
 
 def table_of(columns: Iterable[Column], log: object, **values: NDArray[Any]) -> Data:
-    """Return the table of a log; `values` take precedence over the log's own."""
+    """Return the table of a log; columns in `values` override those of the log."""
     return {
         column.name: values[column.name]
         if column.name in values
@@ -83,7 +83,7 @@ def table_text(columns: Sequence[Column], data: Data) -> str:
 
 
 def write_tables(folder: Path, tables: Mapping[str, tuple[Sequence[Column], Data]]) -> None:
-    """Write tables, given by file name, into a folder."""
+    """Write tables into a folder, by file name."""
     for name, (columns, data) in tables.items():
         write_text(folder / name, table_text(columns, data))
 
@@ -152,7 +152,7 @@ def _value(column: Column, cell: str) -> float | int | str:
 
 
 def comparable(data: Data) -> dict[str, list[Any]]:
-    """Return a table as lists, for comparisons."""
+    """Return the columns of a table as lists, for comparisons."""
     return {name: values.tolist() for name, values in data.items()}
 
 

@@ -1,4 +1,4 @@
-"""TOML text of tables, with comments."""
+"""Conversion of tables to TOML text with comments."""
 
 from __future__ import annotations
 

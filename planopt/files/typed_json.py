@@ -110,7 +110,7 @@ def _first_that_fits(kinds: Sequence[Any], data: Any) -> Any:
 
 
 def _numbers(dtype: np.dtype[Any], data: Any) -> Any:
-    """Return nested lists with the values of an array of `dtype`."""
+    """Return nested lists of JSON data with all values checked against an array's `dtype`."""
     if isinstance(data, list):
         return [_numbers(dtype, part) for part in cast("list[Any]", data)]
     if dtype.kind == "f":
@@ -136,7 +136,7 @@ def _of_type(data: Any, kind: type[Any]) -> Any:
 
 
 def whole_number(file: Path, data: Mapping[str, object], key: str) -> int:
-    """Return an integer of a saved JSON object."""
+    """Return a value of a saved JSON object that must be an integer."""
     value = cast("object", data.get(key))
     if not isinstance(value, int) or isinstance(value, bool):
         raise InputError(

@@ -26,7 +26,7 @@ STAGING = ".planopt-new-"
 """Prefix of hidden files and folders that are still being written."""
 
 Patterns = tuple[str, ...]
-"""Names of all files of one kind of result, with * as wildcard."""
+"""Names of all files that one kind of result may have, with * as wildcard."""
 
 
 def hidden_name(suffix: str = "") -> str:

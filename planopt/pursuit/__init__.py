@@ -1,4 +1,4 @@
-"""Pursuit over distance-sensitive snapshots: service, guarantees, network design, simulation.
+"""Pursuit with reports from a sensor grid: service, guarantees, network design, simulation.
 
 Names are imported on first use; the stub ``__init__.pyi`` lists them.
 """

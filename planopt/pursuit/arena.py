@@ -31,11 +31,11 @@ from planopt.world.shortest_paths import (
 from planopt.world.workspace import Workspace
 
 GOAL_SHARE, EVADER_SHARE = 1.03, 1.06
-"""Clearances of moved goals and of evaders, in path margins; the order holds despite GEOS errors.
-"""
+"""Clearances of moved goals and of evaders as multiples of the path margin. Both exceed it by more
+than the errors of GEOS."""
 
 KEPT_PATHS = 64
-"""Number of start points whose shortest paths are cached: all pursuers in a step."""
+"""Number of cached start points of shortest paths, enough for all pursuers in a step."""
 
 GOLDEN, NARROWINGS = 0.5 * (math.sqrt(5.0) - 1.0), 34
 """Golden ratio and number of section steps, which narrow an interval by a factor of 1e-7."""
@@ -81,7 +81,7 @@ class Arena:
         return max((_ring_detour(ring) for ring in rings), default=1.0)
 
     def moved(self, place_m: Floats, moves_m: Floats) -> Floats:
-        """Return the ends of moves (k, 2) from a position (2,), clipped to the bounds."""
+        """Return ends of moves (k, 2) from a position (2,), clipped to the bounds or not made."""
         # A move that violates the clearance is not made at all.
         ends_m = self.within(place_m + moves_m)
         if self.obstacles is not None:
@@ -139,7 +139,7 @@ class Arena:
         return ROUND_SHARE * self.clearance_m
 
     def is_free(self, place_m: Floats, share: float = 1.0) -> bool:
-        """Return whether a position is free, with a clearance of `share` times the path margin."""
+        """Return True if a position keeps a clearance of `share` times the path margin."""
         if not np.array_equal(self.within(place_m), place_m):
             return False
         away_m = math.inf
@@ -181,7 +181,7 @@ def arena_of(workspace: Workspace, clearance_m: float) -> Arena:
 
 
 def _ring_detour(ring_m: Floats) -> float:
-    """Return the largest ratio of the shorter arc of a ring (n, 2) to a chord on its right side."""
+    """Return a ring's largest ratio of shorter arc to chord, for chords on the right side."""
     # For points at s and t on two edges, the arc is a concave function of (s, t) and the chord a
     # convex one, so nested golden-section searches find the largest ratio.
     ahead = np.roll(ring_m, -1, axis=0) - ring_m

@@ -1,4 +1,4 @@
-"""Verification of capture guarantees and network designs from their numbers.
+"""Verification of capture guarantees and network designs, from their numbers alone.
 
 The formulas of docs/theory/pursuit.md are implemented a second time, independently of the design
 search and of the classes for services and guarantees. A guarantee is accepted if its inequalities
@@ -21,7 +21,7 @@ from planopt.pursuit.verify import PursuitData, PursuitLog, Violation
 
 
 class Distances(Enum):
-    """Distances to which a guarantee refers."""
+    """Kind of distance in a guarantee: straight, or along shortest paths."""
 
     STRAIGHT = "straight"
     PATHS = "paths"
@@ -47,7 +47,7 @@ class Inequality:
 
     @property
     def holds(self) -> bool:
-        """Return whether the inequality holds strictly."""
+        """Return True if the inequality holds strictly."""
         return self.left < self.right
 
     @property
@@ -92,7 +92,7 @@ class Requirement:
 
     @property
     def holds(self) -> bool:
-        """Return whether the design satisfies the inequality."""
+        """Return True if the design satisfies the inequality."""
         if self.strict:
             return self.inequality.holds
         return self.inequality.left <= self.inequality.right * (1.0 + ROUNDING)
@@ -133,12 +133,12 @@ class Case:
         return self.period_s_m * self.evader_m_s
 
     def lagged(self) -> Case:
-        """Return the case with slopes relative to the distance to the last sampled position."""
+        """Return the case with age and error per distance to the last sampled position."""
         share = 1.0 / (1.0 - self.lag)
         return replace(self, age_s_m=share * self.age_s_m, error=share * self.error)
 
     def start_m(self, distance_m: float) -> float:
-        """Return the distance bound W for a first record sampled at this evader distance."""
+        """Return the bound W at the first record, for the evader's distance at its sample time."""
         return distance_m + self.evader_m_s * max(self.age_s_m * distance_m, self.least_age_s)
 
     def least_distance_m(self, bound_m: Floats) -> Floats:
@@ -170,7 +170,7 @@ def premises(theorem: Theorem, case: Case) -> list[Inequality]:
 
 
 def stages(theorem: Theorem, case: Case, before_m: Floats) -> list[tuple[Floats, Floats]]:
-    """Return bound and duration for each kind of stage (driving, waiting), given bounds (k,)."""
+    """Return next bound and duration of a driving and a waiting stage, for bounds (k,)."""
     # The bound is on W, for the Lemma on the sampled distance. All premises must hold.
     near = case.lagged() if theorem is Theorem.SNAPSHOTS else case
     age_m = np.maximum(near.moved * before_m, near.evader_m_s * near.least_age_s)
@@ -194,7 +194,7 @@ def stages(theorem: Theorem, case: Case, before_m: Floats) -> list[tuple[Floats,
 
 
 def next_bound_m(theorem: Theorem, case: Case, before_m: Floats) -> Floats:
-    """Return the largest bound after a stage, given bounds (k,) before it."""
+    """Return the largest bound after any stage, for bounds (k,) before it."""
     return np.max([after for after, _ in stages(theorem, case, before_m)], axis=0)
 
 
@@ -254,7 +254,7 @@ class DesignData:
 def certify(
     data: DesignData, theorem: Theorem, slot_width_s: float, rate_divisor: int, bits_per_axis: int
 ) -> tuple[Requirement, ...]:
-    """Return every requirement on a network with these numbers, satisfied or not."""
+    """Return every requirement on a network design, satisfied or not."""
     payload = data.header_bits + data.slot_blocks * (data.record_bits + 2 * bits_per_axis)
     carried = data.bit_rate_bit_s * slot_width_s
     words = "payload of a slot below what it carries"
@@ -298,7 +298,7 @@ def certify(
 
 @dataclass(frozen=True)
 class Claim:
-    """Claims of a saved run under one theorem, for its first pursuer and evader."""
+    """Claims of a saved run for one theorem, about its first pursuer and evader."""
 
     theorem: Theorem
     distances: Distances
@@ -379,7 +379,7 @@ def _sampled_away_m(log: PursuitLog, rows: Indices | int) -> Floats:
 def _case(
     data: PursuitData, pursuer: int, evader: int, distances: Distances, detour: float
 ) -> Case:
-    """Return the case of one chase; obstacles enlarge errors or reduce the pursuer's speed."""
+    """Return the bounds of one chase; obstacles enlarge errors or reduce the pursuer's speed."""
     service, robot = data.service, data.pursuers[pursuer]
     turn_s = 0.0 if robot.turn_rate_max_rad_s is None else math.pi / robot.turn_rate_max_rad_s
     round_s_m = 2.0 * service.hops_per_round * service.frame_s / service.mote_spacing_m

@@ -47,7 +47,7 @@ PAYLOAD_FITS = "slot of the payload below the widest slot"
 IN_TIME = "time to capture below the deadline"
 
 SHARP_ORDER = {"capture_radius": 1, "deadline": 2, "payload": 3}
-"""Number of requirements that hold if one of these fails, for ranking failures."""
+"""Rank of each requirement by the order of checks; a later failure is nearer to a design."""
 
 ELASTICITY_STEP = 1e-5
 """Relative step of the finite differences for sensitivities."""
@@ -110,11 +110,11 @@ class MoteNetwork(Table):
 
     @property
     def least_slot_blocks(self) -> int:
-        """Return the least capacity of a slot in blocks."""
+        """Return the required capacity of a slot in blocks."""
         return self.slot_blocks or peak_blocks_per_frame(self.border_relays, self.levels)
 
     def slot_capacity(self, slot_width_s: float, bits_per_axis: int) -> int:
-        """Return the number of blocks that fit into a slot after the header."""
+        """Return the number of blocks that fit into a slot in addition to the header."""
         block_bits = self.record_bits + 2.0 * bits_per_axis
         free_bits = self.bit_rate_bit_s * slot_width_s * (1.0 + ROUNDING) - self.header_bits
         return min(int(free_bits / max(block_bits, 1.0)), MAX_SLOT_BLOCKS)
@@ -124,7 +124,7 @@ class MoteNetwork(Table):
         return self.header_bits + self.mean_blocks * (self.record_bits + 2.0 * bits_per_axis)
 
     def least_slot_s(self, bits_per_axis: float) -> float:
-        """Return the width of a slot that carries the header and the least number of blocks."""
+        """Return the width of a slot that carries the header and the required number of blocks."""
         block_bits = self.record_bits + 2.0 * bits_per_axis
         return (self.header_bits + self.least_slot_blocks * block_bits) / self.bit_rate_bit_s
 
@@ -149,7 +149,7 @@ class MoteNetwork(Table):
         )
 
     def staleness_per_slot(self, evader_speed_m_s: float) -> float:
-        """Return staleness x per slot width at r = 1 in 1/s, ``12 eta_s v_e`` per mote spacing."""
+        """Return x / s_w for r = 1 in 1/s: ``12 eta_s v_e`` divided by the mote spacing."""
         frames = 4.0 * HOPS_PER_ROUND * self.slots_per_frame
         return frames * evader_speed_m_s / self.mote_spacing_m
 
@@ -173,7 +173,7 @@ class DesignTask:
 
     @property
     def staleness_per_slot(self) -> float:
-        """Return the staleness x per slot width s_w at r = 1, in 1/s."""
+        """Return x / s_w for r = 1 in 1/s: staleness per slot width."""
         return self.network.staleness_per_slot(self.chase.evader_speed_m_s)
 
     def room(self, bits_per_axis: float) -> float:
@@ -217,7 +217,7 @@ def cheapest_design(task: DesignTask) -> Design:
 
 
 def cheapest_rated_design(task: DesignTask) -> Design:
-    """Return the minimum-power design by the Lemma, with rounds of all levels every r-th time."""
+    """Return the minimum-power design by the Lemma, where only every r-th round takes place."""
     # Ages are then at most ``6 (1 + r) eta_s s_w`` frames per spacing. Short slots with infrequent
     # rounds cost down to half as much as long slots, provided that motes sleep in between.
     return _scan(task, partial(_rated_candidate, task))
@@ -231,14 +231,14 @@ def least_energy_design(task: DesignTask) -> Design:
 
 
 def sharp_design(task: DesignTask, theorem: Theorem = Theorem.SAMPLED_DISTANCE) -> Design:
-    """Return the minimum-power design that guarantees capture in time, by one theorem."""
+    """Return the minimum-power design that guarantees capture by the deadline under a theorem."""
     # All bounds, including floors, increase with the slot width, so bisection finds the widest
     # slot.
     return _scan(task, partial(_sharp_candidate, task, theorem))
 
 
 def pareto_front(task: DesignTask, deadlines_s: Iterable[float]) -> list[Design]:
-    """Return designs of minimum energy per capture for each deadline on the capture time."""
+    """Return the design of minimum energy per capture for each deadline."""
     # Energy and time follow from the Lemma. Infeasible deadlines and dominated designs are omitted.
     found: list[Design] = []
     for deadline_s in sorted(deadlines_s):
@@ -256,7 +256,7 @@ def sensitivities(
     solve: Callable[[DesignTask], Design],
     objective: Callable[[Design], float] = lambda design: design.cost_w,
 ) -> dict[str, float]:
-    """Return the percentage change of the optimum for a one per cent increase of each quantity."""
+    """Return elasticities: percentage change of the optimum per 1 % increase of each quantity."""
     # The number of bits is fixed at its optimum.
     fixed = replace(task, bits_per_axis=solve(task).bits_per_axis)
 
@@ -306,7 +306,7 @@ def _scan(
     candidate: Callable[[int], Candidate],
     objective: Callable[[Design], float] = lambda design: design.cost_w,
 ) -> Design:
-    """Return the best design over all numbers of bits; raise the nearest failure if none."""
+    """Return the best design over all numbers of bits, or raise the failure closest to success."""
     designs: list[Design] = []
     failures: list[tuple[_Failed, int]] = []
     for c in task.bits:
@@ -331,7 +331,7 @@ def _lemma_candidate(task: DesignTask, bits: int) -> Candidate:
 
 
 def _rated_candidate(task: DesignTask, bits: int) -> Candidate:
-    """Return the largest r whose slots carry the payload; power is proportional to r / (1 + r)."""
+    """Return the design with the largest r for which slots carry the payload."""
     widest_s = _widest_s(task, bits)
     if isinstance(widest_s, _Failed):
         return widest_s
@@ -340,7 +340,7 @@ def _rated_candidate(task: DesignTask, bits: int) -> Candidate:
 
 
 def _energy_candidate(task: DesignTask, bits: int) -> Candidate:
-    """Return the slot of least ``(A / s + B) / (q - p s)`` within margin, payload and deadline."""
+    """Return the slot s of least ``(A / s + B) / (q - p s)`` that meets all requirements."""
     # A and B are the costs of transmission and idling, q = 1 - a and p s = x.
     widest_s = _widest_s(task, bits)
     if isinstance(widest_s, _Failed):
@@ -422,7 +422,7 @@ def _widest_s(task: DesignTask, bits: int) -> float | _Failed:
 
 
 def _left(task: DesignTask, bits: int) -> float:
-    """Return 1 - a with the contraction a."""
+    """Return 1 - a, where a is the contraction per stage."""
     return task.room(bits) + task.margin
 
 
@@ -442,7 +442,7 @@ def _first_distance_m(task: DesignTask) -> float:
 
 @dataclass(frozen=True)
 class RelaxedDesign:
-    """Optimum over continuous compression and rate."""
+    """Optimum with continuous compression and rate, a lower bound of the power."""
 
     cost_w: float  # Lower bound on the cost of designs with integer c and r
     slot_width_s: float  # s_w

@@ -1,6 +1,6 @@
 """Evader behaviour: at rest, random walk, or flight from pursuers, greedy or with planning.
 
-Evaders know the exact positions and aims of their pursuers, which makes them stronger adversaries
+Evaders know their pursuers' exact positions and target points, so they are stronger adversaries
 than real ones.
 """
 
@@ -53,7 +53,7 @@ class Static(Table):
     kind: Literal["static"] = "static"
 
     def begin(self, generator: np.random.Generator) -> Decide:
-        """Return the current position as the decision."""
+        """Return a decision function that keeps the position."""
         return lambda view: view.place_m
 
 
@@ -65,7 +65,7 @@ class Wandering(Table):
     """Standard deviation of the heading change within a second, in rad."""
 
     def begin(self, generator: np.random.Generator) -> Decide:
-        """Return a random walk; if a step is blocked, the next free heading is used."""
+        """Return a random-walk decision function; a blocked step takes the next free heading."""
         heading = generator.uniform(0.0, 2.0 * np.pi)
 
         def decide(view: EvaderView) -> Floats:
@@ -113,7 +113,7 @@ class Zigzag(Table):
     """Deviation to either side, in rad."""
 
     def begin(self, generator: np.random.Generator) -> Decide:
-        """Return the zigzag, with a random initial phase."""
+        """Return the zigzag decision function, with a random initial phase."""
         clock_s = generator.uniform(0.0, 2.0 * self.period_s)
 
         def decide(view: EvaderView) -> Floats:
@@ -140,7 +140,7 @@ class Foresighted(Table):
     """Duration of a plan step in seconds."""
 
     def begin(self, generator: np.random.Generator) -> Decide:
-        """Return the first step of a newly computed plan."""
+        """Return a decision function that executes the first step of a new plan each time."""
 
         def decide(view: EvaderView) -> Floats:
             nearest = np.linalg.norm(view.pursuers_m - view.place_m, axis=1).argmin()
@@ -153,7 +153,7 @@ class Foresighted(Table):
         return decide
 
     def _score_m(self, view: EvaderView, first: Floats, then: Floats) -> Floats:
-        """Return the distance from the nearest pursuer at the end of each plan."""
+        """Return each plan's score: mainly the final distance from the nearest pursuer."""
         places = np.tile(view.place_m, (len(first), 1))
         hunters = np.tile(view.pursuers_m[:, None], (1, len(first), 1))
         step_m = view.speed_m_s * self.plan_step_s
@@ -172,7 +172,7 @@ class Foresighted(Table):
 
 
 def _fan() -> Floats:
-    """Return turns relative to a heading: zero first, then both sides in increasing order."""
+    """Return candidate turns in rad: zero, then alternating sides with increasing angle."""
     turns = np.arange(1, HEADINGS // 2 + 1) * (2.0 * np.pi / HEADINGS)
     return np.append(0.0, np.stack([turns, -turns], axis=1).ravel()[:-1])
 

@@ -7,7 +7,7 @@ stage by the W of the current one, using the bounds of the service (docs/theory/
 
 * the Lemma (III.3 of [KAS]) bounds the distance to the sampled position, which must shrink in
   every stage;
-* `any_instant` holds if age and error are bounded by the distance at any one instant between the
+* `any_instant` holds if age and error are bounded by the distance at some instant between the
   sample and now;
 * `sampled_distance` holds if they are bounded by the distance to the sampled position and the
   pursuer always finds a record no older than its last one on arrival: a faster pursuer can
@@ -32,9 +32,9 @@ from planopt.pursuit.certificate import Distances, Inequality, Theorem
 from planopt.pursuit.service import ServiceBounds
 
 Stage = Callable[[Floats], tuple[Floats, Floats]]
-"""Function from distance bound W at the start of a stage to its bound at the end and a duration.
+"""Function that maps the bound W at the start of a stage to the bound W' at its end and a time T.
 
-A stage takes at most (decrease of W) x duration / (decrease of W to the bound).
+A stage that reduces W by D lasts at most T D / (W - W').
 """
 
 INTEGRATION_STEPS = 1000
@@ -59,7 +59,7 @@ class Chase:
 
     @property
     def slower_evader(self) -> Inequality:
-        """Return the requirement of every theorem."""
+        """Return the inequality that every theorem requires: evader slower than pursuer."""
         return Inequality(
             "evader's speed below the pursuer's",
             self.evader_speed_m_s,
@@ -128,7 +128,7 @@ class Guarantee:
 
 
 def capture_guarantees(chase: Chase, bounds: ServiceBounds) -> dict[Theorem, Guarantee]:
-    """Return the guarantee of each theorem for a chase with a service of these bounds."""
+    """Return the guarantee of each theorem for a chase, given the bounds of the service."""
     if not chase.slower_evader.holds:
         needs = (chase.slower_evader,)
         return {
@@ -141,7 +141,7 @@ def capture_guarantees(chase: Chase, bounds: ServiceBounds) -> dict[Theorem, Gua
     wait = _wait(chase, bounds, bounds, lag=x)
 
     def shrink(sampled_m: Floats) -> tuple[Floats, Floats]:
-        """Return the bound on the next sampled distance and the duration, for the Lemma."""
+        """Return the Lemma's bound on the next sampled distance, and the stage's duration."""
         error_m, aged_m = _error_m(bounds, sampled_m), np.maximum(x * sampled_m, moved_m)
         lasts_s = (sampled_m + error_m) / chase.pursuer_speed_m_s + chase.stage_delay_s
         return error_m + aged_m + chase.evader_speed_m_s * lasts_s, lasts_s
@@ -250,13 +250,13 @@ def _follow(chase: Chase, bounds: ServiceBounds) -> Stage:
 def _driven(
     chase: Chase, bound_m: Floats, sampled_m: Floats, error_m: Floats
 ) -> tuple[Floats, Floats]:
-    """Return bound W after a stage and its duration for the worst case, the least distance."""
+    """Return the bound W after a driving stage, and its duration, given sampled distances."""
     lasts_s = (sampled_m + error_m) / chase.pursuer_speed_m_s + chase.stage_delay_s
     return bound_m - sampled_m + error_m + chase.evader_speed_m_s * lasts_s, lasts_s
 
 
 def _wait(chase: Chase, errors: ServiceBounds, ages: ServiceBounds, lag: float) -> Stage:
-    """Return a stage that ends when a record fresher than the last one arrives."""
+    """Return a waiting stage, which ends when a fresher record arrives."""
     # Until then all records are older, but their age is bounded by a distance that grows no faster
     # than the evader moves: the last record is at most ``sigma error / (1 - lag)`` old.
     if lag >= 1.0:
@@ -280,13 +280,13 @@ def _error_m(bounds: ServiceBounds, distance_m: Floats) -> Floats:
 
 
 def _start_m(chase: Chase, bounds: ServiceBounds, sampled_m: float) -> float:
-    """Return the distance bound W for the first record of an evader sampled at this distance."""
+    """Return the bound W at the first record, for the evader's distance at its sample time."""
     age_s = max(bounds.age_s_m * sampled_m, bounds.age_floor_s)
     return sampled_m + chase.evader_speed_m_s * age_s
 
 
 def _least_distance_m(chase: Chase, bounds: ServiceBounds, bound_m: Floats) -> Floats:
-    """Return the smallest sampled distance with bound W (...), the inverse of :func:`_start_m`."""
+    """Return the smallest sampled distances for bounds W (...), the inverse of :func:`_start_m`."""
     moved_m = chase.evader_speed_m_s * bounds.age_floor_s
     return np.maximum(
         0.0, np.minimum(bound_m / (1.0 + staleness(chase, bounds)), bound_m - moved_m)
@@ -294,7 +294,7 @@ def _least_distance_m(chase: Chase, bounds: ServiceBounds, bound_m: Floats) -> F
 
 
 def _floor_m(stages: tuple[Stage, ...]) -> float:
-    """Return the largest W that a stage may increase: fixed point of a bound of slope below 1."""
+    """Return the floor: the largest W that a stage may increase."""
 
     def lifts(bounds_m: Floats) -> Mask:
         return np.any([stage(bounds_m)[0] > bounds_m for stage in stages], axis=0)

@@ -37,7 +37,7 @@ class Motion(Protocol):
 
     @property
     def turning_s(self) -> float:
-        """Return the maximum extra time to reach a point compared with a straight line."""
+        """Return the maximum delay by turning, compared with a straight drive."""
         ...
 
     def start(self, place_m: Floats) -> Floats:
@@ -114,7 +114,7 @@ class UnicycleMotion:
     def _after(
         self, states: Floats, speed_m_s: Floats, rate_rad_s: Floats, lasts_s: Floats
     ) -> Floats:
-        """Return the exact states after inputs of different durations, (...) in seconds."""
+        """Return the exact states after constant inputs over durations (...) in seconds."""
         moved = self.robot.step(
             (states[..., 0], states[..., 1], states[..., 2]),
             (speed_m_s * lasts_s, rate_rad_s * lasts_s),
@@ -139,7 +139,7 @@ class PursuerView:
 
 
 class Driver(Protocol):
-    """Decisions of a pursuer chasing one evader."""
+    """Decision maker of a pursuer that chases one evader."""
 
     @property
     def record(self) -> Record | None:
@@ -153,7 +153,7 @@ class Driver(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Quest:
-    """Initial data of a driver."""
+    """Data that a driver receives at the start of a pursuit."""
 
     motion: Motion  # Motion of the pursuer
     evader_speed_m_s: float  # Maximum speed over all evaders
@@ -169,7 +169,7 @@ class Policy(Protocol):
 
 
 def fresher(found: Record, held: Record | None) -> bool:
-    """Return whether rule R replaces the record in use."""
+    """Return True if rule R replaces the record in use by the record found."""
     # A record never replaces one with a later sample time; of equal ones the more exact is used.
     if held is None or found.sampled_s > held.sampled_s:
         return True
@@ -190,7 +190,7 @@ class DriveToReport:
 
 
 class _ReportDriver:
-    """Driver with the record in use and the route to it."""
+    """Driver that keeps the record in use and the route to its position."""
 
     def __init__(self, policy: DriveToReport, quest: Quest) -> None:
         self._policy, self._quest = policy, quest
@@ -268,7 +268,7 @@ def updated(estimate: Estimate, record: Record) -> Estimate:
 
 
 class _PlanningDriver:
-    """Driver with an estimate, and the route to the predicted meeting point."""
+    """Driver that keeps an estimate and the route to the predicted meeting point."""
 
     def __init__(self, policy: RecedingHorizon, quest: Quest) -> None:
         self._policy, self._quest = policy, quest
@@ -305,7 +305,7 @@ class _PlanningDriver:
         self.record = record
 
     def _meeting_m(self, view: PursuerView, estimate: Estimate) -> Floats:
-        """Return the first predicted position that is reached in time, else the last one."""
+        """Return the first predicted position that the pursuer reaches in time, else the last."""
         policy, arena = self._policy, self._quest.arena
         speed = self._quest.evader_speed_m_s
         ahead_s = policy.plan_step_s * np.arange(1, policy.horizon + 1)

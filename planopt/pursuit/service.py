@@ -34,12 +34,12 @@ SLOTS_PER_FRAME = 9
 """Minimum number of slots per frame: any 3 by 3 motes need distinct ones (distance-2 colouring)."""
 
 ROUNDING = 1e-9
-"""Rounding tolerance at the end of a round, as a share of the round."""
+"""Rounding tolerance of a round's end time, as a share of the round."""
 
 
 @dataclass(frozen=True)
 class ServiceBounds:
-    """Bounds of a service on every record in use, at distance d of the object."""
+    """Bounds on age and error of every record in use, for an object at distance d."""
 
     # The age of a record is at most ``max(age_s_m * d, age_floor_s)``, its error at most
     # ``max(relative_error * d, error_floor_m)``.
@@ -86,7 +86,7 @@ class SnapshotService:
 
     @property
     def bounds(self) -> ServiceBounds:
-        """Return the bounds that hold for every mote at all times."""
+        """Return the bounds on age and error, which hold for every mote at all times."""
         # If a level j > 0 is used, the object was at least two cells of level j - 1 away when that
         # level sampled it, so that ``2^j < 2 d`` in mote spacings. A round of ``B 2^j`` frames that
         # starts every r lengths implies an age below ``(1 + r) B 2^j < 2 (1 + r) B d`` frames, 12 d
@@ -273,11 +273,11 @@ Counted by :func:`simulate_flooding`. A rate divisor above one never raises it.
 """
 
 MOST_SIMULATED_LEVELS = 7
-"""Maximum number of levels of a simulated flood; it takes three seconds."""
+"""Maximum number of levels in a simulation of flooding, which then takes three seconds."""
 
 
 def peak_blocks_per_frame(border_relays: bool, levels: int) -> int:
-    """Return a slot capacity in blocks with which no record waits."""
+    """Return a slot capacity in blocks at which no record has to wait."""
     # It is the peak load for up to eight levels. Beyond, it is the bound of eight blocks per level:
     # of the nine heads whose records a mote relays, at most eight are at the same hop distance.
     counted = PEAK_BLOCKS[border_relays]
@@ -287,7 +287,7 @@ def peak_blocks_per_frame(border_relays: bool, levels: int) -> int:
 def late_shares(
     levels: int, border_relays: bool, slot_blocks: int, rate_divisor: int = 1
 ) -> tuple[float, ...] | None:
-    """Return the share of late records by level, exact for lossless links."""
+    """Return the share of late records by level, exact if no message is lost."""
     # It is None if the slot is narrower than the peak load and the grid too large to simulate.
     if slot_blocks >= peak_blocks_per_frame(border_relays, levels):
         return (0.0,) * (levels + 1)
@@ -300,7 +300,7 @@ def late_shares(
 
 @dataclass(frozen=True, eq=False)
 class FloodingRun:
-    """Counts over one common period of all rounds."""
+    """Counts of blocks and late records over one common period of all rounds."""
 
     frames: int
     flood_blocks: NDArray[np.int64]  # (L + 1,) blocks sent by all motes, by level
@@ -321,7 +321,7 @@ class FloodingRun:
 
     @property
     def keeps_rounds(self) -> bool:
-        """Return whether all motes of the nine cells received every record in time."""
+        """Return True if all motes of the nine cells received every record in time."""
         return not self.late.any()
 
 
@@ -331,7 +331,7 @@ def simulate_flooding(
     border_relays: bool = True,  # Whether motes at the border of the nine cells relay records
     slot_blocks: int | None = None,  # Capacity of a slot in blocks; None for no limit
 ) -> FloodingRun:
-    """Return the counts over one common period of all rounds."""
+    """Simulate flooding frame by frame over one common period of all rounds."""
     side = service.motes_per_side
     rounds = [
         _Round(side, level, service.hops_per_round, heads == "middle", border_relays, slot_blocks)
@@ -425,7 +425,7 @@ class _Round:
     def _parts(
         self, load: NDArray[np.int64]
     ) -> Iterator[tuple[tuple[slice, ...], NDArray[np.int64]]]:
-        """Yield each of the nine cells of all records, and a view of the load of its motes."""
+        """Yield, for each of the nine cells around a head, its index and the load of its motes."""
         cell, count = self._cell, self._count
         motes = load.reshape(count, cell, count, cell).transpose(0, 2, 1, 3)
         ranges = [
@@ -442,7 +442,7 @@ class _Round:
 
 
 def _heard_next(sending: Mask) -> Mask:
-    """Return the motes that send or have a sending neighbour, over the last two axes."""
+    """Return a mask of the motes that send or have a sending neighbour (last two axes)."""
     wide = sending.copy()
     wide[..., 1:] |= sending[..., :-1]
     wide[..., :-1] |= sending[..., 1:]

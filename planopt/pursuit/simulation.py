@@ -47,7 +47,7 @@ class Evader:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Initial data of a pursuit."""
+    """Problem of a pursuit: arena, pursuers, evaders and settings."""
 
     pursuers: tuple[Pursuer, ...]  # At least one pursuer and one evader
     evaders: tuple[Evader, ...]
@@ -60,7 +60,7 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class Use:
-    """A record that a pursuer began to use."""
+    """First use of a record by a pursuer."""
 
     pursuer: int  # Index
     evader: int
@@ -71,12 +71,12 @@ class Use:
 
     @property
     def age_s(self) -> float:
-        """Return the age of the record."""
+        """Return the age of the record at its first use."""
         return self.time_s - self.record.sampled_s
 
     @property
     def distance_m(self) -> float:
-        """Return d: the distance to the evader's position at the sample time."""
+        """Return d: the pursuer's distance from the evader's position at the sample time."""
         return float(np.linalg.norm(self.place_m - self.sampled_m))
 
 
@@ -96,7 +96,7 @@ class Pursuit:
 
     @property
     def outcome(self) -> str:
-        """Return ``captured`` if all evaders were captured, else ``step_limit``."""
+        """Return ``captured`` if all evaders were captured, otherwise ``step_limit``."""
         return "captured" if np.isfinite(self.capture_s).all() else "step_limit"
 
     def bounds_m(
@@ -120,7 +120,7 @@ class Pursuit:
 
 
 Reports = Callable[[int, int, Record | None], Record | None]
-"""Function from pursuer index, evader index and the record in use to the current record."""
+"""Function of pursuer index, evader index and record in use that returns the current record."""
 
 
 @dataclass(frozen=True, eq=False)

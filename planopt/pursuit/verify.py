@@ -100,7 +100,7 @@ class PursuitLog:
     reports: Reports
 
     def evader_at(self, evader: int, times_s: Floats) -> Floats:
-        """Return positions (k, 2) of an evader, which is at its start before the first time."""
+        """Return the evader's positions (k, 2) at times; before the first one, its start."""
         return _interpolated(times_s, self.times_s, self.evaders_m[evader])
 
 
@@ -142,7 +142,7 @@ def verify_pursuit(data: PursuitData, log: PursuitLog) -> list[Violation]:
 
 @dataclass(frozen=True, eq=False)
 class Drives:
-    """Steps of a pursuer as straight segments between k knots."""
+    """Motion of a pursuer in each step, as straight segments between k knots."""
 
     shares: Floats  # (n, k) fraction of the step, ascending from 0 to 1
     places_m: Floats  # (n, k, 2)
@@ -202,7 +202,7 @@ def _drives(
     spot: Floats,
     drive: Floats,
 ) -> Drives:
-    """Return steps that rest for a fraction `spot`, drive for `drive`, and rest again."""
+    """Return steps that rest for a fraction `spot`, drive for `drive`, and rest until the end."""
     part = np.linspace(0.0, 1.0, ARC_PIECES + 1 if arc.any() else 2)
     driven = np.broadcast_to(part[:, None], (len(here), len(part), 1)) * move[:, None]
     if arc.any():
@@ -243,7 +243,7 @@ def _off_segment_m(starts: Floats, ends: Floats, places: Floats) -> Floats:
 
 
 def _worst(found: list[Violation], kind: str, name: str, words: str, off_m: Floats) -> None:
-    """Add a violation for the step with the largest value above the tolerance, if any."""
+    """Add a violation for the step with the largest value, if it exceeds the tolerance."""
     if len(off_m) and not off_m.max() <= PLACE_M:
         step = int(off_m.argmax())
         found.append(Violation(kind, f"{name} {words} {off_m[step]:.4g} m at step {step}"))
@@ -406,7 +406,7 @@ def _interpolated(at: Floats, knots: Floats, places_m: Floats) -> Floats:
 
 
 def _least_distances_m(drives: Drives, steps: slice, places_m: Floats) -> Floats:
-    """Return minimum distances (n,) of a pursuer and a uniformly moving evader, by step."""
+    """Return the minimum distance between pursuer and evader in each step; (n,)."""
     shares, own_m = drives.shares[steps], drives.places_m[steps]
     if not len(shares):
         return np.zeros(0)

@@ -1,7 +1,7 @@
 # pyright: basic
-"""Animated GIFs: a background drawn once, with the artists of each frame on top.
+"""Animated GIFs, with a background drawn once and the artists of each frame on top.
 
-This module isolates Matplotlib's Agg canvas and Pillow, whose functions used here are untyped.
+All uses of Matplotlib's Agg canvas and Pillow, which are untyped, are in this module.
 """
 
 from __future__ import annotations
@@ -42,13 +42,13 @@ COLOURS = 64
 """Number of palette entries for the background."""
 
 MARKS = (*SERIES, YELLOW, FRAME, OBSTACLE, BLACK, WHITE)
-"""Fixed palette entries for marks, which are too small to be selected from a frame."""
+"""Colours of marks with fixed palette entries; marks are too small to affect a frame's palette."""
 
 SCALE_COLOURS = 48
 """Number of palette entries for the colour bar."""
 
 UNCHANGED = 255
-"""Palette entry of pixels that equal the previous frame."""
+"""Palette entry for pixels that are unchanged from the previous frame."""
 
 FRAME_MS, LAST_MS = 120, 2500
 """Durations of each frame and of the last one in ms."""
@@ -145,7 +145,7 @@ def shown_steps(count: int) -> list[int]:
 
 
 def _with_palette(images: Sequence[Image]) -> list[Image]:
-    """Convert all frames to the palette of the last one, with unchanged pixels transparent."""
+    """Return all frames in the last one's palette, with unchanged pixels transparent."""
     from matplotlib import colormaps
     from PIL import Image, ImageColor
 

@@ -1,4 +1,4 @@
-"""Results of planners in the regression suite, as text and as a figure."""
+"""Text report and figure of planners' results in the regression suite."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ LEAST_EXCESS = 1e-6
 """Smallest relative excess over the best known objective that is plotted."""
 
 SHOWN = 20
-"""Maximum number of entries of each kind in the text; the JSON file lists all."""
+"""Maximum number of cases of each kind listed in the text; the JSON file lists all."""
 
 
 def bench_text(data: Mapping[str, Any]) -> str:
@@ -87,7 +87,7 @@ def bench_text(data: Mapping[str, Any]) -> str:
 
 
 def draw_bench(rows: Sequence[Row], best: Mapping[Question, float], manifest: Manifest) -> Figure:
-    """Draw the results of planners.
+    """Draw the results of planners in the regression suite.
 
     Four panels show the performance profile of times, the cumulative distribution of the relative
     excess over the best known objective, the rates, and the fallbacks that released plans.

@@ -68,7 +68,7 @@ SHOWN_DECORRELATIONS, SHOWN_EXTENT = 5.0, 0.25
 """Maximum lag shown: the larger of 5 decorrelation distances and 25 % of the extent."""
 
 LINE_DEVIATIONS, LINE_POINTS = 2.0, 200
-"""Half width of a fitted line's band in standard deviations; number of points of a curve."""
+"""Half width of a fitted line's band in standard deviations, and number of points per curve."""
 
 SERIES_WIDTH = 0.6
 """Total width of all series within a bin of the reliability diagram."""
@@ -87,14 +87,14 @@ PARAMETERS = {
 def draw_belief(problem: Problem, belief: Belief) -> Figure:
     """Draw predicted power [dBm], its standard deviation [dB], P(connected) and the p_min contour.
 
-    With several stations, power and standard deviation are those of the serving one.
+    With several stations, power and standard deviation are those of the serving station.
 
     Parameters
     ----------
     problem
         Problem with the map, the threshold and p_min.
     belief
-        Source of the prediction; its measurements are dots, hollow if censored.
+        Belief that predicts the channel; its measurements are dots, hollow if censored.
     """
     threshold, p_min = problem.stations[0].threshold_dbm, problem.constraints.p_min
     chance = "P(any station connects)" if len(problem.stations) > 1 else _chance_words(threshold)
@@ -125,7 +125,7 @@ def draw_posterior_map(
     maps
         Predicted rasters.
     measurements
-        Measurements behind the prediction: dots on the standard deviation, hollow if censored.
+        Measurements used: dots on the map of the standard deviation, hollow if censored.
     station
         Station or stations, marked if they are inside the map.
     title
@@ -178,7 +178,7 @@ def _prediction_maps(
 
 
 def draw_fit(measurements: Measurements, fit: ChannelFit, station: Station) -> Figure:
-    """Draw power over distance with the fitted line, and the covariance of residuals over lag.
+    """Draw power over distance with the fitted line, and residual covariance over lag.
 
     Parameters
     ----------
@@ -271,7 +271,7 @@ def _draw_covariance(
 
 
 def _with_error(fit: ChannelFit, name: str) -> str:
-    """Return an estimate with its standard error, if known."""
+    """Return an estimate as text, with its standard error if known."""
     value, error = getattr(fit.parameters, name), fit.standard_errors.get(name, math.inf)
     if not math.isfinite(error):
         return f"{value:.3g}"
@@ -318,7 +318,7 @@ def draw_calibration(scores: Mapping[str, HeldOutScore]) -> Figure:
 
 
 def draw_reliability(series: Mapping[str, Sequence[ReliabilityBin]], title: str) -> Figure:
-    """Draw true over predicted connection, and their difference in each bin.
+    """Draw the observed share of connection over the predicted probability, and their difference.
 
     Bars are 95 % intervals over groups, if there are enough groups. Each bin is labelled with the
     number of predictions of the first series.
@@ -358,7 +358,7 @@ def draw_reliability(series: Mapping[str, Sequence[ReliabilityBin]], title: str)
 def draw_sensitivity(
     relative_errors: Sequence[float], curves: Mapping[str, NDArray[np.float64]]
 ) -> Figure:
-    """Draw the average of Delta^2 [dB^2] over the relative error [%], one curve per parameter.
+    """Draw the mean Delta^2 [dB^2] over the relative error [%], one curve per parameter.
 
     Parameters
     ----------

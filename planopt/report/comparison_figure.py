@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 COLUMNS = 4
 
 SPREAD = 0.6
-"""Total width of the settings at one tick, relative to the tick spacing."""
+"""Total width of all settings at one tick, relative to the tick spacing."""
 
 RUN_SHIFT = 0.35
 """Offset of single runs from the mean, relative to the width of a setting."""
@@ -59,13 +59,13 @@ WHOLE_RUN = "whole run"
 """Tick label of planners that optimise the whole run regardless of the horizon."""
 
 NORMALISED = {"trace_p": "normalised_trace_p"}
-"""Traces with a second axis, which shows their ratio to the initial value."""
+"""Traces that get a second axis with their ratio to the initial value."""
 
 LEGEND_WIDTH = 75
 """Maximum line length of a setting in the legend, in characters."""
 
 LOG_RATIO = 30.0
-"""Ratio of largest to smallest mean from which a trace has a logarithmic axis."""
+"""Minimum ratio of largest to smallest mean for a logarithmic axis."""
 
 LEAST_CHANGE = 0.01
 """Minimum relative change of means for a trace to be drawn."""
@@ -73,7 +73,7 @@ LEAST_CHANGE = 0.01
 
 @dataclass(frozen=True)
 class Slot:
-    """A setting with its position along the axis and its style."""
+    """Position along the axis, label and style of a setting."""
 
     setting: Setting
     x: float  # In tick spacings
@@ -93,9 +93,9 @@ class Layout:
 
 
 def layout_of(comparison: Comparison) -> Layout:
-    """Arrange settings by horizon, by a swept key, or by number if their swept keys differ.
+    """Return the layout of settings: by horizon, by a swept key, or numbered if swept keys differ.
 
-    The colour encodes problem, changes and cost-to-go, if any of these differ, else the planner;
+    The colour encodes problem, changes and cost-to-go if any of these differ, else the planner;
     the marker always encodes the planner.
     """
     settings = comparison.settings
@@ -277,7 +277,7 @@ def draw_traces(comparison: Comparison) -> Figure | None:
 
 
 def _trace_tables(comparison: Comparison) -> dict[str, dict[int, NDArray[np.float64]]]:
-    """Return each trace that changes, as arrays (runs, steps) by the number of the setting."""
+    """Return the traces that change over time: by name, arrays (runs, steps) by setting number."""
     tables: dict[str, dict[int, NDArray[np.float64]]] = {}
     names = dict.fromkeys(name for run in comparison.runs for name in run.traces)
     for name in names:

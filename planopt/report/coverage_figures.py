@@ -55,7 +55,7 @@ TIME, COST = "time [s]", "H [m$^4$ x density]"
 
 @dataclass(frozen=True, eq=False)
 class NetworkPicture:
-    """The run of a network to draw, and its surroundings."""
+    """Data from which a network's run is drawn: the run, its ground, obstacles and events."""
 
     name: str  # Name of the problem
     run: NetworkRun
@@ -80,7 +80,7 @@ class NetworkPicture:
 
     @property
     def busiest(self) -> int:
-        """Return the last step with the most agents responding to events; 0 without events."""
+        """Return the last step at which most agents respond to events; 0 without events."""
         times_s = self.run.times_s[:-1].tolist()
         there = np.array([any(e.is_there(t) for e in self.events) for t in times_s])
         team = np.where(there, (self.run.states >= 0).sum(axis=1), 0)

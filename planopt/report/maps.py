@@ -80,7 +80,7 @@ INSET = 0.3
 """Side of the inset, as a share of the map's."""
 
 INSET_BELOW = 0.6
-"""Share of the workspace from which a window has no inset."""
+"""Minimum side of a window without inset, as a share of the workspace's side."""
 
 
 def cell_centres(bounds_m: Bounds) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -140,7 +140,7 @@ def believed_rasters(
 
 
 def draw_ground(panel: Panel, workspace: Workspace, title: str) -> None:
-    """Draw obstacles and bounds on axes in metres with equal scale, over the whole workspace.
+    """Draw obstacles and bounds of the whole workspace on equally scaled axes in metres.
 
     Temporary obstacles are hatched and labelled with their times.
     """
@@ -195,7 +195,7 @@ def show_bounds(panel: Panel, bounds_m: Bounds) -> None:
 
 
 def raster_bounds(raster: Raster) -> Bounds:
-    """Return the outer edges of the cells."""
+    """Return the outer bounds of a raster's cells."""
     half = np.array(raster.cell_m) / 2.0
     low = np.array([raster.x_m[0], raster.y_m[0]]) - half
     high = np.array([raster.x_m[-1], raster.y_m[-1]]) + half
@@ -235,7 +235,7 @@ def draw_layer(
 def draw_level(
     panel: Panel, raster: Raster, level: float, colour: str, label: str = ""
 ) -> list[Artist]:
-    """Draw the contour of a raster at `level`, if it exists; return legend entries."""
+    """Draw a raster's contour at `level`, if there is one; return legend entries."""
     from matplotlib.lines import Line2D
 
     known = raster.values[np.isfinite(raster.values)]
@@ -386,7 +386,7 @@ def map_window(problem: Problem, positions_m: NDArray[np.float64]) -> Bounds:
 
 
 def _is_small(problem: Problem, window: Bounds) -> bool:
-    """Return whether a window shows so little of the workspace that an inset is needed."""
+    """Return True if a window is so small that an inset of the workspace is needed."""
     x_min, _, x_max, _ = problem.workspace.bounds_m
     return window[2] - window[0] < INSET_BELOW * (x_max - x_min)
 

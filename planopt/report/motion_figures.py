@@ -83,7 +83,7 @@ def draw_solution(solution: Solution) -> Figure:
 
 
 def _certificates(solution: Solution) -> list[str]:
-    """Return the plans as lines that fit their panel; a single plan has its certificate."""
+    """Return the plans as lines of text for their panel; for one robot, with its certificate."""
     found: list[str] = []
     in_words = certificate_in_words if len(solution.plans) == 1 else plan_in_words
     for number, plan in enumerate(solution.plans):
@@ -97,7 +97,7 @@ def _certificates(solution: Solution) -> list[str]:
 
 
 def draw_run(run: Run) -> Figure:
-    """Draw the executed paths; for one robot with a goal, the time series are a separate figure.
+    """Draw the executed paths; for one robot with a goal, :func:`draw_run_series` has the series.
 
     The map then shows the true power; maps of other runs show the first robot's final belief.
 
@@ -202,7 +202,7 @@ def draw_no_plan(
 
 
 def _sheet(problem: Problem, series: Sequence[Series]) -> tuple[Figure, list[Panel], list[Panel]]:
-    """Return a figure with panels for maps, and for series next to one map or below two."""
+    """Return a figure, its map panels, and panels of series next to one map or below two."""
     layers, shares = layers_of(problem), [share for _, share in series]
     if len(layers) == 1:
         size = 15.0, max(7.6, 1.2 + 1.65 * sum(shares))

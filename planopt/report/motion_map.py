@@ -65,7 +65,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CURVE_POINTS = 16
-"""Number of points on the curve of a robot with dynamics during a step."""
+"""Number of points per step on the path of a robot with dynamics."""
 
 LAYERS = {"map": ("power", "deviation"), "learn": ("power",)}
 """Channel layers by task; other tasks show the probability of connection."""
@@ -122,7 +122,7 @@ def draw_true_power(figure: Figure, panel: Panel, run: Run) -> None:
 def path_curve(
     problem: Problem, positions_m: NDArray[np.float64], drive: Drive | None, first: int = 0
 ) -> tuple[NDArray[np.float64], list[int]]:
-    """Return points (k, 2) on the curve through positions (n + 1, 2), and their indices in it."""
+    """Return points (k, 2) on the path through positions (n + 1, 2), and indices of the latter."""
     if drive is None or len(drive.inputs) <= first:
         return positions_m[first:], list(range(len(positions_m) - first))
     dynamics, step_s = drive.dynamics, problem.planner.step_s
@@ -238,7 +238,7 @@ def draw_clearance(panel: Panel, problem: Problem, window: Bounds) -> list[Artis
 def draw_connected_track(panel: Panel, log: StepLog) -> list[Artist]:
     """Draw an executed path: solid on white where connected, dashed on black where not.
 
-    Lightness and dashes make the two distinct without colour. A step has the state at its end.
+    Lightness and dashes distinguish both without colour. A step has the state at its end.
     """
     entries: list[Artist] = []
     for label, colour, casing, dashes, state in (
@@ -256,7 +256,7 @@ def draw_connected_track(panel: Panel, log: StepLog) -> list[Artist]:
 
 
 def _pieces(log: StepLog, connected: bool) -> list[NDArray[np.float64]]:
-    """Return the maximal segments of the path whose steps all end in the given state."""
+    """Return the maximal pieces of the path whose steps all have the state `connected`."""
     states = log.connected[1:]
     changes = np.flatnonzero(np.diff(states)) + 1
     bounds = [0, *changes.tolist(), len(states)] if len(states) else [0]

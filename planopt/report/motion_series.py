@@ -60,7 +60,7 @@ RUNG_LOOKS = {
     Rung.LEAVE: ("<", VERMILLION),
     Rung.STOP: ("X", VERMILLION),
 }
-"""Marker and colour of every fallback."""
+"""Marker and colour of each fallback."""
 
 Series = tuple[Callable[[Panel], None], float]
 """Function that draws a panel, and its relative height."""
@@ -211,7 +211,7 @@ def _draw_connectivity(
 
 
 def _draw_connection(panel: Panel, run: Run) -> None:
-    """Draw a row per robot: its marker if truly connected, a cross if not."""
+    """Draw a row per robot: its marker at connected steps, a cross at disconnected ones."""
     for number, one in enumerate(run.runs):
         own = {"marker": robot_marker(number), "color": robot_colour(number)}
         cross = {"marker": "x", "color": BLACK}
@@ -248,7 +248,7 @@ def _draw_fallbacks(panel: Panel, run: Run) -> None:
 def _draw_rows(
     panel: Panel, rows: Sequence[NDArray[np.float64]], label: str, **look: object
 ) -> None:
-    """Mark the times (n,) of each robot in its row; the label includes their count."""
+    """Mark the times (n,) of each robot in its row; the label shows how many there are."""
     counts = [len(times) for times in rows]
     if sum(counts):
         at = np.repeat(np.arange(len(rows), dtype=np.float64), counts)
@@ -275,7 +275,7 @@ def _draw_step_times(panel: Panel, log: StepLog) -> None:
 
 
 def _release_times(log: StepLog, rung: Rung) -> NDArray[np.float64]:
-    """Return the release times of a fallback's plans; the start has no plan."""
+    """Return the times at which plans of a fallback were released; the start has no plan."""
     return log.t_s[1:][np.array([found is rung for found in log.rung[1:]], dtype=bool)]
 
 

@@ -39,7 +39,7 @@ ORIGINS = {
     "leave": "step out of a clearance",
     "reserved": "rest of the last plan",
 }
-"""Origin of a released path; JSON has the keys."""
+"""Text about the origin of a released path, by the name of the fallback in JSON."""
 
 STOPPED = {
     "converged": "converged",
@@ -52,7 +52,7 @@ STOPPED = {
     "no_path": "had no path to refine",
     "stopped": "stopped by the user",
 }
-"""End of the solver."""
+"""Text about the termination of the solver, by its name in JSON."""
 
 MEANING = {
     Verdict.VERIFIED: "constraints hold; contact is lost only if unavoidable or worth the price",
@@ -83,7 +83,7 @@ def solution_in_words(solution: Solution) -> list[str]:
 
 
 def _value(problem: Problem, objective: float) -> str:
-    """Return an objective value as text; with a goal it is a cost in seconds, not a travel time."""
+    """Return an objective value as text; with a goal, as a cost in seconds."""
     if problem.task == "reach":
         return f"cost {shown_number(objective, ' s')} (travel time, effort and outage)"
     return f"objective ({problem.sense}imised) {shown_number(objective)}"
@@ -185,7 +185,7 @@ def run_in_words(run: Run) -> list[str]:
 
 
 def _metrics_in_words(run: Run) -> Iterator[tuple[str, str]]:
-    """Yield name and value of each known metric that no other line of a run has."""
+    """Yield name and value of each finite metric that a run's other lines do not show."""
     elsewhere = {"measured_steps", *BAND_ENDS}
     elsewhere |= {"realised_cost_m", "clairvoyant_cost_m"} if run.problem.task == "reach" else set()
     for metric, value in run.metrics.items():
@@ -218,7 +218,7 @@ def _unverified_in_words(run: Run) -> list[str]:
 
 
 def _costs_in_words(run: Run) -> list[str]:
-    """Return the costs of a run and of the clairvoyant, and why steps below p_min were accepted."""
+    """Return the costs of a run and its clairvoyant bound, and reasons for steps below p_min."""
     lines = [
         f"cost of the run: {shown_number(run.costs['realised_cost_m'], ' m')} (path length plus "
         f"{run.problem.reach.outage_price:g} m for each metre out of contact)",
@@ -321,7 +321,7 @@ def planned_in_words(clearance_m: float | None, connectivity: float | None) -> s
 
 
 def apart_in_words(separation_m: float | None, moving_clearance_m: float | None) -> tuple[str, ...]:
-    """Return the distances of plans to robots and moving obstacles; empty without these."""
+    """Return the minimum distances to other robots and moving obstacles; empty without these."""
     parts = [
         f"{shown_number(distance, ' m')} from {what}"
         for distance, what in (

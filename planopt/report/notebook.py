@@ -28,7 +28,7 @@ def result_html(result: Solution | Run) -> str:
 
 
 def summary_html(title: str, figures: Iterable[tuple[str, object]], picture: Figure | None) -> str:
-    """Return the first key figures as a table, and the picture, if any, inside the HTML."""
+    """Return HTML with the first key figures as a table, and the picture, if any."""
     rows = "".join(
         f'<tr><th scope="row">{escape(name)}</th><td>{escape(cell_text(value))}</td></tr>'
         for name, value in islice(figures, MOST_FIGURES)

@@ -30,7 +30,7 @@ from planopt.world.workspace import MovingObstacle, Obstacle
 PAGE_FILE = "report.html"
 
 SYMBOLS = ("circle", "square", "diamond", "triangle-down", "cross", "x", "hexagon")
-"""Symbols of robots; their number differs from that of colours, so that pairs repeat late."""
+"""Symbols of robots; there are not as many as colours, so that pairs repeat late."""
 
 MOST_NAMED = 8
 """Maximum number of robots with a colour and legend entry each; more share those of their role."""
@@ -94,7 +94,7 @@ class PageMap:
 
     @property
     def times_s(self) -> NDArray[np.float64]:
-        """Return the times of the longest track, one per position of the slider."""
+        """Return the times of the longest track, which are the positions of the slider."""
         return max((track.t_s for track in self.tracks), key=len)
 
 
@@ -112,7 +112,7 @@ class Chart:
 
 @dataclass(frozen=True, eq=False)
 class PageTable:
-    """Table of the page; `total` rows exist, of which `rows` are shown."""
+    """Table of the page, with the shown `rows` and the `total` number of rows."""
 
     title: str
     header: Sequence[str]
@@ -256,7 +256,7 @@ def _bounds(drawn: PageMap) -> tuple[float, float, float, float]:
 
 
 def _groups(tracks: Sequence[Track]) -> list[dict[str, Any]]:
-    """Return tracks by legend entry: their own, or that of their role if there are many."""
+    """Return tracks grouped by legend entry: one per track, or one per role if there are many."""
     named = len(tracks) <= MOST_NAMED
     groups: dict[str, list[Track]] = {}
     for number, track in enumerate(tracks):
@@ -330,7 +330,7 @@ def _chart_html(number: int, chart: Chart) -> str:
 
 
 def _table_html(table: PageTable) -> str:
-    """Return a table with a caption and header cells, in a disclosure that keys can open."""
+    """Return a table with caption and header cells, inside a keyboard-accessible disclosure."""
     head = "".join(f'<th scope="col">{escape(name)}</th>' for name in table.header)
     body = "\n".join(
         "<tr>" + "".join(f"<td>{escape(cell_text(value))}</td>" for value in row) + "</tr>"
@@ -350,7 +350,7 @@ def _table_html(table: PageTable) -> str:
 
 
 def cell_text(value: object) -> str:
-    """Return the text of a table cell; an empty one has no value."""
+    """Return the text of a table cell; empty for None and non-finite numbers."""
     if value is None:
         return ""
     if isinstance(value, float):

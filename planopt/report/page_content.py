@@ -1,4 +1,4 @@
-"""Content of the pages of motion plans and runs, results of other tasks, and comparisons."""
+"""Content of the HTML pages of motion plans, runs, results of other tasks, and comparisons."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def task_page(
     obstacles: Sequence[Obstacle],
     settings: Mapping[str, Any],
 ) -> Page:
-    """Return the page of a result with paths in `data`, its JSON object, if any."""
+    """Return the page of a result; its map shows the paths in `data`, the JSON object."""
     tracks = [
         Track(
             str(robot["name"]),
@@ -124,7 +124,7 @@ def task_page(
 
 
 def _events(table: Data) -> Iterator[Track]:
-    """Yield the positions of each event of a table; NaN while it is not there."""
+    """Yield the positions of each event of a table; NaN while the event is inactive."""
     if not {"event", "there", "t_s", "x_m", "y_m"} <= set(table):
         return
     for name in dict.fromkeys(table["event"].tolist()):
@@ -231,7 +231,7 @@ def _planned(plan: Plan) -> Track:
 
 
 def _by_step(plan: Plan, values: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return values at all positions of a plan; those missing at its start are NaN."""
+    """Return values at all positions of a plan, with leading NaN where values are missing."""
     missing = len(plan.t_s) - len(values)
     return np.concatenate([np.full(missing, np.nan), values])
 
@@ -282,7 +282,7 @@ def _plan_certificates(problem: Problem, plans: Sequence[Plan]) -> list[str]:
 
 
 def _run_certificates(run: Run) -> list[str]:
-    """Return the verdicts of the plans of each robot and their least margins as text."""
+    """Return each robot's plan verdicts and least clearance and connectivity as text."""
     lines: list[str] = []
     for plans in run.plans:
         if not plans:
@@ -370,7 +370,7 @@ def _predicted(
     mean_dbm: NDArray[np.float64],
     deviation_db: NDArray[np.float64],
 ) -> list[Mapping[str, Any]]:
-    """Return the predicted power of a robot with its band."""
+    """Return the curve of a robot's predicted power and its band."""
     known = np.isfinite(mean_dbm)
     half, mean, times = BAND_Z * deviation_db[known], mean_dbm[known], t_s[known]
     band = {
@@ -389,7 +389,7 @@ def _predicted(
 
 
 def _curve(number: int, name: str, t_s: NDArray[np.float64], values: list[Any]) -> dict[str, Any]:
-    """Return the curve of a robot."""
+    """Return a curve in a robot's colour, for Plotly."""
     colour = ROBOT_COLOURS[number % len(ROBOT_COLOURS)]
     look = {"symbol": SYMBOLS[number % len(SYMBOLS)], "size": 5, "color": colour}
     line, times = {"color": colour, "width": 2}, rounded(t_s, METRE_DIGITS)
@@ -398,13 +398,13 @@ def _curve(number: int, name: str, t_s: NDArray[np.float64], values: list[Any]) 
 
 
 def _line(x: list[float], y: list[float], name: str) -> dict[str, Any]:
-    """Return a dashed line."""
+    """Return a dashed line, for Plotly."""
     line = {"color": VERMILLION, "width": 1.5, "dash": "dash"}
     return {"type": "scatter", "mode": "lines", "x": x, "y": y, "name": name, "line": line}
 
 
 def _metric_chart(comparison: Comparison, metric: str, labels: Sequence[str]) -> Chart:
-    """Return the values of a metric by setting: every run, and the mean with its interval."""
+    """Return the chart of a metric by setting: every run, and the mean with its interval."""
     scale = metric_name(metric).scale
     settings = list(zip(labels, comparison.settings, strict=True))
     dots = [

@@ -45,7 +45,7 @@ BAND_WORDS = "80 % band"
 
 ROBOT_COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, SKY, ORANGE)
 ROBOT_MARKERS = ("o", "s", "D", "v", "P", "X", "h")
-"""Markers of robots; their number differs from that of colours, so that pairs repeat late."""
+"""Markers of robots; there are not as many as colours, so that pairs repeat late."""
 
 LETTER_IN, HANDLE_IN, LINE_IN = 0.068, 0.6, 0.19
 """Widths of a legend's character and handle and height of a line, in inches."""
@@ -66,7 +66,7 @@ Look = dict[str, Any]
 
 
 Panel = Any
-"""One ``matplotlib.axes.Axes``, whose style keywords Matplotlib leaves untyped."""
+"""A ``matplotlib.axes.Axes``; it is untyped because Matplotlib's style keywords are."""
 
 
 def new_figure(
@@ -136,7 +136,7 @@ def robot_marker(number: int) -> str:
 
 
 def curve_look(number: int) -> dict[str, Any]:
-    """Return the colour, marker and sizes of a curve by its number."""
+    """Return colour, marker and sizes of a curve, by the curve's number."""
     return {
         "color": SERIES[number % len(SERIES)],
         "marker": MARKERS[number % len(MARKERS)],
@@ -146,13 +146,13 @@ def curve_look(number: int) -> dict[str, Any]:
 
 
 def dashed_look(number: int) -> dict[str, Any]:
-    """Return the colour and dashes of a curve without markers by its number."""
+    """Return colour and dashes of a curve without markers, by the curve's number."""
     dashes = DASHES[number % len(DASHES)]
     return {"color": SERIES[number % len(SERIES)], "linestyle": dashes, "linewidth": 1.8}
 
 
 def spaced(name: str) -> str:
-    """Return a name with spaces between its words."""
+    """Return a name with underscores replaced by spaces."""
     return name.replace("_", " ")
 
 

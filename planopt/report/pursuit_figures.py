@@ -50,10 +50,10 @@ QUANTITIES = {
     "record_bits": "record",
     "mote_spacing_m": "mote spacing",
 }
-"""Labels of the quantities in a design's sensitivities."""
+"""Labels of the quantities in the sensitivities of a design."""
 
 CURVES = 5
-"""Number of curves of power, one for each of the cheapest numbers of bits."""
+"""Number of power curves, one for each of the numbers of bits with the cheapest designs."""
 
 
 def draw_pursuit(name: str, pursuit: Pursuit) -> Figure:
@@ -132,7 +132,7 @@ def draw_view(
     mote: NDArray[np.int64],  # (2,) column and row
     time_s: float,
 ) -> Figure:
-    """Draw the snapshot of one mote: age and resolution of its records of every position."""
+    """Draw one mote's view: age and resolution of its records of objects at every position."""
     here_m = mote_centres_m(service)[mote[1], mote[0]]
     # Visibility is mutual: a level that shows one mote to another also shows the reverse.
     seen = snapshot(service, Track(np.zeros(1), here_m[None]), time_s)

@@ -74,14 +74,14 @@ METRIC_NAMES = {
 
 
 BANDS = {"nis": ("nis_low", "nis_high", "95 % of consistent filters")}
-"""Metrics with an expected range: the metrics of its bounds, and its description."""
+"""Metrics with an expected range: names of the metrics of both bounds, and a description."""
 
 BAND_ENDS = {end: metric for metric, (*ends, _) in BANDS.items() for end in ends}
-"""Metrics that are bounds of a range, with the metric they belong to; they have no column."""
+"""Metrics that are bounds of another metric's range, and so have no column of their own."""
 
 
 def metric_name(metric: str) -> MetricName:
-    """Return the name of a metric; one that is not listed keeps its key and value."""
+    """Return the name of a metric; a metric that is not listed keeps its key and unit."""
     return METRIC_NAMES.get(metric, MetricName(spaced(metric), "as is", 1.0, 3))
 
 
@@ -102,7 +102,7 @@ SETTING_WIDTH = 80
 """Maximum length in characters of a description, if settings are numbered."""
 
 VERIFIED, POLISH = ("plans verified [%]", ""), ("gain by refinement [%]", "polish_gain")
-"""Columns of every task; the first one belongs to no metric."""
+"""Columns of every task, as heading and metric; verified plans are no metric."""
 
 GOAL_COLUMNS = (
     ("time to goal [s]", "goal_time_s"),
@@ -159,7 +159,7 @@ def comparison_text(comparison: Comparison) -> str:
 
 
 def _names(comparison: Comparison, *, to_goal: bool) -> list[list[str]]:
-    """Return the headings and cells that identify the settings."""
+    """Return headings and cells of the columns that identify the settings."""
     settings, swept = comparison.settings, list(short_keys(comparison.runs))
     if len(swept) > 1:
         return [["setting"], *([str(number + 1)] for number in range(len(settings)))]
@@ -173,7 +173,7 @@ def _names(comparison: Comparison, *, to_goal: bool) -> list[list[str]]:
 
 
 def _listed(comparison: Comparison) -> list[str]:
-    """Return descriptions of numbered settings; no line if at most one key is swept."""
+    """Return a line that describes each numbered setting; none if at most one key is swept."""
     names, several = short_keys(comparison.runs), bool(comparison.others)
     if len(names) < 2:
         return []
@@ -213,7 +213,7 @@ def _paired(
 
 
 def _differs(row: Row | None) -> bool:
-    """Return whether a metric differs from that of the first setting on any seed."""
+    """Return True if a metric differs from the first setting's on any seed."""
     return row is not None and any((row.paired_difference, row.difference_low, row.difference_high))
 
 
@@ -231,7 +231,7 @@ def _difference(row: Row | None) -> str:
 
 
 def _columns(rows: Sequence[Row]) -> list[tuple[str, str]]:
-    """Return heading and name of every available metric of a sum of terms."""
+    """Return heading and name of every available metric, for problems without a goal."""
     there = dict.fromkeys(row.metric for row in rows if row.mean is not None)
     bands = {metric: f", and of {words}" for metric, (*_, words) in BANDS.items()}
     metrics = [m for m in there if m != "polish_gain" and m not in BAND_ENDS]
@@ -303,7 +303,7 @@ def interval_words(comparison: Comparison, where: str = "in brackets") -> str:
 def reliability_lines(
     bins: Sequence[ReliabilityBin], what: str, groups: str | None = None
 ) -> list[str]:
-    """Return the table of predicted against true connection, one line per bin."""
+    """Return the table of predicted and observed connection, one line per bin."""
     if not bins:
         return []
     title = "predicted P(connected) and the fraction that was connected"
@@ -325,7 +325,7 @@ def reliability_lines(
 
 
 def _interval(one: ReliabilityBin) -> str:
-    """Return the interval, with a star if it excludes the mean prediction."""
+    """Return an interval as text, with a star if it excludes the mean prediction."""
     if one.interval is None:
         return MISSING
     words = f"{one.interval[0]:.4f} to {one.interval[1]:.4f}"
@@ -333,7 +333,7 @@ def _interval(one: ReliabilityBin) -> str:
 
 
 def aligned(table: Sequence[Sequence[str]], words: int) -> list[str]:
-    """Return aligned columns, the first `words` to the left, the others to the right."""
+    """Return aligned columns: the first `words` are left-aligned, the others right-aligned."""
     widths = [max(len(line[column]) for line in table) for column in range(len(table[0]))]
     return [
         "  ".join(

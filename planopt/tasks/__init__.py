@@ -1,1 +1,1 @@
-"""Tasks of planopt, and the results, checks and functions common to all tasks."""
+"""Tasks of planopt (motion, coverage, pursuit, design), with their common results and checks."""

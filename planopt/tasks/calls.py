@@ -45,7 +45,7 @@ def solve(
     measurements: UserMeasurements | None = None,
     prove_s: float | None = None,
 ) -> Solution | TaskResult:
-    """Plan once from the initial state: `horizon` steps for each robot, or a design or deployment.
+    """Plan once from the initial state: `horizon` steps per robot, or a design or deployment.
 
     The plans equal those of the first step of a simulation with the same seed.
 
@@ -247,7 +247,7 @@ def load_result(path: Path | str) -> Solution | Run | Comparison | TaskResult:
 
 
 def _task_of_file(file: Path, data: Mapping[str, Any]) -> Task:
-    """Return the task of a saved result; errors name the file."""
+    """Return the task of a saved result; raise an error that names the file if it has none."""
     try:
         return task_named(named_task(data.get("problem_file")))
     except InputError as error:

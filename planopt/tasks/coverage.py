@@ -1,4 +1,4 @@
-"""Actions of the task coverage, with results as JSON, tables, text and figures."""
+"""Task coverage: its actions, and their results as JSON, tables, text and figures."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ EVENT_COLUMNS = (
     Column("responding", "number of agents that respond", kind="count", required=True),
 )
 COVERS, AWAY = "covers", "absent"
-"""States of agents that respond to no event."""
+"""Names of the states of agents that respond to no event."""
 
 ON_TARGET_M = 1e-9
 """Rounding tolerance of the settling distance."""
@@ -112,7 +112,7 @@ def simulate(
 
 
 def _paths(times_s: NDArray[np.float64], positions_m: NDArray[np.float64]) -> list[dict[str, Any]]:
-    """Return the paths of agents as JSON from times (T,) and positions (T, n, 2)."""
+    """Return the paths of agents for JSON, from times (T,) and positions (T, n, 2)."""
     x, y = positions_m.transpose(2, 1, 0).tolist()
     rows = zip(x, y, strict=True)
     return [
@@ -122,7 +122,7 @@ def _paths(times_s: NDArray[np.float64], positions_m: NDArray[np.float64]) -> li
 
 
 def _motions_of(steps: Data, agents: int) -> list[Motion]:
-    """Return the saved states by step; empty if the number of rows does not fit the agents."""
+    """Return the saved state of each step; empty if the rows do not divide among the agents."""
     if len(steps["step"]) % agents:
         return []
     names = ("x_m", "y_m", "vx_m_s", "vy_m_s", "heading_rad")
@@ -131,7 +131,7 @@ def _motions_of(steps: Data, agents: int) -> list[Motion]:
 
 
 def controller(problem: CoverageProblem, *, seed: int) -> NetworkController:
-    """Return the controller of a network with the starts and random numbers of a seed."""
+    """Return the controller of a network; a seed determines starts and random numbers."""
     generator = np.random.default_rng(seed)
     return NetworkController(problem.scene, problem.starts(generator), problem.mover, generator)
 
@@ -281,9 +281,9 @@ def event_results(problem: CoverageProblem, run: NetworkRun) -> list[dict[str, A
 def _in_place(
     problem: CoverageProblem, run: NetworkRun, number: int, near_m: float
 ) -> NDArray[np.bool_]:
-    """Return whether agents have reached their positions for an event; (T, n).
+    """Return a mask (T, n) of the agents in place for an event.
 
-    Agents within `near_m` of their targets are in place; so are bodies at rest around the event.
+    An agent is in place within `near_m` of its target, or as a body at rest close to the event.
     """
     control = problem.given.control
     here = run.positions_m[:-1]
@@ -321,7 +321,7 @@ def tables_of(problem: CoverageProblem, run: NetworkRun) -> dict[str, Data]:
     states = np.array([words[state] for state in run.states.ravel().tolist()], dtype=np.str_)
 
     def by_agent(values: NDArray[Any], end: Any = np.nan) -> NDArray[Any]:
-        """Flatten values (T + 1, n) or (T, n) agent by agent; `end` fills the last row."""
+        """Return values (T + 1, n) or (T, n) flattened by agent; `end` fills a missing last row."""
         missing = np.full((steps + 1 - len(values), agents), end, dtype=values.dtype)
         return np.concatenate((values, missing)).T.ravel()
 
@@ -440,7 +440,7 @@ def _animate(result: TaskResult, path: Path) -> None:
 
 
 def picture(result: TaskResult) -> NetworkPicture:
-    """Return the data of the figures of a run."""
+    """Return the data from which the figures of a run are drawn."""
     from planopt.report import NetworkPicture
 
     problem = cast("CoverageProblem", result.problem)

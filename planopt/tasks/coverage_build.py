@@ -68,10 +68,10 @@ MOST_CELLS = 1_000_000
 """Maximum number of cells of a simulated channel."""
 
 DRAWN = 400
-"""Number of positions drawn for random starts, in addition to four per agent."""
+"""Number of candidates drawn for random starts, in addition to four per agent."""
 
 START_SPARE = 0.1
-"""Least gap between bodies at random starts, as a share of their radius."""
+"""Minimum gap between bodies at random starts, as a share of their radius."""
 
 MEMORY_STEPS = 10
 """Default memory of readings, in steps, if events move."""
@@ -251,7 +251,7 @@ def _scene(
     joins_s: Floats,
     leaves_s: Floats,
 ) -> Scene:
-    """Return the problem of the network for its simulator."""
+    """Return the scene that the network simulator takes."""
     control, rules, body_m = given.control, given.assignment, given.agents.body_radius_m
     settled_m = control.settled_m
     if settled_m is None:
@@ -284,7 +284,7 @@ def _scene(
 
 
 def overlapping(places_m: Floats, body_radius_m: float) -> tuple[int, int] | None:
-    """Return the first pair of agents ``(n, 2)`` whose bodies touch; None without contact."""
+    """Return the first pair of bodies at positions ``(n, 2)`` that touch; None without contact."""
     if body_radius_m == 0.0:
         return None
     touching = cast(
@@ -437,7 +437,7 @@ def starts_of(table: AgentsTable, ground: Ground, generator: np.random.Generator
 
 
 def has_room(ground: Ground, places_m: Floats, body_radius_m: float) -> NDArray[np.bool_]:
-    """Return whether bodies at positions ``(k, 2)`` are inside the ground; (k,).
+    """Return a mask of positions ``(k, 2)`` at which a body fits into the ground; (k,).
 
     The clearance is already part of a geodesic ground, but not of a convex one.
     """
@@ -448,7 +448,7 @@ def has_room(ground: Ground, places_m: Floats, body_radius_m: float) -> NDArray[
 
 
 def _spread(places_m: Floats, apart_m: float, most: int) -> list[int]:
-    """Select at most `most` positions greedily such that all are at least `apart_m` apart."""
+    """Return indices of at most `most` positions, chosen greedily at least `apart_m` apart."""
     chosen: list[int] = []
     for number, place in enumerate(places_m):
         if len(chosen) == most:
@@ -459,7 +459,7 @@ def _spread(places_m: Floats, apart_m: float, most: int) -> list[int]:
 
 
 def station_map_of(table: RadioTable, ground: Ground, folder: Path) -> StationMap | None:
-    """Return the map estimated from the surveys of a table; None without surveys."""
+    """Return the map of link failures estimated from radio surveys; None without surveys."""
     if not table.survey:
         return None
     if len(table.survey) != len(table.stations_m):
@@ -491,7 +491,7 @@ def _measured(
     bounds: tuple[float, float, float, float],
     folder: Path,
 ) -> Measurements:
-    """Return the measurements of a survey; simulated ones depend on its seed."""
+    """Return the measurements of a survey: its log, its inline table, or simulated ones."""
     if survey.file is not None:
         return read_log(folder / survey.file, LogFormat(floor_dbm=survey.floor_dbm))
     if survey.places_m is not None and survey.power_dbm is not None:

@@ -151,7 +151,7 @@ class RandomTable(Table):
 
 
 class NumberTable(Table):
-    """Demand of a fixed number of agents."""
+    """Demand for a fixed number of agents."""
 
     kind: Literal["number"]
     agents: int = Field(ge=0, le=20_000)
@@ -162,7 +162,7 @@ class StepTable(Table):
     """Entry of a tabulated demand."""
 
     at_least: int = Field(ge=0, le=20_000)
-    """Least number of agents in the network for which the entry applies."""
+    """Minimum number of agents in the network for which the entry applies."""
     respond: int = Field(ge=0, le=20_000)
     """Number of agents that respond."""
 
@@ -176,7 +176,7 @@ class TableDemandTable(Table):
 
 
 class CapTable(Table):
-    """Demand of a share of the agents with an upper limit and a reserve."""
+    """Demand for a share of the agents, with an upper limit and a reserve of covering agents."""
 
     kind: Literal["cap"]
     share: float = Field(ge=0, le=1)
@@ -184,11 +184,11 @@ class CapTable(Table):
     most: int = Field(ge=0, le=20_000)
     """Maximum number of agents that respond."""
     remaining: int = Field(default=1, ge=0, le=20_000)
-    """Least number of agents that continue to cover."""
+    """Minimum number of agents that continue to cover."""
 
 
 class AccuracyTable(Table):
-    """Demand of the fewest agents that locate the event with the required accuracy."""
+    """Demand for the smallest team that locates the event with the required accuracy."""
 
     kind: Literal["accuracy"]
     accuracy_m: Length
@@ -268,7 +268,7 @@ class SensorTable(Table):
     scale_m: Length = 1.0
     """Distance in metres at which the signal has half its strength."""
     strength_known: bool = True
-    """Whether agents know K; otherwise they estimate it."""
+    """True if agents know K; otherwise they estimate it."""
     detection_std: float = Field(default=Sensing.detection_std, ge=1, le=100)
     """Detection threshold in standard deviations of the noise."""
     silent_steps: int = Field(default=Sensing.silent_steps, ge=1, le=1000)
@@ -288,7 +288,7 @@ class AssignmentTable(Table):
     moved_m: Distance = 1.0
     """Displacement of an event estimate in metres that triggers a new assignment."""
     stand_off: bool = False
-    """Whether responding agents take positions on the most informative ring about an event."""
+    """True if responding agents take positions on the most informative ring around an event."""
     flag_rounds: int = Field(default=30, ge=1, le=10_000)
     """Rounds of flag propagation in a step if links lose messages."""
 
@@ -329,7 +329,7 @@ class SurveyTable(Table):
 
 
 class RadioTable(Table):
-    """Table ``[radio]``: required connection to base stations, directly or over other agents."""
+    """Table ``[radio]``: required connection to base stations, directly or via other agents."""
 
     stations_m: list[Pair] = Field(min_length=1, max_length=100)
     """Positions [x, y] of the base stations in metres."""
@@ -364,11 +364,11 @@ class ControlTable(Table):
     coverage_gain_per_s: float = Field(default=0.5, ge=SMALLEST, le=1e6)
     """Gain k_2 of covering agents, in 1/s."""
     partition: Partition = "all"
-    """Agents whose cells divide the region: all, or coverage_only (only covering agents)."""
+    """Agents that get a cell of the region: all, or coverage_only (only covering agents)."""
     settled_m: Length | None = None
     """Distance to its target in metres up to which an agent counts as settled."""
     stop_when_settled: bool = True
-    """Whether the run ends once all agents are settled permanently."""
+    """True if the run ends once all agents are settled permanently."""
 
     @property
     def gains(self) -> Gains:
@@ -385,7 +385,7 @@ class PlannerTable(Table):
     horizon: int = Field(default=1, ge=MIN_HORIZON, le=MAX_HORIZON)
     """Horizon in steps."""
     lead_events: bool = False
-    """Whether receding predicts the motion of an event over the horizon."""
+    """True if the planner receding predicts the motion of an event over the horizon."""
 
 
 class CoverageFile(TaskFile):
@@ -444,7 +444,7 @@ def density_of(table: DensityTable, folder: Path) -> Density:
 def demand_of(
     table: DemandTable, key: str, sensing: Sensing, area_m2: float, agents: int
 ) -> Demand:
-    """Return the demand that a table describes; raise if the agents cannot meet it."""
+    """Return the demand that a table describes; raise `InputError` if agents cannot meet it."""
     if isinstance(table, NumberTable):
         if table.agents > agents:
             raise InputError(

@@ -33,12 +33,12 @@ if TYPE_CHECKING:
     from planopt.studies.bench_cases import States
 
 RUN_PLANNER, RUN_STEPS = "auto", 20
-"""Planner and number of planned steps of the closed loops of the regression suite."""
+"""Planner, and number of planned steps, of closed loops in the regression suite."""
 
 
 @dataclass(frozen=True, eq=False)
 class NoPlan:
-    """Result of an action without a plan."""
+    """Result of an action for which no plan exists."""
 
     problem: Problem
     words: Sequence[str]
@@ -49,7 +49,7 @@ class NoPlan:
     exit_code = NO_PLAN
 
     def save(self, folder: Path) -> None:
-        """Save the JSON object; a run without a plan has no released plans."""
+        """Save the JSON object and the problem; for a run, the list of plans is empty."""
         more: dict[str, Any] = {"plans": []} if self.file == RUN_FILE else {}
         save_no_plan({**self.data, **more}, self.problem, folder, self.file)
 
@@ -65,7 +65,7 @@ def _animate(run: Run, path: Path) -> None:
 
 
 def _figures(value: Solution | Run) -> Mapping[str, Figure]:
-    """Return the map and, for a single robot with a goal, the belief and the time series."""
+    """Return the figures: a map and, for a robot with a goal, belief and time series."""
     from planopt.report import draw_belief, draw_run_series
 
     plan = isinstance(value, Solution)
@@ -90,7 +90,7 @@ def _blocked_figures(problem: Problem, seed: int, error: NoPlanError) -> Mapping
 
 
 class MotionTask(Task):
-    """Common task of all motion planning problems, with result types of its own."""
+    """Task of all motion planning problems; its results are :class:`planopt.Solution` and `Run`."""
 
     says_ahead = True
     plans_ahead = True
@@ -117,7 +117,7 @@ class MotionTask(Task):
         return list(problem_warnings(problem))
 
     def has_figures(self, problem: Problem) -> bool:
-        """Return whether a problem enables figures."""
+        """Return True if a problem enables figures."""
         return problem.report.figures
 
     def validated(self, problem: Problem) -> dict[str, Any]:
@@ -147,7 +147,7 @@ class MotionTask(Task):
         return problem.planner.horizon, problem.planner.name, problem.cost_to_go
 
     def has_horizon(self, problem: Problem) -> bool:
-        """Return whether runs depend on the horizon; bounds foresee the whole run and do not."""
+        """Return True if runs depend on the horizon; planners of bounds cover the whole run."""
         return not planner_kind(problem.planner.name).foresees
 
     def compared_costs_to_go(self, problem: Problem) -> Sequence[str | None]:
@@ -155,7 +155,7 @@ class MotionTask(Task):
         return ("geodesic", "connected") if problem.task == "reach" else (None,)
 
     def shared(self, problem: Problem, seed: int) -> Any:
-        """Return the initial data (ground truth and belief) and the geometry for goals."""
+        """Return data shared by all runs of a seed: ground truth, belief, and goal geometry."""
         from planopt.planning.initial_data import prepare
         from planopt.planning.scene import build_scenes
 
@@ -175,7 +175,7 @@ class MotionTask(Task):
     def answer(
         self, problem: Problem, kind: str, seed: int, shared: Any, states: States = ()
     ) -> dict[str, Any]:
-        """Return the row of a plan, checked from its files, or of the first steps of a run."""
+        """Return the suite's row for a plan, checked from its files, or for a run's first steps."""
         if kind == "run":
             return _run_answer(problem, seed, shared, states)
         from planopt.planning.solve import solve_on
@@ -206,7 +206,7 @@ class MotionTask(Task):
         return words_ahead(problem, plans)
 
     def explained(self, result: Solution | Run) -> Solution | Run:
-        """Explain a solution that is unverified or crosses coverage holes."""
+        """Return the result, with an explanation if it is unverified or crosses coverage holes."""
         if not isinstance(result, Solution):
             return result
         if result.exit_code == 0 and not any(plan.holes for plan in result.plans):
@@ -247,7 +247,7 @@ class MotionTask(Task):
         return load_motion_result(file, data)
 
     def no_plan(self, action: Action, problem: Problem, seed: int, error: NoPlanError) -> NoPlan:
-        """Return that no plan exists; for ``solve``, with changes that would help."""
+        """Return the result "no plan"; for ``solve``, with changes that would make a plan exist."""
         from planopt.planning.explain.explain import explain_no_plan
         from planopt.planning.files.result_json import no_plan_json, no_run_json
 
@@ -264,7 +264,7 @@ class MotionTask(Task):
 
 
 def _allows(problem: Problem, planner: str) -> bool:
-    """Return whether a planner can solve a problem without knowing the ground truth."""
+    """Return True if a planner can solve a problem without knowing the ground truth."""
     kind = planner_kind(planner)
     if kind.foresees or (kind.tracks and not problem.targets):
         return False
@@ -276,7 +276,7 @@ def _allows(problem: Problem, planner: str) -> bool:
 
 
 def _run_answer(problem: Problem, seed: int, shared: Any, recorded: States) -> dict[str, Any]:
-    """Return the row of the first steps of a closed loop, planned from `recorded` states if any."""
+    """Return the suite's row for the first steps of a run; `recorded` states replace its own."""
     from planopt.planning.free_space import with_drawn_starts
     from planopt.planning.initial_data import team_seeds
     from planopt.planning.loop.drive import first_steps, true_world
@@ -310,7 +310,7 @@ def _run_answer(problem: Problem, seed: int, shared: Any, recorded: States) -> d
 
 
 def _totals(plans: Sequence[Plan]) -> dict[str, Any]:
-    """Return the entries of a row that are totals over plans, with a digest of their paths."""
+    """Return a row's totals over all plans, with a hash of the paths."""
     # Adding zero turns negative zeros into positive ones.
     paths = (np.round(plan.positions_m, 3) + 0.0 for plan in plans)
     rounded = b"".join(path_m.astype("<f8").tobytes() for path_m in paths)
@@ -326,7 +326,7 @@ def _totals(plans: Sequence[Plan]) -> dict[str, Any]:
 
 
 def _worst(labels: type[Verdict] | type[Termination], named: Iterable[str]) -> str:
-    """Return the worst label; the members of each type are ordered from good to bad."""
+    """Return the worst of the named labels; the enumeration orders them from good to bad."""
     order = [label.value for label in labels]
     return max(named, key=order.index, default=order[-1])
 

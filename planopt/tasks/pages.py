@@ -1,4 +1,4 @@
-"""Page of any result, from the task of its problem."""
+"""HTML pages of results of all tasks."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ THEOREMS = (Theorem.ANY_INSTANT, Theorem.SNAPSHOTS)
 """Theorems whose premises the snapshot service satisfies."""
 
 RATIO_ROUNDING = 1e-9
-"""Relative rounding tolerance of the bound of a stage."""
+"""Relative rounding tolerance for the ratio of a stage's distance to its bound."""
 
 
 def simulate(
@@ -104,7 +104,7 @@ def simulate(
 
 
 def _controller(problem: PursuitProblem, *, seed: int) -> PursuitController:
-    """Return the controller of the pursuers with starts drawn with a seed."""
+    """Return the controller of the pursuers; a seed determines the starts."""
     return PursuitController(problem.scene(np.random.default_rng(seed)))
 
 
@@ -123,7 +123,7 @@ def _missed_guarantee(problem: PursuitProblem) -> Inequality | None:
 
 
 def _stage_shares(problem: PursuitProblem, pursuit: Pursuit) -> Iterator[tuple[Theorem, float]]:
-    """Yield the largest ratio of stage distance to its bound for every chase and valid theorem.
+    """Yield, for every chase and valid theorem, the largest ratio of a stage's W to its bound.
 
     A chase with a single stage yields 0. The theorems apply only to pursuers that drive in stages.
     """
@@ -142,9 +142,9 @@ def _stage_shares(problem: PursuitProblem, pursuit: Pursuit) -> Iterator[tuple[T
 def _guarantee_json(
     problem: PursuitProblem, pursuit: Pursuit, shares: Sequence[tuple[Theorem, float]]
 ) -> dict[str, Any]:
-    """Return the guarantee for the first pursuer and evader, and how much of its bounds was used.
+    """Return the guarantee for the first pursuer and evader, and the largest used share of bounds.
 
-    The capture time is bounded only for one pursuer and one evader; several may be chased in turn.
+    Only for one pursuer and one evader is the capture time bounded.
     """
     radius_m, uses = problem.given.pursuit.capture_radius_m, pursuit.uses
     alone = len(problem.given.pursuers) == len(problem.given.evaders) == 1
@@ -357,7 +357,7 @@ def _length_m(places: NDArray[np.float64]) -> float:
 
 
 def _refusal(problem: PursuitProblem, error: NoPlanError) -> dict[str, Any]:
-    """Return the JSON keys of a pursuit that did not begin."""
+    """Return the JSON keys for a pursuit that was not started."""
     nothing = dict.fromkeys(("capture_time_s", "guarantee", "verified_rate", "step_s"))
     empty: dict[str, Any] = {"metrics": {}, "rungs": {}, "evaders": [], "robots": []}
     return {"reason": str(error), **nothing, **empty}

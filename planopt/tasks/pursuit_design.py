@@ -1,4 +1,4 @@
-"""Task pursuit_design: mote networks of least power or energy that guarantee capture."""
+"""Task pursuit_design: mote networks of minimum power or energy that guarantee capture."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 FRONT_DESIGNS = 25
-"""Quarter of the number of deadlines tried for the Pareto front."""
+"""A quarter of the number of deadlines tried for the Pareto front."""
 
 PICTURE = "design.png"
 
@@ -57,16 +57,16 @@ REQUIREMENT_WORDS = {
     "a + (1 - 1/alpha) x below 1": "a + (1 - evader speed / pursuer speed) x",
     "a below 1": "a",
 }
-"""Left sides of the requirements for people; JSON has the keys."""
+"""Descriptions of the requirements' left sides in text; the keys are used in JSON."""
 
 SYMBOLS = {words for words in REQUIREMENT_WORDS if words[:2] in ("y ", "a ")}
-"""Requirements with the symbols a, x or y."""
+"""Requirements whose descriptions contain the symbols a, x or y."""
 
 ACTIVE = 1e-6
-"""Share of a limit below which a margin is shown as none."""
+"""Margin, as a share of the limit, below which a requirement is shown as active."""
 
 LEAST_EFFECT = 0.005
-"""Effect in per cent below which a parameter is not listed."""
+"""Minimum effect of a parameter in per cent to be listed."""
 
 MethodName = Literal["least_power", "least_power_rated", "least_energy", "capture_in_time"]
 TheoremName = Literal["lemma", "any_instant", "sampled_distance", "snapshots"]
@@ -76,7 +76,7 @@ REQUIREMENTS = ("first_distance_m", "capture_radius_m", "deadline_s")
 
 @dataclass(frozen=True)
 class Method:
-    """Design method."""
+    """Design method with its solver and keys."""
 
     words: str  # Description for people
     solver: Callable[[Theorem], Callable[[DesignTask], Design]]  # Solver for a theorem
@@ -229,7 +229,7 @@ def build(given: DesignFile, folder: Path, file: Path | None) -> DesignProblem:
 
 
 def solve(problem: DesignProblem, *, seed: int) -> TaskResult:
-    """Return the network of least power or energy, its guarantee and its active constraints."""
+    """Return the network of minimum power or energy, its guarantee and active constraints."""
     design = problem.solver(problem.design)
     proof = _proof(problem, design)
     data = {
@@ -256,7 +256,7 @@ def _proof(problem: DesignProblem, design: Design) -> tuple[Requirement, ...]:
 
 
 def _unproved(late: tuple[float, ...] | None, blocks: int) -> str:
-    """Return why the rounds of a design may not hold; empty if no record is late."""
+    """Return the reason why records may be late in a design; empty if none is."""
     if late is None:
         return (
             f"a slot of {blocks} blocks is below the peak load, and grids of more than "
@@ -395,7 +395,7 @@ def _inequality_json(inequality: Inequality) -> dict[str, Any]:
 
 
 def _cost_curve(problem: DesignProblem) -> list[dict[str, Any]]:
-    """Return the best design for each number of bits, or the violated inequality."""
+    """Return a row per number of bits: the best design, or the violated inequality."""
     rows: list[dict[str, Any]] = []
     for bits in problem.design.bits:
         row: dict[str, Any] = {"bits_per_axis": bits, "objective": None, "slot_width_s": None}

@@ -41,7 +41,7 @@ from planopt.robots.models import Unicycle
 from planopt.world.workspace import Obstacle, Workspace
 
 LOST_ROUNDS = 4096
-"""Number of rounds per level with drawn losses, repeated cyclically."""
+"""Number of rounds per level for which losses are drawn; the pattern is repeated."""
 
 START_DRAWS = 1000
 """Maximum number of positions drawn for a start in free space."""
@@ -65,7 +65,7 @@ class ServiceTable(Table):
     rate_divisor: int = Field(default=1, ge=1, le=1000)
     """Rate divisor r: rounds start at intervals of r round lengths."""
     endless: bool = False
-    """Whether the mote grid continues without bounds; required without [world]."""
+    """True if the mote grid is unbounded; required without [world]."""
     loss_probability: float = Field(default=0.0, ge=0, lt=1)
     """Probability that a round's report of the evader is lost, independently of the others."""
 
@@ -213,10 +213,10 @@ class PursuitProblem(TaskProblem):
         )
 
     def guarantees(self, pursuer: int, evader: int) -> dict[Theorem, Guarantee]:
-        """Return the guarantees of one pursuer after one evader.
+        """Return the guarantees of one pursuer that chases one evader.
 
-        A stage takes one step, and for a unicycle one turn, longer than straight driving; each
-        path corner adds the same delay. Among obstacles the distance with the lower floor counts.
+        A stage takes one step (and one turn of a unicycle) longer than straight driving; each path
+        corner adds the same delay. With obstacles, the distance with the lower floor is used.
         """
         motion = self.given.pursuers[pursuer].motion
         speed = max(self.given.evaders[evader].speed_max_m_s, LEAST_SPEED_M_S)
@@ -302,7 +302,7 @@ def _require_covered(given: PursuitFile, service: SnapshotService) -> None:
 
 
 def _require_open(given: PursuitFile) -> None:
-    """Raise `InputError` for unicycles and foresighted evaders, which ignore obstacles."""
+    """Raise `InputError` if unicycles or foresighted evaders are used with obstacles."""
     for index, pursuer in enumerate(given.pursuers):
         if pursuer.turn_rate_max_rad_s is not None:
             raise InputError(

@@ -116,7 +116,7 @@ class Task:
 
     @property
     def files(self) -> Patterns:
-        """Return the file name patterns of results of the task and of motion planning."""
+        """Return patterns of all file names that a result of the task may have."""
         return (*PLAN_OR_RUN, *self.columns, *self.pictures)
 
     def problem_from(self, tables: object, *, folder: Path, file: Path | None) -> Any:
@@ -141,7 +141,7 @@ class Task:
         return {}
 
     def has_figures(self, problem: Any) -> bool:
-        """Return whether a problem enables figures."""
+        """Return True if a problem enables figures."""
         return problem.has_figures
 
     def words_ahead(self, problem: Any, plans: Any) -> Iterable[str]:
@@ -149,7 +149,7 @@ class Task:
         return ()
 
     def explained(self, result: Any) -> Any:
-        """Return a result with an explanation for the command line."""
+        """Return a result, with an explanation for the command line if the task has one."""
         return result
 
     def draw(self, result: Any, folder: Path, *, animation: bool = False) -> None:
@@ -175,7 +175,7 @@ class Task:
         )
 
     def no_plan(self, action: Action, problem: Any, seed: int, error: NoPlanError) -> Any:
-        """Return the result of an action without a plan."""
+        """Return the result of an action for which no plan exists."""
         planner = getattr(problem.given, "planner", None)
         data: dict[str, Any] = {
             "problem": problem.name,
@@ -190,7 +190,7 @@ class Task:
         return TaskResult(problem, {**data, **more})
 
     def function(self, name: str) -> Callable[..., Any] | None:
-        """Return ``solve``, ``simulate`` or ``controller``, imported if given by name."""
+        """Return ``solve``, ``simulate`` or ``controller``; import it if it is given by name."""
         found = getattr(self, name)
         if isinstance(found, str):
             module, _, attribute = found.partition(":")
@@ -198,12 +198,12 @@ class Task:
         return found
 
     def labels(self, problem: Any) -> tuple[int, str, str | None]:
-        """Return horizon, planner and cost-to-go, which label a setting in comparisons."""
+        """Return horizon, planner and cost-to-go, the labels of a setting in comparisons."""
         table = getattr(problem.given, "planner", None)
         return getattr(table, "horizon", 1), getattr(table, "name", ""), None
 
     def has_horizon(self, problem: Any) -> bool:
-        """Return whether runs depend on the horizon."""
+        """Return True if runs depend on the horizon."""
         return True
 
     def compared_costs_to_go(self, problem: Any) -> Sequence[str | None]:
@@ -211,11 +211,11 @@ class Task:
         return (None,)
 
     def shared(self, problem: Any, seed: int) -> Any:
-        """Return the data common to all runs with one seed, independent of their settings."""
+        """Return data that all runs with one seed share, whatever their settings."""
         return None
 
     def run_summary(self, problem: Any, seed: int, shared: Any) -> RunSummary:
-        """Simulate a problem, or solve it, and return the summary of the run, for comparisons."""
+        """Simulate a problem, or solve it if it has no runs; return a summary for comparisons."""
         simulated = self.simulate is not None
         result: TaskResult = perform("simulate" if simulated else "solve", problem, seed=seed)
         data = result.data
@@ -235,9 +235,9 @@ class Task:
         )
 
     def planners(self, problem: Any, kind: str) -> Sequence[str]:
-        """Return the planners of a problem's cases (plan or run) in the regression suite.
+        """Return the planners with which the regression suite plans or runs a problem.
 
-        The name of the task stands for its only solver or simulator.
+        For a task without a choice of planners, the task's name stands for its solver.
         """
         if self.function("solve" if kind == "plan" else "simulate") is None:
             return ()
@@ -248,7 +248,7 @@ class Task:
         return [name for name in known if self._allows(problem, name)]
 
     def _allows(self, problem: Any, planner: str) -> bool:
-        """Return whether a planner suits a problem."""
+        """Return True if a planner accepts a problem."""
         try:
             self.overridden(problem, planner=planner)
         except InputError:
@@ -258,7 +258,7 @@ class Task:
     def answer(
         self, problem: Any, kind: str, seed: int, shared: Any, states: Any = ()
     ) -> dict[str, Any]:
-        """Return the row of a plan, checked from its files, or of a run in the regression suite."""
+        """Return the regression suite's row for a plan, checked from its files, or for a run."""
         begun = process_time()
         result: TaskResult = perform("solve" if kind == "plan" else "simulate", problem, seed=seed)
         cpu_s = process_time() - begun
@@ -294,7 +294,7 @@ class Task:
         return _read_result(file, data)
 
     def act(self, action: Action, problem: Any, *, seed: int = 0, **settings: Any) -> Any:
-        """Perform an action with settings, ignoring those that are None."""
+        """Return the result of an action with settings; settings that are None are ignored."""
         function = self.function(action)
         if function is None:
             known = [name for name in ("solve", "simulate") if getattr(self, name) is not None]
@@ -310,7 +310,7 @@ class Task:
         return function(problem, seed=seed, **{k: v for k, v in given.items() if k in known})
 
     def control(self, problem: Any, *, seed: int = 0, **settings: Any) -> Any:
-        """Return the controller of a problem with settings, ignoring those that are None."""
+        """Return the controller of a problem with settings; settings that are None are ignored."""
         function = self.function("controller")
         if function is None:
             raise InputError(
@@ -322,7 +322,7 @@ class Task:
         return function(self.overridden(problem, **settings), seed=seed)
 
     def overridden(self, problem: Any, **settings: Any) -> Any:
-        """Return a problem with changed settings, ignoring those that are None."""
+        """Return a problem with changed settings; settings that are None are ignored."""
         given = {name: value for name, value in settings.items() if value is not None}
         known = () if self.override is None else signature(self.override).parameters
         for name in given:
@@ -334,7 +334,7 @@ class Task:
 
 
 def _numbers(metrics: Mapping[str, Any]) -> dict[str, float]:
-    """Flatten metrics to numbers; names of nested tables are joined by an underscore."""
+    """Return metrics as a flat mapping to numbers; nested names are joined by an underscore."""
     found: dict[str, float] = {}
     for name, value in metrics.items():
         if isinstance(value, Mapping):
@@ -346,7 +346,7 @@ def _numbers(metrics: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _scalars(data: Mapping[str, Any]) -> dict[str, float]:
-    """Return the numbers of a design or deployment, its metrics in a comparison."""
+    """Return the numeric values of a design or deployment, as metrics for a comparison."""
     return {
         name: value
         for name, value in data.items()
@@ -355,7 +355,7 @@ def _scalars(data: Mapping[str, Any]) -> dict[str, float]:
 
 
 def save_figures(figures: Mapping[str, Any], folder: Path) -> None:
-    """Write figures by file name."""
+    """Write figures to a folder by file name."""
     from planopt.report import save_figure
 
     for name, figure in figures.items():
@@ -363,7 +363,7 @@ def save_figures(figures: Mapping[str, Any], folder: Path) -> None:
 
 
 def checked_again(task: Task, result: Any) -> CheckResult:
-    """Save a result to a temporary folder and check it from its files."""
+    """Return the check of a result after saving it to a temporary folder."""
     with tempfile.TemporaryDirectory() as folder:
         result.save(folder)
         return task.check(*read_object(Path(folder)))
@@ -477,7 +477,7 @@ class TaskResult:
         return next(iter(figures(self).values()))
 
     def _repr_html_(self) -> str:
-        """Return the picture, if there is one, and key figures for notebooks."""
+        """Return HTML for notebooks: the main figure, if any, and key figures."""
         from planopt.report.notebook import summary_html
 
         end = "verdict" if "verdict" in self.data else "outcome"
@@ -500,7 +500,7 @@ def perform(
     on_step: Callable[..., object] | None = None,
     **settings: Any,
 ) -> Any:
-    """Solve or simulate a problem of any task; time and verify results other than motion plans."""
+    """Solve or simulate a problem of any task; add wall times and faults to a `TaskResult`."""
     task = task_of(problem)
     ends_s = [time.perf_counter()]
 

@@ -1,4 +1,4 @@
-"""Motion of agents toward their targets in one step, by a control law or a receding horizon."""
+"""Motion of agents toward their targets, by a control law or on a receding horizon."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ ROUNDING = 1e-12
 """Tolerance of positions outside their sets, as a share of the ground's radius."""
 
 SPLIT = 1e-9
-"""Distance, as a share of the region's radius, by which coincident covering agents are moved apart.
+"""Distance, as a share of the region's radius, by which coincident covering agents are separated.
 Their common cell is then split into sectors, and they separate."""
 
 Partition = Literal["all", "coverage_only"]
-"""Agents whose cells divide the region: all agents, or only the covering ones."""
+"""Agents that get a cell of the region: all agents, or only the covering ones."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def coverage_aims(
     responds: Mask,  # (n,) mask of the agents that respond to an event
     partition: Partition = "all",
 ) -> Cover:
-    """Return the targets of covering agents, and the cost of the partition."""
+    """Return the coverage cost and targets; responding agents keep their positions."""
     alone = partition == "coverage_only" and not responds.all()
     counted = ~responds if alone else np.ones_like(responds)
     found = ground.cover(_apart(ground, agents_m, ~responds)[counted])
@@ -105,7 +105,7 @@ def law_moves(
 
 
 def _clipped_moves(agents: Floats, targets: Floats, share: Floats, most_m: float) -> Floats:
-    """Return the end points of moves by a share (n,) of the distance, clipped to `most_m`."""
+    """Return end points of moves over a share (n,) of the distance, at most `most_m` long."""
     move = share[:, None] * (targets - agents)
     length = np.linalg.norm(move, axis=1)
     return agents + move * np.minimum(1.0, most_m / np.where(length > 0.0, length, 1.0))[:, None]
@@ -160,7 +160,7 @@ class _Task:
         return self.limits.speed_m_s * self.limits.time_step_s
 
     def sets(self, stops: Floats, step_m: Floats, reach_m: float) -> SafeSets:
-        """Return the safe sets of agents whose reserves end at stops (n, 2)."""
+        """Return the safe sets of agents whose braking paths end at `stops` (n, 2)."""
         cells = separate_cells(self.places, stops, self.limits.body_radius_m, step_m)
         keep_m = self.limits.keep_m
         free = ground_sets(self.ground, self.places, stops, self.targets, keep_m, reach_m)
@@ -236,12 +236,12 @@ def braking_offsets_m(velocities_m: Floats, change_m: float) -> Floats:
 
 
 def _shorter(vectors: Floats, most: float) -> Mask:
-    """Return whether vectors (n, 2) are at most `most` long, up to rounding; (n,)."""
+    """Return a mask of the vectors (n, 2) of length at most `most`, up to rounding; (n,)."""
     return np.linalg.norm(vectors, axis=1) <= most * (1.0 + 1e-9)
 
 
 def _stop_steps(rates: Floats, change: float) -> Floats:
-    """Return the least number of braking steps from velocities (n, 2); (n,)."""
+    """Return the minimum number of braking steps from velocities (n, 2); (n,)."""
     return np.ceil(np.linalg.norm(rates, axis=1) / change - 1e-9)
 
 
@@ -258,7 +258,7 @@ def _braking(places: Floats, now: Floats, change: float, horizon: int) -> tuple[
 def _driven(
     places: Floats, ends: Floats, headings: Floats, limits: MoveLimits
 ) -> tuple[Floats, Floats]:
-    """Return positions and headings of unicycles (n, 2) that turn and drive toward ends (n, 2)."""
+    """Return positions and headings after unicycles turn and drive toward ends (n, 2)."""
     assert limits.turn_rate_rad_s is not None
     offset = ends - places
     length = np.linalg.norm(offset, axis=1)
@@ -327,4 +327,4 @@ class RecedingMover:
 
 
 Mover = LawMover | RecedingMover
-"""Function that moves agents toward their targets for one step."""
+"""Control law or planner that moves all agents for one step."""

@@ -15,7 +15,7 @@ from planopt.arrays import Floats, Indices, Mask
 from planopt.coverage.control.safe_sets import SafeSets
 
 BLOCK = 50
-"""Number of agents in a block, which takes as many iterations as its hardest programme."""
+"""Number of agents solved together; a block takes the iterations of its hardest programme."""
 
 VIOLATION = 1e-8
 """Violation above which a constraint is added to the programme."""
@@ -24,10 +24,10 @@ WITHIN = 1e-6
 """Relative margin of speed and acceleration limits for the tolerance of the solver."""
 
 LEAST_UNIT = 1e-3
-"""Least length unit of an agent as a share of the largest one."""
+"""Minimum length unit of an agent as a share of the largest one."""
 
 NO_LIMIT = 1e3
-"""Radius, in scaled lengths, of the inactive discs that pad tables."""
+"""Radius, in scaled lengths, of inactive discs that fill up tables."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class Programmes:
     longest: Floats  # (n, R)
 
     def of(self, agents: Indices) -> Programmes:
-        """Return the programmes of some agents."""
+        """Return the programmes of the selected agents."""
         every = {each.name: getattr(self, each.name) for each in fields(self)}
         return Programmes(**{k: v if k == "move_map" else v[agents] for k, v in every.items()})
 
@@ -79,7 +79,7 @@ def solve_programmes(programmes: Programmes) -> Floats | None:
 
 
 def _violated(programmes: Programmes, z: Floats) -> tuple[Mask, Mask, Mask]:
-    """Return masks of violated half-planes (n, K, N), discs (n, D, N) and lengths (n, R)."""
+    """Return masks of violated half-planes (n, K, N), discs (n, D, N) and length limits (n, R)."""
     places = programmes.place_map @ z + programmes.place_offset
     heights = programmes.normals @ places.transpose(0, 2, 1) - programmes.rooms[..., None]
     away = np.linalg.norm(places[:, None] - programmes.centres[:, :, None], axis=3)
@@ -124,7 +124,7 @@ def _solve_block(programmes: Programmes, planes: Mask, discs: Mask, moves: Mask)
     upper = hessian * np.tile(np.triu(np.ones((2 * size, 2 * size))), (count, 1))
 
     def sparse(dense: Floats, owner: Indices) -> Any:
-        """Return the sparse matrix with rows (m, 2 V) in the columns of their agents."""
+        """Return a sparse block matrix: dense rows (m, 2 V), each in its agent's columns."""
         row, column = np.nonzero(dense)
         at = row, owner[row] * 2 * size + column
         return csc_array(coo_array((dense[row, column], at), (len(dense), count * 2 * size)))
@@ -155,7 +155,7 @@ class Inertia:
 
 
 def stage_weights(share: Floats, horizon: int) -> tuple[Floats, Floats]:
-    """Return position weights ``(n, N)`` and move weights ``(n,)`` equivalent to the law."""
+    """Return weights ``(n, N)`` of positions and ``(n,)`` of moves that match the control law."""
     # Shapes: share (n,).
     places = np.ones((len(share), horizon))
     places[:, -1] = 1.0 / share
@@ -241,7 +241,7 @@ def solve_programme(
 def _tables(
     sets: SafeSets, starts_m: Floats, unit: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
-    """Return normals, rooms, centres and radii of sets relative to the starts, scaled by `unit`."""
+    """Return the sets' half-planes and discs relative to the starts, scaled by `unit`."""
     count = len(starts_m)
     room = sets.offsets_m - (sets.normals * starts_m[sets.agent]).sum(axis=1)
     normals, rooms = _filled(
@@ -256,7 +256,7 @@ def _tables(
 def _filled(
     agent: Indices, vectors: Floats, values: Floats, count: int, filler: float
 ) -> tuple[Floats, Floats]:
-    """Arrange vectors (k, 2) and values (k,) by agent in tables (n, most, 2) and (n, most)."""
+    """Return vectors (k, 2) and values (k,) as padded tables (n, most, 2), (n, most) by agent."""
     order = np.argsort(agent, kind="stable")
     number = np.bincount(agent, minlength=count)
     column = np.arange(len(agent)) - np.repeat(np.cumsum(number) - number, number)

@@ -2,7 +2,7 @@
 
 Each agent is connected to a base station over its parent in a tree. The failure probabilities of
 the links along a path are added (union bound), so links need not be independent. Each link may
-grow until it uses up its share of the allowed sum; each end stays in a disc of half that length.
+grow until it uses up its share of the allowed sum; both ends stay in a disc of that diameter.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ LENGTHS_M = np.geomspace(1e-2, 1e5, 40_001)
 """Tabulated link lengths; the length of a link is rounded up to the next entry."""
 
 HOP = 0.02
-"""Minimum weight of a link as a share of the allowed failure, which limits the tree depth."""
+"""Minimum weight of a link as a share of the allowed failure; it limits the tree depth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +40,7 @@ class RadioTree:
 
     @property
     def connected(self) -> Mask:
-        """Return whether each agent is connected to a station; (n,)."""
+        """Return a mask of the agents that the tree connects to a station; (n,)."""
         return self.parent != np.arange(len(self.parent))
 
 
@@ -104,7 +104,7 @@ def radio_tree(places_m: Floats, radio: RadioLimits, stops_m: Floats | None = No
 
 
 def _clear_of(nodes: Floats, radius_m: float, agent: int, place: Floats, stop: Floats) -> SafeSets:
-    """Return half-planes that contain an agent's reserve and exclude discs about nodes (m, 2)."""
+    """Return half-planes that contain an agent's braking path but no disc about nodes (m, 2)."""
     # The nearest disc defines a half-plane, the nearest disc inside it the next one, and so on.
     radius = (1.0 + SPARE) * radius_m
     normals, offsets = list[Floats](), list[float]()
@@ -124,7 +124,7 @@ def _clear_of(nodes: Floats, radius_m: float, agent: int, place: Floats, stop: F
 
 
 def _failures(law: LinkLaw, radio: RadioLimits) -> Floats:
-    """Return the largest failure probability of a link up to each length in `LENGTHS_M`."""
+    """Return the largest failure probability of links up to each length in `LENGTHS_M`."""
     decades = -10.0 * np.log10(LENGTHS_M)
     mean = law.theta[0] + law.theta[1] * decades
     path_loss = law.theta_covariance
@@ -142,13 +142,13 @@ def _at(failures: Floats, lengths_m: Floats) -> Floats:
 
 
 def _longest(failures: Floats, may_fail: float) -> float:
-    """Return the largest link length with at most that failure probability; 0 if none has."""
+    """Return the largest link length with at most a failure probability; 0 if there is none."""
     number = int(np.searchsorted(failures, may_fail, side="right"))
     return float(LENGTHS_M[number - 1]) if number else 0.0
 
 
 def _links(places: Floats, stops: Floats, longest_m: float) -> tuple[Indices, Floats, Floats]:
-    """Return pairs (e, 2) of agents with feasible links, and circles about their reserves."""
+    """Return pairs (e, 2) of linkable agents, and circles around both their braking paths."""
     # Circles have centres (e, 2) and diameters (e,); the diameter counts as the link length.
     middle, half = 0.5 * (places + stops), 0.5 * np.linalg.norm(stops - places, axis=1)
     tree = KDTree(middle)
@@ -180,7 +180,7 @@ def _links(places: Floats, stops: Floats, longest_m: float) -> tuple[Indices, Fl
 def _tree(
     pairs: Indices, weights: Floats, fails: Floats, count: int
 ) -> tuple[Indices, Floats, list[int]]:
-    """Return the tree of shortest paths from node `count` over links (e, 2) with weights (e,)."""
+    """Return the shortest-path tree from node `count` over links (e, 2) with weights (e,)."""
     # The result is the link (n,) toward that node, the sum of `fails` (n + 1,) along the path, and
     # the connected agents in order of distance.
     shape = (count + 1, count + 1)

@@ -25,13 +25,13 @@ SPARE = 1e-3
 """Extra margin, as a share of the body radius, for rounding and solver tolerances."""
 
 TOUCHES = 1e-9
-"""Distance, as a share of the region's radius, up to which a boundary touches a seed."""
+"""Distance, as a share of the region's radius, up to which a boundary touches a corridor's seed."""
 
 LOOKS = 36
-"""Number of directions in which :meth:`SafeSets.thinned` keeps the nearest half-planes."""
+"""Number of directions in which `SafeSets.thinned` keeps the nearest half-planes."""
 
 NEARLY = 1.05
-"""Ratio to the nearest half-plane's distance in a direction up to which others are kept."""
+"""Half-planes up to this multiple of the nearest one's distance in a direction are kept."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +46,7 @@ class SafeSets:
     radii_m: Floats
 
     def share_inside(self, starts_m: Floats, ends_m: Floats) -> Floats:
-        """Return the share of each line from starts to ends ``(n, 2)`` inside the set; (n,)."""
+        """Return the share of each line from start to end ``(n, 2)`` inside its set; (n,)."""
         # The starts count as inside.
         share = np.ones(len(starts_m))
         move = ends_m - starts_m
@@ -67,7 +67,7 @@ class SafeSets:
         return share
 
     def holds(self, places_m: Floats, slack_m: float = 0.0) -> Mask:
-        """Return whether all positions ``(n, j, 2)`` of each agent are in its set; (n,)."""
+        """Return a mask of the agents whose positions ``(n, j, 2)`` are all in their set; (n,)."""
         inside = np.ones(len(places_m), dtype=np.bool_)
         height = np.einsum("kjx,kx->kj", places_m[self.agent], self.normals).max(axis=1)
         inside[self.agent[height > self.offsets_m + slack_m]] = False
@@ -84,7 +84,7 @@ class SafeSets:
         return replace(self, offsets_m=offsets, radii_m=radii)
 
     def thinned(self, starts_m: Floats, reach_m: Floats) -> SafeSets:
-        """Return the sets without half-planes that are nearly redundant near starts ``(n, 2)``."""
+        """Return the sets without those half-planes that hardly matter near starts ``(n, 2)``."""
         # A half-plane is kept if it is the first or almost the first within reach (n,) in one of
         # `LOOKS` directions. The result serves planning only; moves are checked against all sets.
         turn = np.linspace(0.0, 2.0 * np.pi, LOOKS, endpoint=False)
@@ -205,7 +205,7 @@ def ground_sets(
     keep_m: float,
     reach_m: float,
 ) -> SafeSets:
-    """Return a convex part of the ground for each agent that keeps the clearance."""
+    """Return, for each agent, a convex part of the ground that keeps the clearance."""
     # Shapes: places_m, stops_m (n, 2).
     slack_m = ON_BORDER * ground.hull.radius_m
     outside = ~np.asarray(shapely.dwithin(ground.free, shapely.points(places_m), slack_m))
@@ -321,7 +321,7 @@ def _corridors(
 
 
 def _touching_normal(outward: Floats, seed: Floats, part: Floats, touch_m: float) -> Floats | None:
-    """Return a normal that separates a seed (3, 2) from a boundary side that it touches."""
+    """Return a normal that separates a seed triangle (3, 2) from a boundary side it touches."""
     # The result is None if neither the side nor a degenerate triangle defines a separating line. A
     # seed of a single position always has one.
     if ((seed - part[0]) @ outward <= touch_m).all():

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from planopt.studies.comparison import Comparison
 
 FINISHED_FOLDER = "finished_runs"
-"""Folder of finished runs, from which an interrupted comparison resumes."""
+"""Folder in which finished runs are saved, so that an interrupted comparison can resume."""
 
 Value = TypeVar("Value")
 
@@ -205,7 +205,7 @@ def listed(
     text: str | None, option: str, kind: Callable[[str], Value]
 ) -> tuple[Value, ...] | None: ...
 def listed(text: str | None, option: str, kind: Callable[[str], Value]) -> tuple[Value, ...] | None:
-    """Return the distinct values of a list such as ``1,2,5``; None for no list."""
+    """Return the distinct values of a list such as ``1,2,5``; None if it is not given."""
     if text is None:
         return None
     parts = [part.strip() for part in text.split(",")]

@@ -1,4 +1,4 @@
-"""``planopt fit``: channel parameters from a power log, read and fitted as for ``planopt map``.
+"""``planopt fit``: channel parameters estimated from a power log.
 
 ``planopt fit --hold-out``: cross-validation by walk, compared with simple baseline predictors.
 """
@@ -69,7 +69,7 @@ def read_and_fit(options: LogOptions) -> LogFit:
 
 
 def fit_each(options: LogOptions) -> tuple[dict[str, LogFit], dict[str, int]]:
-    """Fit the channel of each transmitter; return also those with too few readings."""
+    """Return the channel fit of each transmitter, and the counts of those with too few readings."""
     from planopt.channel.logs.log_format import parse_station
     from planopt.channel.logs.power_log import FEWEST_READINGS, transmitters_of
     from planopt.channel.logs.stations import read_stations
@@ -103,7 +103,7 @@ def fit_each(options: LogOptions) -> tuple[dict[str, LogFit], dict[str, int]]:
 
 
 def _read_and_fit(options: LogOptions, log_format: LogFormat, site: Station | None) -> LogFit:
-    """Read the log of a transmitter and fit the channel; None as site if it is unknown."""
+    """Read the log of a transmitter and fit the channel; `site` is None to locate it."""
     from planopt.channel.estimation.channel_fit import require_loss, require_method
     from planopt.channel.estimation.fit import fit_channel
     from planopt.channel.estimation.station_fit import fit_channel_and_station
@@ -133,7 +133,7 @@ def _read_and_fit(options: LogOptions, log_format: LogFormat, site: Station | No
 
 
 def _station_method(name: str | None, *, station_is_given: bool) -> StationMethod:
-    """Return the method by which the station is located."""
+    """Return the method for locating the station."""
     from planopt.channel.estimation.station_fit import StationMethod
 
     names = get_args(StationMethod)
@@ -160,7 +160,7 @@ OPTIONS = {
     "power_unit": "power_unit",
     "reader": "reader",
 }
-"""Option of each field of a log format that needs no parsing."""
+"""Option that sets each field of a log format, for fields that need no parsing."""
 
 
 def log_format_of(options: FormatOptions) -> LogFormat:
@@ -196,7 +196,7 @@ def _forgetting_s(options: LogOptions) -> float:
 
 
 def require_option(is_allowed: bool, value: object, key: str, remedy: str) -> None:
-    """Raise an error for an option's value unless it is allowed."""
+    """Raise an error if the value of an option is not allowed."""
     if not is_allowed:
         raise InputError(f"is {value!r}, which is not allowed", key=key, remedy=remedy)
 
@@ -237,7 +237,7 @@ SHOWN_LEVELS = (0.5, 0.8, 0.95)
 def held_out(log: Path, fitted: LogFit, text: str, threshold_dbm: float | None) -> HeldOutReport:
     """Predict each group of the columns in `text` from all others, and score the predictions.
 
-    Powers from `threshold_dbm` on count as connected; None selects the median power.
+    Powers of at least `threshold_dbm` count as connected; None selects the median power.
     """
     import numpy as np
 
@@ -468,7 +468,7 @@ def _fit_all(options: LogOptions, out: Path | None, json: bool) -> int:
 
 
 def fit_json(fitted: LogFit) -> dict[str, Any]:
-    """Return the JSON object of ``fit``; ``other_modes`` are nearly as likely parameters."""
+    """Return the JSON object of ``fit``; ``other_modes`` has other likely parameters."""
     import numpy as np
 
     from planopt.files.typed_json import finite

@@ -29,7 +29,7 @@ VARIABLES = ("mean_db", "deviation_db", "connectivity")
 
 @dataclass(frozen=True, eq=False)
 class _Mapped:
-    """Map of a log or of a problem, and what it is made from."""
+    """Map of a log or of a problem, with the channel fits it is based on."""
 
     maps: PosteriorMap
     fits: Sequence[dict[str, Any]]  # JSON of each station's fit
@@ -214,7 +214,7 @@ def _problem_map(
 
 
 def _require_no_log_options(options: LogOptions) -> None:
-    """Raise an error for an option of logs beside a problem file, which has its own."""
+    """Raise an error if an option of logs is given with a problem file."""
     plain = LogOptions(log=options.log)
     given = [name for name, value in vars(options).items() if value != getattr(plain, name)]
     if given:

@@ -14,7 +14,7 @@ import typer
 from planopt.problems.planner_kinds import OWN
 
 PLANNERS = f"{', '.join(OWN)}; networks: law, receding, deploy; pursuits: drive, retarget, receding"
-"""Planners by task, for help texts."""
+"""Names of planners by task, for help texts."""
 
 
 def option(name: str, metavar: str | None, text: str, **settings: Any) -> Any:
@@ -162,7 +162,7 @@ Own = ParamSpec("Own")
 def with_options(
     options: type[Options],
 ) -> Callable[[Callable[Concatenate[Options, Own], int]], Callable[..., int]]:
-    """Replace the first parameter of a command by the fields of a dataclass of options."""
+    """Return a decorator that replaces a command's first parameter by fields of a dataclass."""
 
     def decorated(command: Callable[Concatenate[Options, Own], int]) -> Callable[..., int]:
         def run(**values: Any) -> int:

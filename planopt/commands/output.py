@@ -21,11 +21,11 @@ from planopt.errors import OutputError, escaped
 from planopt.files.writing import Patterns, replaced_results, strict_text, writable_folder
 
 NO_PLAN = 4
-"""Exit code if there is no plan or a run did not arrive."""
+"""Exit code if no plan exists or a run failed its task."""
 
 
 def show(as_json: bool, data: Mapping[str, Any], text: str) -> None:
-    """Print the JSON object or the text."""
+    """Print the JSON object if `as_json` is set, else the text."""
     if as_json:
         print_out(strict_text(data))
     else:
@@ -59,7 +59,7 @@ def say(text: str) -> None:
 
 
 _active: list[list[int]] = []
-"""Signals received by each active block, the outermost first."""
+"""Signals received by each active block of :func:`stopping`, the outermost first."""
 
 
 def _stop(number: int, _: object) -> None:
@@ -142,7 +142,7 @@ def _bar(description: str, total: int | None) -> Generator[Callable[[], None]]:
 
 @contextlib.contextmanager
 def drawing(folder: Path | None, files: Patterns, *, wanted: bool) -> Generator[Path | None]:
-    """Yield a folder whose figures are added to the saved results; None if none are drawn."""
+    """Yield a folder for figures, which are then added to the saved results; None for none."""
     if folder is None or not wanted:
         yield None
         return

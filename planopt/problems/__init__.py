@@ -1,4 +1,4 @@
-"""Problems: files, library, and their parts such as ground truth, dynamics and tasks.
+"""Problems: their files, the library, and parts such as ground truth, dynamics and tasks.
 
 Names are imported lazily on first use; the stub ``__init__.pyi`` lists them.
 """

@@ -41,7 +41,7 @@ from planopt.plain_values import make_plain
 from planopt.short_repr import short_repr
 
 MIN_DEVIATION_DB = 0.001
-"""Standard deviation below which fading counts as absent; m and K grow with its inverse square."""
+"""Standard deviation in dB below which fading counts as absent; m and K would be too large."""
 
 
 class MultipathTable(Table):
@@ -78,7 +78,7 @@ class MultipathTable(Table):
 
 
 def _law_keys(law: Any) -> Any:
-    """Return the table of a fading law; other values pass unchanged and fail validation."""
+    """Return the table of a fading law; other values are returned unchanged for validation."""
     match law:
         case Rician():
             return {"kind": "rician", "k": law.k_factor}
@@ -134,7 +134,7 @@ class LawKeys(Table):
 
 @dataclass(frozen=True, kw_only=True)
 class RasterTruth(Part):
-    """Ground truth: raster of path gains with added random small-scale fading."""
+    """Ground truth: raster of path gains plus random small-scale fading."""
 
     at = "channel.truth"
     kind = "raster"
@@ -162,7 +162,7 @@ class RasterTruth(Part):
 
     @classmethod
     def of_keys(cls, table: Any) -> dict[str, Any]:
-        """Return the fields; fading comes from rician_k or multipath."""
+        """Return the fields; the fading law is that of rician_k or multipath."""
         if table.rician_k is None:
             return super().of_keys(table)
         if table.multipath is not None:
@@ -201,7 +201,7 @@ class ModelTruth(Part):
 
     @classmethod
     def of_keys(cls, table: Any) -> dict[str, Any]:
-        """Return the fields, with the standard deviation of a distribution filled in."""
+        """Return the fields; the standard deviation of a distribution is computed."""
         law = table.multipath
         deviation = table.multipath_std_db if law is None else law.std_db
         return {**super().of_keys(table), "multipath": law, "multipath_std_db": deviation}
@@ -224,7 +224,7 @@ class FittedTruth(Part):
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ArrayTruth:
-    """Ground truth: arrays of received power; saved results omit it.
+    """Ground truth: arrays of received power. Saved results do not contain them.
 
     Attributes
     ----------
@@ -254,7 +254,7 @@ class ArrayTruth:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class FunctionTruth:
-    """Ground truth: received power as a function of position; saved results omit it.
+    """Ground truth: received power as a function of position. Saved results do not contain it.
 
     The function is evaluated once at the centres of the cells that cover the workspace. A robot
     receives the power of its cell.
@@ -262,7 +262,7 @@ class FunctionTruth:
     Attributes
     ----------
     power_dbm
-        Function from positions ``(n, 2)`` in metres to received power ``(n,)``, for several
+        Function of positions ``(n, 2)`` in metres that returns received power ``(n,)``, for several
         stations ``(stations, n)``; NaN for no reception, which requires a floor.
     cell_m
         Side of the cells in metres.
@@ -298,7 +298,7 @@ ChannelTruth = RasterTruth | ModelTruth | FittedTruth | ArrayTruth | FunctionTru
 class SampledMeasurements(Part):
     """Initial measurements sampled from the ground truth at `count` random free positions.
 
-    With `count` 0 there are none; they are then passed to :func:`planopt.solve`,
+    If `count` is 0, measurements must be passed to :func:`planopt.solve`,
     :func:`planopt.simulate` or :class:`planopt.Planner`.
     """
 
@@ -318,7 +318,7 @@ class LoggedMeasurements:
     log_format
         Columns, units and row filter.
     transmitter_column
-        Name of the column that names the transmitter, by which each station selects its rows.
+        Column with the transmitter's name, by which each station selects its rows.
     """
 
     file: Path
@@ -352,7 +352,7 @@ class GivenParameters(Part):
 
 
 LogKeys: Any = table_of(LogFormat)
-"""Table with the keys of a log's format."""
+"""Table model with the keys of a power log's format."""
 
 LOG_KEYS = tuple(LogKeys.model_fields)
 
@@ -374,7 +374,7 @@ class MeasurementsTable(LogKeys):
     spacing_m: float = Field(default=2.0, ge=0, le=1e6)
     """Minimum distance in metres of a moving robot's new measurement from all earlier ones."""
     shared: bool = False
-    """Whether robots share all measurements after each step (true or false)."""
+    """True if robots share all measurements after each step."""
 
     @model_validator(mode="after")
     def _one_source(self) -> MeasurementsTable:
@@ -438,7 +438,7 @@ class ChannelSetup(Part):
     Keys = ChannelKeys
 
     truth: ChannelTruth | None = None
-    """Ground truth of simulations; None if there is none."""
+    """Ground truth of simulations; None for a problem without simulations."""
     measurements: SampledMeasurements | LoggedMeasurements = field(
         default_factory=SampledMeasurements
     )
@@ -451,7 +451,7 @@ class ChannelSetup(Part):
     """Minimum distance in metres between a new measurement and all earlier ones: fading is constant
     in time, so a repeated measurement gives no information."""
     share_measurements: bool = False
-    """Whether robots share all measurements after each step."""
+    """True if robots share all measurements after each step."""
 
     not_keys = frozenset(__annotations__)
 
@@ -500,7 +500,7 @@ class ChannelSetup(Part):
 
 
 def raster_truth_of(truth: RasterTruth, radio: BaseStation) -> RasterTruth:
-    """Return the map of a station: the common one, overridden by keys of the station."""
+    """Return the map of a station: the common one, overridden by the station's own keys."""
     return replace(
         truth,
         file=radio.gain_file or truth.file,
@@ -509,7 +509,7 @@ def raster_truth_of(truth: RasterTruth, radio: BaseStation) -> RasterTruth:
 
 
 def log_of(log: LoggedMeasurements, radio: BaseStation) -> LoggedMeasurements:
-    """Return the log of a station: the common log, overridden by keys of the station.
+    """Return the log of a station: the common log, overridden by the station's own keys.
 
     The censored column of a common log applies to its default power column only.
     """

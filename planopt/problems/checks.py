@@ -1,6 +1,6 @@
 """Consistency checks of a problem beyond the ranges of single keys.
 
-The checks involve geometry or several tables: separation and stopping distances of robots at the
+The checks involve geometry or several tables: separation and stopping distances of robots at their
 start, consistency of the channel tables, clearance of starts and goals, memory of ground truth and
 lattice, separate channels of several stations, and support of the connectivity rule. Each error
 names the key to change.
@@ -127,7 +127,7 @@ MAX_TRUTH_CELLS = 4_000_000
 
 
 def check_channel(problem: Problem) -> None:
-    """Check that measurements have a source and the receiver floor is below the thresholds."""
+    """Check that measurements have a source and that receiver floors are below thresholds."""
     truth = problem.channel.truth
     measurements = problem.channel.measurements
     if truth is None:
@@ -169,7 +169,7 @@ def check_channel(problem: Problem) -> None:
 
 
 def _check_cells(problem: Problem, cell_m: float) -> None:
-    """Raise `InputError` if the cells are so small that the ground truth exceeds the memory."""
+    """Raise `InputError` if the ground truth would have too many cells for the memory."""
     if not 0.0 < cell_m <= LARGEST_COORDINATE_M:
         raise InputError(
             f"is {cell_m!r}, should be above 0",
@@ -217,10 +217,10 @@ def check_place(
 
 
 NODE_BYTES, STAGE_BYTES = 1700, 8
-"""Measured memory in bytes of a lattice node, and of a node at one stage of the horizon."""
+"""Measured memory in bytes per lattice node, and per node and stage of the horizon."""
 
 LARGEST_LATTICE_BYTES = 4 * 10**9
-"""Memory limit in bytes of the lattices of all robots together."""
+"""Memory limit in bytes for the lattices of all robots together."""
 
 
 def check_size(problem: Problem) -> None:
@@ -242,11 +242,11 @@ def check_size(problem: Problem) -> None:
 
 
 LEAST_STEP_M = 1e-3
-"""Least step length, above the tolerances of planning."""
+"""Minimum step length in metres, above the tolerances of planning."""
 
 
 def check(problem: Problem) -> None:
-    """Raise an `InputError` for the first fault of `problem`."""
+    """Raise an `InputError` for the first inconsistency of `problem`."""
     bounds_m = problem.workspace.bounds_m
     if not (bounds_m[0] < bounds_m[2] and bounds_m[1] < bounds_m[3]):
         raise InputError(
@@ -293,7 +293,7 @@ ONE_STATION = "keep only one entry of stations"
 
 
 def check_stations(problem: Problem) -> None:
-    """Raise `InputError` for keys that require a map or a log, and for equal stations."""
+    """Raise `InputError` for station keys without their map or log, and for equal stations."""
     raster = isinstance(problem.channel.truth, RasterTruth)
     log = problem.channel.measurements
     logged = isinstance(log, LoggedMeasurements)
@@ -380,10 +380,10 @@ def check_rule(problem: Problem) -> None:
 
 
 REST_TOLERANCE_M = 1e-6
-"""Largest change of state in metres per step of a robot at rest."""
+"""Maximum change of state, in metres per step, of a robot at rest."""
 
 MOST_CORNERS = 64
-"""Maximum number of corners of the input set to check at the start."""
+"""Maximum number of corners of the input set at which dynamics are checked."""
 
 
 def check_own_map(problem: Problem, number: int) -> None:

@@ -61,7 +61,7 @@ def _known_rule(name: Any) -> str:
 
 
 def _named(settings: Any) -> dict[str, Any]:
-    """Return settings as a dictionary from a table or from pairs of names and values."""
+    """Return settings as a dictionary, from a table or from pairs of name and value."""
     try:
         return dict(settings)
     except (TypeError, ValueError):
@@ -106,7 +106,7 @@ class ConnectivityRule(Part):
     """Maximum shortfall of the chance constraint in dB; 0 makes it hard. By default, each_step may
     be violated if no reachable position satisfies it."""
     slack_price: Annotated[float, Field(ge=0, le=1e9)] = 0.0
-    """Price of a dB of slack in units of the objective; requires slack_max_db."""
+    """Price of one dB of slack in units of the objective; requires slack_max_db."""
     parameter_uncertainty: ParameterUncertainty = "path_loss"
     """Parameters treated as uncertain in p_min: path_loss, or all (path loss, xi, beta and omega;
     only with each_step)."""
@@ -120,7 +120,7 @@ class ConnectivityRule(Part):
     """Field values of a registered rule by name."""
 
     def fault(self) -> str | None:
-        """Return None; raise an `InputError` if the settings do not fit a registered rule."""
+        """Return None if the settings fit the rule; raise an `InputError` otherwise."""
         settings = dict(self.settings)
         if settings or self.connectivity not in OWN:
             with calling(self.kind, "__post_init__", key="constraints.settings"):
@@ -149,17 +149,17 @@ class ConnectivityRule(Part):
 
     @property
     def by_step(self) -> bool:
-        """Return whether the rule constrains steps individually."""
+        """Return True if the rule constrains steps individually."""
         return self.kind.by_step
 
     @property
     def every_step(self) -> bool:
-        """Return whether p_min applies to every step individually."""
+        """Return True if p_min applies to every step individually."""
         return self.by_step and not self.connected_times_s
 
     @property
     def is_plain(self) -> bool:
-        """Return whether p_min applies to each step where feasible, without a slack limit."""
+        """Return True if p_min applies to each step where feasible, without a limit on slack."""
         return self.every_step and self.slack_max_db is None
 
 
@@ -175,11 +175,11 @@ class Constraints(Part):
     """Required probability of connection at every step where feasible, or of the event selected by
     connectivity; 0 for none. The task reach needs a value above 0."""
     clearance_m: Annotated[float, Field(ge=0, le=1e4)] = 1.0
-    """Least distance in metres of the swept path from static and moving obstacles."""
+    """Minimum distance in metres of the swept path from static and moving obstacles."""
     goal_radius_m: Annotated[float, Field(gt=0, le=1e4)] = 1.0
     """Distance in metres at which a goal counts as reached."""
     separation_m: Annotated[float, Field(ge=0, le=1e4)] = 0.0
-    """Least distance in metres between any two robots at equal times; 0 for none."""
+    """Minimum distance in metres between any two robots at equal times; 0 for none."""
     rule: ConnectivityRule = field(default_factory=ConnectivityRule)
     """Event that p_min applies to; default: the connection at each step."""
 
@@ -242,7 +242,7 @@ class Constraints(Part):
 
     @property
     def asks_connection(self) -> bool:
-        """Return whether the connection is constrained."""
+        """Return True if the connection is constrained."""
         return self.p_min > 0.0 or not self.rule.kind.asks_p_min
 
     @property

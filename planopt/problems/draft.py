@@ -1,6 +1,6 @@
 """Draft of a problem file from a power log and an occupancy map.
 
-Everything that neither the files nor the caller say is detected or assumed. Each assumption is a
+Values that neither the files nor the caller give are detected or assumed. Each assumption is a
 sentence of the draft and a comment in the problem file.
 """
 
@@ -50,13 +50,13 @@ ABOVE_FLOOR_DB = 10.0
 """Assumed margin of the connection threshold above the weakest power of the log."""
 
 STEP_SHARE = 0.02
-"""Length of a step as a share of the diagonal of the world."""
+"""Step length as a share of the world's diagonal."""
 
 ROUND_STEPS = (1.0, 2.0, 5.0)
-"""Leading digits of the length of a step."""
+"""Leading digits to which the step length is rounded."""
 
 ROUTE_DIAGONALS = 6.0
-"""Length of the longest run in diagonals of the world."""
+"""Maximum path length of a run in diagonals of the world."""
 
 MARGIN_SHARE = 0.1
 """Margin of the world around log, start and goal as a share of their extent, without a map."""
@@ -65,14 +65,14 @@ TRANSMIT_POWER_DBM = 20.0
 """Assumed transmit power; plans do not depend on it, since the log has received powers."""
 
 SEARCHED_CELLS = 200
-"""Number of positions along the longer side of the world among which a free one is searched."""
+"""Number of candidate positions, along the world's longer side, for a free position."""
 
 Bounds = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
 class DraftSettings:
-    """Values of a draft that files do not contain; None for values that are assumed."""
+    """Values of a draft that files do not contain; None for values to be assumed."""
 
     start: str  # X,Y in metres or LAT,LON in degrees
     goal: str
@@ -121,9 +121,9 @@ class Draft:
     stations
         Transmitters with readings and positions.
     assumptions
-        What was detected or assumed, one sentence each.
+        Sentences on detected and assumed values.
     warnings
-        What is implausible or uncertain.
+        Sentences on implausible and uncertain values.
     """
 
     text: str
@@ -135,13 +135,13 @@ class Draft:
 
     @property
     def is_determined(self) -> bool:
-        """Return whether the log determines all channels and positions."""
+        """Return True if the log determines all channels and positions."""
         return all(each.fit.status != "degenerate" for each in self.stations)
 
 
 @dataclass
 class _Notes:
-    """Assumptions and warnings that are collected while a draft is made."""
+    """Collected assumptions and warnings of a draft."""
 
     assumptions: list[str] = field(default_factory=list[str])
     warnings: list[str] = field(default_factory=list[str])
@@ -235,7 +235,7 @@ def draft_problem(
 def _read(
     log: Path, log_format: LogFormat, map_path: Path | None, notes: _Notes
 ) -> tuple[LogTable, LogFormat]:
-    """Return the readings of a log, and the format with its columns and an origin."""
+    """Return the readings of a log, and its format completed by columns and an origin."""
     table = read_table(log)
     if log_format.origin_deg is None:
         # Any origin reveals whether positions are in degrees.
@@ -275,7 +275,7 @@ def _read(
 def _with_origin(
     table: LogTable, x: str, y: str, log_format: LogFormat, map_path: Path | None, notes: _Notes
 ) -> LogFormat:
-    """Return the format with the first position as origin; a map needs a given one."""
+    """Return the format with the first position as origin; with a map, raise an error instead."""
     table.index(x)
     table.index(y)
     if not table.rows:
@@ -344,7 +344,7 @@ def _readings(table: LogTable, log_format: LogFormat, column: str | None, label:
 
 
 def _with_details(log_format: LogFormat, logs: Sequence[PowerLog], notes: _Notes) -> LogFormat:
-    """Return the format with floor and rounding step, if the powers show them."""
+    """Return the format with floor and rounding step, if the powers reveal them."""
     power = np.concatenate([each.measurements.power_dbm for each in logs])
     if logs[0].power_unit != "dBm":
         notes.assume(f"powers are in {logs[0].power_unit}")
@@ -367,7 +367,7 @@ def _with_details(log_format: LogFormat, logs: Sequence[PowerLog], notes: _Notes
 def _given_stations(
     settings: DraftSettings, labels: Sequence[str], origin_deg: Origin | None
 ) -> dict[str, Station]:
-    """Return the given positions of transmitters by label; single ones override the file."""
+    """Return the known positions of transmitters by label; options override the file."""
     found: dict[str, Station] = {}
     if settings.stations_file is not None:
         found = read_stations(settings.stations_file, labels, origin_deg)
@@ -396,7 +396,7 @@ def _given_stations(
 def _station(
     label: str, measurements: Measurements, given: Station | None, number: int, notes: _Notes
 ) -> DraftStation:
-    """Return a station with the fit of its channel, and its position if it is not given."""
+    """Return a station with its channel fit; its position is estimated if unknown."""
     name = re.sub(r"[^A-Za-z0-9_-]+", "-", label).strip("-")[:40] or f"station_{number + 1}"
     if given is None and int((~measurements.censored).sum()) < MIN_UNCENSORED:
         raise InputError(
@@ -420,7 +420,7 @@ def _station(
 
 
 def _is_estimate(warning: str) -> bool:
-    """Return whether a warning only says that the position is estimated."""
+    """Return True if a warning only says that the position is estimated."""
     return "position" in warning and "estimated" in warning
 
 
@@ -432,7 +432,7 @@ def _place(
     grid: OccupancyGrid | None,
     notes: _Notes,
 ) -> tuple[float, float]:
-    """Parse a position in metres, or in degrees if it is then within the log or the map."""
+    """Parse a position, in degrees if this puts it near the log or the map, else in metres."""
     match = re.fullmatch(r"\s*([^,\s]+)\s*,\s*([^,\s]+?)\s*(m|deg)?\s*", text)
     try:
         first, second = (float(part) for part in (match.groups()[:2] if match else ("", "")))
@@ -476,7 +476,7 @@ def _workspace(
     places: Sequence[tuple[float, float]],
     notes: _Notes,
 ) -> Workspace:
-    """Return the world: the extent of the grid, or of everything that is known."""
+    """Return the world: the extent of the grid, else of log, start and goal with a margin."""
     if grid is not None and map_path is not None:
         rows, columns = grid.occupied.shape
         (x, y), side = grid.origin_m, grid.resolution_m
@@ -505,7 +505,7 @@ def _workspace(
 def _check_alignment(
     workspace: Workspace, positions_m: np.ndarray[Any, np.dtype[np.float64]], notes: _Notes
 ) -> None:
-    """Warn if the log lies outside the map or on obstacles."""
+    """Add a warning if the log lies outside the map or on obstacles."""
     inside = inside_bounds(workspace, positions_m)
     if not inside.all():
         notes.warn(
@@ -619,7 +619,7 @@ def _tables(
 
 
 def _rounded(length_m: float) -> float:
-    """Return the nearest length with the digit 1, 2 or 5."""
+    """Return a length rounded to the leading digit 1, 2 or 5."""
     tens = 10.0 ** math.floor(math.log10(length_m))
     choices = [digit * tens * scale for scale in (1.0, 10.0) for digit in ROUND_STEPS]
     return float(f"{min(choices, key=lambda each: abs(math.log(each / length_m))):.1g}")
@@ -633,7 +633,7 @@ def _relative(path: Path, folder: Path) -> str:
 def _require_free(
     workspace: Workspace, places: Sequence[tuple[float, float]], clearance: float
 ) -> None:
-    """Raise an error with the nearest free position if start or goal is not free."""
+    """Raise an error that suggests the nearest free position if start or goal is not free."""
     index = index_obstacles(workspace)
     for key, place in zip(("--start", "--goal"), places, strict=True):
         at = np.array([place])

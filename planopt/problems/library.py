@@ -1,4 +1,4 @@
-"""Problem library and TOML reader."""
+"""Problem library, and the reader of problem files in TOML."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def named_files(value: object) -> tuple[str, ...]:
-    """Return the distinct names of other files in the tables of a problem file."""
+    """Return the distinct names of other files to which a problem file refers."""
     found: list[str] = []
     if isinstance(value, Mapping):
         for key, part in cast("Mapping[str, object]", value).items():
@@ -109,7 +109,7 @@ def list_problems() -> tuple[LibraryEntry, ...]:
 
 
 def find_problem(path_or_name: Path | str) -> Path:
-    """Return the file of a problem with a path or library name."""
+    """Return the problem file for a path or a library name."""
     path = path_of("path_or_name", path_or_name, "give the path or name of a problem")
     try:
         if path.is_file():

@@ -33,7 +33,7 @@ from planopt.world.workspace import Workspace
 
 
 def check_files(problem: Problem) -> None:
-    """Raise an `InputError` for a missing file that simulation requires.
+    """Raise an `InputError` if a file that simulation requires is missing.
 
     :func:`planopt.problems.checks.check` does not include this check, because a saved plan can be
     verified without these files.
@@ -60,7 +60,7 @@ def check_files(problem: Problem) -> None:
 
 
 def _check_file(problem: Problem, path: Path, key: str, *, is_map: bool = False) -> None:
-    """Raise an `InputError` for a missing file, or a map with an unknown ending."""
+    """Raise an `InputError` if a file is missing or a map has an unknown ending."""
     try:
         there = path.is_file()
     except OSError:  # Name not allowed by the file system
@@ -168,7 +168,7 @@ def problem_from_dict(data: Mapping[str, Any], *, file: Path | None = None) -> P
     data
         Tables of the problem, for instance from ``json.load``.
     file
-        Source file, for messages; relative file names start at its folder.
+        Source file, for messages; relative file names are resolved from its folder.
 
     Raises
     ------
@@ -180,7 +180,7 @@ def problem_from_dict(data: Mapping[str, Any], *, file: Path | None = None) -> P
 
 
 def _without_python(channel: ChannelSetup) -> ChannelSetup:
-    """Return the channel without a ground truth from Python and measurements sampled from it."""
+    """Return the channel without a Python-defined ground truth and measurements sampled from it."""
     if not isinstance(channel.truth, ArrayTruth | FunctionTruth):
         return channel
     logged = isinstance(channel.measurements, LoggedMeasurements)
@@ -201,7 +201,7 @@ def with_overrides(
     planner: str | None = None,
     cost_to_go: str | None = None,
 ) -> Problem:
-    """Return `problem` with changed settings, checked; None keeps the present value.
+    """Return a checked copy of `problem` with changed settings; None keeps the present value.
 
     The whole problem is checked, since :func:`dataclasses.replace` does not do so.
     """
@@ -235,7 +235,7 @@ def require_motion(problem: Problem) -> None:
 def _overridden(
     problem: Problem, horizon: int | None, planner: str | None, cost_to_go: str | None
 ) -> Problem:
-    """Return `problem` with changed settings, each validated individually."""
+    """Return a copy of `problem` with changed settings, each validated individually."""
     changes = {"horizon": horizon, "name": planner}
     changes = {name: value for name, value in changes.items() if value is not None}
     # The constructor of the changed part validates it.
@@ -260,7 +260,7 @@ def _overridden(
 
 
 def with_changes(problem: AnyProblem, changes: Mapping[str, object]) -> AnyProblem:
-    """Return `problem` with changed values of any keys of its problem file, checked."""
+    """Return a checked copy of `problem` with changed values of any keys of its file."""
     if not changes:
         return problem
     given = ", ".join(f"{key} = {value}" for key, value in changes.items())
@@ -283,13 +283,13 @@ def with_changes(problem: AnyProblem, changes: Mapping[str, object]) -> AnyProbl
 
 
 def _of_change(error: InputError, given: str) -> InputError:
-    """Return the error of a changed problem, with the values that were changed."""
+    """Return an error about a changed problem, with the changes added to its message."""
     message = f"{error.message}; {given} replaced the value in the problem"
     return InputError(message, key=error.key, remedy=error.remedy)
 
 
 def _places(tables: dict[str, Any], key: str) -> list[tuple[Any, str | int]]:
-    """Return the containers of the values at a dotted key, with the last key or index."""
+    """Return the container and the last key or index of each value at a dotted key."""
     found: list[tuple[Any, str | int]] = [({"": tables}, "")]
     for part in key.split("."):
         match = _PART.fullmatch(part)
@@ -318,7 +318,7 @@ def _places(tables: dict[str, Any], key: str) -> list[tuple[Any, str | int]]:
 
 
 def _entered(table: Any, name: str | int, key: str) -> dict[str, Any]:
-    """Return a subtable by name or index; create a missing one."""
+    """Return a table's subtable by name or index; a missing one is created."""
     value: Any = table.setdefault(name, {}) if isinstance(name, str) else table[name]
     if isinstance(value, list):
         raise InputError(
@@ -334,7 +334,7 @@ def _entered(table: Any, name: str | int, key: str) -> dict[str, Any]:
 
 
 def _entries(table: Any, name: str | int, key: str) -> list[Any]:
-    """Return a list in a table or list by name or index."""
+    """Return the list at a name or index of a table or list."""
     value: Any = table.get(name) if isinstance(name, str) else table[name]
     if not isinstance(value, list):
         raise InputError(

@@ -25,10 +25,10 @@ from planopt.parts import class_name, is_own
 
 
 class AnyTerm:
-    """Schema marker for a table of any registered kind of term."""
+    """Schema marker for the table of a term of any registered kind."""
 
     def tables(self) -> Sequence[type[BaseModel]]:
-        """Return the tables of all kinds."""
+        """Return the table models of all registered kinds of terms."""
         return _tables_of(registered_terms())
 
     def __get_pydantic_core_schema__(
@@ -40,7 +40,7 @@ class AnyTerm:
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> JsonSchemaValue:
-        """Describe the tables of all kinds."""
+        """Return the JSON schema of the tables of all registered kinds of terms."""
         return handler(_adapter_of(registered_terms()).core_schema)
 
 
@@ -97,7 +97,7 @@ class TermsKeys(Table):
 
 @dataclass(frozen=True)
 class ReachObjective(Part):
-    """Objective to reach the goal with least time and effort, with a price on outage.
+    """Objective to reach the goal with minimum time, effort and outage.
 
     The cost in seconds is the integral of ``1 + effort_weight * speed**2`` until arrival. A metre
     driven with connection probability P counts as ``1 + outage_price (1 - P)`` metres.
@@ -120,7 +120,7 @@ class ReachObjective(Part):
 
     @property
     def charges_everywhere(self) -> bool:
-        """Return whether outage_price also applies at positions that satisfy p_min."""
+        """Return True if outage_price also applies at positions that satisfy p_min."""
         return self.outage_charge == "everywhere"
 
 

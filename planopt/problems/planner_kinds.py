@@ -35,19 +35,19 @@ class PlannerKind:
         and a random number generator, and returns an object with the method ``plan`` of
         :class:`planopt.planning.planners.Planner`.
     reaches_goals
-        Whether the planner supports the task ``reach``; only built-in ones do.
+        True if the planner supports the task ``reach``; only built-in ones do.
     has_dynamics
-        Whether the planner supports dynamics other than the single integrator.
+        True if the planner supports dynamics other than the single integrator.
     searches
-        Whether the planner has a global search with a fallback cascade.
+        True if the planner has a global search with a fallback cascade.
     solves
-        Whether the planner runs a solver, whose termination, iterations and residual plans report.
+        True if the planner runs a solver; its termination, iterations and residual are reported.
     foresees
-        Whether the planner knows the ground truth and serves as a performance bound. ``make`` then
+        True if the planner knows the ground truth and serves as a performance bound. ``make`` then
         takes the problem of all robots, the first station's ground truth and the target's path, and
         returns the paths of all robots for the whole run.
     tracks
-        Whether the planner supports only target tracking.
+        True if the planner supports only target tracking.
     version
         Version of an external planner; studies do not reuse recorded results of other versions.
     """
@@ -180,7 +180,7 @@ def planner_kind(name: str) -> PlannerKind:
 
 
 def _without_goals(kind: PlannerKind) -> PlannerKind:
-    """Return an external planner; raise `InputError` if it claims to reach goals."""
+    """Return an external planner; raise `InputError` if it has `reaches_goals` set."""
     if kind.reaches_goals:
         raise InputError(
             f"is true for {kind.name}, but only the planners {names_with('reaches_goals')} "
@@ -192,6 +192,6 @@ def _without_goals(kind: PlannerKind) -> PlannerKind:
 
 
 def names_with(trait: str) -> str:
-    """Return text that lists the built-in planners with a trait."""
+    """Return a text that lists the built-in planners with a trait."""
     *first, last = [name for name, kind in OWN.items() if getattr(kind, trait)]
     return f"{', '.join(first)} or {last}"

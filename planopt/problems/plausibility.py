@@ -20,7 +20,7 @@ DEGREE_NAMES = ("lat", "lon", "lng")
 """Parts of column names that indicate degrees."""
 
 DEGREES_SPAN = 0.5
-"""Extent of a log below which its coordinates may be degrees instead of metres."""
+"""Extent of a log's coordinates below which they may be degrees instead of metres."""
 
 THRESHOLDS_DBM = (-150.0, -10.0)
 """Plausible range of connection thresholds."""
@@ -38,7 +38,7 @@ COARSEST_CELL_M = 5.0
 """Largest plausible cell side of an occupancy grid; robots map at centimetres."""
 
 JUMP_STEPS = 10.0
-"""Largest plausible distance between a robot and its plan in step lengths."""
+"""Largest plausible distance between a robot and its plan, in step lengths."""
 
 
 def log_warnings(log: PowerLog) -> list[str]:

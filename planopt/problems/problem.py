@@ -1,7 +1,7 @@
-"""Planning problem as a frozen dataclass, independent of files and solvers.
+"""Motion planning problem as a frozen dataclass, independent of files and solvers.
 
-The objective is to reach a goal or to maximise a weighted sum of terms. Functions return the
-problem at one time of a run, and that of a single robot.
+The objective is to reach a goal or to maximise a weighted sum of terms. Two functions return the
+problem at one time of a run, and the problem of a single robot.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class Problem:
     file
         Source file, for messages; None for a problem built in Python.
     checked
-        Whether the problem has already been checked.
+        True if the problem has already been checked.
 
     Raises
     ------
@@ -140,7 +140,7 @@ class Problem:
             check_problem(self)
 
     def __repr__(self) -> str:
-        """Return the name, the task and the number of each kind of part."""
+        """Return a text with name, task, and the number of each kind of part."""
         return wrapped(
             f"Problem(name={self.name!r}, task={self.task!r}, robots: {len(self.robots)}, "
             f"stations: {len(self.stations)}, obstacles: {len(self.workspace.obstacles)}, "
@@ -170,7 +170,7 @@ class Problem:
 
     @property
     def sense(self) -> Literal["min", "max"]:
-        """Return whether the objective is minimised or maximised."""
+        """Return ``min`` or ``max``, the sense of the objective."""
         return "min" if isinstance(self.objective, ReachObjective) else "max"
 
     @property
@@ -187,9 +187,9 @@ class Problem:
 
     @property
     def can_be_polished(self) -> bool:
-        """Return whether an NLP solver can refine plans with derivatives of all terms.
+        """Return True if an NLP solver can refine plans with derivatives of all terms.
 
-        Probes are only searched, because the connection at their ends is not smooth. Trajectories
+        Probes are not refined, because the connection at their ends is not smooth. Trajectories
         of robots with dynamics are refined in any case.
         """
         if any(type(term).derivatives is Term.derivatives for term in self.terms):
@@ -198,12 +198,12 @@ class Problem:
 
     @property
     def has_dynamics(self) -> bool:
-        """Return whether any robot has dynamics other than a single integrator."""
+        """Return True if any robot has dynamics other than a single integrator."""
         return not all(robot.moves_freely for robot in self.robots)
 
     @property
     def term_setting(self) -> TermSetting:
-        """Return the parts of the problem that affect planning with terms."""
+        """Return those properties of the problem on which terms depend."""
         objective = self.objective
         has_one = isinstance(objective, TermsObjective) and len(objective.terms) == 1
         return TermSetting(
@@ -226,7 +226,7 @@ class Problem:
 def _objective(
     given: ReachObjective | TermsObjective | Term | Sequence[Term] | None,
 ) -> ReachObjective | TermsObjective:
-    """Return the objective of an argument: one object, terms, or None for the goal."""
+    """Return the objective for an argument: an objective, terms, or None to reach the goal."""
     if given is None:
         return ReachObjective()
     if isinstance(given, ReachObjective):
@@ -247,7 +247,7 @@ PARTS = (
 
 
 def tables_of(problem: Problem) -> dict[str, Any]:
-    """Return the tables of a problem, with its parts as values."""
+    """Return the tables of a problem file, with the problem's parts as values."""
     tables: dict[str, Any] = {
         "problem": {
             "schema": SCHEMA_VERSION,
@@ -285,9 +285,9 @@ def problem_from_tables(data: object, *, folder: Path, file: Path | None) -> Pro
 
 
 def problem_at(problem: Problem, steps: int) -> Problem:
-    """Return `problem` with the obstacles known after a number of steps.
+    """Return `problem` with only those obstacles that are known after a number of steps.
 
-    If these are its own obstacles, the problem itself is returned.
+    The problem itself is returned if all its obstacles are known.
     """
     workspace = problem.workspace
     if not workspace.timed:

@@ -31,7 +31,7 @@ NEEDED: dict[DynamicsName, str] = {
 """Key required by each type of dynamics."""
 
 LEAST_LIMIT = 1e-6
-"""Least acceleration or turn rate limit (m/s^2 or rad/s), since solvers divide by its square."""
+"""Minimum limit of acceleration (m/s^2) or turn rate (rad/s); solvers divide by its square."""
 
 
 class DynamicsKeys(Table):
@@ -47,7 +47,7 @@ class DynamicsKeys(Table):
     turn_rate_max_rad_s: float | None = Field(default=None, gt=0, le=1e3)
     """Largest turn rate of a unicycle in rad/s."""
     speed_min_m_s: float | None = Field(default=None, ge=-1000, le=0)
-    """Least speed of a unicycle in m/s, negative for reverse driving; default: 0."""
+    """Minimum speed of a unicycle in m/s, negative for reverse driving; default: 0."""
     start_heading_rad: Annotated[float, Field(ge=-100, le=100)] | None = None
     """Initial heading of a unicycle in rad from the x axis; default: 0."""
 
@@ -116,7 +116,7 @@ class Robot(Part):
             object.__setattr__(self, "dynamics", SingleIntegrator(self.speed_max_m_s))
 
     def to_keys(self) -> dict[str, Any]:
-        """Return the keys of the table; dynamics from Python have none."""
+        """Return the keys of the table; dynamics defined in Python have no keys."""
         keys, rest = super().to_keys(), self.start_rest
         match self.dynamics:
             case DoubleIntegrator(acceleration_max_m_s2=largest):
@@ -158,7 +158,7 @@ class Robot(Part):
 
     @property
     def moves_freely(self) -> bool:
-        """Return whether the robot is a single integrator, whose state is its position."""
+        """Return True if the robot is a single integrator, whose state is its position."""
         return isinstance(self.dynamics, SingleIntegrator)
 
     @property
@@ -168,7 +168,7 @@ class Robot(Part):
 
 
 def _start_rest(dynamics: Dynamics, given: object) -> tuple[float, ...]:
-    """Return the initial state without the position, as required by the dynamics."""
+    """Return the initial state without the position, in the order of the dynamics' states."""
     _require_dynamics(dynamics)
     rest = dynamics.state_names[2:]
     values = tuple(cast("Any", given)) if isinstance(given, list | tuple | np.ndarray) else None

@@ -106,7 +106,7 @@ def _workspace_of(table: MotionWorldTable, folder: Path) -> Workspace:
 
 
 def _world_keys(workspace: Workspace) -> dict[str, Any]:
-    """Return the keys of a workspace from Python without its obstacles, which are validated."""
+    """Return the keys of a workspace built in Python, without its already validated obstacles."""
     return {"bounds_m": workspace.bounds_m, "moving": workspace.moving}
 
 
@@ -178,13 +178,13 @@ MOST_TURN_RAD = 2.0 * math.pi
 
 
 def task_fault(tables: ProblemFile) -> str | None:
-    """Return a message if tables do not define a problem of their task; otherwise None."""
+    """Return a message if the tables do not define a problem of their task; otherwise None."""
     fault = _reach_fault(tables) if tables.problem.task == "reach" else _terms_fault(tables)
     return fault or _same_name("world.moving", tables.world.moving)
 
 
 def _reach_fault(tables: ProblemFile) -> str | None:
-    """Return a message if tables do not define a problem of the task reach."""
+    """Return a message if the tables do not define a problem of the task reach."""
     for number, robot in enumerate(tables.robots):
         if robot.goal_m is None:
             return (
@@ -214,7 +214,7 @@ def _reach_fault(tables: ProblemFile) -> str | None:
 
 
 def _terms_fault(tables: ProblemFile) -> str | None:
-    """Return a message if tables do not define a problem with a sum of terms."""
+    """Return a message if the tables do not define a problem with a sum of terms."""
     task, objective = tables.problem.task, tables.objective
     terms = objective.terms if isinstance(objective, TermsObjective) else ()
     if not terms or terms[0].task != task:
@@ -333,7 +333,7 @@ class ReportTable(Table):
     """Table ``[report]``: output settings."""
 
     figures: bool = ReportSettings().figures
-    """Whether figures are drawn (true or false)."""
+    """True if figures are drawn."""
 
 
 class TaskFile(Table):

@@ -21,7 +21,7 @@ Coordination = Literal["joint", "decoupled"]
 
 
 def known_planner(name: str) -> str:
-    """Validate the name of a planner for the schema."""
+    """Return the name of a planner; raise a validation error if there is no such planner."""
     known = planner_names()
     if name not in known:
         listed = ", ".join(f"'{each}'" for each in known[:-1])
@@ -75,14 +75,14 @@ class ReportSettings(Part):
     at = "report"
 
     figures: bool = True
-    """Whether figures are drawn (true or false)."""
+    """True if figures are drawn."""
 
 
 Packets = Literal["measurements", "estimates"]
-"""Content of a packet to the base station about the target."""
+"""Content of a packet about the target to the base station."""
 
 LEAST_STD = 1e-6
-"""Least standard deviation of an initial estimate (m or m/s), so its information is finite."""
+"""Minimum standard deviation of an initial estimate (m or m/s), for finite information."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +109,7 @@ class Target(Part):
     heading_spread_rad: Annotated[float, Field(ge=0, le=3.2)] = 0.0
     """Maximum random deviation in rad of the initial heading from that direction."""
     stays_free: bool = False
-    """Whether paths that leave the bounds or enter obstacles are drawn again (true or false)."""
+    """True if paths that leave the bounds or enter obstacles are drawn again."""
     packets: Packets = "measurements"
     """Content of packets: measurements (the robot's last measurement of the target) or estimates
     (the robot's own estimate, which contains the information of all its measurements)."""
@@ -121,11 +121,11 @@ DEFAULT_SEEDS, MOST_SEEDS = 30, 1_000_000
 """Default and maximum number of seeds."""
 
 OF_NO_RUN = ("compare", "problem", "report")
-"""Tables of a problem file that cannot be swept, because they identify a run."""
+"""Tables of a problem file that cannot be swept, because they do not affect a run."""
 
 
 def known_seeds(given: object) -> object:
-    """Validate a number or range of seeds for the schema."""
+    """Return a number or range of seeds; raise a validation error if it is invalid."""
     is_text = isinstance(given, str) and ":" in given
     if is_text or (isinstance(given, int) and not isinstance(given, bool)):
         with contextlib.suppress(InputError):
@@ -139,7 +139,7 @@ def known_seeds(given: object) -> object:
 
 
 def require_swept(key: str, at: str | None = None) -> None:
-    """Raise an `InputError` for a key of a problem file that cannot be swept."""
+    """Raise an `InputError` if a key of the problem file cannot be swept."""
     table = key.partition(".")[0].partition("[")[0]
     if table in OF_NO_RUN:
         raise InputError(
@@ -198,7 +198,7 @@ class ComparisonSettings(Part):
         super().__post_init__()
 
     def fault(self) -> str | None:
-        """Return None; raise an `InputError` for a key that cannot be swept."""
+        """Return None if all keys can be swept; raise an `InputError` otherwise."""
         for number, group in enumerate(self.settings):
             for key in group.sweep or {}:
                 require_swept(key, f"compare.settings[{number}].sweep")

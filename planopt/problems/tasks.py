@@ -69,7 +69,7 @@ class TaskProblem:
 
     @property
     def has_figures(self) -> bool:
-        """Return whether figures are drawn (key ``report.figures``)."""
+        """Return True if figures are drawn (key ``report.figures``)."""
         return self.given.report.figures
 
     def tables(self) -> dict[str, Any]:
@@ -88,7 +88,7 @@ class TaskProblem:
     ) -> Self:
         """Return the problem with a changed table ``planner``.
 
-        The horizon becomes 1 for planners not in `looking_ahead`.
+        For planners that are not in `looking_ahead`, the horizon becomes 1.
         """
         now = self.given.planner
         model = cast("Any", type(now))
@@ -131,14 +131,14 @@ def task_of(problem: object) -> Any:
 
 
 def named_task(tables: object) -> str:
-    """Return the task named in the tables of a problem file; default: the first of `MOTION`."""
+    """Return the name of the task in a problem file's tables; default: the first of `MOTION`."""
     name = _entry(_entry(tables, "problem"), "task")
     # A task that is not text fails validation by the motion planning model.
     return name if isinstance(name, str) else MOTION[0]
 
 
 def _entry(table: object, key: str) -> object:
-    """Return an entry of a table; None if the object is not a table."""
+    """Return a table's entry; None if it is missing or the object is not a table."""
     return cast("dict[str, object]", table).get(key) if isinstance(table, dict) else None
 
 

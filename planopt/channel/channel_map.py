@@ -1,4 +1,4 @@
-"""Maps of the posterior: on a grid for users, and on a planner's lattice with updates.
+"""Maps of the posterior: on a user's grid, and on a planner's lattice updated by measurements.
 
 In :class:`TileMap` the nodes of a square tile share the measurements nearest to its centre. A new
 measurement affects only nearby tiles, where it replaces the farthest one by two rank-one updates; a
@@ -238,7 +238,7 @@ class TileMap:
         columns: Floats,
         sign: float,
     ) -> None:
-        """Update the kriging terms for a rank-one change `sign` v v' of P, v = `direction`."""
+        """Update the kriging terms for the change `sign` v v' of P, where v is `direction`."""
         seen = (across @ direction[:, :, None])[:, :, 0]
         projected = sign * (direction[:, None, :] @ columns)
         self._terms.data_db[tiles] += seen * projected[:, :, 0]

@@ -196,7 +196,7 @@ def unwhiten(lower: Floats, columns: Floats) -> Floats:
 
 
 def whiten(lower: Floats, columns: Floats) -> Floats:
-    """Return L^-1 `columns` (n, m) by blocks, because LAPACK would copy a view of a buffer."""
+    """Return L^-1 `columns` (n, m), computed by blocks so that `lower` is not copied."""
     solved = np.array(columns, dtype=np.float64)
     for start in range(0, len(lower), SOLVE_BLOCK):
         rows = slice(start, start + SOLVE_BLOCK)

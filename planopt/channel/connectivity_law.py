@@ -201,7 +201,7 @@ def any_margin_db(
 
 @dataclass(frozen=True, eq=False)
 class KnownPower:
-    """Bounds of the power at positions where readings decide the connection."""
+    """Bounds of the power at positions where readings determine the connection."""
 
     rows: NDArray[np.intp]  # (k,) indices of the positions
     # (k,) bounds of the power; equal for an exact reading, minus infinity for a censored one

@@ -296,7 +296,7 @@ def raster_truth(
     transmit_power_dbm
         Transmit power, added to the gains.
     floor_gain_db
-        Sensitivity floor of the receiver as a gain; smaller gains with fading are clipped to it.
+        Sensitivity floor of the receiver as a gain; gains with fading are clipped to it.
     multipath
         Fading law of each cell; None for no fading.
     generator

@@ -223,7 +223,7 @@ class HeldOutScore:
     pit_share
         ``(b,)`` histogram of the PIT in bins of equal width; the shares sum to one.
     reliability
-        Predicted probability and observed frequency of powers of at least the report's threshold.
+        Predicted probability and observed frequency of powers that reach the report's threshold.
         Censored powers with a limit at or above the threshold are left out.
     """
 

@@ -235,7 +235,7 @@ def _nearest_to(coordinates: Floats, own: Indices, others: Indices, count: int) 
 
 
 def _beyond_box_m2(own: Floats, others: Floats) -> Floats:
-    """Return squared distances of `others` (m, k) from the box around `own` (b, k); ``(m,)``."""
+    """Return squared distances of `others` (m, k) from the bounding box of `own`; ``(m,)``."""
     low, high = own.min(axis=0), own.max(axis=0)
     beyond = np.maximum(np.maximum(low - others, others - high), 0.0)
     return np.einsum("mk,mk->m", beyond, beyond)

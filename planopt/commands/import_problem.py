@@ -63,7 +63,7 @@ def import_problem(
     force: Annotated[bool, option("--force", None, "Replace an existing problem file.")] = False,
     json: JsonOption = False,
 ) -> int:
-    """Make a problem file from a power log and a map, and list what was assumed.
+    """Make a problem file from a power log and a map, and list all assumptions.
 
     Columns, delimiter, units and transmitters are detected, and transmitters are located.
     """

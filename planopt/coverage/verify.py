@@ -107,7 +107,7 @@ def _border_faults(free: shapely.Polygon, swept: NDArray[np.object_], keep_m: fl
 def _contacts(
     swept: NDArray[np.object_], corners: Floats, least_m: float, timed: bool
 ) -> list[Fault]:
-    """Return faults of pairs within `least_m`: at equal times if `timed`, else at any times."""
+    """Return contact faults of pairs within `least_m`, at equal times if `timed`, else at any."""
     tree = shapely.STRtree(swept)
     pairs = tree.query(swept, predicate="dwithin", distance=least_m)
     found: list[Fault] = []

@@ -44,7 +44,7 @@ class ConvexRegion:
     area_m2: float  # Area in square metres
 
     def excess_m(self, places_m: Floats) -> Floats:
-        """Return the largest ``normals @ q - offsets_m`` of positions ``(n, 2)``; (n,)."""
+        """Return the maximum of ``normals @ q - offsets_m`` for positions q ``(n, 2)``; (n,)."""
         return (places_m @ self.normals.T - self.offsets_m).max(axis=1)
 
     def contains(self, places_m: Floats) -> Mask:

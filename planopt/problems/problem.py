@@ -217,7 +217,7 @@ class Problem:
 
     @property
     def task(self) -> Task:
-        """Return the task of the problem: reach, or that of the first term."""
+        """Return the task of the problem: reach, or the first term's task."""
         if isinstance(self.objective, ReachObjective):
             return "reach"
         return cast("Task", self.objective.terms[0].task or "custom")

@@ -133,7 +133,7 @@ class Case:
         return self.period_s_m * self.evader_m_s
 
     def lagged(self) -> Case:
-        """Return the case with age and error per distance to the last sampled position."""
+        """Return the case with bounds per metre of distance to the last sampled position."""
         share = 1.0 / (1.0 - self.lag)
         return replace(self, age_s_m=share * self.age_s_m, error=share * self.error)
 

@@ -129,7 +129,7 @@ class Zigzag(Table):
 
 
 class Foresighted(Table):
-    """An evader that plans two legs to maximise its distance from directly chasing pursuers."""
+    """An evader that plans two legs to maximise its distance from pursuers that chase directly."""
 
     # Obstacles are ignored.
 

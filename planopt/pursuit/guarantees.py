@@ -204,7 +204,7 @@ def capture_guarantees(chase: Chase, bounds: ServiceBounds) -> dict[Theorem, Gua
 def guarantees_among_obstacles(
     chase: Chase, bounds: ServiceBounds, detour: float
 ) -> dict[Distances, dict[Theorem, Guarantee]]:
-    """Return the guarantees among obstacles, where shortest paths exceed straight distances."""
+    """Return the guarantees among obstacles, for shortest paths and for straight distances."""
     # The bounds of a service refer to straight distances. For path lengths, ages are unchanged and
     # errors grow by the detour factor. For straight distances, errors are unchanged and the
     # pursuer's speed is divided by the factor; this case is omitted if the evader is not slower.

@@ -61,7 +61,7 @@ class StraightMotion:
         return place_m
 
     def towards(self, states: Floats, aims_m: Floats, step_s: float) -> Floats:
-        """Return positions after driving straight, with a stop at the point."""
+        """Return positions after a straight drive, which stops at the point."""
         offset = aims_m - states
         away = np.linalg.norm(offset, axis=-1, keepdims=True)
         share = np.minimum(1.0, self.speed_max_m_s * step_s / np.maximum(away, ARRIVED_M))
@@ -178,14 +178,14 @@ def fresher(found: Record, held: Record | None) -> bool:
 
 @dataclass(frozen=True)
 class DriveToReport:
-    """Pursuit that drives to the reported position, around obstacles."""
+    """Policy that drives to the reported position, around obstacles."""
 
     # Whether a fresher record is used at once; otherwise the next one is taken on arrival, in
     # stages, as the guarantees require
     retarget: bool = False
 
     def begin(self, quest: Quest) -> Driver:
-        """Return a driver without a record."""
+        """Return a driver that has no record yet."""
         return _ReportDriver(self, quest)
 
 
@@ -217,7 +217,7 @@ def _remaining(route_m: Floats, view: PursuerView, quest: Quest) -> Floats:
 
 @dataclass(frozen=True)
 class RecedingHorizon:
-    """Pursuit that predicts the evader N plan steps ahead and drives to the first meeting point."""
+    """Policy that predicts the evader N plan steps ahead and drives to the first meeting point."""
 
     # A plan is made for every fresher record, and once per plan step.
 
@@ -226,7 +226,7 @@ class RecedingHorizon:
     manoeuvre_s: float  # Correlation time of the evader's velocity
 
     def begin(self, quest: Quest) -> Driver:
-        """Return a driver without an estimate."""
+        """Return a driver that has no estimate yet."""
         return _PlanningDriver(self, quest)
 
 
@@ -259,7 +259,7 @@ def predicted(estimate: Estimate, time_s: float, speed_m_s: float, manoeuvre_s: 
 
 
 def updated(estimate: Estimate, record: Record) -> Estimate:
-    """Return the estimate at the time of a record, updated with it."""
+    """Return the estimate updated with a record, at the record's time."""
     variance = record.error_m**2 / 6.0
     gain = estimate.covariance[:, 0] / (estimate.covariance[0, 0] + variance)
     mean = estimate.mean + np.outer(gain, record.reported_m - estimate.mean[0])

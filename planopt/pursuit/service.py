@@ -358,7 +358,7 @@ def simulate_flooding(
 
 
 class _Round:
-    """One round of a level, with arrays ``(m, m, 3 s, 3 s)`` over m by m cells of s by s motes."""
+    """Flooding in one round of a level: m by m cells of s by s motes, arrays (m, m, 3 s, 3 s)."""
 
     def __init__(
         self,

@@ -88,7 +88,7 @@ class Reports:
 
 @dataclass(frozen=True, eq=False)
 class PursuitLog:
-    """A logged pursuit of n steps."""
+    """Log of a pursuit with n steps."""
 
     times_s: Floats  # (n + 1,)
     states: tuple[Floats, ...]  # (n + 1, 2) per pursuer, or (n + 1, 3) with the heading

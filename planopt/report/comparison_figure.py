@@ -277,7 +277,7 @@ def draw_traces(comparison: Comparison) -> Figure | None:
 
 
 def _trace_tables(comparison: Comparison) -> dict[str, dict[int, NDArray[np.float64]]]:
-    """Return the traces that change over time: by name, arrays (runs, steps) by setting number."""
+    """Return arrays (runs, steps) by trace and setting number, for traces that change."""
     tables: dict[str, dict[int, NDArray[np.float64]]] = {}
     names = dict.fromkeys(name for run in comparison.runs for name in run.traces)
     for name in names:

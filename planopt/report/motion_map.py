@@ -238,7 +238,7 @@ def draw_clearance(panel: Panel, problem: Problem, window: Bounds) -> list[Artis
 def draw_connected_track(panel: Panel, log: StepLog) -> list[Artist]:
     """Draw an executed path: solid on white where connected, dashed on black where not.
 
-    Lightness and dashes distinguish both without colour. A step has the state at its end.
+    Lightness and dashes distinguish both without colour. A step's state is that at its end.
     """
     entries: list[Artist] = []
     for label, colour, casing, dashes, state in (

@@ -243,7 +243,7 @@ def draw_design(task: DesignTask, data: Mapping[str, Any]) -> Figure:
 
 
 def _draw_power(panel: Panel, task: DesignTask, data: Mapping[str, Any]) -> None:
-    """Draw power over slot width, from the payload's slot to the widest, by number of bits."""
+    """Draw power over slot width, up to the widest feasible slot, for each number of bits."""
     rows = [row for row in data["cost_curve"] if row["objective"] is not None]
     least = sorted(rows, key=lambda row: row["objective"])[:CURVES]
     for number, row in enumerate(sorted(least, key=lambda row: row["bits_per_axis"])):

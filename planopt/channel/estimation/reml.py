@@ -143,7 +143,7 @@ def thinned(count: int, limit: int) -> Indices:
 
 
 def variances(logs: Floats) -> Covariance:
-    """Return (xi^2, omega^2, beta) for logarithms of them."""
+    """Return (xi^2, omega^2, beta), given their logarithms."""
     shadow, nugget, beta = np.exp(logs)
     return float(shadow), float(nugget), float(beta)
 

@@ -437,7 +437,7 @@ def theta_by_position(measurements: Measurements, parameters: ChannelParameters)
 
 
 def _whitened_jacobian(surface: StationSurface, parameters: ChannelParameters) -> Floats:
-    """Return L^-1 J at the estimate; ``(n, 4)``."""
+    """Return the whitened Jacobian L^-1 J at the estimate; ``(n, 4)``."""
     jacobian = _mean_jacobian(surface.positions_m, parameters.station, parameters.n_pl)
     return solve_lower(surface.lower, jacobian)
 

@@ -117,7 +117,7 @@ class LogFormat(Part):
 
     @classmethod
     def of_keys(cls, table: Any) -> dict[str, Any]:
-        """Return the fields for table keys; the row filter becomes pairs of column and text."""
+        """Return the fields from the table's keys; the row filter becomes pairs."""
         return {**super().of_keys(table), "where": tuple(table.where.items())}
 
 

@@ -144,7 +144,7 @@ class LogTable:
 
 
 def fold(name: str) -> str:
-    """Return the lower case letters and digits of a name."""
+    """Return a name reduced to lower-case letters and digits."""
     return "".join(letter for letter in name.lower() if letter.isalnum())
 
 

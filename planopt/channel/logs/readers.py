@@ -76,7 +76,7 @@ class LogReader:
 
 @dataclass(frozen=True)
 class LogColumns:
-    """Columns of a log by role; None if there are none."""
+    """Columns of a log by role; None for a role without a column."""
 
     x: str
     y: str
@@ -165,7 +165,7 @@ def columns_of(table: LogTable, log_format: LogFormat) -> LogColumns:
 def _position_columns(
     table: LogTable, log_format: LogFormat, x: str | None, y: str | None
 ) -> tuple[bool, str, str]:
-    """Return whether positions are in degrees, and their columns; metres are preferred."""
+    """Return a flag for degrees and the position columns; columns in metres are preferred."""
     degrees = [alias(table, role) for role in DEGREES]
     metres = [alias(table, role) for role in ("x", "y")]
     in_degrees = None not in degrees and (

@@ -46,7 +46,7 @@ class Gains:
     coverage_per_s: float = 1.0  # Gain k_2 of covering agents, in 1/s
 
     def shares(self, responds: Mask, time_step_s: float) -> Floats:
-        """Return the share of its distance to the target that each agent moves in a step; (n,)."""
+        """Return the share of the distance to its target that each agent moves in a step; (n,)."""
         largest = max(self.event_per_s, self.coverage_per_s) * time_step_s
         if not 0.0 < largest <= 1.0 + 1e-12:
             raise InputError(

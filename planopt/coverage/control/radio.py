@@ -1,6 +1,6 @@
 """Trees of radio links that moving agents maintain.
 
-Each agent is connected to a base station over its parent in a tree. The failure probabilities of
+Each agent is connected to a base station via its parent in a tree. The failure probabilities of
 the links along a path are added (union bound), so links need not be independent. Each link may
 grow until it uses up its share of the allowed sum; both ends stay in a disc of that diameter.
 """

@@ -6,7 +6,7 @@ of a ratio of sums is estimated by linearisation, as in cluster sampling. For g 
 are those of Student's t with g - 1 degrees of freedom.
 
 A reliability table bins predictions by the predicted probability of connection and compares the
-mean of each bin with the realised share. Its intervals for cluster surveys are by Korn and Graubard
+mean of each bin with the realised share. Its intervals are those of Korn and Graubard for surveys
 ("Confidence intervals for proportions with small expected number of positive counts estimated from
 survey data", Survey Methodology 24(2), 1998): the share's variance gives the effective number of
 independent outcomes, whose exact binomial interval is used. If all outcomes in a bin are equal, the

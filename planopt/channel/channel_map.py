@@ -119,7 +119,7 @@ class TileMap:
         return trend.reshape(*self.mean_db.shape, 2)
 
     def _mark(self, posterior: ChannelPosterior, wanted: Mask) -> tuple[Indices, Indices]:
-        """Return tiles that swap one neighbour for a new measurement, and the new one's index."""
+        """Return the tiles that one new measurement updates, and the measurement's index."""
         # All other affected tiles are marked dirty.
         measured, last = posterior.measurements, self._last
         before = 0 if last is None else len(last.measurements)

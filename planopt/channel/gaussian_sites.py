@@ -314,7 +314,7 @@ def _conditioned(
 
 
 def needs_site(measurements: Measurements, noise_variance_db2: float) -> Mask:
-    """Return a mask of measurements that need a site: censored or too coarse for Sheppard."""
+    """Return a mask of measurements that need a site: censored or coarsely rounded ones."""
     # `noise_variance_db2` is omega^2; the result is a mask ``(n,)``.
     finest = FINE_STEP * np.sqrt(noise_variance_db2)
     return measurements.censored | (measurements.resolution_db > finest)

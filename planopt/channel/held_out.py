@@ -102,7 +102,7 @@ def learn_plain_line(measurements: Measurements, station: Station) -> Predictor:
 def _line_predictor(
     measurements: Measurements, station: Station, *, unbiased: bool = False
 ) -> Predictor:
-    """Learn a least-squares line; with `unbiased`, its variance has n - 2 degrees of freedom."""
+    """Learn a least-squares line; `unbiased` selects the unbiased residual variance."""
     identifiable = examine(measurements, station).n_pl_reason is None
     model = mean_model(measurements.positions_m, ~measurements.censored, station, identifiable)
     line = least_squares(model, measurements)

@@ -157,7 +157,7 @@ class Window:
 
 
 def place_blocks(coordinates: Floats, most: int) -> tuple[Indices, ...]:
-    """Divide positions (n, k) into compact blocks of nearly `most`, each with ascending indices."""
+    """Divide positions (n, k) into compact blocks of about `most`; return ascending indices."""
     blocks: list[Indices] = []
     pending = [(np.arange(len(coordinates)), -(-len(coordinates) // most))]
     while pending:

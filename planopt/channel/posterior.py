@@ -418,7 +418,7 @@ def _append(posterior: ChannelPosterior, more: Measurements, sites: Sites) -> Ch
 
 
 def _with_theta(posterior: ChannelPosterior, products: Floats) -> ChannelPosterior:
-    """Return the posterior with theta estimated by its rule from `products`."""
+    """Return the posterior with theta estimated from `products`, according to its rule."""
     if posterior.theta_known:
         return posterior
     theta, covariance = theta_estimate(posterior.parameters, products)

@@ -235,7 +235,7 @@ SHOWN_LEVELS = (0.5, 0.8, 0.95)
 
 
 def held_out(log: Path, fitted: LogFit, text: str, threshold_dbm: float | None) -> HeldOutReport:
-    """Predict each group of the columns in `text` from all others, and score the predictions.
+    """Predict each group (by the columns in `text`) from all others, and score the predictions.
 
     Powers of at least `threshold_dbm` count as connected; None selects the median power.
     """

@@ -347,7 +347,7 @@ def _gauss(nodes: int) -> tuple[Floats, Floats]:
 
 
 def _between(edges: Floats, start: Floats, end: Floats) -> tuple[Indices, Indices]:
-    """Return pairs (l,) of coordinate pair and grid line strictly between its coordinates."""
+    """Return interval and line numbers (l,) of all grid lines strictly inside intervals (e,)."""
     low, high = np.minimum(start, end), np.maximum(start, end)
     begin = np.searchsorted(edges, low, side="right")
     counts = np.maximum(np.searchsorted(edges, high, side="left") - begin, 0)

@@ -74,7 +74,7 @@ def mean_blocks_per_frame(border_relays: bool, levels: int) -> float:
 
 
 class MoteNetwork(Table):
-    """``[network]``: motes and their radios; costs apply to motes far from the edges."""
+    """Table ``[network]``: motes and their radios; costs are those of motes far from the edges."""
 
     levels: int = Field(ge=1, le=MAX_LEVELS)
     """Number of levels L; there are 4^L motes."""

@@ -49,7 +49,7 @@ REPORT_SHARE = 2.0
 
 @dataclass(frozen=True)
 class Chase:
-    """A pursuer and an evader."""
+    """Speeds of a pursuer and an evader, and the pursuer's delay per stage."""
 
     evader_speed_m_s: float  # Maximum speeds
     pursuer_speed_m_s: float
@@ -228,7 +228,7 @@ def guarantees_among_obstacles(
 
 
 def contraction(speed_ratio: float, relative_error: float) -> float:
-    """Return a = 1/alpha + kappa (1 + 1/alpha), that is (alpha + k + 1) / (k alpha)."""
+    """Return a = 1/alpha + kappa (1 + 1/alpha), the contraction per stage."""
     return 1.0 / speed_ratio + relative_error * (1.0 + 1.0 / speed_ratio)
 
 

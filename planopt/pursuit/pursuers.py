@@ -57,7 +57,7 @@ class StraightMotion:
     turning_s: float = 0.0
 
     def start(self, place_m: Floats) -> Floats:
-        """Return the position."""
+        """Return the position as the initial state."""
         return place_m
 
     def towards(self, states: Floats, aims_m: Floats, step_s: float) -> Floats:

@@ -157,7 +157,7 @@ class Track:
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """Last completed round of each level, for one object."""
+    """Reports on one object from the last completed round of each level."""
 
     service: SnapshotService
     time_s: float  # Time of the snapshot
@@ -222,7 +222,7 @@ def mote_centres_m(service: SnapshotService) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """Record of an evader."""
+    """Reported position of an evader with sample time and maximum error."""
 
     sampled_s: float  # Sample time
     reported_m: Floats  # (2,)

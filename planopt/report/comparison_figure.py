@@ -148,7 +148,7 @@ def draw_comparison(comparison: Comparison) -> Figure:
     """Draw mean and interval of every metric by horizon or swept key, single runs as faint dots.
 
     Metrics with the same value in every run are listed below. Two more panels show the runs that
-    did not reach the goal, if any, and the step times (median, and up to the 95 % quantile).
+    did not reach the goal, if any, and the step times (median and 95 % quantile).
     """
     layout = layout_of(comparison)
     shown = dict.fromkeys(row.metric for row in comparison.rows if row.mean is not None)

@@ -202,7 +202,7 @@ def draw_no_plan(
 
 
 def _sheet(problem: Problem, series: Sequence[Series]) -> tuple[Figure, list[Panel], list[Panel]]:
-    """Return a figure, its map panels, and panels of series next to one map or below two."""
+    """Return a figure, its map panels, and its panels of series next to or below the maps."""
     layers, shares = layers_of(problem), [share for _, share in series]
     if len(layers) == 1:
         size = 15.0, max(7.6, 1.2 + 1.65 * sum(shares))

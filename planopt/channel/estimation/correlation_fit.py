@@ -146,7 +146,7 @@ def lemma1_fit(
 def convex_fit(
     bins: LogBins, alpha_db2: float, count: int, bounds: CovarianceBounds, loss: Loss = "squares"
 ) -> CovarianceFit:
-    """Estimate by ``min sum rho(sqrt(tau) (log r - a + b d))`` subject to the constraints."""
+    """Estimate by ``min sum rho(sqrt(tau) (log r - a + b d))`` within the parameters' bounds."""
     # With squares it equals `lemma1_fit` on the same bins if no constraint is active.
     if loss == "squares":
         intercept, rate = _convex_line(bins, alpha_db2, bounds, loss)

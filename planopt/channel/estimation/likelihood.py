@@ -4,7 +4,7 @@ With V = xi^2 exp(-d / beta) + noise and the columns C = [y, X], the likelihood 
 log |V| and C' V^-1 C (equations 2.6 and 2.7). X has the columns of the mean, whose coefficients
 have a flat prior, and indicators of all receivers except number 0, with a normal prior.
 
-A short log is one window, and the inverse of its covariance gives everything. For long logs,
+A short log is one window; the inverse of its covariance gives value and gradient. For long logs,
 Vecchia's approximation is the product over blocks of the density of a block given nearby earlier
 measurements (:mod:`planopt.channel.neighbours`). Let L be the Cholesky factor of a window's
 covariance with the earlier measurements first, A the block's rows of L^-1 (the last ones),

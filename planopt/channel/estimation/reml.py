@@ -328,7 +328,7 @@ def minimise_damped(
 
 
 def _updated(curvature: Floats, moves: Iterable[tuple[Floats, Floats]]) -> Floats:
-    """Return `curvature` after BFGS updates by pairs (step, gradient change), if positive."""
+    """Return `curvature` after BFGS updates; pairs of nearly no curvature are skipped."""
     for step, change in moves:
         along = curvature @ step
         observed, expected = float(step @ change), float(step @ along)

@@ -55,7 +55,7 @@ def escaped(line: str) -> str:
 
 
 def require_text(text: str, what: str) -> None:
-    """Raise an error for text that UTF-8 cannot encode, such as a file name with invalid bytes."""
+    """Raise an InputError if UTF-8 cannot encode `text`, as for a file name with invalid bytes."""
     try:
         text.encode()
     except UnicodeEncodeError:
@@ -65,7 +65,7 @@ def require_text(text: str, what: str) -> None:
 
 
 def path_of(key: str, value: Any, remedy: str) -> Path:
-    """Return a path supplied by the user."""
+    """Return a file path supplied by the user; raise an InputError for one that is not valid."""
     try:
         return Path(value)
     except TypeError:
@@ -73,7 +73,7 @@ def path_of(key: str, value: Any, remedy: str) -> Path:
 
 
 def listed(names: Iterable[str]) -> str:
-    """Return the first names for a message, and the number of the others."""
+    """Return the first names, and the number of the others, as text for a message."""
     known = list(names)
     shown = ", ".join(_cut(name, LONGEST_WORD // 5) for name in known[:LISTED])
     more = len(known) - LISTED
@@ -93,11 +93,11 @@ _PREDICATE = re.compile(
     "|begins?|ends?|returned|reads|lacks|leaves?|covers?|divides?|crosses|visits|makes?|sets|lets"
     "|keeps?|differ|applies|refers|belongs) "
 )
-"""Messages that begin with a predicate; their subject is the key or the file."""
+"""Pattern of messages that begin with a verb; their subject is the key or the file."""
 
 
 def _sentence(where: list[str], message: str) -> str:
-    """Return the location and the message; its last part is the subject of a bare predicate."""
+    """Return location and message; the last part of the location is the subject of a bare verb."""
     if where and _PREDICATE.match(message):
         *before, subject = where
         words = f"{subject} {message}"
@@ -166,4 +166,4 @@ class OutputError(PlanoptError):
 
 
 class NoPlanError(PlanoptError):
-    """Error raised if provably no plan exists, for instance because obstacles cut off the goal."""
+    """Error raised if it is proven that no plan exists, for instance behind closed obstacles."""

@@ -59,7 +59,7 @@ from planopt.errors import InputError
 from planopt.plain_values import make_plain
 
 LIKE_WORDS = 0.9
-"""Minimum similarity, ignoring word order, at which one key is suggested for another."""
+"""Minimum similarity, ignoring word order, at which a known key is suggested for an unknown one."""
 
 LONGEST_KEY = 100
 """Maximum length of a word that is compared with known keys and names."""
@@ -69,7 +69,7 @@ KeyPath = tuple[str | int, ...]
 
 @runtime_checkable
 class OpenTables(Protocol):
-    """Alternative tables that become known only when a file is read."""
+    """Alternative tables of a key that are registered at run time."""
 
     def tables(self) -> Sequence[type[BaseModel]]:
         """Return the models of the alternatives."""
@@ -95,7 +95,7 @@ def input_error(
     file: Path | str | None = None,
     table: str | None = None,
 ) -> InputError:
-    """Return a single error for a failed validation."""
+    """Return one InputError for a failed validation; an unknown key is reported first."""
     faults = error.errors(include_url=False)
     fault = min(faults, key=lambda item: item["type"] != "extra_forbidden")
     path, fields, field = _resolve(fault["loc"], model)
@@ -105,13 +105,13 @@ def input_error(
             message = "is not a known key"
             remedy = nearest(str(path[-1]), list(fields))
         case "missing" if isinstance(path[-1], int):
-            # Too short an array: pydantic reports the absent numbers as missing.
+            # pydantic reports the absent numbers of a short array as missing.
             path = path[:-1]
             message = f"is {shown(fault['input'])}, should have more numbers"
         case "missing":
             message = "is missing"
         case "union_tag_not_found" | "union_tag_invalid":
-            # No alternative of the table is of this kind.
+            # The table's kind matches no alternative.
             path, context = (*path, "kind"), fault.get("ctx", {})
             message = (
                 f"is {shown(context['tag'])}, should be one of {context['expected_tags']}"
@@ -184,7 +184,7 @@ def _sorted_words(key: str) -> str:
 
 
 def _allowed(fault: ErrorDetails, field: FieldInfo | None) -> str:
-    """Return the allowed values as text."""
+    """Return the values that a faulty key allows, as text for the message."""
     kind = fault["type"]
     if kind in _RANGE_TYPES and field is not None and (bounds := _bounds_of(field)):
         words = {"gt": "more than", "ge": "at least", "lt": "less than", "le": "at most"}
@@ -212,7 +212,7 @@ def _within(fault: ErrorDetails, field: FieldInfo) -> str:
     """Return the remedy for a number out of range, with an example."""
     bounds = _bounds_of(field)
     limit = _LIMITS.get(fault["type"], "le")
-    # The numbers of an array have limits of their own.
+    # Elements of an array have their own limits.
     bounds.setdefault(limit, float(fault.get("ctx", {})[limit]))
     low = bounds.get("gt", bounds.get("ge", -math.inf))
     high = bounds.get("lt", bounds.get("le", math.inf))
@@ -259,7 +259,7 @@ def _kinds(model: type[BaseModel]) -> tuple[object, ...]:
 
 
 def _tables(annotation: Any) -> list[type[BaseModel]]:
-    """Return all classes of tables that an annotation names, registered ones included."""
+    """Return all table classes in an annotation, including registered ones."""
     if isinstance(annotation, OpenTables):
         return list(annotation.tables())
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
@@ -338,7 +338,7 @@ class ValidatedAs:
     def __get_pydantic_core_schema__(
         self, source: object, handler: GetCoreSchemaHandler
     ) -> CoreSchema:
-        """Return the schema of the other type."""
+        """Return pydantic's schema of the type that validates the key."""
         return handler.generate_schema(self._kind)
 
 
@@ -412,12 +412,12 @@ class Part(metaclass=Documented):
         return {name: getattr(table, name) for name in names}
 
     def fault(self) -> str | None:
-        """Return a conflict between values as "fault: remedy", or None."""
+        """Return a conflict between the part's values as "fault: remedy"; None if there is none."""
         return None
 
     @classmethod
     def of_table(cls: type[Of], table: Any) -> Of:
-        """Return the part described by a validated table."""
+        """Create the part from a validated table."""
         made = object.__new__(cls)
         for name, value in cls.of_keys(table).items():
             object.__setattr__(made, name, value)
@@ -442,7 +442,7 @@ class Part(metaclass=Documented):
 
 
 class ReadAs:
-    """Marker for a key whose value is an object of given types, or a table describing one."""
+    """Marker for a key whose value is an object of certain types, or a table describing one."""
 
     def __init__(
         self,
@@ -457,7 +457,7 @@ class ReadAs:
         self._to_keys, self._needs_folder = to_keys, needs_folder
 
     def tables(self) -> Sequence[type[BaseModel]]:
-        """Return the table that describes the object."""
+        """Return the model of the table that describes the object."""
         return (self._table,)
 
     def __get_pydantic_core_schema__(
@@ -516,7 +516,7 @@ def made_of(data: type[Any], table: BaseModel) -> Any:
 
 
 def saved(value: Any) -> Any:
-    """Return a value as JSON data: parts become tables, without keys that have no value."""
+    """Return a value as JSON data; parts become tables without their unset keys."""
     if isinstance(value, Part):
         value = {key: one for key, one in value.to_keys().items() if one != ()}
     if isinstance(value, Mapping):

@@ -2,8 +2,8 @@
 
 The stub ``__init__.pyi`` next to a package's ``__init__.py`` lists each public name once, as ``from
 module import Name as Name``; subpackages are listed like names. Both type checkers and
-:func:`lazy_names` read the stub. If a package lacks a name, the stubs of all packages are searched,
-so that the error gives its location or the most similar name.
+:func:`lazy_names` read the stub. The error for an unknown name gives its location in another
+package, found in the stubs of all packages, or the most similar name.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from types import FrameType
 from typing import Any
 
 LIKE = 0.75
-"""Minimum similarity at which one name is suggested for another."""
+"""Minimum similarity at which a known name is suggested for an unknown one."""
 
 
 def lazy_names(
@@ -62,13 +62,13 @@ def _listed_names(stub: str) -> dict[str, str]:
 
 def _is_import(frame: FrameType) -> bool:
     """Return whether a frame executes ``from package import name``."""
-    import opcode  # needed for errors only, so imports stay fast
+    import opcode  # Only errors need it, so imports stay fast
 
     return opcode.opname[frame.f_code.co_code[frame.f_lasti]] == "IMPORT_FROM"
 
 
 def _hint(package: str, name: str) -> str:
-    """Return the location of a name, or the most similar name, as the end of a message."""
+    """Return the end of a message: the location of a name, or the most similar name."""
     if name.startswith("_"):
         return ""
     import difflib

@@ -90,7 +90,7 @@ class Registry:
         self.registered[require_name(name, self.of, self.own, key=key)] = part
 
     def find(self, name: object) -> Any:
-        """Return the part registered under `name`, imported if necessary."""
+        """Return the part registered under `name`, after importing it if necessary."""
         if not isinstance(name, str) or name not in self.names():
             remedy = f"use one of {', '.join(self.names())}"
             raise InputError(f"is {name!r}", key=self.key, remedy=remedy)
@@ -125,7 +125,7 @@ def is_own(part: object) -> bool:
 def calling(
     part: object, method: str, *, key: str | None = None, remedy: str | None = None
 ) -> Generator[None]:
-    """Convert an exception in a user-defined part to an error with class, method and line."""
+    """Convert an exception in a user-defined part to an InputError with class, method and line."""
     try:
         yield
     except PlanoptError:

@@ -36,7 +36,7 @@ def plain(value: Any) -> Any:
 def make_plain(data: Any, *files: str) -> None:
     """Convert the fields of a frozen dataclass to plain values during initialisation.
 
-    Text in the fields `files` is converted to paths.
+    The fields named in `files` are converted to paths.
     """
     for part in fields(data):
         if not part.init:

@@ -14,7 +14,7 @@ from planopt.short_repr import short_repr
 
 @dataclass(frozen=True, eq=False)
 class Potential:
-    """Function V on a mesh, quadratic on each triangle: the certificate of a bound."""
+    """Certificate of a bound: a function V that is quadratic on each triangle of a mesh."""
 
     nodes_m: NDArray[np.float64]  # (n, 2); node 0 is the start
     corners: NDArray[np.intp]  # (t, 3) ascending nodes of all triangles
@@ -43,9 +43,9 @@ class Bound:
     reason
         Reason why there is no bound; empty if there is one.
     relaxed
-        Constraints that the bound ignores. It holds with them, and is looser.
+        Constraints that the bound ignores. Ignoring them keeps the bound valid, but loosens it.
     wall_s
-        Time until the bound was found.
+        Wall time of the bound's computation, in seconds.
     certificate
         Data from which ``planopt check`` verifies the bound without a solver; None if not needed.
 
@@ -76,7 +76,7 @@ class Bound:
 
 
 def total_bound(bounds: Sequence[Bound], sense: Literal["min", "max"]) -> Bound:
-    """Return the bound on the sum of the objectives of robots; none if one robot has none."""
+    """Return the sum of the robots' bounds; without a value if one robot has none."""
     cost = sum(bound.cost for bound in bounds)
     if len(bounds) == 1:
         return bounds[0]

@@ -1,10 +1,10 @@
 """Enclosures of the predicted power over discs: certified ranges of mean, variance, probability.
 
-With phi the covariances of a place with the measurements, the mean is ``f' theta + phi' w`` and the
-variance ``omega^2 + xi^2 - phi' U^-1 phi + r' M r`` with ``r = f - A' phi`` (equation 1.8). Over a
-disc of radius rho about c every phi_l is enclosed by its tangent and a remainder (convexity of the
-distance), by its natural range where the disc may hold the measured position, and the quadratic
-form by ``phi(c)' U^-1 phi(c) + 2 a' delta + [0, D]`` (equation 6.13).
+Let phi be the covariances of a position with the measurements. The mean is ``f' theta + phi' w``,
+the variance ``omega^2 + xi^2 - phi' U^-1 phi + r' M r``, r = f - A' phi (equation 1.8). Over a disc
+of radius rho about c, each phi_l is enclosed by its tangent and a remainder, since distance is
+convex; if the disc may hold the measured position, by its range. The quadratic form is enclosed
+by ``phi(c)' U^-1 phi(c) + 2 a' delta + [0, D]`` (equation 6.13).
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ from planopt.channel.posterior import ChannelPosterior
 Array = NDArray[np.float64]
 
 DISCS_AT_ONCE = 512
-"""Their covariances with the measurements stay in the processor's cache."""
+"""Number of discs per block; their covariances with the measurements fit into the cache."""
 
 ROUNDING = 1e-9
-"""Relative widening of every range: far above the rounding errors of the sums behind it."""
+"""Relative widening of every range, far above the rounding errors of its sums."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class AffineBound:
 
 @dataclass(frozen=True)
 class PowerModel:
-    """Mean and variance of the predicted power over discs: tangents and ranges beyond them.
+    """Mean and variance of the predicted power over n discs, as tangents plus remainder ranges.
 
     Every array is ``(n,)``, slopes ``(2, n)``; powers in dB, variances in dB^2.
     """
@@ -61,13 +61,13 @@ class PowerModel:
     least_variance: float
 
     def probability_above(self, threshold_dbm: float) -> AffineBound:
-        """Bound the probability that the power reaches the threshold from above (equation 6.15)."""
+        """Return upper bounds of P(power >= threshold), affine on each disc (equation 6.15)."""
         over = self.mean_db - threshold_dbm
         deviation = np.sqrt(self.variance_db2)
         z = over / deviation
         by_variance = -0.5 * z / self.variance_db2
         slope = self.mean_slope / deviation + by_variance * self.variance_slope
-        # Largest steps of mean and variance within the disc, and what is beyond the tangent of z.
+        # Largest changes of mean and variance within the disc, and remainder of the tangent of z.
         mean_step = np.hypot(*self.mean_slope) * self.radius_m
         mean_step = mean_step + np.maximum(np.abs(self.mean_low), np.abs(self.mean_high))
         step = np.hypot(*self.variance_slope) * self.radius_m
@@ -86,16 +86,16 @@ class PowerModel:
         value = ndtr(z) + 0.5 * bend * steep**2
         value += np.where(beyond > 0.0, peak * beyond, 0.0) + ROUNDING
         most = np.minimum(self._largest_probability(threshold_dbm), 1.0)
-        # Far off the centre the tangent says less than the largest value over the disc.
+        # Far from the centre, the tangent is looser than the largest value over the disc.
         flat = value + density * steep * 0.5 > most
         return AffineBound(np.where(flat, most, value), np.where(flat, 0.0, density * slope).T)
 
     def probability(self, threshold_dbm: float) -> Array:
-        """Return the probability that the power reaches the threshold at the centres; (n,)."""
+        """Return P(power >= threshold) at the centres; (n,)."""
         return ndtr((self.mean_db - threshold_dbm) / np.sqrt(self.variance_db2))
 
     def _largest_probability(self, threshold_dbm: float) -> Array:
-        """Largest probability over each disc by the ranges of mean and variance; (n,)."""
+        """Return the largest P(power >= threshold) over each disc by interval arithmetic; (n,)."""
         mean_step = np.hypot(*self.mean_slope) * self.radius_m
         step = np.hypot(*self.variance_slope) * self.radius_m
         over = self.mean_db - threshold_dbm + mean_step + self.mean_high
@@ -106,18 +106,18 @@ class PowerModel:
 
 
 def _largest_bend(low: Array, high: Array) -> Array:
-    """Largest second derivative ``-x exp(-x^2 / 2) / sqrt(2 pi)`` of Phi over [low, high]."""
+    """Return the largest ``-x exp(-x^2 / 2) / sqrt(2 pi)``, which is Phi'', over [low, high]."""
     at = np.minimum(np.maximum(low, -1.0), high)
     return np.maximum(-at * np.exp(-0.5 * at**2) / np.sqrt(2.0 * np.pi), 0.0)
 
 
 def _largest_density(low: Array, high: Array) -> Array:
-    """Largest density of the standard normal distribution over [low, high]."""
+    """Return the largest density of the standard normal distribution over [low, high]."""
     return np.exp(-0.5 * np.minimum(np.maximum(low, 0.0), high) ** 2) / np.sqrt(2.0 * np.pi)
 
 
 class PowerEnclosure:
-    """Encloses the predicted power over discs, from all measurements of a posterior."""
+    """Certified ranges of the predicted power over discs, from all measurements of a posterior."""
 
     def __init__(self, posterior: ChannelPosterior) -> None:
         self._posterior = posterior
@@ -142,7 +142,7 @@ class PowerEnclosure:
         return PowerModel(radius_m=radius_m, **found, least_variance=noise)
 
     def _block(self, centre: Array, radius: Array) -> tuple[Array, ...]:
-        """Values, tangents and ranges beyond them of mean and variance, over one block of discs."""
+        """Return values, tangents and remainder ranges of mean and variance for some discs."""
         posterior, root, sides, weight = self._posterior, self._root, self._sides, self._weight
         parameters = posterior.parameters
         shadow, beta = parameters.shadow_std_db**2, parameters.decorrelation_m
@@ -150,7 +150,7 @@ class PowerEnclosure:
         theta = posterior.theta
         places = place_origins(centre, posterior.now_s, parameters)
 
-        # Covariances (kappa, n), their gradients (2, kappa, n) and the range of what is beyond.
+        # Covariances (kappa, n), their gradients (2, kappa, n) and the ranges of their remainders.
         phi = covariance_db2(measured, places, parameters)
         blur = None if measured.blur_m2 is None else measured.blur_m2[:, None]
         distance = pairwise_distance_m(measured.positions_m, centre, blur)
@@ -209,7 +209,7 @@ class PowerEnclosure:
 def _trend(
     posterior: ChannelPosterior, centre: Array, radius: Array
 ) -> tuple[Array, tuple[Array, Array]]:
-    """Gradient (2, n) of -10 log10 of the distance to the station, and range beyond the tangent."""
+    """Return gradients (2, n) and remainder ranges of -10 log10 of the station's distance."""
     station = posterior.parameters.station
     scale = 10.0 / np.log(10.0)
     offset = (centre - np.asarray(station.position_m)).T
@@ -230,18 +230,18 @@ def _trend(
 
 
 def _weighted(weight: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Range of the sums of weight times [low, high] over the measurements; (n,) each."""
+    """Return the range of the sums of weight times [low, high] over measurements; (n,) each."""
     one, other = weight * low, weight * high
     return np.minimum(one, other).sum(axis=0), np.maximum(one, other).sum(axis=0)
 
 
 def _scaled(factor: float, low: Array, high: Array) -> tuple[Array, Array]:
-    """Range of factor times [low, high]."""
+    """Return the range of factor times [low, high]."""
     return (factor * low, factor * high) if factor >= 0.0 else (factor * high, factor * low)
 
 
 def _root(covariance: Array) -> Array:
-    """R with R' R = M, for a covariance (2, 2) that may be zero."""
+    """Return R with R' R = M for a covariance M (2, 2), which may be zero."""
     values, vectors = np.linalg.eigh(covariance)
     return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
 
@@ -254,10 +254,10 @@ def _quadratic_rest(
     beta: float,
     noise: float,
 ) -> Array:
-    """Largest value D of delta' U^-1 delta over each disc; (n,).
+    """Return an upper bound D of delta' U^-1 delta over each disc; (n,).
 
-    By the kernel's own norm, ``2 xi^2 (1 - exp(-rho / beta))``, or by the triangle inequality in
-    the norm of U^-1; the smallest eigenvalue of U is at least omega^2.
+    It is the smaller of ``2 xi^2 (1 - exp(-rho / beta))``, from the kernel's own norm, and the
+    triangle inequality in the norm of U^-1, as the smallest eigenvalue of U is at least omega^2.
     """
     by_kernel = -2.0 * shadow * np.expm1(-radius / beta)
     if noise <= 0.0:

@@ -1,4 +1,4 @@
-"""Delaunay meshes of the free space whose sides contain the borders of obstacles."""
+"""Delaunay meshes of the workspace that resolve the boundaries of obstacles."""
 
 from __future__ import annotations
 
@@ -14,38 +14,38 @@ from scipy.spatial import Delaunay
 Array = NDArray[np.float64]
 
 FIRST_NODES = 500
-"""Nodes of the first mesh, obstacles not counted."""
+"""Number of grid nodes of the first mesh, without the nodes on obstacles."""
 
 DEPTH_SHARE = 3e-4
-"""Mesh borders lie so far inside obstacles, in diagonals of the workspace; this leaves room to
-simplify them."""
+"""Depth of mesh borders inside obstacles, as a share of the workspace diagonal. It leaves room to
+simplify the borders."""
 
 DEPTHS_M = (1e-3, 0.3)
-"""Smallest and largest such depth; thin obstacles have a smaller one."""
+"""Smallest and largest depth of mesh borders inside obstacles; thin obstacles get less."""
 
 SNAP_M = 1e-7
-"""Nodes within this distance of the border of the workspace are moved onto it."""
+"""Nodes within this distance of the workspace boundary are moved onto it."""
 
 MAX_SPLITS = 40
-"""Rounds of splitting borders; a border that is still no side of a triangle loosens the bound."""
+"""Maximum rounds of border splitting. Borders not on triangle sides by then loosen the bound."""
 
 AREA_TOLERANCE = 1e-9
-"""Relative tolerance of the area of a mesh, for rounding."""
+"""Relative rounding tolerance of the area of a mesh."""
 
 
 @dataclass
 class Mesh:
-    """Triangulation of the workspace, whose nodes are added one after the other."""
+    """Delaunay triangulation of the workspace that is refined by adding nodes."""
 
     nodes_m: Array  # (n, 2); node 0 is the start
-    borders: NDArray[np.intp]  # (m, 2) nodes at the ends of the parts of borders
-    # By the numbers of a triangle's nodes: least costs at its corners, and that at its centre
+    borders: NDArray[np.intp]  # (m, 2) end nodes of the border segments
+    # Cached by the triangle's node numbers: least costs at its corners, cost at its centre
     known: dict[tuple[int, ...], tuple[float, float, float, float]] = field(
         default_factory=dict[tuple[int, ...], tuple[float, float, float, float]]
     )
 
     def triangles(self) -> NDArray[np.intp]:
-        """Split borders until they are sides; return ascending node numbers (t, 3)."""
+        """Return ascending node triples (t, 3), after splitting borders until all are sides."""
         corners = np.empty((0, 3), dtype=np.intp)
         for _ in range(MAX_SPLITS):
             corners = np.sort(np.asarray(Delaunay(self.nodes_m).simplices, dtype=np.intp), axis=1)
@@ -57,7 +57,7 @@ class Mesh:
         return corners
 
     def split(self, chosen: NDArray[np.bool_]) -> None:
-        """Halve the chosen parts of borders."""
+        """Halve the chosen border segments."""
         ends = self.borders[chosen]
         middle = len(self.nodes_m) + np.arange(len(ends))
         self.nodes_m = np.vstack([self.nodes_m, self.nodes_m[ends].mean(axis=1)])
@@ -77,7 +77,7 @@ class Mesh:
 
 
 def sides_of(corners: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the sides of triangles (t, 3) by the numbers of their ends; (3 t, 2)."""
+    """Return the sides of triangles (t, 3) as pairs of end nodes; (3 t, 2)."""
     return np.vstack([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [0, 2]]])
 
 
@@ -88,7 +88,7 @@ def first_mesh(
     goal_m: Array,
     goal_radius_m: float,
 ) -> Mesh:
-    """Return a mesh of the start, a grid, and the borders of workspace, obstacles and goal."""
+    """Return a mesh with nodes at the start, on a grid and on all boundaries."""
     x0, y0, x1, y1 = bounds_m
     spacing = np.sqrt((x1 - x0) * (y1 - y0) / FIRST_NODES)
     columns, rows = (max(2, round(side / spacing) + 1) for side in (x1 - x0, y1 - y0))
@@ -135,7 +135,7 @@ def first_mesh(
 
 
 def inside_of(polygon: shapely.Polygon, depth_m: float) -> shapely.Geometry:
-    """Return a simpler area inside a polygon, at most about twice the depth smaller."""
+    """Return a simplified area inside a polygon, at most about 2 `depth_m` from its boundary."""
     while depth_m > DEPTHS_M[0]:
         simple = polygon.buffer(-depth_m).simplify(0.9 * depth_m)
         if simple.area > 0.8 * polygon.area and polygon.covers(simple):
@@ -149,8 +149,8 @@ def covers_bounds(
 ) -> bool:
     """Return whether triangles (t, 3) tile the workspace and share their sides.
 
-    Every side belongs to two triangles or lies on the border, and the areas add up to that of the
-    workspace. A continuous function on such a mesh is defined by its values at the nodes.
+    In a tiling, every side belongs to two triangles or lies on the workspace boundary, and the
+    areas add up to the workspace. Node values then define a continuous function.
     """
     x0, y0, x1, y1 = bounds_m
     if not (nodes_m >= (x0, y0)).all() or not (nodes_m <= (x1, y1)).all():
@@ -175,7 +175,7 @@ def doubled_areas(nodes_m: Array, corners: NDArray[np.intp]) -> Array:
 
 
 def enclosing_discs(corners_m: Array) -> tuple[Array, Array]:
-    """Return discs that hold triangles (t, 3, 2): about the longest side, or the circumcircle."""
+    """Return centres and radii of the smallest discs that contain triangles (t, 3, 2)."""
     a, b, c = corners_m[:, 0], corners_m[:, 1], corners_m[:, 2]
     lengths = np.linalg.norm(np.stack([b - c, c - a, a - b], axis=1), axis=2)
     longest = lengths.argmax(axis=1)

@@ -1,7 +1,7 @@
-"""Route problems of planning problems: metre costs and free space of one robot's objective.
+"""Route problem that bounds one robot's objective: cost per metre and free space.
 
-A bound is stated only where every plan of the robot costs at least the cheapest route of the route
-problem. Constraints that would only raise the cost are ignored; they are named.
+A bound is stated only if every plan of the robot costs at least the cheapest route of the route
+problem. Constraints that only raise the cost are ignored and listed.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ LEAST_FADING_DB = 0.05
 """Smallest standard deviation of multipath fading for which probabilities are enclosed."""
 
 SAG_SHARE = 1.001
-"""Factor on the sag of a step, for the verifier's tolerance of inputs."""
+"""Factor on the sag of a step (distance from its chord), for the verifier's input tolerance."""
 
 
 def why_unbounded(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> str:
@@ -62,7 +62,7 @@ def relaxed_constraints(problem: Problem, robots: int) -> tuple[str, ...]:
 
 
 def longest_sag_m(problem: Problem) -> float | None:
-    """Return how far a step may be from its chord, in metres; None if unknown (equation 6.16)."""
+    """Return the maximum distance of a step from its chord; None if unknown (equation 6.16)."""
     dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
     if type(dynamics) is SingleIntegrator:
         return 0.0
@@ -77,7 +77,7 @@ def route_problem(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> R
     """Return the route problem of the first robot of a problem."""
     reach, constraints = problem.reach, problem.constraints
     slack_db = constraints.rule.slack_max_db or 0.0
-    # Beyond the horizon a geodesic cost-to-go does not charge outage.
+    # A geodesic cost-to-go does not penalise outage beyond the horizon.
     price = reach.outage_price if reach.cost_to_go == "connected" else 0.0
     return RouteProblem(
         bounds_m=problem.workspace.bounds_m,

@@ -39,16 +39,16 @@ from planopt.world.shortest_paths import INNER_SHARE
 Array = NDArray[np.float64]
 
 FIRST_TRIANGLES = 3_000
-"""The corridor of good routes is refined up to so many triangles before the first solve."""
+"""Number of triangles up to which the corridor of good routes is refined before the first solve."""
 
 GROWTH = 1.8
-"""Ratio of the numbers of triangles of two solves."""
+"""Largest ratio of the numbers of triangles in successive solves."""
 
 MAX_TRIANGLES = 60_000
-"""Largest mesh; a solve takes about a minute."""
+"""Maximum number of triangles; a solve then takes about a minute."""
 
 LOOSE_SHARE = 0.01
-"""Triangles in the corridor are refined if their cost is certified less exactly than this."""
+"""Relative gap between certified and actual cost above which corridor triangles are refined."""
 
 CORRIDOR_SHARE = 1.15
 """Ratio of the longest path through the corridor to the shortest path."""
@@ -57,16 +57,16 @@ FLOW_WEIGHT = 0.005
 """Expected relative gain of halving a triangle whose cost is certified exactly."""
 
 SCORE_SHARE = 0.95
-"""Share of the possible gain in the triangles that are refined."""
+"""Share of the total expected gain that the refined triangles make up."""
 
 FRAME_SHARE = 0.02
-"""Width of the blocked frame around the workspace, in diagonals of it."""
+"""Width of the blocked frame around the workspace, as a share of the workspace diagonal."""
 
 CLEARANCE_TOLERANCE_M = 1e-5
-"""Obstacles are grown by this much less than the clearance, for the verifier's tolerance."""
+"""Tolerance of the verifier, by which obstacles are grown less than the clearance."""
 
 SOLVER_TOLERANCE = 1e-3
-"""Relative gap of the solver; it costs tightness only."""
+"""Relative gap of the solver. It affects the tightness of the bound, never its validity."""
 
 EPSILON = 32.0 * np.finfo(float).eps
 """Relative rounding error of a gradient."""
@@ -74,17 +74,17 @@ EPSILON = 32.0 * np.finfo(float).eps
 
 @dataclass(frozen=True)
 class RouteProblem:
-    """Cost of a route, and the free space."""
+    """Problem of the cheapest route from a start to a goal disc in free space."""
 
     bounds_m: tuple[float, float, float, float]
     obstacles: Sequence[shapely.Polygon]
-    clearance_m: float  # Negative if routes may cut through obstacles by as much
+    clearance_m: float  # Negative: depth by which routes may cut into obstacles
     start_m: Array  # (2,)
     goal_m: Array  # (2,)
     goal_radius_m: float
-    price: float  # Of a metre out of contact, in metres
-    free_above: float  # Probability from which on outage is not charged; above 1 if it always is
-    posteriors: Sequence[ChannelPosterior]  # One for each station
+    price: float  # Cost of a metre out of contact, in metres
+    free_above: float  # P(connected) from which on outage is free; above 1: never
+    posteriors: Sequence[ChannelPosterior]  # One per station
     thresholds_dbm: Sequence[float]
 
 
@@ -93,18 +93,18 @@ class RouteBound:
     """A certified lower bound on the cost of every route."""
 
     value_m: float
-    triangles: int  # In the free space
+    triangles: int  # Number of triangles in free space
     seconds: float
     potential: Potential | None  # None for the straight-line distance
 
 
 def route_bounds(problem: RouteProblem, seconds: float) -> Iterator[RouteBound]:
-    """Improve a lower bound until the time is over; each value is certified.
+    """Yield ever larger certified lower bounds of the route cost until the time is over.
 
     Parameters
     ----------
     problem
-        The route.
+        Start, goal, free space and cost per metre.
     seconds
         Wall time. The last solve is interrupted, and its iterate certifies a bound as well.
     """
@@ -160,7 +160,7 @@ def route_bounds(problem: RouteProblem, seconds: float) -> Iterator[RouteBound]:
 def _refined(
     corners: NDArray[np.intp], gain: Array, loose: Array, count: int, nodes: int
 ) -> NDArray[np.intp]:
-    """Return at most `count` triangles with the largest gains, and loose ones next to them."""
+    """Return about `count` triangles to refine: those of largest gain, then loose neighbours."""
     order = np.argsort(-gain)
     reached = np.cumsum(gain[order]) < SCORE_SHARE * float(gain.sum())
     enough = int(np.count_nonzero(reached)) + 1
@@ -203,14 +203,14 @@ def verified_value(problem: RouteProblem, potential: Potential) -> float:
 
 @dataclass(frozen=True, eq=False)
 class BlockedAreas:
-    """Areas that no route enters: grown obstacles, and free space apart from the start."""
+    """Areas that no route enters: grown obstacles, and free space unreachable from the start."""
 
     parts: Sequence[shapely.Polygon]
     tree: shapely.STRtree
-    reaches_goal: bool  # Whether the start's part of the free space touches the goal
+    reaches_goal: bool  # Whether the goal is reachable from the start
 
     def is_open(self, nodes_m: Array, corners: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Return which triangles (t, 3) are not inside a blocked area; (t,)."""
+        """Return a mask (t,) of the triangles (t, 3) that are not inside a blocked area."""
         inside, _ = self.tree.query(shapely.polygons(nodes_m[corners]), predicate="covered_by")
         is_open = np.ones(len(corners), dtype=bool)
         is_open[inside] = False
@@ -228,7 +228,7 @@ def blocked_areas(problem: RouteProblem) -> BlockedAreas:
     free = shapely.get_parts(box.difference(grown))
     goal = shapely.Point(problem.goal_m).buffer(_outer_radius_m(problem), quad_segs=64)
     own = [part for part in free if part.intersects(shapely.Point(problem.start_m))]
-    # The frame joins obstacles at the border, so that nothing passes between them and the border.
+    # The frame closes gaps between the workspace boundary and obstacles that touch it.
     x0, y0, x1, y1 = problem.bounds_m
     width = FRAME_SHARE * float(np.hypot(x1 - x0, y1 - y0))
     frame = shapely.box(x0 - width, y0 - width, x1 + width, y1 + width)
@@ -242,14 +242,14 @@ def blocked_areas(problem: RouteProblem) -> BlockedAreas:
 
 
 def _outer_radius_m(problem: RouteProblem) -> float:
-    """Return the radius of a polygon with 256 corners about the goal's disc."""
+    """Return the radius of a circumscribed 256-corner polygon of the goal's disc."""
     return problem.goal_radius_m / float(np.cos(np.pi / 256)) + CLEARANCE_TOLERANCE_M
 
 
 def _touches_goal(
     problem: RouteProblem, nodes_m: Array, corners: NDArray[np.intp]
 ) -> NDArray[np.bool_]:
-    """Return which triangles touch the goal's disc; (t,)."""
+    """Return a mask (t,) of the triangles that touch the goal's disc."""
     goal = shapely.Point(problem.goal_m).buffer(_outer_radius_m(problem), quad_segs=64)
     shapely.prepare(goal)
     return np.asarray(shapely.intersects(goal, shapely.polygons(nodes_m[corners])), dtype=bool)
@@ -258,7 +258,7 @@ def _touches_goal(
 def _corridor(
     problem: RouteProblem, nodes_m: Array, corners: NDArray[np.intp], middle: Array
 ) -> NDArray[np.bool_]:
-    """Return which triangles good routes may cross, by shortest paths over their sides; (t,)."""
+    """Return a mask (t,) of triangles near good routes, from shortest paths over triangle sides."""
     sides, first = np.unique(sides_of(corners), axis=0, return_index=True)
     length = np.linalg.norm(np.diff(nodes_m[sides], axis=1)[:, 0], axis=1)
     length *= np.tile(middle, 3)[first]
@@ -271,7 +271,7 @@ def _corridor(
 
 
 def _largest(nodes_m: Array, corners: NDArray[np.intp], room: int) -> NDArray[np.intp]:
-    """Return the largest of these triangles (k, 3), as many as `room` more permit."""
+    """Return the largest of these triangles, as many as `room` new triangles permit; (k, 3)."""
     area = np.abs(doubled_areas(nodes_m, corners))
     return corners[np.argsort(-area)[: max(1, room // 3)]]
 
@@ -296,9 +296,9 @@ def _known_costs(
 def metre_costs(
     problem: RouteProblem, powers: Sequence[PowerEnclosure], corners_m: Array
 ) -> tuple[Array, Array]:
-    """Return certified metre costs at corners of triangles (t, 3), and those at centres (t,).
+    """Return certified costs per metre at corners (t, 3) of triangles, and costs at centres (t,).
 
-    The cost at every point of a triangle (t, 3, 2) is at least the linear interpolation.
+    The cost anywhere in a triangle (t, 3, 2) is at least the interpolated corner costs.
     """
     count = len(corners_m)
     if problem.price == 0.0:
@@ -320,10 +320,10 @@ def metre_costs(
 
 
 def _product_below(one: Array, other: Array) -> Array:
-    """Corners of a linear lower bound on the product of two linear functions >= 0; (t, 3) each.
+    """Return corner values (t, 3) of a linear lower bound on a product of linear functions >= 0.
 
-    On a triangle the product of linear functions exceeds its linear interpolation by at least the
-    sum of the negative products of their differences along the sides, each at most a quarter.
+    On a triangle, the product is at least its linear interpolation minus a quarter of the sum,
+    over the sides, of the positive products of both functions' differences.
     """
     product = one * other
     following = [1, 2, 0]
@@ -393,7 +393,7 @@ def _certified_value(
             for part in (slope[is_open] for slope in slopes)
         ]
         worst = float((np.hypot(*parts) / cost).max())
-    # V is at most its largest Bernstein coefficient: corners, and those of the sides.
+    # V is at most its largest Bernstein coefficient, at corners and sides.
     ends = values[at_goal][:, [[1, 2], [0, 2], [0, 1]]].sum(axis=2)
     sides = 2.0 * values[at_goal][:, 3:] - 0.5 * ends
     top = float(np.maximum(values[at_goal][:, :3].max(), sides.max()))
@@ -404,8 +404,8 @@ def _certified_value(
 def _slopes(nodes_m: Array, corners: NDArray[np.intp]) -> tuple[NDArray[np.intp], Array, Array]:
     """Return the unknowns of each triangle and their shares of the gradient of V at its corners.
 
-    The unknowns (t, 6) are the values at corners, then those at the middles of the sides opposite
-    to them; the slopes (t, 3, 6) have a row for each corner.
+    The unknowns (t, 6) index the values at corners, then at the middles of the opposite sides.
+    The slopes along x and y, (t, 3, 6) each, have a row per corner.
     """
     a, b, c = (nodes_m[corners[:, i]] for i in range(3))
     double = doubled_areas(nodes_m, corners)

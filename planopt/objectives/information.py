@@ -55,8 +55,8 @@ class Gain(Protocol):
 class Information:
     """Mutual information of measurements and the channel, or the path loss alone, in nats."""
 
-    # Channel: 1/2 log det (S + B M B') minus that of the noise (equation 4.5), monotone submodular
-    # in the positions. Path loss: minus 1/2 log det S instead, half of log det M_t / det M_{t+h}.
+    # Channel: 1/2 log det (S + B M B') minus that of the noise (equation 4.5), monotone submodular.
+    # Path loss: minus 1/2 log det S instead, which gives 1/2 log (det M_t / det M_{t+h}).
 
     about: Literal["channel", "path loss"] = "channel"
     factor: float = 1.0
@@ -77,7 +77,7 @@ class Information:
         return self.factor * np.log(diagonal / less).sum(axis=-1)
 
     def pull(self, moments: Moments) -> Pull:
-        """Return the adjoints: half the inverse of C, minus that of the subtracted term."""
+        """Return the adjoints w.r.t. the moments: half the inverse of C, minus the noise part."""
         found = _by_universal(moments, 0.5 * self.factor * moments.inverse)
         if self.about == "path loss":
             known = np.asarray(np.linalg.inv(moments.covariance), dtype=np.float64)
@@ -102,7 +102,7 @@ class Information:
 
 @dataclass(frozen=True, eq=False)
 class VarianceRemoved:
-    """Variance reduction by measurements, or trace of the information on theta: tr(Y' C^-1 Y)."""
+    """Variance reduction of a map, or trace of the information on theta: tr(Y' C^-1 Y)."""
 
     # Y is B times `loading`, or the covariances with the map positions.
 
@@ -110,14 +110,14 @@ class VarianceRemoved:
     universal: bool = True  # C is S + B M B' if true, else S
 
     def value(self, moments: Moments) -> Floats:
-        """Return the trace for each path."""
+        """Return tr(Y' C^-1 Y) for each path."""
         # tr(C^-1 Y Y') needs only the small Y Y'; solving for the wide Y costs several times more.
         covariance, rows = self._parts(moments)
         gathered = rows @ rows.swapaxes(-1, -2)
         return np.trace(np.linalg.solve(covariance, gathered), axis1=-2, axis2=-1)
 
     def _parts(self, moments: Moments) -> tuple[Floats, NDArray[np.floating]]:
-        """Return the covariance C and the rows Y."""
+        """Return the covariance C and the matrix Y."""
         covariance = moments.universal if self.universal else moments.covariance
         return covariance, moments.across if self.loading is None else moments.trend @ self.loading
 
@@ -135,7 +135,7 @@ class VarianceRemoved:
         return found.plus(Pull(by_trend=x @ self.loading.T), 2.0)
 
     def derivatives(self, path: LocalPath) -> PathDerivatives:
-        """Return the trace for one path with derivatives."""
+        """Return tr(Y' C^-1 Y) for one path with derivatives."""
         # Let X = C^-1 Y. For coordinate p of position i, dY = e_i y_p', dC = e_i d_p' + d_p e_i'
         # and u_p = y_p - X' d_p. With R_p = dY - dC X = e_i u_p' - d_p x_i':
         #     gradient_p = 2 x_i' u_p,
@@ -159,8 +159,8 @@ class VarianceRemoved:
 
 
 THRESHOLD_ROUNDING = 0.01
-"""Smoothing width of the threshold as a share of xi^2 + omega^2. It raises the value of a step by
-at most 3/16 of that width."""
+"""Smoothing width of the variance threshold as a share of xi^2 + omega^2. The smoothing raises the
+value of a step by at most 3/16 of that width."""
 
 
 @dataclass(frozen=True)
@@ -171,11 +171,11 @@ class PathUncertainty:
     # the path length up to q_i, and psi(l) = exp(-zeta l).
 
     start_m: tuple[float, float]  # Position of the robot
-    threshold_db2: float = 0.0  # sigma_TH^2: variance up to this counts as known
+    threshold_db2: float = 0.0  # sigma_TH^2; a smaller variance counts as known
     decay_per_m: float = 0.0  # zeta >= 0
 
     def value(self, moments: Moments) -> Floats:
-        """Return the sum for each path."""
+        """Return the sum of excess variances for each path."""
         excess, near = self._parts(moments)
         return (excess * near).sum(axis=-1)
 
@@ -251,8 +251,8 @@ class PathUncertainty:
 
 
 def map_criterion(posterior: ChannelPosterior, region: Region) -> Floats:
-    """Return G = sum_g w_g varphi(g) varphi(g)', theta's share of the map variance; (2, 2)."""
-    # varphi(g) uses the current posterior, without the path's own measurements.
+    """Return G = sum_g w_g varphi(g) varphi(g)'; tr(G M) is theta's part of the map variance."""
+    # (2, 2). varphi(g) uses the current posterior, without the path's own measurements.
     trend = kriging_terms(posterior, region.grid_m).trend
     return trend.T @ (region.weight[:, None] * trend)
 
@@ -310,7 +310,7 @@ def _half_log_noise(path: LocalPath) -> PathDerivatives:
 def _bent_variances(
     batch: CovarianceDerivatives, left: Floats, along: Floats, weight: Floats
 ) -> Floats:
-    """Return sum_i w_i / L_ii^2 d^2 L_ii^2 for `weight` w; ``(2 h, 2 h)``."""
+    """Return the Hessian sum_i w_i / L_ii^2 d^2 L_ii^2 for weights w; ``(2 h, 2 h)``."""
     # L_ii^2 is the minimum of y' S y over y with y_i = 1 and y_k = 0 for k > i. The minimiser is
     # L_ii n_i, with n_i row i of N = L^-1 = `left`. The first derivative is L_ii^2 n_i' dS n_i, the
     # second L_ii^2 (n_i' d^2 S n_i - 2 sum_{k<i} (N dS n_i)_k (N dS' n_i)_k). For coordinate p of

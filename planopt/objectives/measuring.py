@@ -21,8 +21,8 @@ from planopt.channel.neighbours import PlaceTree
 from planopt.channel.posterior import ChannelPosterior
 
 SPACING_TOLERANCE_M = 1e-5
-"""Tolerance of the spacing in metres. Planned steps are slightly shorter than the step length, and
-two steps that add up to the spacing must lead to a new measuring position."""
+"""Tolerance of the spacing in metres. Planned steps are slightly shorter than the step length, but
+two steps that add up to the spacing must still yield a new measurement."""
 
 CLOSED_SPACINGS, OPEN_SPACINGS = 0.9, 1.02
 """Distances, in spacings, up to which a gate is closed and from which it is fully open."""
@@ -31,10 +31,10 @@ MOST_BESIDE = 8
 """Maximum number of nearest earlier measurements that a gate depends on."""
 
 LONGEST_PATH = 512
-"""Number of positions above which a list is a log and is compared block by block."""
+"""Number of positions above which a list is treated as a log and compared block by block."""
 
 FEW_KNOWN = 64
-"""Number of measurements up to which a search for nearby ones does not pay off."""
+"""Number of measurements up to which all are compared, since a neighbour search costs more."""
 
 
 def closing_m(spacing_m: float) -> float:
@@ -68,7 +68,7 @@ class MeasuringRule:
         return OPEN_SPACINGS * self.spacing_m
 
     def near(self, paths_m: NDArray[np.float64], beyond_m: float = 0.0) -> MeasuringRule:
-        """Return the equivalent rule for positions within `beyond_m` of `paths_m` (..., 2)."""
+        """Return a rule with fewer measurements, equal within `beyond_m` of `paths_m` (..., 2)."""
         places = paths_m.reshape(-1, 2)
         if not len(places) or sum(map(len, self.known_m)) <= FEW_KNOWN:
             return self
@@ -80,16 +80,16 @@ class MeasuringRule:
         )
 
     def is_open(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which positions (n, 2) would yield a measurement on their own; ``(n,)``."""
+        """Return a mask (n,) of the positions (n, 2) that yield a measurement if visited alone."""
         found = np.zeros(len(places_m), dtype=np.bool_)
         for known in self.near(places_m).known_m:
             distance, _ = _nearest(places_m, known, 1, self.spacing_m)
-            # A position is closed only if every station was measured within the spacing.
+            # A position yields none only if every station was measured within the spacing.
             found |= ~(distance[:, 0] < self.spacing_m)
         return found
 
     def takes(self, paths_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which positions of paths, visited in order, yield a measurement."""
+        """Return a mask of the positions of paths, visited in order, that yield a measurement."""
         # Shapes: paths_m (..., N, 2); returns (..., N).
         if not paths_m.size:
             return np.zeros(paths_m.shape[:-1], dtype=np.bool_)
@@ -114,7 +114,7 @@ class MeasuringRule:
         return np.isin(np.arange(len(places_m)), taken)
 
     def gates(self, paths_m: NDArray[np.float64]) -> Gates | None:
-        """Return smooth gates of paths (c, N, 2); None if all are one in a neighbourhood."""
+        """Return smooth gates of paths (c, N, 2); None if all are one, also for nearby paths."""
         count, steps = paths_m.shape[:2]
         places = paths_m.reshape(-1, 2)
         distance, offset = self._beside(places)
@@ -167,7 +167,7 @@ class MeasuringRule:
 class Gates:
     """Smooth gates of paths with derivatives w.r.t. positions.
 
-    They are twice differentiable except where two positions begin to close at once.
+    They are twice differentiable except where two positions start to close at the same time.
     """
 
     value: NDArray[np.float64]  # (c, N) amplitude of the channel in each measurement, in [0, 1]

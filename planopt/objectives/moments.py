@@ -42,8 +42,8 @@ from planopt.plain_values import require_weights
 Real = TypeVar("Real", np.float32, np.float64)
 
 SINGLE = np.float32
-"""Floating-point type for covariances of many paths, which only rank the paths: 0.6 of the time of
-double precision for 200 paths of 5 steps, 0.8 for 400 of 10."""
+"""Floating-point type for covariances of many paths, which are only ranked. Its run time is 0.6 of
+double precision for 200 paths of 5 steps and 0.8 for 400 paths of 10."""
 
 TINY_M = 1e-9
 """Distance in metres below which the direction between two positions is undefined."""
@@ -79,7 +79,7 @@ class Moments:
     whole_trend: Floats  # (..., N, 2) B without gates
     theta_covariance: Floats  # (2, 2) M; zero if theta is known
     gate: Floats | None  # (..., N); None: all one
-    # Function for covariances (..., N, g) with the map, theta uncertain, times root weights
+    # Returns covariances (..., N, g) with the map for uncertain theta, times the root weights
     map_covariance: Callable[[], NDArray[np.floating]] | None = None
 
     @property
@@ -244,7 +244,7 @@ def posterior_moments(
 class Pull:
     """Adjoints: derivatives of one scalar per path w.r.t. its inputs; None means zero."""
 
-    by_position: Floats | None = None  # (c, N, 2), other quantities fixed
+    by_position: Floats | None = None  # (c, N, 2) w.r.t. positions, all else fixed
     by_covariance: Floats | None = None  # (c, N, N) w.r.t. S, symmetric
     by_trend: Floats | None = None  # (c, N, 2) w.r.t. B
     by_across: NDArray[np.floating] | None = None  # (c, N, g) w.r.t. the covariances with the map
@@ -362,7 +362,7 @@ class LocalPaths:
         return distance, kernel, across.reshape(*self.shape, -1)
 
     def pull_of_power(self, by_mean: Floats, by_deviation: Floats) -> Pull:
-        """Return the adjoints that follow from those of mean and standard deviation ``(c, N)``."""
+        """Return the adjoints of the moments, given those of mean and deviation ``(c, N)``."""
         channel, own = self.channel, np.arange(self.shape[1])
         deviation = self.power.deviation_db.reshape(self.shape)
         by_variance = np.zeros((*self.shape, self.shape[1]))
@@ -411,7 +411,7 @@ class LocalPaths:
         distance_m: NDArray[np.float32],
         kernel: NDArray[np.float32],
     ) -> Floats:
-        """Return the gradient through the kernel (c N, m) with `others_m`; ``(c, N, 2)``."""
+        """Return the gradient via the covariances (c N, m) with `others_m`; ``(c, N, 2)``."""
         # d k = -k / (beta r) (q - other), with r at least the cusp rounding. Overwrites
         # `by_kernel`.
         beta = self.channel.parameters.decorrelation_m
@@ -423,7 +423,7 @@ class LocalPaths:
         return (pulled[:, :, :2] - pulled[:, :, 2:] * (self.paths_m - middle)) / beta
 
     def _between(self, by_covariance: Floats) -> Floats:
-        """Return the gradient through the prior covariances between positions of one path."""
+        """Return the gradient via the prior covariances between positions of one path."""
         parameters = self.channel.parameters
         beta = parameters.decorrelation_m
         offset = self.paths_m[:, :, None] - self.paths_m[:, None]

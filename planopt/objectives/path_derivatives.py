@@ -6,8 +6,8 @@ Coordinates are ordered x_1, y_1, x_2, y_2, ... throughout. A gate
 (:mod:`planopt.objectives.moments`) is a third coordinate of its position, so 2 h coordinates become
 3 h. :func:`by_positions` then substitutes the derivatives of the gates w.r.t. positions.
 
-Cusps are smoothed and only the measurements of a local channel are used. The path that a solver
-returns must therefore be evaluated again with the exact posterior.
+Cusps are smoothed, and only the measurements of a local channel are used. A solver's path must
+therefore be evaluated again with the exact posterior.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class PathDerivatives:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Rows of r numbers, each a function of its own position only, such as the rows of B."""
+    """Matrix (h, r) with derivatives, whose row i depends on position i only, such as B."""
 
     value: Floats  # (h, r)
     first: Floats  # (2 h, r) w.r.t. the position's own coordinates
@@ -60,7 +60,7 @@ class Rows:
         return Rows(self.value @ matrix, self.first @ matrix, self.second @ matrix)
 
     def gated(self, gates: Gates | None) -> Rows:
-        """Return G times the rows; the rows unchanged without gates."""
+        """Return the rows times the gates; without gates, the rows unchanged."""
         if gates is None:
             return self
         gate, steps = gates.value[0], len(self.value)
@@ -74,7 +74,7 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class CovarianceDerivatives:
-    """Covariance S of a path with derivatives."""
+    """Covariance matrix S of a path's measurements, with derivatives w.r.t. positions."""
 
     value: Floats  # (h, h) S
     # (2 h, h) D[2 i + a, k]: dS_ik w.r.t. coordinate a of q_i; half of it if k = i
@@ -100,7 +100,7 @@ class CovarianceDerivatives:
         return found
 
     def gated(self, gates: Gates | None, blind_db2: float) -> CovarianceDerivatives:
-        """Return S_g with derivatives; S unchanged without gates."""
+        """Return the gated covariance S_g with derivatives; without gates, S unchanged."""
         if gates is None:
             return self
         gate, steps = gates.value[0], len(self.value)
@@ -249,11 +249,11 @@ OWN_BLOCKS = {
     3: ((0, 0, 0), (1, 0, 1), (2, 1, 1)),
     6: ((0, 0, 0), (1, 0, 1), (2, 1, 1), (3, 0, 2), (4, 1, 2), (5, 2, 2)),
 }
-"""Column and coordinate pair of each of the 3 or 6 second derivatives of a position."""
+"""Column and coordinate pair of each second derivative of a position: 3, or 6 with a gate."""
 
 
 def add_own_blocks(hessian: Floats, own: Floats) -> None:
-    """Add `own` (h, 3), xx, xy, yy of each position, to the diagonal blocks of `hessian`."""
+    """Add second derivatives `own` (h, 3), xx, xy, yy, to the diagonal blocks of `hessian`."""
     # With gates `own` is ``(h, 6)``, as in `Rows`.
     first = np.arange(0, len(hessian), len(hessian) // len(own))
     for column, a, b in OWN_BLOCKS[int(own.shape[1])]:
@@ -263,7 +263,7 @@ def add_own_blocks(hessian: Floats, own: Floats) -> None:
 
 
 def by_positions(found: PathDerivatives, gates: Gates | None) -> PathDerivatives:
-    """Eliminate the gates from derivatives (3 h,) and (3 h, 3 h) w.r.t. positions and gates."""
+    """Substitute the gates' own derivatives in a gradient (3 h,) and a Hessian (3 h, 3 h)."""
     if gates is None:
         return found
     steps = len(found.gradient) // 3
@@ -286,7 +286,7 @@ def by_stages(
     hessian: Floats,  # (h, c, h, c)
     inputs: Sequence[Derivatives],
 ) -> PathDerivatives:
-    """Return derivatives w.r.t. positions of a value that depends on c inputs per stage."""
+    """Apply the chain rule to a value that depends on c position-dependent inputs per stage."""
     steps = len(gradient)
     slopes = np.stack([each.gradient for each in inputs], axis=1)
     bent = np.stack([each.hessian for each in inputs], axis=1)

@@ -38,24 +38,24 @@ def step_cost_s(length_m: Floats, step_s: float, effort_weight_s2_m2: float) -> 
 
 
 def outage_share(probability: Floats, is_below: Mask, everywhere: bool = False) -> Floats:
-    """Return the share of a metre at each position that the outage price applies to."""
+    """Return the share of a metre at each position that counts as out of contact."""
     return np.where(is_below | everywhere, 1.0 - probability, 0.0)
 
 
 def charged_length_m(lengths_m: Floats, share: Floats) -> float:
-    """Return the length of a path (n + 1 positions) that the outage price applies to."""
+    """Return the length out of contact of a path with n + 1 positions."""
     # Shapes: lengths_m (n,); share (n + 1,).
     return float(0.5 * lengths_m @ (share[:-1] + share[1:]))
 
 
 PIECE_M = 1.0
-"""Longest piece of the quadrature of a route's cost."""
+"""Maximum interval of the quadrature of a route's cost, in metres."""
 
 GAUSS = np.polynomial.legendre.leggauss(3)
 
 
 def integrated_cost_m(metre_cost: Callable[[Floats], Floats], places_m: Floats) -> float:
-    """Return the integral of the cost of a metre along a polyline (n, 2), by quadrature."""
+    """Return the integral of the cost per metre along a polyline (n, 2), by quadrature."""
     lengths = np.linalg.norm(np.diff(places_m, axis=0), axis=1)
     at, weights = 0.5 * (GAUSS[0] + 1.0), 0.5 * GAUSS[1]
     points, shares = [np.zeros((0, 2))], [np.zeros(0)]

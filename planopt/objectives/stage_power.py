@@ -5,12 +5,12 @@ becomes ``sqrt(d^2 + eps^2)``, with eps a hundredth of the decorrelation distanc
 to the station ``sqrt(d^2 + MIN_DISTANCE_M^2)``. The relative error of the kernel is at most 0.01.
 
 Each stage is predicted from its nearest measurements; the verifier uses the exact kernel and all
-measurements. Kernel values and derivatives of all stages share one array, and products with two
-precomputed matrices yield the rest, because a solver evaluates a path some twenty times per step.
+measurements. A solver evaluates a path some twenty times per step. For speed, kernel values and
+derivatives of all stages share one array, which is multiplied by two precomputed matrices.
 
 The serving power of several stations has the mean ``t_1 + c z``, z the any-station score. Its
-standard deviation c is fixed to its value along the path that the programme is built around; only
-the margin of a constraint in dB is therefore approximate away from that path.
+standard deviation c is fixed to its value along the initial guess. Away from that path, only the
+margin of a constraint in dB is therefore approximate.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def rounded_log_distance(positions_m: Floats, station: Station) -> Derivatives:
 
 
 LEAST_VARIANCE_DB2 = float(np.finfo(float).tiny)
-"""Minimum variance, in case rounding errors leave none."""
+"""Minimum variance in dB^2, in case rounding errors make it zero or negative."""
 
 
 StagePower = tuple[Derivatives, Derivatives]
@@ -101,7 +101,7 @@ StagePower = tuple[Derivatives, Derivatives]
 
 
 class StagePredictor:
-    """Reusable predictor of stage k from the k-th neighbour set of `model`."""
+    """Power predictor of all stages; stage k uses the k-th neighbour set of `model`."""
 
     # Let phi be the covariances with the m measurements, g = (1, gamma) the path-loss regressors, A
     # = trend and f = (phi, g). The mean is the linear form ``w' f``. The variance ``xi^2 + omega^2
@@ -157,13 +157,13 @@ class StagePredictor:
 
 
 class ServingStages:
-    """Reusable predictor of the serving power at every stage."""
+    """Predictor of the serving power at every stage of a path."""
 
     def __init__(
         self,
         posteriors: Sequence[ChannelPosterior],
         thresholds_dbm: Sequence[float],
-        law: Callable[[Sequence[Prediction]], Prediction],  # Serving from station powers
+        law: Callable[[Sequence[Prediction]], Prediction],  # Combines station powers
         path_m: Floats,  # (N, 2)
         neighbours: int,
     ) -> None:
@@ -187,7 +187,7 @@ def serving_derivatives(
     thresholds_dbm: Sequence[float],  # (m,)
     scale_db: Floats,  # (N,) c
 ) -> StagePower:
-    """Return the mean serving power of m stations, and `scale_db` as its standard deviation."""
+    """Return the mean serving power of m stations, with standard deviation `scale_db`."""
     # The any-station score z has dz = sum_i w_i dz_i and d2z = sum_i w_i d2z_i + sum_ij W_ij dz_i
     # dz_j'.
     scores = [

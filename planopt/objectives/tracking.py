@@ -8,7 +8,7 @@ arrives from there, later packets arrive too, because multipath is static. Other
 to a *retreat*: a position known to be connected, or an expected target position with its
 probability of connection (equation 4.22). At each later step it may use any retreat reachable by
 then. After a successful probe it stays for some steps and may then use a retreat as well, because
-the target moves on. A step out of the known coverage therefore costs little if the return is short.
+the target moves on. Leaving the known coverage therefore costs little if the return is short.
 
 If packets contain estimates, a failed probe costs only time: back at a known connected position,
 the robot sends everything it measured since (equation 4.23). The cost is then the time that the
@@ -32,8 +32,8 @@ from planopt.targets.information_filter import TargetModel, covariance_of, requi
 from planopt.targets.sensor import Sensor, sensing_information
 
 Criterion = Literal["trace", "determinant", "norm"]
-"""Criteria of the covariance of the target position: trace (m^2), determinant (m^4) or largest
-eigenvalue (m^2)."""
+"""Scalar criterion of the target position's covariance: trace (m^2), determinant (m^4) or largest
+eigenvalue (norm, m^2)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class Tracking:
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """Unsent target measurements of one robot over the last M steps."""
+    """Target measurements of one robot over the last M steps that the station lacks."""
 
     # (4, 4) J of the station M steps ago, before the first unsent measurement
     information: NDArray[np.float64]
@@ -71,7 +71,7 @@ class Held:
 
 @dataclass(frozen=True, eq=False)
 class FilteredTracking:
-    """Tracking problem with the state of the station's filter."""
+    """Tracking problem together with the state of the station's filter."""
 
     tracking: Tracking  # Target and sensor
     model: TargetModel  # Motion model of the target
@@ -83,9 +83,9 @@ class FilteredTracking:
         require_covariance(self.information, 4, "information")
 
     def extended(self, beyond: int) -> FilteredTracking:
-        """Return the settings extended by `beyond` steps of weight one at the last velocity.
+        """Return the settings with `beyond` more steps of weight one and constant target velocity.
 
-        A single step defines no velocity and is not extended.
+        Settings of a single step define no velocity and are returned unchanged.
         """
         target = self.tracking.target_m
         if not beyond or len(target) == 1:
@@ -126,7 +126,7 @@ def criterion_of(variance_m2: NDArray[np.float64], criterion: Criterion) -> NDAr
 
 @dataclass(frozen=True, eq=False)
 class Axis:
-    """Kalman filter of one axis with P = [[a, b], [b, c]] stored as (a, b, c)."""
+    """Kalman filter of one axis, whose covariance [[a, b], [b, c]] is stored as (a, b, c)."""
 
     start: NDArray[np.float64]  # (3,)
     step_s: float
@@ -134,7 +134,7 @@ class Axis:
 
     @classmethod
     def of(cls, settings: FilteredTracking) -> Axis:
-        """Return the filter with the axis means of the station's covariance and process noise."""
+        """Return the filter of the station's covariance and process noise, averaged over axes."""
         model = settings.model
         start = _axis(covariance_of(settings.information))
         return cls(start, model.step_s, _axis(model.process_covariance))
@@ -163,16 +163,16 @@ RECOURSE_STEPS = 20
 """Steps beyond the horizon over which a probe is valued."""
 
 STAYED_STEPS = 10
-"""Maximum number of steps that a stationary robot, or one after a successful probe, stays."""
+"""Maximum number of steps that a plan assumes a stationary robot or a successful probe to stay."""
 
 MOST_CONNECTED = 80
-"""Maximum number of known connected positions used as retreats, best sensing first."""
+"""Maximum number of known connected positions used as retreats, those of best sensing first."""
 
 WHOLE_STEPS = 1e-9
 """Tolerance, as a share of a step, when distances are rounded up to whole steps."""
 
 DISCOUNT = 0.8
-"""Ratio of the weight of each step to that of the previous step."""
+"""Discount factor per step if packets contain estimates."""
 
 STEPS_OF_ESTIMATES = 10
 """Steps beyond the horizon over which a probe is valued if packets contain estimates."""
@@ -180,7 +180,7 @@ STEPS_OF_ESTIMATES = 10
 
 @dataclass(frozen=True, eq=False)
 class Retreats:
-    """Alternative positions to the end of a path (equation 4.21)."""
+    """Positions to which a robot may move after the end of its path (equation 4.21)."""
 
     places_m: NDArray[np.float64]  # (m, 2)
     # (m, k) expected information of a packet from each retreat at each step, per m^2
@@ -205,7 +205,7 @@ class Retreats:
         return np.where(np.isfinite(steps)[:, None], places[nearest], stops_m), steps
 
     def best(self, stops_m: NDArray[np.float64], arrivals: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Return the largest information of the reachable retreats at each step, ``(c, k)``."""
+        """Return the largest information among the retreats reachable by each step; ``(c, k)``."""
         # Shapes: stops_m (c, 2); arrivals (c,).
         found = np.zeros((len(stops_m), self.information.shape[1]))
         away = np.linalg.norm(stops_m[:, None] - self.places_m, axis=2)
@@ -243,7 +243,7 @@ def recourse_costs(
     others: NDArray[np.float64],  # (k,) expected information of the other robots' packets, per m^2
     settings: FilteredTracking,
 ) -> NDArray[np.float64]:
-    """Return the expected criterion if path ends are probed (equation 4.22); ``(c,)``."""
+    """Return the expected cost of paths whose ends are probed (equation 4.22); ``(c,)``."""
     steps, tracking = chance.shape[1], settings.tracking
     arrivals = last_arrivals(paths_m)
     at_stop = np.arange(len(tracking.target_m)) >= arrivals[:, None]
@@ -276,11 +276,11 @@ def at_ends(
     retreats: Retreats,
     settings: FilteredTracking,
 ) -> NDArray[np.float64]:
-    """Return s_k and e_k of equation 4.21 for the steps after the ends of paths; ``(2, c, k)``.
+    """Return information after a successful and a failed probe, s_k and e_k (equation 4.21).
 
-    After a successful probe the robot stays during the first `STAYED_STEPS` steps. A path that ends
-    with its first step probes nothing. Without both rules a robot at rest would score like one that
-    moves, because in the model it may leave at any step.
+    Shape (2, c, k). After a successful probe the robot stays during the first `STAYED_STEPS` steps.
+    A path that ends with its first step probes nothing. Without both rules a robot at rest would
+    score like one that moves, because in the model it may leave at any step.
     """
     tracking, stops = settings.tracking, paths_m[:, -1]
     staying = sensing_information(tracking.sensor, stops[:, None], tracking.target_m)
@@ -309,7 +309,7 @@ def delayed_costs(
     count, length, total = len(chance), chance.shape[1], len(tracking.target_m)
     arrivals, stops = last_arrivals(paths_m), paths_m[:, -1]
     ends = at_ends(paths_m, arrivals, retreats, settings)
-    # A robot that is stationary or stops with the first step does not probe, and stays.
+    # A robot that is stationary or stops with the first step stays there and does not probe.
     leaving = np.where(arrivals > 0, arrivals, stayed_steps(paths_m) - 1)
     back_m, home = _return_paths(stops, leaving, retreats, total)
     returning = sensing_information(tracking.sensor, back_m, tracking.target_m)
@@ -348,10 +348,10 @@ def delayed_costs(
 
 
 def arrival_chance(chance: NDArray[np.float64], held: int) -> NDArray[np.float64]:
-    """Return P(the station knows step s at step k) from packets of the path; (N, M + N, c).
+    """Return P(the station has the measurement of step s by step k); (N, M + N, c).
 
-    Correlated shadowing makes packets arrive or fail together, so this is the largest probability
-    of the packets sent from step s to k. It is zero for s > k.
+    Correlated shadowing makes packets arrive or fail together. The result is therefore the largest
+    probability of the packets sent from step s to k; it is zero for s > k.
     """
     # Shapes: chance (c, N).
     count, length = chance.shape

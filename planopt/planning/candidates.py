@@ -1,8 +1,8 @@
 """Candidates of one step: value, verification and time budget, and the fallback cascade.
 
 Planners yield candidates, most promising first: refined initial guesses, then the unrefined ones.
-The best verified candidate is released. If there is none, the fallbacks are the remainder of the
-previous plan and stopping: they may violate connectivity, but never clearance or speed.
+The best verified candidate is released. Otherwise the robot falls back to the remainder of the
+previous plan, or stops; both may violate connectivity, but never clearance or speed.
 """
 
 from __future__ import annotations
@@ -43,17 +43,17 @@ class Budget:
 
     @property
     def spent(self) -> bool:
-        """Return whether no new refinement may begin."""
+        """Return whether it is too late for another refinement."""
         return perf_counter() >= self.ends_s
 
     @property
     def searched(self) -> bool:
-        """Return whether searches must end."""
+        """Return whether the deadline of searches has passed."""
         return perf_counter() >= self.search_ends_s
 
     @property
     def proven(self) -> bool:
-        """Return whether no further candidate is verified."""
+        """Return whether it is too late to verify another candidate."""
         return perf_counter() >= self.proof_ends_s
 
 
@@ -61,7 +61,7 @@ UNLIMITED = Budget()
 
 
 def budget_from(problem: Problem, begun_s: float) -> Budget:
-    """Return the deadlines of a plan begun at `begun_s`, so that its last solve can be verified."""
+    """Return a plan's deadlines, which leave time to verify its last solve."""
     budget_s = problem.planner.budget_s
     if budget_s is None:
         return UNLIMITED
@@ -98,17 +98,17 @@ class Candidate:
 
     @property
     def certificate(self) -> Certificate | None:
-        """Certificate; None before verification."""
+        """Certificate of the verifier; None before verification."""
         return None if self.found is None else self.found.certificate
 
     @property
     def verdict(self) -> Verdict:
-        """Verdict; unverified before verification."""
+        """Verdict of the verifier; ``unverified`` before verification."""
         return Verdict.FEASIBLE_UNVERIFIED if self.found is None else self.found.verdict
 
     @property
     def sound(self) -> bool:
-        """Return whether clearance, bounds, dynamics and distances at equal times are satisfied."""
+        """Return whether clearance, bounds, dynamics and robot separations are satisfied."""
         return self.found is not None and self.found.sound
 
     @property
@@ -121,12 +121,12 @@ class Candidate:
         """Return whether every violation of the chance constraint is certified as unavoidable."""
         if self.certificate is None or len(self.certificate.relaxed_steps) < len(self.path_m):
             return False
-        # With bounded slack the verifier computes no reachable margins.
+        # If slack is bounded, the verifier computes no reachable margins.
         return max(self.certificate.best_margin_db, default=0.0) < 0.0
 
     @property
     def avoidable(self) -> tuple[int, ...]:
-        """Return the steps that violate the chance constraint although it could be met by then."""
+        """Return the steps that violate a chance constraint which a reachable position meets."""
         if self.certificate is None:
             return ()
         # The margins are empty without a reachability search.
@@ -135,7 +135,7 @@ class Candidate:
 
     @property
     def missing_db(self) -> float:
-        """Return the sum of the shortfalls of its steps in dB."""
+        """Return the shortfall of the chance constraint in dB, summed over the steps."""
         return 0.0 if self.certificate is None else sum(self.certificate.relaxation_db)
 
 
@@ -153,7 +153,7 @@ class Scorer:
 
     context: VerifierContext
     objective: PathValue
-    # (N, 2) remainder of the previous plan, which the other robots keep clear of
+    # (N, 2) remainder of the previous plan; the other robots avoid it
     reserved_m: NDArray[np.float64] | None = None
 
     @property
@@ -177,7 +177,7 @@ class Scorer:
         return self.context.state
 
     def margins_db(self, power: Prediction) -> NDArray[np.float64]:
-        """Return the margins of p_min for predicted powers."""
+        """Return the margins in dB by which predicted powers satisfy p_min."""
         return margins_asked_db(self.problem, power)
 
     def candidate(
@@ -208,9 +208,9 @@ class Scorer:
         return replace(candidate, found=found)
 
     def standing(self, horizon: int) -> Candidate:
-        """Return a stationary candidate; if unsound, the reservation, or a path out of an obstacle.
+        """Return a stationary candidate; if unsound, the reservation or a path out of an obstacle.
 
-        The plans of all other robots keep clear of the reservation.
+        The plans of all other robots avoid the reservation.
         """
         place = np.tile(self.position_m, (horizon, 1))
         found = self.assessed(self.candidate(place, Rung.STOP, Termination.NO_PATH))
@@ -285,7 +285,7 @@ def released(scorer: Scorer, path_m: NDArray[np.float64], begun_s: float) -> Pla
 
 
 def held(context: VerifierContext, path: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Return a path of N steps that begins with `path` and then waits; (N, 2)."""
+    """Return a path of N steps that follows `path` and then waits at its end; (N, 2)."""
     horizon = context.problem.planner.horizon
     last = path[-1] if path else context.position_m
     return np.asarray([*path, *[last] * (horizon - len(path))])[:horizon]
@@ -317,7 +317,7 @@ def best_of(
 
 
 def with_effort(chosen: Candidate, candidates: Sequence[Candidate]) -> Candidate:
-    """Add the solver's time and iterations of all candidates, and its last termination."""
+    """Return the chosen candidate with the solver time and iterations of all candidates."""
     refined = [c for c in candidates if c.termination is not Termination.LATTICE_ONLY]
     return replace(
         chosen,
@@ -341,10 +341,10 @@ def without_guess(scorer: Scorer, warm: Plan | None) -> Candidate:
 
 
 def _driven_without_guess(scorer: Scorer, warm: Plan | None) -> Candidate:
-    """Brake immediately if that is collision-free, otherwise after the previous plan.
+    """Return a candidate that brakes: at once if that is collision-free, else after the last plan.
 
-    The remainder of the previous plan is collision-free for any channel belief, and the other
-    robots keep clear of it.
+    The remainder of the previous plan is collision-free whatever the channel belief, and the other
+    robots avoid it.
     """
     problem, horizon = scorer.problem, scorer.problem.planner.horizon
     shifted = shifted_drive(problem, warm)

@@ -16,20 +16,20 @@ from planopt.problems.constraints import rule_kind
 from planopt.problems.problem import Problem
 
 MOST_IN_WORDS = 4
-"""Maximum number of listed holes, longest first."""
+"""Maximum number of coverage holes in a description, longest first."""
 
 SHORTEST_IN_WORDS_M = 0.5
-"""Minimum length of a listed hole."""
+"""Minimum length of a coverage hole in a description, in metres."""
 
 
 @dataclass(frozen=True)
 class Hole:
-    """Coverage hole: a stretch of a path that violates the connectivity bound."""
+    """Coverage hole: part of a path on which P(connected) is below the required probability."""
 
     from_m: tuple[float, float]  # (x, y) of its first and last position below the bound
     to_m: tuple[float, float]
-    length_m: float  # Length below the bound, half of entry and exit steps included
-    least_connectivity: float  # Minimum probability of connection in it
+    length_m: float  # Length below the bound, including half of entry and exit steps
+    least_connectivity: float  # Minimum probability of connection in the hole
     to_end: bool  # Whether the path ends in the hole
 
     @property
@@ -44,7 +44,7 @@ class Hole:
 
 @dataclass(frozen=True, eq=False)
 class BlockedWay:
-    """Cheapest path of a robot to its goal, which violates a hard connectivity bound.
+    """Cheapest path of a robot to its goal if all paths violate a hard connectivity bound.
 
     Attributes
     ----------
@@ -62,7 +62,7 @@ class BlockedWay:
 
 
 class BlockedError(NoPlanError):
-    """Error for a goal that no path reaches within a hard connectivity bound.
+    """Error raised if no path to a goal satisfies a hard connectivity bound.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def holes_along(
     connectivity: NDArray[np.float64],  # (n,) P(connected)
     is_below: NDArray[np.bool_],  # (n,) whether P(connected) violates the bound
 ) -> tuple[Hole, ...]:
-    """Return the holes of a path."""
+    """Return the coverage holes of a path with known probabilities of connection."""
     lengths = np.linalg.norm(np.diff(places_m, axis=0), axis=1)
     share = 0.5 * (is_below[:-1].astype(float) + is_below[1:]) * lengths
     edges = np.flatnonzero(np.diff(np.concatenate([[0], is_below.astype(int), [0]])))
@@ -104,7 +104,7 @@ def holes_along(
 def holes_on(
     problem: Problem, power: Prediction, places_m: NDArray[np.float64]
 ) -> tuple[Hole, ...]:
-    """Return the holes of a path (n, 2) with this predicted power."""
+    """Return the coverage holes of a path (n, 2) whose predicted power is `power`."""
     threshold = problem.stations[0].threshold_dbm
     chance = connection_probability(power.mean_db, power.deviation_db, threshold)
     slack_db = problem.constraints.rule.slack_max_db or 0.0
@@ -112,7 +112,7 @@ def holes_on(
 
 
 def named_holes(holes: Sequence[Hole], before: str, more: str) -> list[str]:
-    """Return descriptions of the longest holes, each after `before`, and how many `more` exist."""
+    """Return descriptions of the longest holes, each after `before`, and the number of others."""
     longest = sorted(holes, key=lambda hole: -hole.length_m)[:MOST_IN_WORDS]
     named = [f"{before}{hole.words}" for hole in holes if hole in longest]
     left = len(holes) - len(longest)
@@ -137,7 +137,7 @@ def holes_in_words(problem: Problem, holes: Sequence[Hole], verb: str = "crosses
 
 
 def goal_in_words(problem: Problem, holes: Sequence[Hole]) -> list[str]:
-    """Return a line if the goal itself is out of contact."""
+    """Return a line saying that the goal is out of contact; no lines if it is not."""
     if not holes or not holes[-1].to_end:
         return []
     return [
@@ -148,7 +148,7 @@ def goal_in_words(problem: Problem, holes: Sequence[Hole]) -> list[str]:
 
 @dataclass(frozen=True)
 class RuleResult:
-    """Value that a rule requires of a whole plan, and the achieved value.
+    """Required and achieved value of a connectivity rule for a whole plan.
 
     Attributes
     ----------
@@ -161,8 +161,8 @@ class RuleResult:
     method
         Method of computation.
     slack_db
-        Smallest reduction of the threshold with which the path satisfies the rule, within the
-        allowed slack.
+        Smallest reduction of the threshold, within the allowed slack, for which the path satisfies
+        the rule.
     """
 
     connectivity: str
@@ -195,12 +195,12 @@ class RuleResult:
 
 @dataclass(frozen=True)
 class Certificate:
-    """Results of the verifier, computed by code that shares nothing with the solver.
+    """Results of the verifier, whose code is independent of the solver.
 
     Attributes
     ----------
     min_clearance_m
-        Minimum distance between the swept path and any obstacle, exact; infinite without obstacles.
+        Exact minimum distance between swept path and obstacles; infinite without obstacles.
     min_connectivity
         Minimum probability of connection over the planned steps.
     dynamics_defect
@@ -219,15 +219,15 @@ class Certificate:
         cost-to-go, and the cost of the cheapest path that the verifier finds; otherwise None.
         Infinite if the verifier's grid has no path.
     step_cost_m, step_excess_m
-        The same for the first step: its cost, and this cost plus the change of the optimal
-        cost-to-go over the step. The sums of both over a run are bounded.
+        Cost of the first step, and this cost plus the change of the optimal cost-to-go over the
+        step; None or infinite as above. The sums of both over a run are bounded.
     reasons
         Reasons why the verdict is not ``verified``; empty if it is.
     min_separation_m
         Minimum distance to any other robot at equal times; None without other robots or a
         separation. Robots that plan later are represented by their previous plans.
     min_moving_clearance_m
-        Minimum distance to any moving obstacle at equal times, negative inside one; None without.
+        Minimum distance to moving obstacles at equal times (negative: inside); None without any.
     rule
         Result of a non-default connectivity rule.
     """
@@ -251,7 +251,7 @@ class Certificate:
 
     @property
     def excess_m(self) -> float | None:
-        """Return the excess cost over the cheapest path found; None if they cannot be compared."""
+        """Return the plan's excess cost over the cheapest path found; None if not comparable."""
         path_m, best_m = self.path_cost_m, self.best_cost_m
         if path_m is None or best_m is None or not math.isfinite(max(path_m, best_m)):
             return None
@@ -259,7 +259,7 @@ class Certificate:
 
 
 def plan_message(certificate: Certificate, positions_m: NDArray[np.float64]) -> str:
-    """Describe the faults of a path (N + 1, 2) from the robot's position; empty if none."""
+    """Return a description of the faults of a path (N + 1, 2); empty if it has none."""
     parts = list(certificate.reasons)
     rule = certificate.rule
     if rule is not None and rule.slack_db > 0.0:
@@ -289,7 +289,7 @@ def plan_message(certificate: Certificate, positions_m: NDArray[np.float64]) -> 
 
 @dataclass(frozen=True)
 class Excused:
-    """Step that violates the bound, and the reason why it is excused."""
+    """Step that violates p_min, with the reason why the verifier excuses it."""
 
     step: int  # Step number; 1 is the first
     relaxation_db: float  # Shortfall in dB
@@ -298,7 +298,7 @@ class Excused:
     excuse: str
     path_cost_m: float | None = None  # For price: costs of plan and cheapest path
     best_cost_m: float | None = None
-    best_margin_db: float | None = None  # For out_of_reach: best reachable margin, negative
+    best_margin_db: float | None = None  # For out_of_reach: largest reachable margin (negative)
 
     @property
     def words(self) -> str:
@@ -317,7 +317,7 @@ class Excused:
 
 
 def excused_steps(proofs: Sequence[Certificate]) -> list[Excused]:
-    """Return the steps that violate p_min: all of a single plan, or the first of each plan."""
+    """Return the steps that violate p_min: any step of a single plan, first steps of several."""
     if len(proofs) == 1:
         return [_excused(proofs[0], k, step) for k, step in enumerate(proofs[0].relaxed_steps)]
     return [
@@ -328,7 +328,7 @@ def excused_steps(proofs: Sequence[Certificate]) -> list[Excused]:
 
 
 MOST_EXCUSED = 10
-"""Maximum number of listed steps."""
+"""Maximum number of excused steps in a description."""
 
 
 def excused_in_words(steps: Sequence[Excused]) -> list[str]:
@@ -339,7 +339,7 @@ def excused_in_words(steps: Sequence[Excused]) -> list[str]:
 
 
 def _excused(proof: Certificate, number: int, step: int) -> Excused:
-    """Return the accepted shortfall with index `number`, reported under step `step`."""
+    """Return the excused shortfall with index `number` in the certificate, numbered `step`."""
     missed_db = proof.relaxation_db[number]
     if proof.excess_m is not None:
         return Excused(step, missed_db, "price", proof.path_cost_m, proof.best_cost_m)
@@ -353,7 +353,7 @@ def _excused(proof: Certificate, number: int, step: int) -> Excused:
 
 
 def worst_of(certificates: Sequence[Certificate]) -> Certificate:
-    """Return the worst value of each certificate entry, without the violating steps.
+    """Return a certificate with the worst value of each entry, without the violating steps.
 
     Costs are those of the plan, and of the step, with the largest excess over the cheapest path.
     """
@@ -398,7 +398,7 @@ def _known(values: Iterable[float | None]) -> list[float]:
 
 
 def worst_of_robots(certificates: Mapping[str, Certificate]) -> Certificate:
-    """Return the worst of the robots' certificates, step by step; reasons name the robot."""
+    """Return a certificate with the robots' worst values at each step; reasons name the robot."""
     each = tuple(certificates.values())
     if len(each) == 1:
         return each[0]

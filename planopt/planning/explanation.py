@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from planopt.planning.certificate import SHORTEST_IN_WORDS_M, Hole
 
 LIMITS = ("robots[", "planner.", "world.")
-"""Prefixes of keys that describe means rather than requirements."""
+"""Prefixes of keys that limit the robot or the planner, rather than state a requirement."""
 
 
 @dataclass(frozen=True)
 class Relaxation:
     """Key of the problem file that prevents a verified plan, and a value that would suffice.
 
-    Each relaxation with `verified` suffices by itself.
+    Each relaxation with ``verified=True`` is sufficient by itself.
 
     Attributes
     ----------
@@ -26,16 +26,16 @@ class Relaxation:
     value
         The required value; None for an obstacle.
     stages
-        Steps (1 is the first) that violate it; empty if it is not a constraint on steps.
+        Steps (1 is the first) that violate the constraint; empty if it does not apply to steps.
     shortfall, shortfall_unit
-        Largest violation over these steps; None if it has no numerical value.
+        Largest violation over these steps with its unit; None if not numerical.
     relaxed_value
         Sufficient value found nearest to `value`; None for an obstacle, which has to be
         removed.
     verified
         Whether the problem solved with this relaxation has a verified plan.
     robot
-        The robot of the plan.
+        Name of the robot.
     """
 
     constraint: str
@@ -73,7 +73,7 @@ class Crossing:
     Attributes
     ----------
     robot
-        The robot of the path.
+        Name of the robot.
     holes
         Coverage holes in path order.
     cost_m
@@ -83,7 +83,7 @@ class Crossing:
     kept_m
         Length of the path with the shortest distance out of contact.
     outside_m
-        That distance: zero if a path satisfies the chance constraint throughout.
+        Distance out of contact on that path; zero if it satisfies the chance constraint.
     p_min
         Required probability of connection.
     """
@@ -118,25 +118,25 @@ class Crossing:
         )
 
     def __str__(self) -> str:
-        """Return where the holes are, their lengths, and why they are crossed."""
+        """Return locations and lengths of the holes, and why they are crossed."""
         where = "; ".join(hole.words for hole in self.holes)
         goal = ", also at the goal itself" if self.at_goal else ""
         return f"P(connected) is below {self.p_min:g} for {where}{goal}. {self.why}"
 
 
 class Explanation(tuple[Relaxation | Crossing, ...]):
-    """Relaxations and crossings, with a summary.
+    """Tuple of relaxations and crossings, with a summary.
 
     Attributes
     ----------
     summary
-        Whether all plans are verified; otherwise, whether any tested change helps.
+        Text that says whether all plans are verified and, if not, whether a tested change helps.
     """
 
     summary: str
 
     def __new__(cls, found: Iterable[Relaxation | Crossing] = (), summary: str = "") -> Explanation:
-        """Make the tuple with its summary."""
+        """Create the tuple with its summary."""
         made = super().__new__(cls, found)
         made.summary = summary
         return made

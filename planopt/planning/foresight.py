@@ -1,10 +1,10 @@
-"""Bounds on tracking performance: paths for a whole run planned with knowledge of the future.
+"""Performance bounds of tracking: planners that know the future and plan the whole run at once.
 
-The clairvoyant planner knows the power at every position, multipath included, and the target's
-path. The oracle knows path loss, shadowing and the target's path, but not the multipath; it is the
-bound that a planner can approach. Both maximise the received information or (``_log``) the expected
-logarithm of one plus that information times the initial variance. Dynamic programming over
-(step, node) maximises the sum over the run; several robots plan in turn until no path changes.
+The clairvoyant planner knows the target's path and the power at every position, including
+multipath. The oracle knows the target's path, path loss and shadowing, but no multipath; planners
+can approach its performance. Both maximise the received information or, with the suffix ``_log``,
+the expected logarithm of one plus that information times the initial variance. Dynamic programming
+over (step, node) maximises the sum over the run; several robots plan in turn until no path changes.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from planopt.targets.sensor import sensing_information
 from planopt.world.lattice import MOVES, RoadMap
 
 ROUNDS = 5
-"""Maximum number of rounds of several robots."""
+"""Maximum number of rounds in which several robots plan in turn."""
 
 
 class FollowingPlanner:
@@ -45,7 +45,7 @@ class FollowingPlanner:
 
 
 def require_foreseeable(problem: Problem) -> None:
-    """Raise an InputError if the bounds are undefined for a problem."""
+    """Raise an InputError if these performance bounds are undefined for a problem."""
     several = len(problem.robots) > 1 and problem.constraints.separation_m > 0.0
     if (
         not any(term.sensor for term in problem.terms)
@@ -73,7 +73,7 @@ def _paths(
     knows_multipath: bool,
     saturates: bool,
 ) -> list[NDArray[np.float64]]:
-    """Return the path (T, 2) of each robot that tracks a target (T + 1, 2)."""
+    """Return the optimal path (T, 2) of each robot for a known target path (T + 1, 2)."""
     require_foreseeable(problem)
     sensor = next(term.sensor for term in problem.terms if term.sensor is not None)
     threshold, ahead = problem.stations[0].true_threshold_dbm, target_m[1:]
@@ -86,7 +86,7 @@ def _paths(
         return score_probability((mean_power_dbm(truth, places_m) - threshold) / unknown)
 
     def informing(places_m: NDArray[np.float64], step: int) -> NDArray[np.float64]:
-        """Return the information of a packet from positions (n, 2), relative to the initial one."""
+        """Return the information of a packet from positions (n, 2), times the initial variance."""
         sensed = sensing_information(sensor, places_m, ahead[step])
         # Per coordinate, so that it adds to the inverse of the initial variance.
         return 0.5 * problem.targets[0].position_std_m ** 2 * sensed

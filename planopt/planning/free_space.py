@@ -1,4 +1,4 @@
-"""Free space: lattice graph, connectivity of start and goal, drawn positions, leaving paths."""
+"""Free space of a problem: lattice graph, reachability of the goal, random positions."""
 
 from __future__ import annotations
 
@@ -70,12 +70,12 @@ def nodes_in_reach(
 
 
 def is_joined(problem: Problem, clearance_m: float, without: Obstacle | None = None) -> bool:
-    """Return whether a path from start to goal with this clearance exists."""
+    """Return whether free space with this clearance contains a path from start to goal."""
     polygons = [each.polygon for each in problem.workspace.obstacles if each is not without]
     covered = shapely.union_all(shapely.buffer(polygons, clearance_m))
     free = shapely.box(*problem.workspace.bounds_m).difference(covered)
     start, goal = shapely.Point(problem.robots[0].start_m), shapely.Point(problem.goal_m)
-    # Both may lie on the boundary of free space.
+    # Start and goal may lie on the boundary of free space.
     return any(
         part.distance(start) <= CLEARANCE_PAD_M and part.distance(goal) <= CLEARANCE_PAD_M
         for part in shapely.get_parts(free)
@@ -108,20 +108,20 @@ def obstacles_met(problem: Problem, index: ObstacleIndex, path_m: NDArray[np.flo
 
 
 DIRECTIONS, LENGTHS = 48, 8
-"""Numbers of directions and of lengths, up to the longest step, of the candidate moves."""
+"""Numbers of directions and lengths of the candidate moves out of a violation."""
 
 NEARER_M = 1e-9
-"""Tolerance of the distances that a move must not reduce."""
+"""Tolerance within which a move may reduce a distance, in metres."""
 
 
 def leaving_path(
     problem: Problem, index: ObstacleIndex, moving: MovingDiscs, position_m: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
-    """Return the path (N, 2) of one step out of violated clearances, bounds or separations.
+    """Return a path (N, 2) that leaves violated clearances, bounds or separations in one step.
 
-    Drift or a new obstacle may bring a robot to a position without a sound plan. Among moves that
-    approach nothing, the one with the least violation at its end, then the shortest, is chosen; it
-    may lead through obstacles that contain the robot. None if nothing is violated or improved.
+    After drift or in front of a new obstacle, a robot may have no sound plan. Of the moves that
+    reduce no distance, the one with the least violation at its end, then the shortest, is chosen;
+    it may cross obstacles that contain the robot. None if nothing is violated or improved.
     """
     # Shapes: position_m (2,).
     horizon = problem.planner.horizon
@@ -161,9 +161,9 @@ def leaving_path(
 def _inside_m(
     index: ObstacleIndex, places_m: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], ObstacleIndex]:
-    """Return the depth of positions (n, 2) in the first one's obstacles, and the other obstacles.
+    """Return depths of positions (n, 2) in the obstacles around the first, and the other obstacles.
 
-    Obstacles that intersect the first position's obstacles are included.
+    Obstacles that intersect those around the first position are included in the former.
     """
     points = np.asarray(shapely.points(places_m), np.object_)
     about = index.tree.query(points[0], predicate="within")
@@ -190,14 +190,14 @@ def _too_near_m(moving: MovingDiscs, paths_m: NDArray[np.float64]) -> NDArray[np
 
 
 DRAWN_STREAM = 3
-"""Random stream of start positions."""
+"""Number of the random stream for start positions."""
 
 MOST_DRAWS = 10_000
-"""Maximum number of draws of a position or path."""
+"""Maximum number of draws until a position or path is free."""
 
 
 def with_drawn_starts(problem: Problem, seed: int) -> Problem:
-    """Return the problem with drawn start positions of robots and target, if these are random."""
+    """Return the problem with random start positions of robots and target drawn."""
     spread = any(robot.start_spread_m > 0.0 for robot in problem.robots)
     moved = any(target.start_distance_m is not None for target in problem.targets)
     if not spread and not moved:
@@ -285,7 +285,7 @@ def _is_free(
 def free_target_path(
     problem: Problem, draw_path: Callable[[], NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """Draw a target's states (n + 1, 4), repeatedly if its path must be in free space."""
+    """Return drawn states (n + 1, 4) of a target, in free space if required."""
     if not problem.targets[0].stays_free:
         return draw_path()
     index = index_obstacles(problem.workspace)
@@ -305,7 +305,7 @@ def free_target_path(
 def free_places(
     problem: Problem, count: int, generator: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Draw positions (count, 2) uniformly from the free workspace."""
+    """Return positions (count, 2) drawn uniformly from the free workspace."""
     index = index_obstacles(problem.workspace)
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     kept: list[NDArray[np.float64]] = []

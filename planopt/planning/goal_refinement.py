@@ -1,4 +1,4 @@
-"""Refinement of one step's guesses to a goal, in the order of the fallbacks."""
+"""Refinement of initial guesses for one step of a goal problem."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from planopt.targets.rounding import Derivatives
 
 @dataclass(frozen=True, eq=False)
 class GoalRefinement:
-    """Refinement of one step's guesses to a goal, in the order of the fallbacks."""
+    """Refinement of one step's initial guesses to a goal, in the order of the fallbacks."""
 
     nlp: PathNlp
     scene: Scene
@@ -50,9 +50,9 @@ class GoalRefinement:
     budget: Budget
 
     def attempts(self, shifted_m: NDArray[np.float64] | None) -> Iterator[Candidate]:
-        """Yield verified candidates, best guess first, each with the effort since the last one.
+        """Yield candidates with the verifier's findings, from the best guess first.
 
-        The shifted last plan is the better guess if it arrives sooner than the lattice path.
+        If the shifted last plan arrives sooner than the lattice path, it is the better guess.
         """
         start_m = self.start.path_m
         starts = [(start_m, Rung.RELAXED)]
@@ -79,7 +79,7 @@ class GoalRefinement:
                 yield candidate
 
     def _drawn_on(self, shifted_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the shifted last plan, with its last step towards the pivot."""
+        """Return the shifted last plan, extended by a step towards the terminal waypoint."""
         problem, before = self.scorer.problem, shifted_m[-1]
         to_pivot = self.ahead.leading(before).position_m - before
         away, longest = float(np.linalg.norm(to_pivot)), problem.step_length_m - STEP_PAD_M
@@ -89,7 +89,7 @@ class GoalRefinement:
         return np.vstack([shifted_m[:-1], before + to_pivot * min(1.0, longest / away)])
 
     def _sooner(self, candidate: Candidate) -> Candidate | None:
-        """Return a candidate that arrives in fewer steps; None if the path is too long."""
+        """Return a candidate that arrives in fewer steps; None if its path is too long for that."""
         problem = self.scorer.problem
         path = np.vstack([self.scorer.position_m, candidate.path_m])
         away = np.linalg.norm(path - np.asarray(problem.goal_m), axis=1)
@@ -115,9 +115,9 @@ class GoalRefinement:
         return better if better.verdict is Verdict.VERIFIED and is_better else None
 
     def _from(self, path_m: NDArray[np.float64], rung: Rung) -> Iterator[Candidate]:
-        """Yield refinements of a path, each with separating lines for the last one's collisions.
+        """Yield refinements of a path, each with separating lines for its predecessor's collisions.
 
-        Steps that meet the connectivity bound in the guess keep it; RELAXED frees the other steps.
+        Steps that satisfy p_min in the guess keep it as a constraint; RELAXED frees the others.
         """
         if self.budget.spent:
             return
@@ -167,12 +167,12 @@ class GoalRefinement:
         solve_s = perf_counter() - begun_s
         candidate = candidate_of(self.scorer, point, rung, self.lattice_objective, solve_s)
         assessed = self.scorer.assessed(candidate)
-        # The refined path may meet a bound that the guess misses.
+        # The refined path may satisfy a constraint that the guess violates.
         met_after_all = rung is Rung.RELAXED and not assessed.relaxes
         return replace(assessed, rung=Rung.PLAN) if met_after_all else assessed
 
     def _task(self, path_m: NDArray[np.float64], rows: RuleRows) -> PathTask:
-        """Return the data of the refinement of a guess."""
+        """Return the optimisation problem that refines a guess."""
         scorer, cost = self.scorer, self.cost
         problem, pivot = scorer.problem, self.ahead.leading(path_m[-1])
         ends = np.vstack([scorer.position_m, path_m])
@@ -180,13 +180,13 @@ class GoalRefinement:
             np.linalg.norm(path_m[-1] - np.asarray(problem.goal_m))
             <= problem.constraints.goal_radius_m
         )
-        # A guess that waits at its end has arrived, at the goal or a waiting position; spread over
-        # the whole horizon, its refinement would never arrive.
+        # A guess that waits at its end has arrived, at the goal or a waiting position. A refinement
+        # over the whole horizon would never arrive.
         standing = np.linalg.norm(path_m - path_m[-1], axis=1) <= STANDSTILL_M
         arrival = len(path_m) - int(np.argmin(standing[::-1])) if not standing.all() else 0
         dwells = at_goal or arrival < len(path_m) - 1
         before, charged = cost.outage_charges(path_m)
-        # A rate below the largest cost of a metre on the path would not pay for that metre.
+        # The rate must cover the most expensive metre of the path, or driving it would not pay.
         metre_cost = max(pivot.metre_cost, float(cost.metre_costs(path_m).max()))
         value = GoalValue(
             start_m=scorer.position_m,
@@ -213,7 +213,7 @@ class GoalRefinement:
     def _margins_about(
         self, path_m: NDArray[np.float64], rows: RuleRows
     ) -> Callable[[NDArray[np.float64]], tuple[Derivatives, Derivatives]]:
-        """Return margins and scores from the measurements nearest to each stage of a path."""
+        """Return a function for margins and scores, from the measurements nearest to each stage."""
         law, neighbours = self.scorer.context.law, self.scorer.problem.planner.neighbours
         predict_stages, quantile = stage_predictor(law, path_m, neighbours), rows.quantile
 

@@ -1,8 +1,8 @@
-"""One receding-horizon step for a sum of terms: initial guesses, and the fallback cascade.
+"""Receding-horizon step for a sum of terms: initial guesses and fallback cascade.
 
 Initial guesses are refined in turn, best first, until a candidate is verified. Further guesses
-follow only if they may lead to a better candidate. Without a verified candidate the remainder of
-the previous plan or stopping is released.
+follow only if they may yield a better candidate. Without a verified candidate, the robot follows
+the remainder of the previous plan or stops.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Drive, rolled_out
 
 CLOSE_SHARE = 0.01
-"""A batch-optimised guess that is worse by more than this fraction rarely becomes the best."""
+"""Relative loss to the best guess beyond which a batch-optimised guess is rarely worth refining."""
 
 MERGED_STEPS = 2.0
-"""A guess within this many longest steps of a refined path is assumed to converge to it."""
+"""Distance, in longest steps, within which a guess is assumed to converge to a refined path."""
 
 
 def driven_starts(
     scorer: Scorer, context: StepContext, starts: list[Guess], warm: Plan | None
 ) -> list[Guess]:
-    """Return drivable guesses, best first, followed by those that violate clearance."""
+    """Return guesses that satisfy the dynamics, best first; unsafe ones are last."""
     problem = scorer.problem
     dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
     found: list[Guess] = []
@@ -69,7 +69,7 @@ def last_drive(problem: Problem, warm: Plan | None) -> Drive | None:
 
 
 def driven_start(scorer: Scorer, context: StepContext, drive: Drive) -> Guess:
-    """Return a drive as an initial guess."""
+    """Return a drive (states and inputs) as an initial guess."""
     candidate = drive_candidate(scorer, drive, Rung.LATTICE, Termination.LATTICE_ONLY)
     path = candidate.path_m
     moved = verify_motion(scorer.problem, scorer.index, scorer.state, drive.positions_m, drive)
@@ -95,7 +95,7 @@ class FallbackCascade:
         coupled = bends_guesses(problem) and problem.planner.horizon > 1
         self._followed = COUPLED_GUESSES if coupled else 1
         self._driven = not problem.robots[0].moves_freely
-        # For goal tasks a further gain is lost again with the next pivot.
+        # In goal tasks, the next terminal waypoint cancels any further gain.
         again = self._driven and problem.task != "reach"
         self._rounds = DRIVEN_ROUNDS if again else 0
         refines = problem.planner.name in METHODS and problem.can_be_polished
@@ -176,7 +176,7 @@ class FallbackCascade:
     def _by_good_place(
         self, context: StepContext, scorer: Scorer, candidates: list[Candidate], budget: Budget
     ) -> list[Candidate]:
-        """Return candidates that lead straight to a reachable position that meets the bound."""
+        """Return candidates that move straight to a reachable position which satisfies p_min."""
         found: list[Candidate] = []
         for path in paths_to_good_place(scorer, candidates):
             way = scorer.candidate(path, Rung.COLD_RETRY, Termination.LATTICE_ONLY)
@@ -199,7 +199,7 @@ class FallbackCascade:
         verified: list[Candidate],
         budget: Budget,
     ) -> list[Candidate]:
-        """Refine the best candidate again, with the measurements and lines nearest to it."""
+        """Return a refinement of the best candidate, with its nearest measurements and lines."""
         if self.refinement is None:
             return []
         best = max(verified, key=scorer.score)
@@ -227,7 +227,7 @@ class HorizonPlanner:
         if way is not None:
             out = Guess(way, scorer.objective(way), rule_missing(context, way))
             if context.measuring.takes(way).any():
-                # The path yields a measurement, so that it competes with the other guesses.
+                # The path yields a measurement, so it competes with the other guesses.
                 starts = sorted([*starts, out], key=lambda start: -start.value)
             elif (plan := self._released(context, scorer, out, warm, begun)) is not None:
                 return plan

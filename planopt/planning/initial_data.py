@@ -1,4 +1,4 @@
-"""Initial data of a run, drawn for a problem and a seed, and beliefs fitted to measurements.
+"""Initial data of a run, drawn from a seed, and beliefs fitted to initial measurements.
 
 Ground truth, initial measurements and targets use separate random streams.
 """
@@ -57,14 +57,14 @@ from planopt.world.raster_files import read_raster
 
 @dataclass(frozen=True, eq=False)
 class TeamSeeds:
-    """Random streams of a team."""
+    """Independent random streams of a team of robots."""
 
     target: np.random.Generator  # Target path, its initial estimate and sensor noise
-    planners: tuple[np.random.Generator, ...]  # One per robot
+    planners: tuple[np.random.Generator, ...]  # One per robot's planner
 
 
 def team_seeds(problem: Problem, seed: int) -> TeamSeeds:
-    """Return the random streams of a seed."""
+    """Return the random streams that belong to a seed."""
     target, planners = np.random.SeedSequence(seed, spawn_key=(1,)).spawn(2)
     return TeamSeeds(
         np.random.default_rng(target),
@@ -73,18 +73,18 @@ def team_seeds(problem: Problem, seed: int) -> TeamSeeds:
 
 
 UserMeasurements = Measurements | Table | Sequence[Measurements | Table]
-"""User-supplied measurements: one table, or one per station."""
+"""User-supplied measurements: one table for a single station, or one per station."""
 
 LARGEST_GAIN_DB = 500.0
-"""Maximum magnitude of path gains in maps and problem files."""
+"""Maximum magnitude of path gains in maps and problem files, in dB."""
 
 FURTHER_STREAMS = 2
-"""Random stream of the fading of further stations."""
+"""Number of the random stream for the fading of further stations."""
 
 
 @dataclass(frozen=True, eq=False)
 class InitialData:
-    """Ground truth and initial measurements of one seed, by station."""
+    """Ground truth and initial measurements of each station for one seed."""
 
     truths: tuple[Truth, ...]  # Empty if the problem has none
     measurements: tuple[Measurements, ...]
@@ -124,7 +124,7 @@ def draw_initial_data(
 def _first_measurements(
     problem: Problem, truths: Sequence[Truth], generator: np.random.Generator
 ) -> list[Measurements]:
-    """Read the logs of all stations, or measure the ground truth at drawn positions."""
+    """Return the initial measurements of each station, from logs or drawn at random positions."""
     setup, known = problem.channel.measurements, problem.channel.given
     if isinstance(setup, LoggedMeasurements):
         logs = [log_of(setup, radio) for radio in problem.stations]
@@ -155,7 +155,7 @@ def _fitted_truth(
     log: Measurements,
     generator: np.random.Generator,
 ) -> Truth:
-    """Fit the channel to a station's log and draw the ground truth from the posterior."""
+    """Return a station's ground truth, drawn from the channel posterior of its log."""
     radio = problem.stations[station]
     fit = fit_channel(log, radio.site, problem.channel.fit_method)
     if len(log) > EXACT_LIMIT:
@@ -166,7 +166,7 @@ def _fitted_truth(
 
 
 def draw_truth(problem: Problem, generator: np.random.Generator, station: int = 0) -> Truth | None:
-    """Draw one station's ground truth; None if there is none or if it is fitted to a log."""
+    """Return one station's ground truth; None if there is none or if it is fitted to a log."""
     setup, radio = problem.channel.truth, problem.stations[station]
     if isinstance(setup, RasterTruth):
         setup = raster_truth_of(setup, radio)
@@ -174,7 +174,7 @@ def draw_truth(problem: Problem, generator: np.random.Generator, station: int = 
         _require_quantity(setup, gain)
         if setup.quantity == "power":
             gain = replace(gain, values=gain.values - radio.transmit_power_dbm)
-        # NaN marks missing values and is allowed; the comparison is false for it.
+        # NaN marks missing values; they pass, as comparisons with NaN are false.
         if (np.abs(gain.values) > LARGEST_GAIN_DB).any():
             raise InputError(
                 f"has values from {np.nanmin(gain.values):g} to {np.nanmax(gain.values):g}, "
@@ -210,7 +210,7 @@ def draw_truth(problem: Problem, generator: np.random.Generator, station: int = 
 
 
 def _require_quantity(setup: RasterTruth, raster: Raster) -> None:
-    """Raise an InputError if a map contains another quantity."""
+    """Raise an InputError if a map contains a quantity other than the declared one."""
     other = {"gain": "dBm", "power": "dB"}[setup.quantity]
     spread = raster.quantity.startswith("standard deviation")
     if raster.unit not in (other, "1") and not spread:
@@ -268,7 +268,7 @@ def _python_truth(problem: Problem, setup: ArrayTruth | FunctionTruth, station: 
 
 
 def _numbers(key: str, values: object) -> NDArray[np.float64]:
-    """Return an array of real numbers, or raise an error with the key."""
+    """Return `values` as an array of real numbers; raise an InputError that names `key`."""
     try:
         found = np.asarray(values)
         # NumPy would parse text as numbers and drop imaginary parts.
@@ -287,7 +287,7 @@ def _numbers(key: str, values: object) -> NDArray[np.float64]:
 def with_measurements(
     problem: Problem, measurements: UserMeasurements | None
 ) -> tuple[Problem, tuple[Measurements, ...] | None]:
-    """Return the problem without its own initial measurements, and the user's by station.
+    """Return the problem without its own measurements, and the user's as a table per station.
 
     Without user measurements, return the unchanged problem and None.
     """
@@ -379,7 +379,7 @@ def learn_stations(problem: Problem, measurements: Sequence[Measurements]) -> Be
 
 
 def initial_belief(problem: Problem, seed: int = 0) -> Belief:
-    """Return the belief before the first step; a ground truth is drawn only to be measured."""
+    """Return the belief before the first step, from logs or simulated measurements."""
     if isinstance(problem.channel.measurements, LoggedMeasurements):
         problem = replace(problem, channel=replace(problem.channel, truth=None))
     return learn_stations(problem, draw_initial_data(problem, seed).measurements)
@@ -387,7 +387,7 @@ def initial_belief(problem: Problem, seed: int = 0) -> Belief:
 
 @dataclass(frozen=True)
 class Prepared:
-    """Ground truth by station and initial belief for one seed."""
+    """Ground truth of each station and initial belief for one seed."""
 
     truths: tuple[Truth, ...]  # Empty if the problem has none
     belief: Belief
@@ -397,13 +397,13 @@ class Prepared:
 def prepare(
     problem: Problem, seed: int, measurements: Sequence[Measurements] | None = None
 ) -> Prepared:
-    """Draw the initial data and fit the channel to the initial measurements."""
+    """Return the initial data of a seed and the belief fitted to the initial measurements."""
     data = draw_initial_data(problem, seed, measurements)
     return Prepared(data.truths, learn_stations(problem, data.measurements))
 
 
 def learn_measured(problem: Problem, belief: Belief, measured: Sequence[Measurements]) -> Belief:
-    """Return a belief updated with measurements by station, except those within the spacing."""
+    """Return a belief updated with new measurements, except those within the spacing."""
     if not any(len(each) for each in measured):
         return belief
     rule = MeasuringRule.of(belief.posteriors, problem.channel.measure_spacing_m)

@@ -1,4 +1,4 @@
-"""Inputs of a term: the step context, a batch of paths, a solver's path, or a lattice."""
+"""Inputs of objective terms: the step context, a batch of paths, a solver's path, or a lattice."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from planopt.targets.rounding import Derivatives
 Made = TypeVar("Made")
 
 Part = Derivatives | PathDerivatives
-"""Value with derivatives: per stage if it is a sum over stages, else of the whole path."""
+"""Value of a term with derivatives: per stage for sums over stages, else of the whole path."""
 
 LENGTH_ROUNDING_SHARE = 0.01
-"""Width within which a length near zero is smoothed, as a share of the longest step."""
+"""Smoothing width of lengths near zero, as a share of the longest step."""
 
 
 class SteeredPath(Protocol):
@@ -54,7 +54,7 @@ class SteeredPath(Protocol):
         ...
 
     def next_turns(self, places_m: Floats) -> Indices:
-        """Return the index of the turn that each position (n, 2) heads for in a straight line."""
+        """Return the index of the route's turn that each position (n, 2) heads for next."""
         ...
 
     def distance_m(self, places_m: Floats) -> Floats:
@@ -62,7 +62,7 @@ class SteeredPath(Protocol):
         ...
 
     def gained_m(self, paths_m: Floats) -> Floats:
-        """Return the summed progress of the positions of paths (..., N, 2) towards the end."""
+        """Return the progress towards the end, summed over the positions of paths (..., N, 2)."""
         ...
 
 
@@ -191,7 +191,7 @@ class TermContext(Protocol):
         ...
 
     def probed(self, places_m: Floats, predicted: Floats) -> Floats:
-        """Return the probabilities of connection (...) of probes at positions (..., 2)."""
+        """Return the probabilities (...) that probes at positions (..., 2) find a connection."""
         ...
 
     def once(self, key: Hashable, make: Callable[[], Made]) -> Made:
@@ -215,12 +215,12 @@ class Paths:
 
     @cached_property
     def each(self) -> list[Prediction]:
-        """Power of each station at every position, path by path; ``(c N,)``."""
+        """Predicted power of each station at every position, path by path; ``(c N,)``."""
         return [batch.power for batch in self.stations]
 
     @cached_property
     def power(self) -> Prediction:
-        """Serving power at every position, path by path; ``(c N,)``."""
+        """Predicted serving power at every position, path by path; ``(c N,)``."""
         return self.at.combined(self.each)
 
     @cached_property
@@ -245,7 +245,7 @@ def legs_m(at: TermContext, paths_m: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class NearPath:
-    """Path of a solver, close to its initial guess."""
+    """Path that a solver evaluates, close to its initial guess."""
 
     at: TermContext
     places_m: Floats  # (N, 2) positions after each step
@@ -262,7 +262,7 @@ class NearPath:
 
     @cached_property
     def stage_power(self) -> StagePower:
-        """Serving power at every stage."""
+        """Predicted serving power at every stage."""
         return self.predicted()
 
     @cached_property
@@ -275,7 +275,7 @@ class NearPath:
 
     @property
     def rounding_m(self) -> float:
-        """Width in metres within which lengths near zero are smoothed."""
+        """Smoothing width of lengths near zero, in metres."""
         return LENGTH_ROUNDING_SHARE * self.at.step_length_m
 
 

@@ -36,7 +36,7 @@ class SteeredTerm(Term):
         return paths.at.steering.gained_m(paths.paths_m)
 
     def derivatives(self, path: NearPath) -> Part:
-        """Return minus the distance from each position to the next turn of the steered path."""
+        """Return minus each position's distance to the next turn of the route, with derivatives."""
         steering, places = path.at.steering, path.places_m
         if path.ahead is None or steering is None:
             count = len(places)
@@ -107,14 +107,14 @@ class MotionEnergyTerm(Term):
         return -self._spent_j(paths.legs_m, paths.at.standstill_m, paths.at.step_s).sum(axis=1)
 
     def derivatives(self, path: NearPath) -> PathDerivatives:
-        """Return minus the energy k1 per metre; the k2 part hardly depends on positions."""
+        """Return minus the energy with derivatives. The k2 part is left out as nearly constant."""
         offsets = np.diff(np.vstack([path.at.position_m, path.places_m]), axis=0)
         lengths = rounded_length(offsets, path.rounding_m)
         each = np.full(len(offsets), -self.per_metre_j_m)
         return PathDerivatives(float(each @ lengths.value), *by_lengths(lengths, each))
 
     def slope(self, paths: Paths, number: int) -> Pull:
-        """Return the adjoints of minus the energy k1 per metre w.r.t. positions."""
+        """Return the adjoints of minus the energy (without k2) w.r.t. positions."""
         by_length = np.full(paths.shape, -self.per_metre_j_m)
         return pull_of_lengths(paths.at.position_m, paths.paths_m, by_length)
 

@@ -40,13 +40,13 @@ WIDTHS = {"positions_m": 2, "mean_db": 1, "deviation_db": 1, "connectivity": 1, 
 """Number of columns of each input with one row per step."""
 
 START = "start_m"
-"""Name of the input with the robot position, one row of two numbers."""
+"""Name of the input (1, 2) with the robot's position."""
 
 LONGEST_LINE = 200
-"""Maximum number of characters in a line, which bounds its nesting."""
+"""Maximum number of characters in a line of a program; it bounds the nesting."""
 
 MOST_LINES = 100_000
-"""Maximum of lines times steps: the cost of a line's derivatives grows with the steps."""
+"""Maximum of program lines times steps, since derivatives of a line cost more with more steps."""
 
 CHANNELS: tuple[str, ...] = ("positions_m", "mean_db", "deviation_db", "connectivity")
 """Inputs that depend on the position at a step."""
@@ -182,7 +182,7 @@ def expression_derivatives(
 
 @lru_cache(maxsize=64)
 def _valued(program: str, steps: int) -> Any:
-    """Return the CasADi function from the inputs to the value."""
+    """Return the CasADi function that maps the inputs to the value of `program`."""
     symbols = {name: ca.SX.sym(name, *shape) for name, shape in _shapes(steps).items()}
     return ca.Function(
         "value", list(symbols.values()), [ca.densify(_parsed(program, symbols, steps))]
@@ -191,7 +191,7 @@ def _valued(program: str, steps: int) -> Any:
 
 @lru_cache(maxsize=64)
 def _mapped(program: str, steps: int, count: int) -> Any:
-    """Return the CasADi function from the inputs of `count` paths to their values."""
+    """Return the CasADi function that maps the inputs of `count` paths to their values."""
     return _valued(program, steps).map(count)
 
 
@@ -207,7 +207,7 @@ def _differentiated(program: str, steps: int) -> Any:
 
 
 def _parsed(program: str, symbols: Mapping[str, Any], steps: int) -> Any:
-    """Parse a program into a CasADi expression."""
+    """Return the CasADi expression of a program."""
     lines = program.splitlines()
     names: dict[str, Any] = {}
     for row, line in enumerate(lines, start=1):
@@ -323,7 +323,7 @@ class CasadiTerm(Term):
     summary: ClassVar[str] = "A value of one's own, made large."
 
     def check(self, setting: TermSetting) -> None:
-        """Require a program for the planned horizon whose inputs the problem provides."""
+        """Raise an InputError if horizon or inputs of the program do not match the problem."""
         for name in ("mean_db", "deviation_db"):
             if setting.stations > 1 and name in names_in(self.program):
                 raise InputError(

@@ -34,7 +34,7 @@ class MeasuredTerm(Term):
 
     @property
     def is_measured(self) -> bool:
-        """Return True: the value is the gain of measurements."""
+        """Return True, as the value is the gain of measurements."""
         return True
 
     def gain(self, at: TermContext, posterior: ChannelPosterior) -> Gain:
@@ -109,7 +109,7 @@ class MeasuredTerm(Term):
 
 @dataclass(frozen=True, eq=False)
 class _Anticipated:
-    """Node predictions of a station, including other robots' measurements at reachable nodes."""
+    """Lattice predictions of a station that include other robots' planned measurements."""
 
     mean_db: Floats
     deviation_db: Floats
@@ -166,7 +166,7 @@ class LearningTerm(MeasuredTerm):
         return VarianceRemoved(spread @ square_root(map_criterion(posterior, at.region)))
 
     def node_gain(self, station: NodeChannel, posterior: ChannelPosterior) -> Floats:
-        """Return the trace for criterion T, and the information gain of D otherwise."""
+        """Return each node's gain: the trace for criterion T, else the information gain of D."""
         trend, covariance = station.trend, posterior.theta_covariance
         spread = np.einsum("yxi,ij,yxj->yx", trend, covariance, trend)
         latent = np.maximum(station.deviation_db**2 - spread, 1e-12)
@@ -184,7 +184,7 @@ FORM_KEYS = ("variance_threshold_db2", "closeness_per_m")
 """Keys that only `FORMS_WITH_KEYS` accept."""
 
 DISTANCE = SteeredTerm()
-"""Term that evaluates the two-layer form: progress towards the steering point."""
+"""Term for the two-layer form, whose value is the progress towards the steering point."""
 
 Nonnegative = Annotated[float, Field(ge=0, le=1e6)]
 
@@ -223,7 +223,7 @@ class MappingTerm(MeasuredTerm):
 
     @property
     def left_out(self) -> frozenset[str]:
-        """Keys that only other forms use."""
+        """Return the keys that this form does not use."""
         return frozenset() if self.form in FORMS_WITH_KEYS else frozenset(FORM_KEYS)
 
     @property
@@ -238,7 +238,7 @@ class MappingTerm(MeasuredTerm):
 
     @property
     def averages_map(self) -> bool:
-        """Return whether the form is ``average``."""
+        """Return whether the value is an average over the map, as for the form ``average``."""
         return self.form == "average"
 
     @property
@@ -270,7 +270,7 @@ class MappingTerm(MeasuredTerm):
         return Information() if self.form == "information" else VarianceRemoved()
 
     def node_gain(self, station: NodeChannel, posterior: ChannelPosterior) -> Floats:
-        """Return the form's gain of one measurement per node; the variance for ``average``."""
+        """Return the form's gain of one measurement at each node; for ``average``, the variance."""
         variance = station.deviation_db**2
         match self.form:
             case "path":
@@ -294,13 +294,13 @@ class MappingTerm(MeasuredTerm):
         return DISTANCE.derivatives(path) if self.form == "two_layer" else super().derivatives(path)
 
     def slope(self, paths: Paths, number: int) -> Pull:
-        """Return the adjoints of :meth:`values` w.r.t. one station's moments, or positions."""
+        """Return the adjoints of :meth:`values` w.r.t. one station's moments or the positions."""
         if self.form == "two_layer":
             return DISTANCE.slope(paths, number)
         return super().slope(paths, number)
 
     def node_reward(self, at: TermContext, nodes: Nodes) -> Floats:
-        """Return the gain of one measurement per node, or minus the remaining distance."""
+        """Return each node's gain of one measurement, or minus its remaining distance."""
         if self.form == "two_layer":
             return DISTANCE.node_reward(at, nodes)
         return super().node_reward(at, nodes)

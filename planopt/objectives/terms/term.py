@@ -1,8 +1,8 @@
 """Base class of objective terms, and the registry of all kinds.
 
 A term is a frozen dataclass whose fields are the keys of its table in a problem file; annotations
-define types and ranges. Defining a subclass with a ``kind`` registers it. Every module of this
-package is imported; import a module outside planopt before reading problems that use its terms.
+define types and ranges. Defining a subclass with a ``kind`` registers it. Modules of this package
+are imported automatically. Import others before reading problems that use their terms.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ Weight = Annotated[
 ]
 
 Structure = Literal["stagewise", "chain", "full"]
-"""Sparsity of the Hessian of a value: 2 x 2 blocks per stage; these plus blocks between successive
-stages; or dense."""
+"""Sparsity of a term's Hessian: 2 x 2 blocks per stage; blocks between successive stages as well;
+dense."""
 
 Steers = Literal["variance", "connection", "goal"]
 """Steering point of a robot: the position of largest variance, a position to probe for connection,
@@ -83,23 +83,23 @@ class Term:
 
     @property
     def left_out(self) -> frozenset[str]:
-        """Fields to omit from a saved table."""
+        """Return the fields to omit from a saved table."""
         return frozenset()
 
     def planned(self, setting: TermSetting) -> Term:
-        """Return the term as planned in a problem with this `setting`."""
+        """Return the term with automatic choices resolved for a problem with this `setting`."""
         return self
 
     @property
     def structure(self) -> Structure:
-        """Return how the value of a path couples its positions."""
+        """Return the sparsity of the Hessian w.r.t. the positions of a path."""
         return "full"
 
     @property
     def probes_end(self) -> bool:
         """Return whether the end of a path is probed, so that :meth:`probe_values` is defined.
 
-        Such values are not smooth functions of the path's end.
+        Values with a probe are not smooth functions of the path's end.
         """
         return False
 
@@ -115,12 +115,12 @@ class Term:
 
     @property
     def variance_threshold(self) -> float | None:
-        """Stopping condition: variance in dB^2 up to which a position is known, if any."""
+        """Return the variance in dB^2 up to which a position is known; None without a threshold."""
         return None
 
     @property
     def sensor(self) -> Sensor | None:
-        """Sensor that tracks the target; None for terms without a target."""
+        """Return the sensor that tracks the target; None for terms without a target."""
         return None
 
     @property
@@ -146,17 +146,17 @@ class Term:
         )
 
     def value(self, at: TermContext, path_m: Floats) -> float:
-        """Return the reported value of one path (N, 2), from all measurements."""
+        """Return the value of one path (N, 2), based on all measurements; it is reported."""
         raise self._without("value")
 
     def values(self, paths: Paths) -> Floats:
-        """Return the values of c paths at once, which searches compare; ``(c,)``."""
+        """Return approximate values of c paths, by which searches rank them; ``(c,)``."""
         raise self._without("values")
 
     def probe_values(self, at: TermContext, paths_m: Floats, chance: Floats) -> Floats:
         """Return the values of paths (c, N, 2) for approximate P(connected) (c, N); ``(c,)``.
 
-        Searches rank hundreds of paths by it if the term probes path ends.
+        Searches use these values to rank hundreds of paths if the term probes path ends.
         """
         raise self._without("probe_values")
 
@@ -167,12 +167,12 @@ class Term:
     def slope(self, paths: Paths, number: int) -> Pull:
         """Return the adjoints of :meth:`values` w.r.t. the moments of station `number`.
 
-        For terms that are not a sum over stations, only the first station is requested.
+        Terms that are not sums over stations are called for the first station only.
         """
         raise self._without("slope")
 
     def node_reward(self, at: TermContext, nodes: Nodes) -> Floats | None:
-        """Return the reward of ending a step at each node, (ny, nx), at any stage.
+        """Return the reward of ending a step at each node, for any stage; (ny, nx).
 
         The lattice search maximises these rewards in place of the value. They are exact for terms
         that are sums over steps; for other terms the resulting path is only an initial guess.

@@ -32,13 +32,13 @@ from planopt.targets.rounding import Derivatives, add_products
 from planopt.targets.sensor import Sensor, sensing_derivatives, sensing_information
 
 LONGEST_ADDITIVE = 10
-"""Longest horizon at which ``auto`` is ``additive`` with other terms, a chance constraint or robots
-with dynamics. A longer additive plan relies on uncertain packets sent close to the target."""
+"""Longest horizon at which ``auto`` selects ``additive`` with other terms, a chance constraint or
+dynamics. A longer additive plan relies on uncertain packets sent close to the target."""
 
 TrackingForm = Literal["auto", "additive", "recourse"]
 
 LONGEST_ADDITIVE_OF_ESTIMATES = 1
-"""Same limit for packets with estimates, which ``additive`` values as single measurements."""
+"""The limit for packets with estimates, which ``additive`` rewards like single measurements."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,7 @@ class TrackingTerm(Term):
 
     @property
     def sensor(self) -> Sensor:
-        """Sensor whose variance is smallest at the distance `sweet_spot_m`."""
+        """Return the sensor, whose variance is smallest at the distance `sweet_spot_m`."""
         return Sensor(self.noise_curvature, self.noise_floor_m2, self.sweet_spot_m)
 
     def check(self, setting: TermSetting) -> None:
@@ -228,7 +228,7 @@ class TrackingTerm(Term):
         return (paths.chance * sensing) @ settings.weight[:steps]
 
     def derivatives(self, path: NearPath) -> Derivatives:
-        """Return the additive value per stage; it also refines paths to probed positions."""
+        """Return the additive value per stage with derivatives; it also refines probing paths."""
         settings = self.settings(path.at)
         chance = connectivity_derivatives(*path.stage_power, settings.threshold_dbm)
         sensing = sensing_derivatives(settings.sensor, path.places_m, settings.target_m)

@@ -1,9 +1,9 @@
 # pyright: basic
 """Term ``until_connected``: minus the expected distance until connected (equation 4.13).
 
-Plans are evaluated by assumed-density filtering (equation 4.15). Positions are visited in turn.
-Given no connection so far, the power at all later positions is approximated by a Gaussian with the
-exact moments. The result is within hundredths of the multivariate integral
+Plans are evaluated by assumed-density filtering (equation 4.15). After each position without a
+connection, the power at all later positions is approximated by a Gaussian with the exact
+moments. The result is within hundredths of the multivariate integral
 (:func:`planopt.channel.first_passage`) at a hundredth of its cost. For solvers, CasADi
 differentiates the formula w.r.t. the moments of the path, whose derivatives
 :mod:`planopt.objectives.path_derivatives` provides.
@@ -38,8 +38,8 @@ from planopt.objectives.terms.term import Steers, Term
 from planopt.targets.rounding import Derivatives, rounded_length
 
 WAITING = 0.1
-"""Cost per metre by which a step is shorter than the longest step. Without it, waiting would be
-free, and the robot would postpone its first step forever."""
+"""Cost per metre by which a step is shorter than the longest step. Without this cost, waiting would
+be free, and the robot would postpone its first step forever."""
 
 NOT_PROBED_DB = 1e3
 """Offset in dB that puts positions without a probe far below the threshold."""
@@ -52,7 +52,7 @@ PROBE_SHARE = 1.0 / 3.0
 searches from 40 start positions on one map were within a tenth of the best."""
 
 LEAST_VARIANCE_DB2 = 1e-12
-"""Minimum variance, for positions whose power is known exactly."""
+"""Minimum variance, in case the power at a position is known exactly."""
 
 LEAST_SCORE = -5.0
 """Minimum score: the outage probability of a position is at least Q(5) = 3e-7."""
@@ -65,7 +65,7 @@ class Search:
     start_m: tuple[float, float]  # Position of the robot
     thresholds_dbm: tuple[float, ...]  # Minimum power of a connection to each station
     beyond_m: float = 0.0  # Metres added if the path ends without connection
-    step_m: float | None = None  # Longest step, for the cost of waiting; None if it is free
+    step_m: float | None = None  # Longest step, for the cost of waiting; None if waiting is free
 
 
 def charged_distance_m(
@@ -75,7 +75,7 @@ def charged_distance_m(
     probed: Mask | None = None,  # (h,) True where the robot probes; None: all
 ) -> float:
     """Return E[D] + beyond_m P(not connected at q_1 .. q_h), by the exact posteriors."""
-    # E[D] alone is smallest for a stationary robot, so leg lengths are those of `counted_legs_m`.
+    # E[D] alone favours a stationary robot, so leg lengths are those of `counted_legs_m`.
     # Stations are independent, so their outage probabilities multiply.
     places = require_places(path_m)
     missing_db = 0.0 if probed is None else np.where(probed, 0.0, NOT_PROBED_DB)
@@ -141,10 +141,10 @@ def search_length_m(distance_m: Floats, chance: Floats, decorrelation_m: float) 
 
 @dataclass(frozen=True)
 class PassageProgramme:
-    """CasADi functions of the flat vector z."""
+    """CasADi functions that evaluate the expected cost of a path."""
 
-    # z stacks (mean above threshold (h,), covariance (h, h)) of each station, the leg lengths (h,)
-    # and the cost of ending without connection. Outage probabilities of stations multiply.
+    # Their argument z stacks (mean above threshold (h,), covariance (h, h)) of each station, leg
+    # lengths (h,) and the cost of ending unconnected. Outage probabilities of stations multiply.
 
     value: Any  # Function of z: expected cost in metres
     gradient: Any  # Gradient w.r.t. z, with covariances as lower triangles
@@ -204,7 +204,7 @@ def charged_distance_derivatives(
     beyond: Derivatives | None = None,  # Cost of ending unconnected at the last position
     probed: Mask | None = None,  # (h,)
 ) -> PathDerivatives:
-    """Return :func:`charged_distance_m` for local channels, filtered, with derivatives."""
+    """Return :func:`charged_distance_m` by local channels and filtering, with derivatives."""
     stations = [LocalPath(channel, path_m) for channel in channels]
     steps = len(path_m)
     legs = rounded_length(np.diff(np.vstack([settings.start_m, path_m]), axis=0), width_m)
@@ -258,7 +258,7 @@ def _jacobians(station: LocalPath) -> list[Floats]:
 
 @dataclass(frozen=True)
 class UntilConnectedTerm(Term):
-    """Expected distance until connected, counted as a cost."""
+    """Expected distance until connected, a cost in metres."""
 
     beyond_m: Annotated[
         float | None,
@@ -304,7 +304,7 @@ class UntilConnectedTerm(Term):
 
     def search_length_m(self, at: TermContext, length_m: Floats, chance: Floats) -> Floats:
         """Return the expected search lengths for first probes at these distances; ``(k,)``."""
-        # The length is R of `until_connected`, or D + (1 - P) `beyond_m`.
+        # The length is R of the module's `search_length_m`, or D + (1 - P) `beyond_m`.
         if self.beyond_m is not None:
             return length_m + (1.0 - chance) * self.beyond_m
         return search_length_m(length_m, chance, at.decorrelation_m)
@@ -315,7 +315,7 @@ class UntilConnectedTerm(Term):
         return after if at.steering is None else after + at.steering.distance_m(ends_m)
 
     def value(self, at: TermContext, path_m: Floats) -> float:
-        """Return minus the expected search length in metres along one path."""
+        """Return minus the expected distance until connected for one path, in metres."""
 
         def charged_m() -> float:
             beyond = float(self.charged_beyond_m(at, path_m[-1:])[0])
@@ -357,7 +357,7 @@ class UntilConnectedTerm(Term):
     def stage_reward(
         self, at: TermContext, places_m: Floats, stage: int | Indices, chance: Floats
     ) -> Floats:
-        """Return the expected distance saved if each position were the only probe."""
+        """Return the expected distance saved by each position as the only probe."""
         return self.search(at).beyond_m * chance
 
     def largest_stage_reward(self, at: TermContext) -> float:
@@ -366,7 +366,7 @@ class UntilConnectedTerm(Term):
 
 
 def _beyond(path: NearPath, search: Search) -> Derivatives | None:
-    """Return cost-to-go and derivatives w.r.t. the last position; None without steering."""
+    """Return the cost-to-go with derivatives w.r.t. the last position; None without steering."""
     steering = path.at.steering
     if path.ahead is None or steering is None:
         return None

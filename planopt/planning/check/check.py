@@ -43,9 +43,9 @@ from planopt.short_repr import short_repr
 
 
 def library_remarks(file: str, problem: Problem, seed: int = 0) -> list[str]:
-    """Return differences between a saved problem and the library's of that name, drawn with `seed`.
+    """Return the differences between a saved problem and the library's problem of that name.
 
-    Horizon, planner and cost-to-go are exempt because the file stores them separately.
+    Horizon, planner and cost-to-go are not compared because the file stores them separately.
     """
     original = library_folder() / f"{problem.name}{SUFFIX}"
     if not original.is_file():
@@ -73,7 +73,7 @@ def library_remarks(file: str, problem: Problem, seed: int = 0) -> list[str]:
 
 
 def _but_overrides(tables: dict[str, Any]) -> dict[str, Any]:
-    """Return tables without the settings that the command line may override."""
+    """Return a problem's tables without the settings that the command line may override."""
     without = {"planner": ("horizon", "name"), "objective": ("cost_to_go",)}
     return {
         table: {key: value for key, value in keys.items() if key not in without[table]}
@@ -85,10 +85,10 @@ def _but_overrides(tables: dict[str, Any]) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class CheckResult:
-    """Result of a check."""
+    """Result of checking a saved plan or run."""
 
-    verdict: Verdict  # verified without objections, else violated; none if there is no plan
-    # From the verifier: one for a plan, one per step for a run
+    verdict: Verdict  # ``verified`` or ``violated``; ``none`` if there is no plan
+    # Of the repeated verification: one for a plan, one per step for a run
     certificates: tuple[Certificate, ...]
     reasons: tuple[str, ...]  # All objections; empty if verified
     # Parts that could not be checked, and differences from the library's problem of that name
@@ -98,7 +98,7 @@ class CheckResult:
 
     @property
     def certificate(self) -> Certificate | None:
-        """Return the only certificate, or the worst of a run with the steps that miss p_min."""
+        """Return a plan's certificate, or a run's worst one with the steps that violate p_min."""
         if len(self.certificates) <= 1:
             return self.certificates[0] if self.certificates else None
         return _worst(self.certificates)
@@ -167,7 +167,7 @@ def _different(saved: Saved, found: Contents) -> list[str]:
 
 
 def _no_plan_reasons(saved: Saved) -> list[str]:
-    """Return the message that there is no plan, and differences from the recomputed file."""
+    """Return the message that no plan exists, and differences from the recomputed file."""
     message, record = str(saved.data["message"]), saved.record
     found: dict[str, Any]
     if saved.file.name == PLAN_FILE and isinstance(record, NoPlanRecord):

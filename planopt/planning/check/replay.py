@@ -1,8 +1,8 @@
-"""Replay of a saved plan or run: its trajectories are executed and its plans verified again.
+"""Replay of a saved plan or run: trajectories are executed and plans verified again.
 
-The loop is that of the simulation, with the saved trajectories in place of a planner. If the
-problem has a ground truth, it is drawn again together with the initial measurements; otherwise the
-files supply them. Nothing is planned.
+The simulation loop runs with saved trajectories in place of a planner; nothing is planned. If the
+problem has a ground truth, it is drawn again together with the initial measurements; otherwise
+both are read from the files.
 """
 
 from __future__ import annotations
@@ -48,11 +48,11 @@ from planopt.world.clearance import index_obstacles
 from planopt.world.lattice import RoadMap
 
 VALUES, NOISE = "values_db", "noise_variance_db2"
-"""Array names of the EP sites."""
+"""Names of the saved arrays of the expectation-propagation (EP) sites."""
 
 
 def initial_belief(problem: Problem, first: Sequence[Measurements], saved: SavedBelief) -> Belief:
-    """Return the belief before the first step: fitted again, but with the saved parameters.
+    """Return the belief before the first step, fitted again with the saved channel parameters.
 
     Fits on different machines differ slightly; saved and refitted parameters are compared.
     """
@@ -92,7 +92,7 @@ def belief_reasons(saved: SavedBelief, found: Arrays, seed: int) -> list[str]:
 
 
 def _comparable(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """Return arrays as lists, and EP sites in natural parameters, in which they converge."""
+    """Return arrays as lists; convert EP sites to natural parameters, which converge."""
     lists: dict[str, Any] = {name: array.tolist() for name, array in arrays.items()}
     for name, variance in arrays.items():
         values = arrays.get(name.removesuffix(NOISE) + VALUES)
@@ -108,13 +108,13 @@ def _comparable(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
 class Start:
     """Initial data of a replay."""
 
-    truths: tuple[Truth, ...]  # By station; empty if unknown
+    truths: tuple[Truth, ...]  # One per station; empty if unknown
     belief: Belief
     remarks: list[str] = field(default_factory=list[str])
 
 
 def start_of(saved: Saved) -> Start:
-    """Draw the initial data again, or read them from the files."""
+    """Return the initial data of a saved result, drawn again or read from its files."""
     problem, seed = saved.problem, saved.record.seed
     first = [own.measurements.take(slice(own.first)) for own in saved.beliefs[0].stations]
     remarks: list[str] = []
@@ -156,7 +156,7 @@ def _road_maps(problem: Problem) -> list[RoadMap]:
 
 
 def _saved_world(saved: Saved) -> World:
-    """Return a world with the true powers, measurements and costs in the files."""
+    """Return a simulated world that reproduces true powers, measurements and costs from files."""
     problem = saved.problem
 
     def serving_dbm(number: int, step: int, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -239,9 +239,9 @@ def _planning(saved: Saved) -> Planning:
 def _no_plan(
     saved: Saved, owns: Sequence[Problem], states: Sequence[NDArray[np.float64]]
 ) -> BlockedError:
-    """Return the error that ended a run, with the saved reason if that can be proven.
+    """Return the error that ended a run, with the saved reason if it can be verified.
 
-    Proofs are obstacles that cut off a goal, and a forbidden path that starts at a robot.
+    Valid reasons are obstacles that cut off a goal and a blocked path from a robot's position.
     """
     steps = len(saved.plans[0])
     message = (
@@ -314,7 +314,7 @@ def _verified_again(
 
 
 def _reach_cost(context: VerifierContext, saved: SavedPlan, power: Prediction) -> float:
-    """Return the cost of a path to a goal, using the power predicted by the verifier."""
+    """Return the cost of a saved path to a goal, by the verifier's predicted power."""
 
     def certified(places_m: NDArray[np.float64]) -> Prediction:
         if np.array_equal(places_m, saved.path_m):

@@ -1,6 +1,6 @@
-"""Violated constraints of a plan, and the least change of each key that would satisfy them.
+"""Violated constraints of a plan, and the smallest change of each key that would satisfy them.
 
-The change is estimated on existing paths without solving, and confirmed by solving again.
+The change is estimated on existing paths and confirmed by solving the changed problem.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from planopt.world.motion import step_distances_m
 from planopt.world.moving_discs import MovingDiscs
 
 Missed = Literal["connection", "separation", "moving"]
-"""Violated requirement: connection, separation of robots, or clearance of moving obstacles."""
+"""Violated requirement: connection, separation of robots, or clearance from moving obstacles."""
 
 DIGITS = 5
 """Significant digits of a proposed value."""
@@ -52,15 +52,15 @@ EXPLAINED_S = 6.0
 """Time in seconds after which an explanation starts no further solve."""
 
 EXTRA = (1.01, 1.03, 1.1, 1.5)
-"""Factors of the estimated amount that are tried, since planners keep small margins."""
+"""Factors on the estimated amount, tried in turn because planners keep small margins."""
 
 SETTLING_HALVINGS = 40
 
 SETTLED = 1e-3
-"""Relative tolerance of the least amount."""
+"""Relative tolerance of the bisection for the least amount."""
 
 LEAST_P_MIN = 0.01
-"""Smallest probability of connection that is proposed."""
+"""Smallest value proposed for p_min."""
 
 MOST_DB = 200.0
 """Maximum reduction of a threshold and maximum increase of slack, in dB."""
@@ -74,12 +74,12 @@ MOST_OUTAGE = 1e6
 
 @dataclass(frozen=True)
 class Key:
-    """A key with a numeric value."""
+    """Problem file key with a numeric value that may be loosened."""
 
     name: str  # Name in the problem file
-    unit: str  # Empty for a probability or a count
+    unit: str  # Empty for probabilities and counts
     value: float  # NaN for an obstacle
-    limit: float  # The loosest value that is considered, above or below `value`
+    limit: float  # Loosest value to consider, above or below `value`
 
     @property
     def most(self) -> float:
@@ -87,7 +87,7 @@ class Key:
         return abs(self.limit - self.value)
 
     def loosened(self, amount: float) -> float:
-        """Return the value relaxed by `amount`, rounded in the relaxing direction."""
+        """Return the value loosened by `amount`, rounded in the loosening direction."""
         down = self.limit < self.value
         value = self.value + min(amount, self.most) * (-1.0 if down else 1.0)
         value = rounded(value, DIGITS, down=down)
@@ -119,7 +119,7 @@ class Key:
         *,
         verified: bool = True,
     ) -> Relaxation:
-        """Return the entry that proposes a value; None removes an obstacle or a bound."""
+        """Return an entry that proposes `relaxed_value`; None removes an obstacle or a bound."""
         value = None if math.isnan(self.value) else self.value
         return Relaxation(
             self.name, self.unit, value, stages, shortfall, unit, relaxed_value, verified, robot
@@ -130,9 +130,9 @@ class Key:
 class Trials:
     """Solver of changed problems within the time limit of an explanation."""
 
-    # Function that plans a changed problem for the explained robot; None without a plan
+    # Returns the explained robot's plan in a changed problem; None without a plan
     solve: Callable[[Problem], Plan | None]
-    ends_s: float  # In process time, so that other programs have no influence
+    ends_s: float  # Process time, which other programs do not affect
 
     @property
     def are_over(self) -> bool:
@@ -149,13 +149,13 @@ class Trials:
         return plan is not None and plan.verdict is Verdict.VERIFIED
 
     def first(self, problem: Problem, key: Key, least: float) -> float | None:
-        """Return the first value near the least loosening that has a verified plan."""
+        """Return the first value near the estimate `least` for which a verified plan is found."""
         values = dict.fromkeys(key.loosened(factor * least) for factor in EXTRA)
         return next((v for v in values if self.is_verified(key.changed(problem, v))), None)
 
 
 def rounded(value: float, digits: int, down: bool) -> float:
-    """Round to a number of significant digits, down or up."""
+    """Return `value` rounded down or up to a number of significant digits."""
     if value == 0.0 or not math.isfinite(value):
         return value
     unit = 10.0 ** (math.floor(math.log10(abs(value))) + 1 - digits)
@@ -178,14 +178,14 @@ def least_amount(suffices: Callable[[float], bool], most: float) -> float | None
 
 
 def constraint_key(problem: Problem, name: str, unit: str, limit: float) -> Key:
-    """Return a key of ``[constraints]`` or of its rule; a missing value counts as 0."""
+    """Return a key of ``[constraints]`` or of the connectivity rule, with 0 for a missing value."""
     constraints = problem.constraints
     owner = constraints if hasattr(constraints, name) else constraints.rule
     return Key(f"constraints.{name}", unit, float(getattr(owner, name) or 0.0), limit)
 
 
 def connection_keys(problem: Problem) -> list[Key]:
-    """Return the keys of a hard chance constraint on each step: p_min, thresholds, slack."""
+    """Return the keys of a hard chance constraint per step: p_min, thresholds and slack."""
     slack_db = problem.constraints.rule.slack_max_db or 0.0
     return [
         constraint_key(problem, "p_min", "", LEAST_P_MIN),
@@ -219,7 +219,7 @@ def violated_keys(problem: Problem, missed: Missed) -> list[Key]:
 
 
 MOST_MOVING = 3
-"""Maximum number of moving obstacles up to which removing each one is tried."""
+"""Number of moving obstacles up to which the removal of each is tried."""
 
 SLACK_PRICE = 1e5
 """Price per dB of slack that dominates the objective."""
@@ -231,9 +231,9 @@ class Case:
 
     problem: Problem  # Problem with all robots
     number: int  # Number of the robot
-    posteriors: Sequence[ChannelPosterior]  # Belief that the plan is based on, by station
+    posteriors: Sequence[ChannelPosterior]  # Channel posterior per station, used by the plan
     plan: Plan
-    # Moving obstacles, and the plans of other robots if a separation is required
+    # Moving obstacles, and other robots' plans if a separation is required
     moving: MovingDiscs
 
     @property
@@ -244,7 +244,7 @@ class Case:
 
 @dataclass(frozen=True)
 class Fault:
-    """A constraint that a plan violates."""
+    """Violation of one constraint by a plan."""
 
     missed: Missed
     stages: tuple[int, ...]  # Violating steps, counted from 1
@@ -258,7 +258,7 @@ class Fault:
 
 
 def _met_nowhere(case: Case) -> bool:
-    """Return whether every counted step misses a p_min that applies per step without slack."""
+    """Return whether all counted steps violate a p_min that applies per step without slack."""
     rule = case.problem.constraints.rule
     steps = len(case.plan.positions_m) - 1
     missed = case.plan.certificate.relaxed_steps
@@ -276,7 +276,7 @@ def _connection(case: Case) -> Fault | None:
         unit, steps = "" if result.unit == "probability" else result.unit, len(case.plan.t_s) - 1
         level = problem.constraints.p_min
         if not rule.kind.holds_steps:
-            # The required probability if all steps were equal.
+            # Required probability per step if all steps were equal.
             level = common_level(rule_of(problem, np.ones(steps)), level, BEGINNING, steps)
         return Fault.at("connection", case.plan.connectivity[1:] < level, result.missing, unit)
     limit = rule.slack_max_db or 0.0
@@ -290,16 +290,16 @@ def _connection(case: Case) -> Fault | None:
     stages = tuple(step for step, _ in missed)
     short_db = max(missing for _, missing in missed)
     if _met_nowhere(case) or is_priced(problem):
-        # If even the best reachable position misses the level, its shortfall is reported.
+        # If no reachable position meets the level, the best one's shortfall is reported.
         best_db = _best_score(problem, case.posteriors, partial(margins_asked_db, problem))
         short_db = -best_db if best_db < 0.0 else short_db
     elif rule.slack_max_db is None and max(certificate.best_margin_db) < 0.0:
-        return None  # no reachable position satisfies these steps, which excuses them
+        return None  # excused, as no reachable position satisfies them
     return Fault("connection", stages, short_db, "dB")
 
 
 def _distances(case: Case) -> list[Fault]:
-    """Return violated distances to robots and moving obstacles at equal times.
+    """Return violations of the distances to robots and moving obstacles at equal times.
 
     Violations while a robot brakes after the last step count towards the last step.
     """
@@ -325,7 +325,7 @@ def _best_score(
     posteriors: Sequence[ChannelPosterior],
     score: Callable[[Prediction], NDArray[np.float64]],
 ) -> float:
-    """Return the largest score of a counted step at a reachable position.
+    """Return the largest score that a counted step attains at a reachable position.
 
     If steps may violate p_min at a price, the whole workspace counts as reachable.
     """
@@ -372,7 +372,7 @@ def explain_violated(case: Case, trials: Trials) -> tuple[Relaxation, ...]:
 
 
 def _elastic(case: Case, trials: Trials) -> list[Case]:
-    """Return the plan with the least violation of the rule; none if slack has no price."""
+    """Return cases replanned with priced slack, which minimises violation of the rule."""
     problem, rule = case.problem, case.problem.constraints.rule
     if problem.task == "reach" or (rule.by_step and rule.slack_max_db is None):
         return []
@@ -383,7 +383,7 @@ def _elastic(case: Case, trials: Trials) -> list[Case]:
 
 
 def _lacking(fault: Fault, key: Key, cases: list[Case]) -> float:
-    """Return the estimated amount by which a key must be loosened."""
+    """Return the estimated amount by which a key must be loosened to repair a fault."""
     case = cases[0]
     if fault.missed != "connection":
         return min(fault.shortfall, key.most)

@@ -1,6 +1,6 @@
-"""Explanation of problems without verified plan, and of plans that cross coverage holes.
+"""Explanation of problems without a verified plan, and of plans that cross coverage holes.
 
-A path to a goal may be opened by clearance, an obstacle, the time step, or the chance constraint.
+Changes of clearance, obstacles, time step or chance constraint may open a path to a goal.
 """
 
 from __future__ import annotations
@@ -119,7 +119,7 @@ def _planned(
     number: int = 0,
     scenes: Sequence[Scene] | None = None,
 ) -> Plan | None:
-    """Plan a changed problem with all robots; return the plan of one."""
+    """Return the plan of one robot in a changed problem, planned with all robots."""
     try:
         return solve_on(problem, belief, seed, scenes).plans[number]
     except NoPlanError:
@@ -130,16 +130,16 @@ def _planned(
 def explain_no_plan(
     problem: Problem, seed: int, ends_s: float | None = None
 ) -> tuple[Relaxation, ...]:
-    """Return changes that would open a path to the goal of a problem without plan.
+    """Return changes that would open a path to the goal in a problem without a plan.
 
-    With several robots, each one that has no path on its own is considered.
+    With several robots, those that have no path even alone are explained.
     """
     owns = [problem_of_robot(problem, number) for number in range(len(problem.robots))]
     ends_s = process_time() + EXPLAINED_S if ends_s is None else ends_s
     try:
         belief = prepare(problem, seed).belief
     except InputError:
-        # Without measurements nothing can be solved, but blocking obstacles can be named.
+        # Without measurements no problem is solved, but blocking obstacles are found.
         nothing = Trials(lambda _: None, ends_s)
         return tuple(
             one
@@ -155,7 +155,7 @@ def explain_no_plan(
 
 
 def _explain_robot(problem: Problem, belief: Belief, ends_s: float) -> tuple[Relaxation, ...]:
-    """Explain why the only robot of a problem has no path to its goal."""
+    """Return changes that would open a path to the goal of a problem's only robot."""
     trials = Trials(partial(_planned, belief=belief), ends_s)
     if not is_joined(problem, problem.constraints.clearance_m):
         return explain_no_path(problem, trials, joined=False)
@@ -179,7 +179,7 @@ CONNECTION_PRICE = 1e4
 def crossings(
     problem: Problem, plans: Sequence[Plan], posteriors: Sequence[ChannelPosterior]
 ) -> tuple[Crossing, ...]:
-    """Return the holes that verified plans to goals cross, with the reason, by robot."""
+    """Return the holes that verified plans to goals cross, with the reasons, for each robot."""
     found = [
         explain_crossing(problem_of_robot(problem, number), posteriors, plan)
         for number, plan in enumerate(plans)
@@ -191,7 +191,7 @@ def crossings(
 def explain_crossing(
     problem: Problem, posteriors: Sequence[ChannelPosterior], plan: Plan
 ) -> Crossing | None:
-    """Return the holes on a robot's path to its goal and the reason; None without holes."""
+    """Return the holes on a robot's path to its goal, with the reason; None without holes."""
     if not plan.holes:
         return None
     scene = build_scene(problem)
@@ -239,13 +239,13 @@ def _cheapest_path(
 
 
 BISECTIONS, CLEARANCES, BISECTED_DIGITS = 16, 8, 12
-"""Numbers of bisections of the clearance in free space, and on the lattice; significant digits."""
+"""Bisections of the clearance in free space, bisections on the lattice, and significant digits."""
 
 MOST_OBSTACLES = 60
-"""Maximum number of obstacles up to which removing each one is tried."""
+"""Number of obstacles up to which the removal of each is tried."""
 
 SHORTER, STEPS_TESTED = 0.9, 20
-"""Refinement factor of the time step, and with it the lattice, and number of refinements."""
+"""Factor on the time step, and thus the lattice spacing, per refinement; number of refinements."""
 
 
 def is_open(problem: Problem) -> bool:
@@ -260,7 +260,7 @@ def is_open(problem: Problem) -> bool:
 def explain_no_path(problem: Problem, trials: Trials, joined: bool) -> tuple[Relaxation, ...]:
     """Return changes, each of which alone would open a path to the goal.
 
-    If start and goal are connected in free space (`joined`), only the lattice is too coarse.
+    If free space joins start and goal (`joined`), the lattice is merely too coarse.
     """
     if joined:
         clearance_m = problem.constraints.clearance_m
@@ -273,7 +273,7 @@ def explain_no_path(problem: Problem, trials: Trials, joined: bool) -> tuple[Rel
 def widest_clearance_m(
     problem: Problem, is_over: Callable[[], bool] = lambda: False
 ) -> float | None:
-    """Return the largest clearance below the problem's that joins start and goal, if any does."""
+    """Return the largest clearance below the problem's that leaves a path; None if none does."""
     if not is_joined(problem, 0.0):
         return None
     clearance_m = problem.constraints.clearance_m
@@ -283,7 +283,7 @@ def widest_clearance_m(
 def _largest(
     is_met: Callable[[float], bool], high: float, count: int, is_over: Callable[[], bool]
 ) -> float:
-    """Return the largest value below `high` found by bisection that is met; 0 is met."""
+    """Return the largest value below `high` that satisfies `is_met`, by bisection from 0."""
     low = 0.0
     for _ in range(count):
         if is_over():
@@ -294,7 +294,7 @@ def _largest(
 
 
 def _clearance(problem: Problem, trials: Trials, widest: float) -> list[Relaxation]:
-    """Propose the largest clearance, up to `widest`, for which a path is found."""
+    """Return a proposal of the largest clearance, up to `widest`, for which a path is found."""
     key = constraint_key(problem, "clearance_m", "m", 0.0)
     high = rounded(max(widest - 1.1 * CLEARANCE_PAD_M, 0.0), DIGITS, down=True)
 
@@ -310,7 +310,7 @@ def _clearance(problem: Problem, trials: Trials, widest: float) -> list[Relaxati
 
 
 def _step(problem: Problem, trials: Trials) -> list[Relaxation]:
-    """Propose a shorter time step, which makes the lattice fine enough to find the path."""
+    """Return a proposal of a shorter time step, which refines the lattice until it has a path."""
     key = Key("planner.step_s", "s", problem.planner.step_s, 0.0)
     for power in range(1, STEPS_TESTED + 1):
         step_s = rounded(key.value * SHORTER**power, DIGITS, down=True)
@@ -329,7 +329,7 @@ def _opened(problem: Problem, trials: Trials, key: Key, value: float) -> Relaxat
 
 
 def _obstacles(problem: Problem, trials: Trials) -> list[Relaxation]:
-    """Return every obstacle whose removal opens a path."""
+    """Return a proposal for each obstacle whose removal opens a path."""
     obstacles = problem.workspace.obstacles
     found: list[Relaxation] = []
     for obstacle in obstacles if len(obstacles) <= MOST_OBSTACLES else ():
@@ -348,8 +348,8 @@ def _obstacles(problem: Problem, trials: Trials) -> list[Relaxation]:
 def explain_blocked(
     problem: Problem,
     road_map: RoadMap,
-    first: NDArray[np.intp],  # (k,) nodes that the robot can reach first
-    goal: int,  # node
+    first: NDArray[np.intp],  # (k,) nodes reachable directly from the robot
+    goal: int,  # node of the goal
     margins: NodeMargins,
     trials: Trials,
 ) -> tuple[Relaxation, ...]:
@@ -380,7 +380,7 @@ def _widest(
     goal: int,
     score: NDArray[np.float64],  # (n,)
 ) -> float:
-    """Return the maximum over paths to the goal of the minimum score along the path."""
+    """Return the bottleneck score: the maximum over paths to the goal of their minimum score."""
     count = len(score)
     end, move = np.nonzero(road_map.sources < count)
     begin = road_map.sources[end, move]

@@ -35,11 +35,11 @@ Arrays = dict[str, NDArray[Any]]
 
 @dataclass(frozen=True)
 class _Stored:
-    """An array of one station."""
+    """Type of one saved array of a station."""
 
     name: str
     source: Callable[[Belief], object]
-    # None is any size, "n" the number of measurements; arrays without a shape are only compared
+    # Sizes: None is any, "n" the number of measurements. Arrays without a shape are only compared
     shape: tuple[int | str | None, ...] | None = None
     kind: str = "f"  # NumPy kind codes of the data type
     least: float = -LARGEST
@@ -94,8 +94,8 @@ class SavedBelief:
     """Belief as read from its file."""
 
     file: Path  # The file
-    parameters: ChannelParameters  # Fitted to the initial measurements
-    measurements: Measurements  # All, in chronological order
+    parameters: ChannelParameters  # Parameters fitted to the initial measurements
+    measurements: Measurements  # All measurements in chronological order
     first: int  # Number of measurements used by the fit and the first posterior
     # (steps,) number of measurements known when each step was planned; empty for a plan
     known_before_step: NDArray[np.int64]
@@ -114,7 +114,7 @@ def station_prefix(station: int) -> str:
 
 
 def write(path: Path, arrays: Arrays) -> None:
-    """Save arrays atomically."""
+    """Write arrays to a file atomically."""
 
     def write_to(temporary: Path) -> None:
         np.savez_compressed(temporary, allow_pickle=False, **arrays)
@@ -153,7 +153,7 @@ def known_before_steps(
     first: int,
     tracks_m: Sequence[NDArray[np.float64]],  # (steps + 1, 2) each
 ) -> NDArray[np.int64]:
-    """Return the number of measurements (steps,) that each step was planned with.
+    """Return the number of measurements known when each step was planned; (steps,).
 
     Measurements of a run are taken at visited positions, in order, at most one per visit.
     """
@@ -169,7 +169,7 @@ def known_before_steps(
 
 
 def belief_arrays(belief: Belief, known_before_step: NDArray[np.int64]) -> Arrays:
-    """Return the arrays of one station."""
+    """Return the arrays to save for the belief about one station."""
     arrays = {stored.name: np.asarray(stored.source(belief)) for stored in STORED}
     return {**arrays, KNOWN.name: known_before_step}
 
@@ -197,7 +197,7 @@ def _read_station(path: Path, prefix: str, arrays: Arrays) -> SavedBelief:
         return InputError(message, file=path, key=prefix + name, remedy=REMEDY)
 
     count = len(np.atleast_1d(arrays.get("power_dbm", np.zeros(0))))
-    # The powers come first because their length defines that of the other arrays.
+    # Powers are read first because their length fixes the length of the other arrays.
     for stored in sorted((*STORED, KNOWN), key=lambda each: each.name != "power_dbm"):
         if stored.shape is None:
             continue

@@ -1,4 +1,4 @@
-"""Nav2 masks of a problem's channel estimate."""
+"""Nav2 masks of the channel belief of a problem."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from planopt.world.nav2_masks import MaskLimits, write_masks
 
 
 def limits_of(problem: Problem, keepout_below: float, p_min: float | None) -> MaskLimits:
-    """Return the limits of masks; `p_min` is by default that of the problem, if it has one."""
+    """Return the limits of the masks; `p_min` defaults to the problem's, if it has one."""
     if p_min is not None:
         return MaskLimits(keepout_below, p_min)
     own = problem.constraints.p_min
@@ -19,7 +19,7 @@ def limits_of(problem: Problem, keepout_below: float, p_min: float | None) -> Ma
 
 
 def believed_map(problem: Problem, belief: Belief, cell_m: float | None = None) -> PosteriorMap:
-    """Return the map of the best server over the bounds of a problem."""
+    """Return the predicted best-server map of a problem's workspace."""
     bounds = problem.workspace.bounds_m
     thresholds = [station.threshold_dbm for station in problem.stations]
     cell = default_cell_m(bounds) if cell_m is None else cell_m
@@ -29,5 +29,5 @@ def believed_map(problem: Problem, belief: Belief, cell_m: float | None = None) 
 def save_masks(
     problem: Problem, belief: Belief, folder: Path, limits: MaskLimits, cell_m: float | None
 ) -> None:
-    """Write the Nav2 masks of a channel estimate into a folder."""
+    """Write the Nav2 masks of a channel belief into a folder."""
     write_masks(folder, believed_map(problem, belief, cell_m).connectivity, limits)

@@ -1,7 +1,7 @@
 """Files of paths by extension: ROS (nav_msgs/Path as JSON), GeoJSON, QGroundControl and CSV.
 
-GeoJSON and QGroundControl plans have degrees (WGS 84), for which the latitude and longitude of the
-origin are needed.
+GeoJSON and QGroundControl files contain degrees (WGS 84), so they need the latitude and longitude
+of the origin.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ STILL_M = 1e-9
 NANOSECONDS = 1_000_000_000
 
 ROVER, COPTER = 10, 2
-"""Vehicle types of MAVLink."""
+"""MAVLink codes of the vehicle types."""
 
 WAYPOINT, RELATIVE_ALTITUDE, PX4 = 16, 3, 12
-"""MAVLink: command and frame of a waypoint, and the autopilot."""
+"""MAVLink codes of the waypoint command, its coordinate frame and the autopilot."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ class RobotPath:
 
     @property
     def headings_rad(self) -> NDArray[np.float64]:
-        """Return the direction to the next position; the last direction where a robot stands."""
+        """Return the heading at each position; a stationary robot keeps its last heading."""
         steps = np.diff(self.positions_m, axis=0)
         moves = np.linalg.norm(steps, axis=1) > STILL_M
         heading = np.arctan2(steps[:, 1], steps[:, 0])
@@ -118,7 +118,7 @@ def geojson_text(path: RobotPath) -> str:
 
 
 def qgroundcontrol_text(path: RobotPath) -> str:
-    """Return a path as a mission of QGroundControl, for a rover, or a copter above the ground."""
+    """Return a path as a QGroundControl mission, for a rover or for a copter at an altitude."""
     height = path.altitude_m
     items = [
         {
@@ -239,7 +239,7 @@ def save_path(
 
 
 def _origin_of(problem: Problem) -> Origin | None:
-    """Return the origin of a problem's log in degrees; None if it has none."""
+    """Return latitude and longitude of a problem's origin; None if its log has none."""
     log = problem.channel.measurements
     return log.log_format.origin_deg if isinstance(log, LoggedMeasurements) else None
 

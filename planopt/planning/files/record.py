@@ -1,4 +1,4 @@
-"""Records: JSON objects of results, whose keys are declared once with type and source.
+"""Base class of JSON objects of results, whose keys are declared once with type and source.
 
 By default the value of a key is the attribute of the same name; a `Source` overrides this. A replay
 reads the typed keys; keys of type `Computed` are recomputed and compared.
@@ -23,13 +23,13 @@ from planopt.keys import input_error
 
 @dataclass(frozen=True)
 class Source:
-    """Function from the saved object to the value of a key."""
+    """Function that computes the value of a key from the object to be saved."""
 
     value: Callable[[Any], object]
 
 
 OMITTED = object()
-"""Marker for a key that is left out of the JSON object."""
+"""Value of a key that is left out of the JSON object."""
 
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -38,7 +38,7 @@ Computed = Annotated[Any, Field(default=None)]
 
 
 class Record(BaseModel):
-    """A saved JSON object, or a part of one."""
+    """JSON object of a result, or part of one."""
 
     model_config = ConfigDict(strict=True, allow_inf_nan=False, frozen=True)
 

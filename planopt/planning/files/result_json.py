@@ -1,7 +1,7 @@
 """Plans and runs as JSON objects, as printed and as saved in ``plan.json`` and ``run.json``.
 
-Keys of a plan for several robots are sums, worst values or joined texts. A saved run also contains
-every released plan, so that each can be verified again with the belief it was based on.
+In a plan for several robots, keys hold sums, worst values or joined texts. A saved run contains
+every released plan, so that each can be verified again with the belief at its time.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from planopt.problems.problem import Problem
 
 
 class PivotRecord(Record):
-    """Terminal waypoint beyond the horizon."""
+    """JSON object of a plan's terminal waypoint, which lies beyond the horizon."""
 
     x_m: Annotated[Number, Source(lambda pivot: pivot.position_m[0])]
     y_m: Annotated[Number, Source(lambda pivot: pivot.position_m[1])]
@@ -60,14 +60,14 @@ class PivotRecord(Record):
 
 
 class AimRecord(Record):
-    """External inputs of an objective: expected target track and steering path, if any."""
+    """JSON object of an objective's external inputs: expected target track and steering path."""
 
     target_x_m: Annotated[Computed, Source(lambda aim: _column(aim.target_m, 0))]
     target_y_m: Annotated[Computed, Source(lambda aim: _column(aim.target_m, 1))]
     steering_m: Annotated[Computed, Source(lambda aim: _last(aim.steering_turns_m))]
     # In the order of travel
     steering_turns_m: Annotated[list[Place], Field(min_length=2)] | None = None
-    # Positions of each relevant plan of another robot
+    # Positions of other robots' plans that affect the objective
     pending_m: Annotated[
         list[list[Place]], Source(lambda aim: aim.pending.planned_m or OMITTED)
     ] = Field(default=[])
@@ -82,7 +82,7 @@ def _last(turns_m: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
 
 
 class HoleRecord(Record):
-    """A path segment that violates the chance constraint, given by its two ends."""
+    """JSON object of a coverage hole, given by its two ends on the path."""
 
     x_m: Annotated[Place, Source(lambda hole: (hole.from_m[0], hole.to_m[0]))]
     y_m: Annotated[Place, Source(lambda hole: (hole.from_m[1], hole.to_m[1]))]
@@ -100,7 +100,7 @@ class HoleRecord(Record):
 
 
 class BlockedRecord(Places):
-    """Cheapest path of a robot to its goal, forbidden by a hard chance constraint."""
+    """JSON object of a robot's cheapest path to a goal that no permitted path reaches."""
 
     robot: str
     holes: Annotated[list[HoleRecord], Source(lambda way: _holes(way.holes))]
@@ -112,7 +112,7 @@ class BlockedRecord(Places):
 
 
 class CrossingRecord(Record):
-    """Cost of a path that crosses coverage holes, and cost of the path with the best connection."""
+    """JSON object of a path across coverage holes: its cost, and the best-connected alternative."""
 
     robot: str
     outage_price: Computed
@@ -123,7 +123,7 @@ class CrossingRecord(Record):
 
 
 class Trajectory(Places):
-    """A plan: its positions, the current one first, and data known only to its planner."""
+    """JSON object of a plan: its positions, current one first, and data from its planner."""
 
     x_m: list[Number] = Field(min_length=2)
     drive: Annotated[
@@ -147,18 +147,18 @@ class Trajectory(Places):
 
 
 class Residual(Record):
-    """Part of a certificate that only the solver knows."""
+    """JSON object of a certificate's entries that only the solver can supply."""
 
     kkt_residual: NotNegative | None
 
 
 def _of_bound(name: str, missing: object = OMITTED) -> Source:
-    """Return a source of an attribute of the bound of a plan or solution."""
+    """Return a source for a key with attribute `name` of the proven bound."""
     return Source(lambda of: missing if of.bound is None else getattr(of.bound, name))
 
 
 class RobotPlan(Trajectory):
-    """One robot's plan in ``plan.json``."""
+    """JSON object of one robot's plan in ``plan.json``."""
 
     name: Annotated[Computed, Source(lambda plan: plan.robot)]
     t_s: Computed
@@ -186,9 +186,9 @@ class RobotPlan(Trajectory):
 
 
 class ReleasedPlan(Trajectory):
-    """A released plan of a run, with the steps that violate the chance constraint.
+    """JSON object of a run's released plan, with the steps that violate the chance constraint.
 
-    For plans to a goal, the path cost and the verifier's cheapest cost justify these steps.
+    For plans to a goal, path cost and cheapest cost justify the violating steps.
     """
 
     kkt_residual: Annotated[NotNegative | None, Source(lambda plan: plan.certificate.kkt_residual)]
@@ -205,7 +205,7 @@ class ReleasedPlan(Trajectory):
 
 
 def _written(record: type[Trajectory], problem: Problem, plan: Plan, aim: Aim) -> dict[str, Any]:
-    """Return one robot's plan; only a plan to a goal has a terminal waypoint, a route and costs."""
+    """Return the JSON data of a robot's plan; some keys exist only for plans to a goal."""
     to_goal = ("pivot", "route", "holes", "path_cost_m", "best_cost_m")
     omitted = dict.fromkeys(to_goal if problem.task != "reach" else (), OMITTED)
     values = {**xy(plan.positions_m), "aim": AimRecord.written(aim), **omitted}
@@ -213,14 +213,14 @@ def _written(record: type[Trajectory], problem: Problem, plan: Plan, aim: Aim) -
 
 
 class Asked(NamedTuple):
-    """A problem and its random seed."""
+    """JSON keys that identify a problem: its content and random seed."""
 
     problem: Problem
     seed: int
 
 
 class Question(Record):
-    """Settings for which a result was computed."""
+    """JSON keys of the settings for which a result was computed."""
 
     problem: Annotated[Computed, Source(lambda of: of.problem.name)]
     horizon: Annotated[Computed, Source(lambda of: of.problem.planner.horizon)]
@@ -234,7 +234,7 @@ def _total(name: str) -> Source:
 
 
 def _worst(name: str) -> Source:
-    """Return a source of the worst label of all plans; labels are ordered from good to bad."""
+    """Return a source for a key that holds the worst label `name` of all plans."""
 
     def worst(solution: Solution) -> StrEnum:
         labels: list[StrEnum] = [getattr(plan, name) for plan in solution.plans]
@@ -262,7 +262,7 @@ Explanation = Annotated[tuple[Relaxation, ...], BeforeValidator(_RELAXATIONS.val
 
 
 class PlanRecord(Question):
-    """A solved problem; ``bound`` and ``gap`` are null unless a bound was proven."""
+    """JSON object of a solved problem; ``bound`` and ``gap`` are null without a proven bound."""
 
     termination: Annotated[Computed, _worst("termination")]
     verdict: Computed
@@ -293,7 +293,7 @@ class PlanRecord(Question):
 
 
 class NoPlanRecord(Record):
-    """Typed keys of a result without plan."""
+    """JSON object of a result without a plan."""
 
     seed: int = Field(ge=0)
     message: str
@@ -322,7 +322,7 @@ def no_plan_json(
     explanation: Iterable[Relaxation] = (),
     blocked: Iterable[BlockedWay] = (),
 ) -> dict[str, Any]:
-    """Return the JSON object of ``solve`` if there provably is no plan; `message` is the reason."""
+    """Return the JSON object of ``solve`` if it is proven, by `message`, that no plan exists."""
     return {
         **dict.fromkeys(PlanRecord.model_fields),
         **Question.written(Asked(problem, seed)),
@@ -339,7 +339,7 @@ def no_plan_json(
 
 
 def _blocked(ways: Iterable[BlockedWay]) -> dict[str, Any]:
-    """Return the key ``blocked``, or no key if there is no such path."""
+    """Return the key ``blocked`` with the blocked paths; no key if there are none."""
     found = [BlockedRecord.written(one, **xy(one.way_m)) for one in ways]
     return {"blocked": found} if found else {}
 
@@ -349,7 +349,7 @@ def _holes(holes: Iterable[Hole]) -> list[dict[str, Any]]:
 
 
 def certificate_json(certificate: Certificate) -> dict[str, Any]:
-    """Return a certificate; the rule is included unless it is p_min at each step."""
+    """Return the JSON data of a certificate, with any connectivity rule other than the default."""
     found: dict[str, Any] = encoded(certificate)
     if found["rule"] is None:
         del found["rule"]
@@ -357,14 +357,14 @@ def certificate_json(certificate: Certificate) -> dict[str, Any]:
 
 
 def no_certificate_json(reasons: Iterable[str]) -> dict[str, Any]:
-    """Return the keys of a certificate for a result without plan, with the reasons."""
+    """Return the JSON keys of a certificate for a result without a plan, with the reasons."""
     names = [part.name for part in fields(Certificate) if part.name != "rule"]
     lists = dict[str, Any](relaxed_steps=[], relaxation_db=[], best_margin_db=[])
     return {**dict.fromkeys(names), **lists, "reasons": list(reasons)}
 
 
 class BinRecord(Record):
-    """Predicted against true connection; the bounds of a missing interval are null."""
+    """JSON object of a reliability bin: predicted against true connection, with an interval."""
 
     low: Computed
     high: Computed
@@ -377,7 +377,7 @@ class BinRecord(Record):
 
 
 class SummaryRecord(Record):
-    """Summary of a run without its steps, as listed by comparisons."""
+    """JSON object that summarises a run without its steps, as in comparisons."""
 
     problem: Computed
     horizon: Computed
@@ -393,14 +393,14 @@ class SummaryRecord(Record):
 
 
 class RobotPlans(Record):
-    """Released plans of one robot."""
+    """JSON object of one robot's released plans."""
 
     robot: str
     released: list[ReleasedPlan]
 
 
 class RunRecord(SummaryRecord):
-    """A closed loop."""
+    """JSON object of a closed-loop run."""
 
     reliability: Computed
     robots: Computed
@@ -409,7 +409,7 @@ class RunRecord(SummaryRecord):
 
 
 class RobotRunRecord(Record):
-    """Trajectory and metrics of one robot, its excused steps, and the coverage holes it crossed."""
+    """JSON object of one robot's run: trajectory, metrics, excused steps and crossed holes."""
 
     name: Annotated[Computed, Source(lambda run: run.robot)]
     t_s: Annotated[Computed, Source(lambda run: run.log.t_s)]
@@ -461,7 +461,7 @@ def released_plans_json(run: Run) -> list[dict[str, Any]]:
 
 
 def no_run_json(problem: Problem, seed: int, message: str) -> dict[str, Any]:
-    """Return the object of :func:`run_json` for a problem that provably has no plan."""
+    """Return the JSON object of ``simulate`` for a problem that is proven to have no plan."""
     names = [name for name in RunRecord.model_fields if name not in ("plans", "blocked")]
     return {
         **dict.fromkeys(names),
@@ -477,7 +477,7 @@ def no_run_json(problem: Problem, seed: int, message: str) -> dict[str, Any]:
 
 
 def reliability_json(bins: Iterable[ReliabilityBin]) -> list[dict[str, Any]]:
-    """Return predicted against true connection by bin."""
+    """Return predicted against true connection by bin, as JSON data."""
     return [BinRecord.written(one) for one in bins]
 
 
@@ -487,7 +487,7 @@ def summary_json(summary: RunSummary) -> dict[str, Any]:
 
 
 def step_times_json(seconds: NDArray[np.float64]) -> dict[str, float | None]:
-    """Return median, 95 % quantile and maximum of planning times; null without steps."""
+    """Return median, 95 % quantile and maximum of planning times; None without steps."""
     if seconds.size == 0:
         return {"p50": None, "p95": None, "max": None}
     p50, p95, largest = np.quantile(seconds, [0.5, 0.95, 1.0])

@@ -147,7 +147,7 @@ def drive_of(
     file: Path,
     key: str,
 ) -> Drive | None:
-    """Return states and inputs from saved columns; None for a single integrator."""
+    """Return states and inputs of a robot from saved columns; None for a single integrator."""
     if robot.moves_freely:
         return None
     dynamics = robot.dynamics
@@ -172,14 +172,14 @@ def drive_of(
 
 
 def _robots(result: Solution | Run) -> list[tuple[str, StepLog, Drive | None]]:
-    """Return name, log and drive of each robot; plans have no true powers."""
+    """Return name, step log and drive of each robot; logs of plans have no true powers."""
     if isinstance(result, Run):
         return [(run.robot, run.log, run.drive) for run in result.runs]
     return [(plan.robot, _log_of_plan(plan), plan.drive) for plan in result.plans]
 
 
 def _log_of_plan(plan: Plan) -> StepLog:
-    """Return the log of a run that would follow a plan exactly."""
+    """Return the step log of a robot that follows a plan exactly."""
     unknown = np.full(len(plan.t_s), np.nan)
     return StepLog(
         t_s=plan.t_s,
@@ -198,7 +198,7 @@ def _log_of_plan(plan: Plan) -> StepLog:
 
 
 def _steps(result: Solution | Run) -> tuple[Sequence[Column], Data]:
-    """Return one table of all robots; columns of other dynamics are empty."""
+    """Return columns and data of ``steps.csv``; a robot without a state leaves its column empty."""
     columns, parts = step_columns(result.problem), list[Data]()
     for name, log, drive in _robots(result):
         rows = len(log.t_s)

@@ -74,11 +74,11 @@ FORMAT = 3
 """Version of ``plan.json`` and ``run.json``."""
 
 HALF_PAIR = re.compile(r"\\u[dD][89a-fA-F]")
-"""JSON escapes that may be one half of a surrogate pair."""
+"""Pattern of JSON escapes of surrogates, which must occur in pairs."""
 
 
 def belief_files(problem: Problem) -> tuple[str, ...]:
-    """Return the file names of a run's beliefs, by robot."""
+    """Return the file names of the robots' beliefs in a run."""
     if len(problem.robots) == 1:
         return (BELIEF_FILE,)
     return tuple(f"belief_{robot.name}.npz" for robot in problem.robots)
@@ -92,7 +92,7 @@ class Contents:
     data: dict[str, Any]
     tables: dict[str, tuple[Sequence[Column], Data]]  # By file name
     beliefs: dict[str, Arrays]
-    bounds: Arrays = field(default_factory=dict[str, NDArray[Any]])  # Certificates of bounds
+    bounds: Arrays = field(default_factory=dict[str, NDArray[Any]])  # Potentials
 
 
 def contents(result: Solution | Run) -> Contents:
@@ -148,7 +148,7 @@ class SavedPlan:
         return None if self.record.pivot is None else self.record.pivot.pivot
 
     def aim(self, watched: Aim) -> Aim:
-        """Return `watched` with the saved steering path and plans of other robots."""
+        """Return the objective's inputs: `watched`, the saved steering path and others' plans."""
         saved_aim, turns = self.record.aim, self.record.aim.steering_turns_m
         planned = tuple(np.array(path).reshape(-1, 2) for path in saved_aim.pending_m)
         return replace(
@@ -165,7 +165,7 @@ class Saved:
     file: Path  # The JSON file
     data: Mapping[str, Any]  # Content of the JSON file
     record: PlanRecord | RunRecord | NoPlanRecord  # Typed keys needed by a replay
-    problem: Problem  # Reconstructed from the JSON file
+    problem: Problem  # Problem in the JSON file
     tables: Mapping[str, Data] = field(default_factory=dict[str, Data])  # By file name
     beliefs: tuple[SavedBelief, ...] = ()  # One per robot of a run
     plans: tuple[tuple[SavedPlan, ...], ...] = ()  # By robot and step
@@ -195,7 +195,7 @@ class Saved:
 def read_saved(path: Path) -> Saved:
     """Read a saved plan or run.
 
-    Unreadable content raises an InputError. A replay is needed to verify the content.
+    Invalid content raises an InputError. Only a replay verifies the plans.
     """
     return saved_from(*read_object(path))
 

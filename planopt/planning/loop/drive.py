@@ -259,16 +259,16 @@ def _in_words(problem: Problem, stuck: Sequence[tuple[Progress, str]]) -> str:
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """Radio channel in which the robots move."""
+    """Radio channel that robots measure, with functions that record the run."""
 
     truths: tuple[Truth, ...]  # Ground truth by station; empty if unknown
-    # Function of robot number, step and positions (n, 2) from that step on: serving power (n,)
+    # Maps robot number, step and positions (n, 2) from that step on to serving power (n,)
     serving_dbm: Callable[[int, int, NDArray[np.float64]], NDArray[np.float64]]
-    # Function of step and robot positions (robots, 2): measurements by robot and station
+    # Maps step and robot positions (robots, 2) to measurements by robot and station
     measured: Callable[[int, NDArray[np.float64]], list[list[Measurements]]]
-    # Function of step, posteriors by station and positions (n, 2): row of the channel log
+    # Maps step, posteriors by station and positions (n, 2) to a row of the channel log
     channel_row: Callable[[int, Sequence[ChannelPosterior], NDArray[np.float64]], tuple[float, ...]]
-    # Function of tracks (steps + 1, 2) by robot: true costs by metric; empty without goals
+    # Maps tracks (steps + 1, 2) by robot to true costs by metric; empty without goals
     costs: Callable[[Sequence[NDArray[np.float64]], Outcome], dict[str, float]]
 
 
@@ -277,7 +277,7 @@ def true_world(
     truths: tuple[Truth, ...],
     road_maps: Callable[[], Sequence[RoadMap]],  # One per robot with a goal
 ) -> World:
-    """Return the world for a known ground truth."""
+    """Return the world that simulates a known ground truth."""
     return World(
         truths=truths,
         serving_dbm=lambda _number, _step, places: true_serving_dbm(problem, truths, places),
@@ -303,7 +303,7 @@ def drive(
 ) -> Run:
     """Run the loop until :func:`planopt.planning.loop.drive.run_ending` ends it."""
     robots = Stepper(problem, belief, planning, target)
-    # Errors over the whole workspace are slow to compute and irrelevant to runs to a goal.
+    # Errors over the whole workspace are slow to compute and not needed for runs to a goal.
     known_at = None if problem.task == "reach" else workspace_region(problem).grid_m
     rows: list[tuple[float, ...]] = []
     if known_at is not None:
@@ -383,7 +383,7 @@ def _observe(
     world: World,
     generator: np.random.Generator,
 ) -> None:
-    """Set the robots to new states, and update their beliefs with the measurements taken there."""
+    """Set the robots to new states, and update their beliefs with measurements there."""
     step, watch = len(robots.connected) + 1, robots.watches[-1]
     here = np.array([state[:2] for state in states])
     serving = [world.serving_dbm(number, step, place[None])[0] for number, place in enumerate(here)]

@@ -44,15 +44,15 @@ class StepLog:
     t_s, positions_m
         Time and ``(x, y)``.
     predicted_dbm, deviation_db, connectivity
-        Prediction at this position *before* it was measured, by the plan that led there.
+        Power and P(connected) predicted by the plan that led here, before the measurement.
     true_dbm, connected
         True power and connection at this position.
     step_s
         Wall time spent planning this step; row 0 is 0.
     polish_gain_s
-        Gain of the released path over the lattice path, in the objective's unit; row 0 is 0.
+        Objective gain of the released path over the lattice path; row 0 is 0.
     relaxation_db
-        Shortfall of this step from p_min in dB; 0 if it is met.
+        Shortfall of this step from p_min in dB; 0 if p_min is met.
     """
 
     t_s: NDArray[np.float64]
@@ -73,7 +73,7 @@ class StepLog:
 
 @dataclass(frozen=True)
 class Metrics:
-    """Metrics of a run.
+    """Metrics of one robot's run; those over steps are NaN if the run has none.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class RobotRun:
     outcome, reason
         Outcome of the closed loop, and its reason as text.
     log, metrics
-        See their types.
+    Its steps, and the metrics over them.
     drive
         States and inputs over the steps; None for the single integrator.
     """
@@ -154,7 +154,7 @@ class TargetLog:
     station_mean_m: NDArray[np.float64]
     # (steps + 1,) trace of the covariance of the station's position estimate
     station_variance_m2: NDArray[np.float64]
-    station_determinant_m4: NDArray[np.float64]  # (steps + 1,) determinant of that covariance
+    station_determinant_m4: NDArray[np.float64]  # (steps + 1,) determinant of this covariance
     # (steps + 1,) e' P^-1 e with the error e of the station's position estimate
     nees: NDArray[np.float64]
     # (steps, robots) nu' S^-1 nu with innovation nu and innovation covariance S of each robot's
@@ -170,7 +170,7 @@ class TargetLog:
 
     @property
     def normalised_trace_p(self) -> NDArray[np.float64]:
-        """Return the trace of the station's covariance over its initial value, (steps + 1,)."""
+        """Return `station_trace_m2` divided by its initial value; (steps + 1,)."""
         return self.station_variance_m2 / self.station_variance_m2[0]
 
 
@@ -203,7 +203,7 @@ def channel_row(
     truths: Sequence[Truth],
     places_m: NDArray[np.float64],  # (n, 2) positions of the predictions
 ) -> tuple[float, ...]:
-    """Return a row of the log over all stations, in the field order of :class:`ChannelLog`."""
+    """Return a row of the channel log over all stations, in the order of its fields."""
     power = np.stack([true_power_dbm(truth, places_m) for truth in truths])
     shadowed = np.stack([mean_power_dbm(truth, places_m) for truth in truths])
     predicted = np.stack([search_power(each, places_m).mean_db for each in posteriors])
@@ -231,7 +231,7 @@ def channel_row(
 
 
 def channel_log(rows: Sequence[tuple[float, ...]]) -> ChannelLog:
-    """Return the log made of rows of :func:`channel_row`."""
+    """Return the channel log that consists of rows of :func:`channel_row`."""
     return ChannelLog(*np.asarray(rows, dtype=np.float64).T)
 
 
@@ -239,7 +239,7 @@ def target_log(
     watches: Iterable[TargetWatch | None],
     delivered: NDArray[np.bool_],  # (steps, robots)
 ) -> TargetLog | None:
-    """Return the log of a target at the start and after each step; None without target."""
+    """Return the log of a target at the start and after each step; None without a target."""
     known = [watch for watch in watches if watch is not None]
     if not known:
         return None

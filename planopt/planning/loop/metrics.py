@@ -1,8 +1,8 @@
-"""Per-robot results of a run, metrics of robots and of the whole run, and realised costs.
+"""Metrics and realised costs of a run and of its robots.
 
 A path to a goal costs its length plus the outage price for each metre truly out of contact. The
-clairvoyant plans on the true power without small-scale fading, which is unpredictable, but its cost
-includes fading, like the robot's.
+clairvoyant planner knows the true power except small-scale fading, which is unpredictable. The cost
+of its path includes fading, like the robot's.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from planopt.world.clearance import ObstacleIndex, index_obstacles, segments_cle
 from planopt.world.lattice import RoadMap, cheapest_paths, route_from
 
 COSTS = ("realised_cost_m", "clairvoyant_cost_m", "cost_ratio")
-"""Realised costs of a run to goals (:func:`run_costs`)."""
+"""Names of the realised costs of a run to goals (:func:`run_costs`)."""
 
 _SHARES = (
     *("true_connected_share", "predicted_min_connectivity", "target_lost", "delivered"),
@@ -57,10 +57,10 @@ _NOT_NEGATIVE = (
     *COSTS,
 )
 POSSIBLE = dict.fromkeys(_SHARES, (0.0, 1.0)) | dict.fromkeys(_NOT_NEGATIVE, (0.0, np.inf))
-"""Range of each metric; metrics not listed have the range `ANY`."""
+"""Valid range of each metric; other metrics have the range `ANY`."""
 
 LOST_RATIO = 3.0
-"""Ratio of tr P to that of the first estimate above which a target counts as lost."""
+"""Ratio of tr P to its initial value above which a target counts as lost."""
 
 ANY = (-np.inf, np.inf)
 
@@ -157,14 +157,14 @@ def nis_interval(count: int) -> tuple[float, float]:
 
 
 def run_reliability(runs: Sequence[RobotRun]) -> tuple[ReliabilityBin, ...]:
-    """Tabulate predicted against true connection over the steps of all robots of a run."""
+    """Return bins of predicted against true connection over all steps and robots of a run."""
     predicted = np.concatenate([run.log.connectivity[1:] for run in runs])
     connected = np.concatenate([run.log.connected[1:] for run in runs])
     return reliability(predicted, connected, np.zeros(len(predicted), dtype=np.intp))
 
 
 def run_holes(run: RobotRun) -> tuple[Hole, ...]:
-    """Return the segments of the executed path whose steps missed p_min when they were planned."""
+    """Return the coverage holes of an executed path: steps that missed p_min when planned."""
     log = run.log
     return holes_along(log.positions_m, log.connectivity, log.relaxation_db > 0.0)
 
@@ -186,7 +186,7 @@ def step_log(
     true_dbm: NDArray[np.float64],  # (steps + 1,) true power there
     plans: Sequence[Plan],
 ) -> StepLog:
-    """Return the log of a run; row 0 is the start, as predicted by the first plan."""
+    """Return the step log of a robot; the prediction of row 0 is that of the first plan."""
     first = plans[:1]
 
     def column(at_start: float, values: list[float]) -> NDArray[np.float64]:
@@ -219,7 +219,7 @@ def step_log(
 
 
 def driven(robot: Robot, plans: Sequence[Plan]) -> Drive | None:
-    """Return states and inputs of a run; None for the single integrator."""
+    """Return states and inputs of a robot's run; None for the single integrator."""
     if robot.moves_freely:
         return None
     dynamics = robot.dynamics
@@ -260,11 +260,11 @@ def robot_run(
 
 
 SHORTCUT_NODES = 40
-"""Maximum number of lattice nodes that a straight segment of the clairvoyant's path may skip."""
+"""Maximum number of lattice nodes that a straight segment of the clairvoyant path may skip."""
 COST_CELLS = 0.1
-"""Sampling interval of costs, in cells of the true map."""
+"""Sampling interval of path costs, in cells of the true map."""
 SEARCHED_CELLS = 0.5
-"""Sampling interval in the clairvoyant's search, in cells."""
+"""Sampling interval of costs in the clairvoyant search, in cells of the true map."""
 
 IsOut = Callable[[NDArray[np.float64]], NDArray[np.bool_]]
 """Function from positions (n, 2) to a mask (n,) of those out of contact."""
@@ -277,9 +277,9 @@ def run_costs(
     tracks_m: Sequence[NDArray[np.float64]],  # (n + 1, 2) positions of each robot
     outcome: Outcome,
 ) -> dict[str, float]:
-    """Return the total costs of a run to goals and of the clairvoyants, and their ratio.
+    """Return the cost of a run to goals, of the clairvoyant paths, and their ratio.
 
-    Each clairvoyant ignores the other robots; the ratio is NaN for runs that did not arrive.
+    Clairvoyant paths ignore other robots. The ratio is NaN for runs that did not arrive.
     """
     if not road_maps:
         return {}
@@ -313,7 +313,7 @@ def clairvoyant_path(
     index: ObstacleIndex,
     truths: Sequence[Truth],
 ) -> NDArray[np.float64]:
-    """Return the waypoints (k, 2) of the cheapest path from the robot's start to its goal."""
+    """Return waypoints (k, 2) of the cheapest path to the goal for a known ground truth."""
     thresholds = [radio.true_threshold_dbm for radio in problem.stations]
 
     def is_out(places: NDArray[np.float64]) -> NDArray[np.bool_]:

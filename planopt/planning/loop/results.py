@@ -40,7 +40,7 @@ ARRIVED = (Outcome.REACHED, Outcome.COMPLETED)
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result(ABC):
-    """Result of motion planning: the problem with overrides applied, and the seed."""
+    """Base class of results of motion planning: a problem with overrides applied, and a seed."""
 
     problem: Problem
     seed: int
@@ -63,22 +63,22 @@ class Result(ABC):
         return task_of(self.problem).data(self)
 
     def draw(self, folder: Path, *, animation: bool = False) -> None:
-        """Draw the figures selected by the problem, and optionally an animation."""
+        """Write the figures selected by the problem, and optionally an animation."""
         task_of(self.problem).draw(self, folder, animation=animation)
 
     def plot(self) -> Figure:
-        """Draw the result on the map, with the predictions of a plan; no window is opened.
+        """Return a figure of the result on the map; for a plan, with its predictions.
 
         Returns
         -------
         matplotlib.figure.Figure
-            Figure; notebooks show it and ``figure.savefig("result.png")`` writes it.
+            Figure; ``figure.savefig("result.png")`` writes it. No window is opened.
         """
-        # Accessed by name because the packages of figures and files depend on this one.
+        # Imported by name because the packages of figures and files depend on this one.
         return getattr(import_module("planopt.report"), self._drawn_by)(self)
 
     def _repr_html_(self) -> str:
-        """Return the picture and key figures for notebooks."""
+        """Return an HTML view for notebooks: figure and key numbers."""
         return import_module("planopt.report.notebook").result_html(self)
 
     def save(self, folder: Path | str) -> None:
@@ -108,7 +108,7 @@ class Result(ABC):
         cell_m: float | None = None,
         robot: int = 0,
     ) -> None:
-        """Write filter masks for Nav2 from the channel estimate, at the end for a run.
+        """Write filter masks for Nav2 from the channel belief (of a run: the final one).
 
         The masks are ``keepout``, ``weighted`` (100 (1 - P)) and ``contact``, with P the
         probability of connection to any station.
@@ -120,11 +120,11 @@ class Result(ABC):
         keepout_below
             Probability of connection below which a cell is forbidden by ``keepout``.
         p_min
-            Probability from which ``contact`` predicts contact; default: that of the problem.
+            Probability from which ``contact`` predicts contact; default: ``constraints.p_min``.
         cell_m
             Cell side in metres; default: 200 cells along the longer side.
         robot
-            Number of the robot whose estimate is used.
+            Number of the robot whose belief is used.
 
         Raises
         ------
@@ -173,7 +173,7 @@ class Result(ABC):
 
     @abstractmethod
     def _belief_of(self, robot: int) -> Belief:
-        """Return the channel estimate of a robot."""
+        """Return the channel belief of a robot."""
 
     def to_dataframe(self) -> Any:
         """Return a pandas DataFrame with one row per position of each robot, the start first.
@@ -181,7 +181,7 @@ class Result(ABC):
         Returns
         -------
         pandas.DataFrame
-            Columns as in ``steps.csv``; those of the ground truth are empty for a plan.
+            Columns as in ``steps.csv``; ground truth columns are empty for a plan.
 
         Raises
         ------
@@ -202,9 +202,9 @@ class Solution(Result):
     seed
         Random seed of fading, measurement positions and the first estimate of a target.
     belief
-        Channel estimate that all plans are based on.
+        Channel belief on which all plans are based.
     plans, aims
-        By robot: its plan, and the external inputs of its objective.
+        Plan of each robot, and external inputs of its objective.
     explanation
         Result of :func:`planopt.explain`, if it was called: changes that would give each robot a
         verified plan, and reasons why verified plans cross coverage holes.
@@ -266,7 +266,7 @@ class Solution(Result):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Run(Result):
-    """One closed loop of all robots of a problem.
+    """Closed-loop run of all robots of a problem.
 
     Attributes
     ----------
@@ -275,20 +275,20 @@ class Run(Result):
     seed
         Random seed of the run.
     truths
-        By station: the simulated ground truth; empty if that of a saved run is not available.
+        Simulated ground truth of each station; empty if not available for a saved run.
     runs, plans, aims, beliefs
-        By robot: its log, its released plans, one per step, the external inputs of their
-        objectives, and its channel estimate at the end.
+        Entries per robot: log and metrics; released plans, one per step; external inputs of their
+        objectives; final channel belief.
     first_measurements
-        Number of measurements in a belief that were taken before the run.
+        Number of initial measurements in each belief.
     target
         Log of the target; None if nothing is tracked.
     channel
-        Errors of the channel estimate; None for runs to a goal.
+        Errors of the first robot's channel estimate; None for runs to a goal.
     costs
-        Realised costs of a run to a goal at the outage price, by metric.
+        Realised costs of a run to goals, including the outage price, by metric.
     blocked
-        The cheapest paths to goals, if a hard chance constraint forbids them and ended the run.
+        Cheapest paths to goals if the run ended because a hard chance constraint forbids them.
 
     Examples
     --------
@@ -338,12 +338,12 @@ class Run(Result):
 
     @property
     def run(self) -> RobotRun:
-        """Return the log of the only robot; with several robots use `runs`."""
+        """Return log and metrics of the only robot; with several robots use `runs`."""
         return _only(self.runs, "runs")
 
     @property
     def belief(self) -> Belief:
-        """Return the final channel estimate of the only robot; with several use `beliefs`."""
+        """Return the final channel belief of the only robot; with several robots use `beliefs`."""
         return _only(self.beliefs, "beliefs")
 
     @property
@@ -373,7 +373,7 @@ class Run(Result):
 
     @property
     def exit_code(self) -> int:
-        """Return 0 if the task was done with all steps verified, 3 with some not, 4 if not done."""
+        """Return 0 for a completed task, 3 if some of its steps are not verified, 4 otherwise."""
         if self.outcome not in ARRIVED:
             return 4
         # Without steps the rate is NaN, and no step is unverified.
@@ -381,7 +381,7 @@ class Run(Result):
 
 
 def _only(several: Sequence[_Entry], name: str) -> _Entry:
-    """Return the only entry of `several`."""
+    """Return the only entry of `several`; raise an InputError if there are more."""
     if len(several) != 1:
         raise InputError(
             f"the run has {len(several)} robots, so that a single result is undefined",
@@ -391,7 +391,7 @@ def _only(several: Sequence[_Entry], name: str) -> _Entry:
 
 
 def _listed(head: str, lines: Sequence[str], most: int) -> str:
-    """Return `head`, followed by the first `most` lines."""
+    """Return `head`, followed by the first of `lines`, at most `most` lines in all."""
     if len(lines) > most:
         lines = [*lines[: most - 1], f"and {len(lines) - most + 1} more robots"]
     return "\n".join([head, *(f"  {line}" for line in lines)])
@@ -409,11 +409,11 @@ class RunSummary:
     reason: str  # Reason of the outcome as text
     # 0 if the task was done with every step verified, 3 if some were not, 4 if it was not done
     exit_code: int
-    # Over all robots, by name
+    # Metrics over all robots, by name
     metrics: dict[str, float] = field(default_factory=dict[str, float])
     # Number of steps released by each fallback, over all robots
     rungs: dict[str, int] = field(default_factory=dict[str, int])
-    verified_rate: float = math.nan  # Share of released steps whose plan was verified, if any
+    verified_rate: float = math.nan  # Share of steps with a verified plan
     # (steps x robots,) wall time of planning per step and robot
     step_s: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     # (steps x robots,) predicted probability of connection after each step, and true connection;
@@ -437,7 +437,7 @@ CHANNEL_TRACES = ("rms_db", "rms_without_multipath_db", "path_loss_variance_db2"
 
 
 def _traces(run: Run) -> dict[str, NDArray[np.float64]]:
-    """Return the errors of the target and channel estimates over the steps of a run, by name."""
+    """Return series of target and channel estimation errors over the steps of a run, by name."""
     found = dict[str, NDArray[np.float64]]()
     if run.target is not None:
         found["trace_p"] = run.target.station_variance_m2
@@ -448,7 +448,7 @@ def _traces(run: Run) -> dict[str, NDArray[np.float64]]:
 
 
 def summary_of(run: Run) -> RunSummary:
-    """Summarise a run."""
+    """Return the summary of a run."""
     problem = run.problem
     return RunSummary(
         horizon=problem.planner.horizon,

@@ -162,7 +162,7 @@ class GoalRefinement:
         rung: Rung,
         begun_s: float,
     ) -> Candidate:
-        """Return the verified candidate of a task with these bounds of the constrained steps."""
+        """Return the refined path of a task, verified; `bound` constrains the rows of the task."""
         point = polish_path(self.nlp, replace(task, bound=bound))
         solve_s = perf_counter() - begun_s
         candidate = candidate_of(self.scorer, point, rung, self.lattice_objective, solve_s)

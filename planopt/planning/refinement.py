@@ -88,9 +88,9 @@ MISSING_DB_COST = 100.0
 def tightened(
     task: PathTask, rows: RuleRows, power: Prediction, *, feasible: bool
 ) -> NDArray[np.float64]:
-    """Return the bounds of the local model's rows: what is required, plus its error at the path.
+    """Return bounds of a local model's constraint rows, tightened by the model's error at the path.
 
-    With `feasible` a row that the path meets by the exact `power` stays feasible.
+    With `feasible`, rows that the path satisfies by the exact `power` stay feasible.
     """
     local, per_db = task.evaluate(task.path_m).rows, rows.per_db(power)
     missing = rows.total - rows.achieved(power)
@@ -100,10 +100,10 @@ def tightened(
 
 
 def with_bounds(task: PathTask, context: StepContext, rows: RuleRows) -> PathTask:
-    """Return the task with bounds that the guess meets; elsewhere with the least shortfall.
+    """Return the task with bounds of its constraint rows, relaxed where the guess violates them.
 
-    Bounded slack is available to all rows at its price; a row that the guess violates beyond it has
-    unlimited slack, which costs more.
+    All rows have bounded slack at its price. A row that the guess violates by more has unlimited
+    slack at a higher price.
     """
     constraints = context.problem.constraints
     if not constraints.asks_connection:

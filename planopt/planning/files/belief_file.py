@@ -242,11 +242,11 @@ KINDS = {
     "at_nodes": ("f", None),
     "at_sides": ("f", None),
 }
-"""Types of the arrays of a potential, and their numbers of columns."""
+"""NumPy kinds and numbers of columns of a potential's arrays."""
 
 
 def bound_arrays(plans: Sequence[Plan]) -> Arrays:
-    """Return the arrays of the potentials of plans, by the number of the robot."""
+    """Return the arrays of the plans' potentials; their names contain the robot's number."""
     return {
         f"{number}_{name}": getattr(plan.bound.certificate, name)
         for number, plan in enumerate(plans)

@@ -38,17 +38,17 @@ from planopt.world.clearance import index_obstacles
 from planopt.world.lattice import RoadMap, build_lattice
 
 STALL_STEPS = 30
-"""Steps without new measurements, spent within two maximum step lengths, that count as a stall."""
+"""Number of steps without a new measurement, near one position, that count as a stall."""
 
 
 @dataclass(frozen=True, eq=False)
 class Progress:
-    """Progress of one robot."""
+    """Progress of one robot in a closed loop."""
 
     problem: Problem  # Problem restricted to this robot
     # States (s,), position first: at the start and after each step
     states: Sequence[NDArray[np.float64]]
-    learnt: Sequence[bool]  # Whether each step brought a measurement
+    learnt: Sequence[bool]  # Whether each step yielded a measurement
     plans: Sequence[Plan]  # The plan whose first step was executed, by step
     posteriors: Sequence[ChannelPosterior]  # Current belief about each station's channel
 
@@ -64,9 +64,9 @@ def run_ending(
 
 
 def goals_ending(problem: Problem, robots: Sequence[Progress]) -> tuple[Outcome, str] | None:
-    """Return the outcome of a run to goals, which continues while any robot does.
+    """Return the outcome of a run to goals; None while any robot can continue.
 
-    Robots that have arrived or wait may still give way to others.
+    Robots that have arrived or wait can still give way to others.
     """
     ends = [
         goal_ending(each.problem, each.states, each.learnt, each.plans[-1] if each.plans else None)
@@ -121,12 +121,12 @@ def standstill(
     *,
     alone: bool = True,
 ) -> str | None:
-    """Return why a robot will stand still or circle from now on; None if it may move on."""
+    """Return why a robot will stay or circle from now on; None if it may make progress."""
     unit = np.array(problem.robots[0].dynamics.unit_m(problem.planner.step_s))
     stood = bool(np.linalg.norm((track[-1] - track[-2]) * unit) <= STANDSTILL_M)
     # A plan that moves after waiting gives the next plan another initial guess.
     waits = np.linalg.norm(plan.positions_m - plan.positions_m[0], axis=1).max() > STANDSTILL_M
-    # At the same position, belief, obstacles and time, the next plan is the same.
+    # With the same position, belief and obstacles, the next plan is the same.
     again = plan.rung is not Rung.SHIFTED and not problem.workspace.moving and alone
     again &= problem.planner.budget_s is None
     if stood and not waits and not learnt[-1] and again:
@@ -162,9 +162,9 @@ def terms_ending(
 ) -> tuple[Outcome, str] | None:
     """Return the outcome of a run for a sum of terms, as :func:`run_ending`.
 
-    The run ends if all robots that are to connect are connected, if all with goals have arrived, if
-    no robot can make progress, or after `planner.max_steps`. It has stalled if all robots are stuck
-    (at the step limit: any robot), unless nothing is left to learn.
+    The run ends if all robots that have to connect are connected, if all with goals have arrived,
+    if no robot can make progress, or after `planner.max_steps`. It has stalled if all robots are
+    stuck (at the step limit: any robot), unless no position is left to measure.
     """
     # Shapes: connected (steps, robots).
     steps, term = len(connected), problem.terms[0]
@@ -224,7 +224,7 @@ def _stuck(problem: Problem, connected: NDArray[np.bool_], robot: Progress) -> s
 
 
 def _others_of(problem: Problem, robots: Sequence[Progress], robot: Progress) -> Pending:
-    """Return the past positions of the other robots if the objective depends on them."""
+    """Return the other robots' past positions, which may be measured; none if irrelevant."""
     if not counts_others(problem):
         return NOTHING_PENDING
     driven = [np.array(each.states)[1:, :2] for each in robots]
@@ -233,7 +233,7 @@ def _others_of(problem: Problem, robots: Sequence[Progress], robot: Progress) ->
 
 
 def _has_left(robot: Progress, others: Pending) -> bool:
-    """Return whether a robot has positions left to measure, in addition to those of the others."""
+    """Return whether positions are left that neither the robot nor the others have measured."""
     problem, states = robot.problem, robot.states
     spacing = problem.channel.measure_spacing_m
     posteriors = anticipated(robot.posteriors, others, states[-1][:2], spacing)
@@ -248,7 +248,7 @@ def _has_left(robot: Progress, others: Pending) -> bool:
 
 
 def _in_words(problem: Problem, stuck: Sequence[tuple[Progress, str]]) -> str:
-    """Return the robots that stand still or circle, with reasons, as text."""
+    """Return text that lists the robots that stay or circle, with reasons."""
     unmeasured = any(learns(robot.problem) for robot, _ in stuck)
     whys = [
         f"{robot.problem.robots[0].name}: {why}" if len(problem.robots) > 1 else why

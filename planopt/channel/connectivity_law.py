@@ -283,7 +283,7 @@ class ConnectivityLaw:
 
     @property
     def connected_m(self) -> NDArray[np.float64]:
-        """Positions (k, 2) of readings that reach the threshold of their station."""
+        """Positions (k, 2) of readings that reach their station's threshold."""
         found: list[NDArray[np.float64]] = []
         for station, threshold in zip(self.posteriors, self.thresholds_dbm, strict=True):
             least, _ = _power_bounds_dbm(station, slice(None))
@@ -302,7 +302,7 @@ class ConnectivityLaw:
     def predicted(
         self, positions_m: NDArray[np.float64], predict: Predictor = predict
     ) -> Prediction:
-        """Return the serving power without known readings, which is smooth in position."""
+        """Return the serving power predicted without known readings, a smooth function."""
         return self.combined([predict(station, positions_m) for station in self.posteriors])
 
     def power(self, positions_m: NDArray[np.float64], predict: Predictor = predict) -> Prediction:

@@ -285,7 +285,7 @@ class LocalChannel:
 
 
 def nearest_to_path(posterior: ChannelPosterior, path_m: Floats, count: int) -> Indices:
-    """Return indices of the `count` measurements nearest to a path (h, 2), or of all."""
+    """Return indices of the `count` measurements nearest to a path (h, 2), or all if fewer."""
     # They are the nearest to each position, then the second nearest, and so on, so that every
     # position is represented.
     places = require_places(path_m)

@@ -1,4 +1,4 @@
-"""Power measurements with their errors, and their covariance with each other and with positions.
+"""Power measurements with their errors, and covariances of measured and predicted powers.
 
 Apart from multipath, two measured powers have the covariance
 
@@ -279,7 +279,7 @@ def shadow_covariance_db2(
 
 
 def decayed_db2(distance_m: NDArray[Real], parameters: ChannelParameters) -> NDArray[Real]:
-    """Return the covariance of shadowing at distances of any shape; overwrites them."""
+    """Return the covariance of shadowing at distances of any shape; the input is overwritten."""
     covariance = distance_m
     covariance *= -1.0 / parameters.decorrelation_m
     np.exp(covariance, out=covariance)

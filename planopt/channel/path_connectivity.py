@@ -298,7 +298,7 @@ def joint_connectivity(
 
 
 def spanning_tree_weight(weight: Floats) -> float:
-    """Return the total weight (h, h) of a maximum spanning tree (Prim's algorithm)."""
+    """Return the total weight of a maximum spanning tree for weights (h, h) (Prim)."""
     outside = np.ones(len(weight), dtype=bool)
     outside[0] = False
     best = weight[0].copy()

@@ -94,7 +94,7 @@ def trade_off_demand(
 
 @dataclass(frozen=True, eq=False)
 class Flags:
-    """Flags of the agents that respond to an event, with the messages they took."""
+    """Agents flagged to respond to an event, with the number of messages."""
 
     flagged: Mask  # (n,) whether the agent responds to the event
     messages: int  # Number of transmissions over single links

@@ -18,7 +18,7 @@ from planopt.coverage.optima import STARTS, best_deployment
 
 
 class Deployer:
-    """Search for a deployment, and its positions assigned to covering agents."""
+    """Deployment search that assigns positions to the covering agents of a network."""
 
     def __init__(self, ground: Ground, generator: np.random.Generator) -> None:
         self._ground, self._generator = ground, generator

@@ -52,7 +52,7 @@ def station_map(
     threshold_dbm: float,
     bounds_m: tuple[float, float, float, float],  # (x_min, y_min, x_max, y_max)
 ) -> StationMap:
-    """Map the probability that the power from each base station is below a threshold."""
+    """Return maps of the probability that each base station's power is below a threshold."""
     x_min, y_min, x_max, y_max = bounds_m
     side = max(x_max - x_min, y_max - y_min) / NODES
     x, y = np.arange(x_min, x_max + side, side), np.arange(y_min, y_max + side, side)

@@ -88,7 +88,7 @@ def csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
 
 @contextlib.contextmanager
 def foreign_reader(path: Path, kind: str, key: str | None = None) -> Generator[None]:
-    """Convert exceptions of a library to an error about the file, and suppress its warnings."""
+    """Convert exceptions of a reader library to an error about the file; suppress its warnings."""
     # Errors in destructors and callbacks, which Python would print, are suppressed as well.
     hooks = sys.excepthook, sys.unraisablehook
     sys.excepthook = sys.unraisablehook = _ignore

@@ -156,7 +156,7 @@ class MoteNetwork(Table):
 
 @dataclass(frozen=True)
 class DesignTask:
-    """Requirements of a network."""
+    """Requirements on a network design."""
 
     network: MoteNetwork
     chase: Chase

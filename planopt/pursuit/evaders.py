@@ -104,7 +104,7 @@ class Fleeing(Table):
 
 
 class Zigzag(Table):
-    """An evader that flees from the aims of its pursuers in a zigzag."""
+    """An evader that flees from its pursuers' target points in a zigzag."""
 
     kind: Literal["zigzag"] = "zigzag"
     period_s: float = Field(ge=SMALLEST, le=1e6)

@@ -169,7 +169,7 @@ class Policy(Protocol):
 
 
 def fresher(found: Record, held: Record | None) -> bool:
-    """Return True if rule R replaces the record in use by the record found."""
+    """Return True if the record found replaces the record in use (rule R)."""
     # A record never replaces one with a later sample time; of equal ones the more exact is used.
     if held is None or found.sampled_s > held.sampled_s:
         return True

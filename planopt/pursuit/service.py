@@ -168,7 +168,7 @@ class Snapshot:
 
     @property
     def ages_s(self) -> Floats:
-        """Return the age of the record, by level (L + 1,)."""
+        """Return the age of each level's report, (L + 1,)."""
         return self.time_s - self.sampled_s
 
     def shown_at(self, mote: NDArray[np.int64]) -> Mask:

@@ -29,7 +29,7 @@ UNKNOWN_M = 1e12
 
 @dataclass(frozen=True, eq=False)
 class Pursuer:
-    """A pursuer."""
+    """Start, motion and policy of a pursuer."""
 
     start_m: Floats  # (2,)
     motion: Motion
@@ -38,7 +38,7 @@ class Pursuer:
 
 @dataclass(frozen=True, eq=False)
 class Evader:
-    """An evader, a single integrator."""
+    """Start, speed and behaviour of an evader, a single integrator."""
 
     start_m: Floats  # (2,)
     speed_max_m_s: float

@@ -97,7 +97,7 @@ def _certificates(solution: Solution) -> list[str]:
 
 
 def draw_run(run: Run) -> Figure:
-    """Draw the executed paths; for one robot with a goal, :func:`draw_run_series` has the series.
+    """Draw the executed paths; time series of a courier are drawn by :func:`draw_run_series`.
 
     The map then shows the true power; maps of other runs show the first robot's final belief.
 

@@ -283,7 +283,7 @@ def draw_measured(
 
 
 def draw_relaxed(panel: Panel, log: StepLog) -> list[Artist]:
-    """Mark the positions at which the chance constraint was relaxed, below the path."""
+    """Mark, below the path, the positions at which the chance constraint was relaxed."""
     positions = log.positions_m[log.relaxation_db > 0.0]
     look = {"marker": "D", "s": 60.0, "color": PURPLE, "linewidths": 0.0, "zorder": PATH_Z - 0.1}
     if not len(positions):

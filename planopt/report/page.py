@@ -94,7 +94,7 @@ class PageMap:
 
     @property
     def times_s(self) -> NDArray[np.float64]:
-        """Return the times of the longest track, which are the positions of the slider."""
+        """Return the times of the longest track, one per position of the slider."""
         return max((track.t_s for track in self.tracks), key=len)
 
 

@@ -122,7 +122,7 @@ def _paths(times_s: NDArray[np.float64], positions_m: NDArray[np.float64]) -> li
 
 
 def _motions_of(steps: Data, agents: int) -> list[Motion]:
-    """Return the saved state of each step; empty if the rows do not divide among the agents."""
+    """Return the saved state of each step; empty if the number of rows is wrong."""
     if len(steps["step"]) % agents:
         return []
     names = ("x_m", "y_m", "vx_m_s", "vy_m_s", "heading_rad")

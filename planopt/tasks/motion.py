@@ -276,7 +276,7 @@ def _allows(problem: Problem, planner: str) -> bool:
 
 
 def _run_answer(problem: Problem, seed: int, shared: Any, recorded: States) -> dict[str, Any]:
-    """Return the suite's row for the first steps of a run; `recorded` states replace its own."""
+    """Return the row of the first steps of a run, which start from `recorded` states if any."""
     from planopt.planning.free_space import with_drawn_starts
     from planopt.planning.initial_data import team_seeds
     from planopt.planning.loop.drive import first_steps, true_world

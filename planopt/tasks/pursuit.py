@@ -144,7 +144,7 @@ def _guarantee_json(
 ) -> dict[str, Any]:
     """Return the guarantee for the first pursuer and evader, and the largest used share of bounds.
 
-    Only for one pursuer and one evader is the capture time bounded.
+    The capture time is bounded only for one pursuer and one evader.
     """
     radius_m, uses = problem.given.pursuit.capture_radius_m, pursuit.uses
     alone = len(problem.given.pursuers) == len(problem.given.evaders) == 1

@@ -49,7 +49,7 @@ FALLBACK_DECORRELATION_M = 10.0
 
 @dataclass(frozen=True)
 class Identifiability:
-    """Reasons why parameters cannot be identified, and the scales of the positions."""
+    """Reasons why parameters cannot be identified, extent of the positions, and range of beta."""
 
     n_pl_reason: str | None  # Reason why n_PL cannot be estimated, or None
     covariance_reason: str | None  # Reason why xi, beta and omega cannot be estimated, or None

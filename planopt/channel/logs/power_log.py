@@ -139,7 +139,7 @@ def measurements_of(table: LogTable, columns: LogColumns, log_format: LogFormat)
 
 
 def _from_milliwatts(cells: Sequence[Cell], power: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return powers in dBm; zero has no logarithm."""
+    """Return powers in mW converted to dBm; raise an error for a power of zero."""
     if (power <= 0.0).any():
         cell = cells[int(np.argmax(power <= 0.0))]
         raise cell.error("the power in mW should be above 0", "remove the row, or write dBm")

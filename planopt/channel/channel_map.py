@@ -69,7 +69,7 @@ class TileMap:
         self._centres_m = self._places_m.mean(axis=1)
         self._lattice_index = rows * needed.shape[1] + columns
         self._tile_index = (tile_of_node * tile + rows % tile) * tile + columns % tile
-        # One contiguous plane per term, because combining them dominates an idle refresh.
+        # Each term is a contiguous plane: without new data, a refresh mostly combines terms.
         planes = np.full((4, len(kept), tile * tile), np.nan)
         self._terms = KrigingTerms(planes[0], np.moveaxis(planes[1:3], 0, -1), planes[3])
         self._reach_m2: Floats = np.full(len(kept), np.inf)

@@ -204,7 +204,7 @@ class LocalChannel:
     @cached_property
     def inverse(self) -> Floats:
         """Inverse U_mm^-1 with uncertain receiver offsets, without age factors; ``(..., m, m)``."""
-        # It is P - P Z V Z' P, P the inverse for known offsets and V their covariance given theta.
+        # The result is P - P Z V Z' P, P the inverse for known offsets, V their covariance.
         if self.covariance_db2.ndim == 2:
             found = inverse(lower_factor(self.covariance_db2))
         else:
@@ -286,7 +286,7 @@ class LocalChannel:
 
 def nearest_to_path(posterior: ChannelPosterior, path_m: Floats, count: int) -> Indices:
     """Return indices of the `count` measurements nearest to a path (h, 2), or all if fewer."""
-    # They are the nearest to each position, then the second nearest, and so on, so that every
+    # Indices are the nearest to each position, then the second nearest, and so on, so that every
     # position is represented.
     places = require_places(path_m)
     measured = posterior.measurements.positions_m

@@ -236,7 +236,7 @@ def _array(name: str, values: Any) -> NDArray[Any]:
 
 def join(first: Measurements, second: Measurements) -> Measurements:
     """Join two sets of measurements, `first` before `second`."""
-    # Both are valid already; validating 50,000 rows again takes longer than a planner's map.
+    # Both sets are valid; validating 50,000 rows again takes longer than a planner's map.
     joined = object.__new__(Measurements)
     for part in fields(Measurements):
         both = (getattr(first, part.name), getattr(second, part.name))

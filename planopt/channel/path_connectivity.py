@@ -48,7 +48,7 @@ ERRORS = 3.0
 
 def bivariate_normal_cdf(first: Floats, second: Floats, correlation: Floats) -> Floats:
     """Return P(X <= first, Y <= second) of correlated standard normal X and Y."""
-    # Owen's T function makes it exact to rounding (D. B. Owen, Tables for computing bivariate
+    # Owen's T function is exact up to rounding (D. B. Owen, Tables for computing bivariate
     # normal probabilities, 1956). Arguments broadcast; infinite scores and correlations of +-1 are
     # valid.
     h, k, rho = np.broadcast_arrays(_score(first), _score(second), np.clip(correlation, -1.0, 1.0))

@@ -73,7 +73,7 @@ def bound_margin_db(
 
 def connection_probability(mean_db: Floats, deviation_db: Floats, threshold_dbm: float) -> Floats:
     """Return P(power >= threshold) = Phi((mean - threshold) / deviation) (equation 3.1)."""
-    # It is NaN if the prediction is NaN, and 0 or 1 if the standard deviation is 0.
+    # The result is NaN if the prediction is NaN, and 0 or 1 if the standard deviation is 0.
     above = mean_db - threshold_dbm
     certain = np.where(above >= 0.0, np.inf, -np.inf)
     return score_probability(np.divide(above, deviation_db, out=certain, where=deviation_db != 0.0))

@@ -35,7 +35,7 @@ class _Mapped:
     fits: Sequence[dict[str, Any]]  # JSON of each station's fit
     exit_code: int
     draw: Callable[[], Figure]
-    p_min: float | None = None  # That of the problem
+    p_min: float | None = None  # Required probability of the problem; None for a log
 
 
 @with_options(LogOptions)

@@ -76,7 +76,7 @@ def trade_off_demand(
     area_m2: float, localisation_m2: float, coverage_weight: float, localisation_weight: float
 ) -> Demand:
     """Return the demand that trades coverage cost against localisation error."""
-    # It minimises ``w_c c |A|^2 / (n - P) + w_s kappa / P`` over integers P, with c the second
+    # The demand minimises ``w_c c |A|^2 / (n - P) + w_s kappa / P`` over integers P, c the second
     # moment of a hexagon of area 1.
     coverage = HEXAGON * area_m2**2 * coverage_weight
     localisation = localisation_m2 * localisation_weight

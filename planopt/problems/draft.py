@@ -94,7 +94,7 @@ class DraftStation:
     label: str | None  # Text in the column of transmitters
     measurements: Measurements
     fit: ChannelFit
-    is_given: bool  # Whether the position is given, not estimated
+    is_given: bool  # True for a known position, false for an estimated one
 
     @property
     def position_std_m(self) -> float:

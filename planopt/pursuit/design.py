@@ -163,8 +163,8 @@ class DesignTask:
     margin: float = 0.01  # delta: minimum distance of a + x from 1
     bits_per_axis: int | None = None  # c; None to optimise it
     first_distance_m: float | None = None  # From the pursuer to the evader's first sample
-    capture_radius_m: float | None = None  # None if there is no such requirement
-    deadline_s: float | None = None  # None if there is no such requirement
+    capture_radius_m: float | None = None  # None without this requirement
+    deadline_s: float | None = None  # None without this requirement
 
     @property
     def bits(self) -> Iterable[int]:

@@ -278,7 +278,7 @@ MOST_SIMULATED_LEVELS = 7
 
 def peak_blocks_per_frame(border_relays: bool, levels: int) -> int:
     """Return a slot capacity in blocks at which no record has to wait."""
-    # It is the peak load for up to eight levels. Beyond, it is the bound of eight blocks per level:
+    # For up to eight levels this is the peak load, beyond it the bound of eight blocks per level:
     # of the nine heads whose records a mote relays, at most eight are at the same hop distance.
     counted = PEAK_BLOCKS[border_relays]
     return counted[levels - 1] if levels <= len(counted) else 8 * (levels + 1)
@@ -288,7 +288,7 @@ def late_shares(
     levels: int, border_relays: bool, slot_blocks: int, rate_divisor: int = 1
 ) -> tuple[float, ...] | None:
     """Return the share of late records by level, exact if no message is lost."""
-    # It is None if the slot is narrower than the peak load and the grid too large to simulate.
+    # The result is None if slots are below the peak load and the grid is too large to simulate.
     if slot_blocks >= peak_blocks_per_frame(border_relays, levels):
         return (0.0,) * (levels + 1)
     if levels > MOST_SIMULATED_LEVELS:

@@ -147,7 +147,7 @@ def convex_fit(
     bins: LogBins, alpha_db2: float, count: int, bounds: CovarianceBounds, loss: Loss = "squares"
 ) -> CovarianceFit:
     """Estimate by ``min sum rho(sqrt(tau) (log r - a + b d))`` within the parameters' bounds."""
-    # With squares it equals `lemma1_fit` on the same bins if no constraint is active.
+    # With squared loss and no active bound, the result equals `lemma1_fit` on the same bins.
     if loss == "squares":
         intercept, rate = _convex_line(bins, alpha_db2, bounds, loss)
         scatter = _scatter(bins, intercept, rate)
@@ -157,7 +157,7 @@ def convex_fit(
         flat = _weighed_by_line(bins, 0.0, 0.0)
         bins = _weighed_by_line(bins, *_convex_line(flat, alpha_db2, bounds))
         intercept, rate = _convex_line(bins, alpha_db2, bounds)
-        # The median residual without the two smallest, because the line passes through two bins.
+        # The two smallest residuals are left out of the median: the line passes through two bins.
         rest = np.sort(np.abs(_scatter(bins, intercept, rate)))[2:]
         deviation = float(np.median(rest)) / NORMAL_MEDIAN if len(rest) else 0.0
         if loss == "huber" and deviation > 0.0:

@@ -189,7 +189,7 @@ def coefficient_covariance(
     model: MeanModel, measurements: Measurements, parameters: ChannelParameters
 ) -> Floats:
     """Return the covariance (p, p) of least-squares coefficients under correlated shadowing."""
-    # It is (G'G)^-1 G' U G (G'G)^-1 with U the measurements' covariance. The usual alpha (G'G)^-1
+    # The result is (G'G)^-1 G' U G (G'G)^-1, U the power covariance. The usual alpha (G'G)^-1
     # is several times too small if beta spans many measurements.
     columns = np.column_stack([model.columns, receiver_columns(measurements)])
     count = model.columns.shape[1]

@@ -400,7 +400,7 @@ def line_covariance_m2(measurements: Measurements, parameters: ChannelParameters
 
 def joint_covariance_m2(measurements: Measurements, parameters: ChannelParameters) -> Floats | None:
     """Return the second moments of the likelihood about the estimate; None if undetermined."""
-    # They are sums over a lattice along the principal axes of the information, up to `MARGIN`
+    # Moments are sums over a lattice along the principal axes of the information, up to `MARGIN`
     # extents. Its spacing grows from a fraction of the standard deviation with the distance.
     surface = station_surface(measurements, parameters, has_prior=True)
     if _is_at_edge(surface, parameters.station):

@@ -10,8 +10,8 @@ mean of each bin with the realised share. Its intervals are those of Korn and Gr
 ("Confidence intervals for proportions with small expected number of positive counts estimated from
 survey data", Survey Methodology 24(2), 1998): the share's variance gives the effective number of
 independent outcomes, whose exact binomial interval is used. If all outcomes in a bin are equal, the
-effective number is the number of groups, so that the interval has a positive width, unlike that of
-a bootstrap over groups.
+effective number is the number of groups, so that the interval has a positive width. The interval of
+a bootstrap over groups would have none.
 """
 
 from __future__ import annotations

@@ -437,7 +437,7 @@ def serving_map(
 ) -> PosteriorMap:
     """Predict the power of the best server and P(connected to any station) on a grid.
 
-    Mean and standard deviation are those of the station with the largest margin above its
+    Mean and standard deviation belong to the station with the largest margin above its
     threshold, as a power for the first threshold.
 
     Parameters

@@ -358,7 +358,7 @@ def fitted_truth(
     floor_dbm: float | None,
     generator: np.random.Generator,
 ) -> Truth:
-    """Draw the ground truth from a posterior; the other parameters are those of `model_truth`."""
+    """Draw the ground truth from a posterior; see :func:`model_truth` for the other parameters."""
     mean = conditional_field(posterior, bounds_m, cell_m, generator)
     return _faded(mean, Lognormal(posterior.parameters.multipath_std_db), floor_dbm, generator)
 

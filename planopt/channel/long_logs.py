@@ -88,7 +88,7 @@ def vecchia_information(
     noise_variance_db2: Floats,  # (n,) with sites for intervals
     before: tuple[VecchiaInformation, PlaceIndex] | None = None,  # Sums over the first ones
 ) -> VecchiaInformation:
-    """Return the information of all `measurements`, extending that of the first ones, `before`."""
+    """Return the information of all `measurements`; `before` has that of the first ones."""
     places = measurements.positions_m
     if before is None:
         windows = earlier_windows(places, place_blocks(places, BLOCK), BLOCK_NEIGHBOURS)

@@ -214,7 +214,7 @@ class MeanModel:
         return float(coefficients[0]), PRIOR_N_PL
 
     def theta_covariance(self, covariance: Floats) -> Floats:
-        """Return the covariance of theta (2, 2) from that of the coefficients (p, p)."""
+        """Return the covariance of theta (2, 2) from the coefficients' covariance (p, p)."""
         if len(covariance) == 2:
             return covariance
         slope = PRIOR_N_PL_STD * np.array([-self.regressor_mean, 1.0])

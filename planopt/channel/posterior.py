@@ -114,7 +114,7 @@ class FactorBuffer:
 
 
 def with_room(buffer: FactorBuffer | None, used: int, count: int) -> FactorBuffer:
-    """Return a buffer for `count` rows whose first `used` rows are those of `buffer`."""
+    """Return a buffer with room for `count` rows and the first `used` rows of `buffer`."""
     # Returns `buffer` itself if it has room and no other posterior uses its free rows.
     if buffer is not None and buffer.used == used and len(buffer.lower) >= count:
         return buffer
@@ -349,7 +349,7 @@ def with_expected(posterior: ChannelPosterior, positions_m: Floats) -> ChannelPo
 
 def factored_near(posterior: ChannelPosterior, path_m: Floats) -> ChannelPosterior:
     """Return a posterior with a factor; without one, condition only on data near a path (h, 2)."""
-    # Theta and its covariance remain those of all measurements.
+    # Theta and its covariance still come from all measurements.
     if posterior.has_factor:
         return posterior
     used = np.sort(nearest_to_path(posterior, path_m, SHARED_NEIGHBOURS))

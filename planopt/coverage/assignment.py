@@ -3,7 +3,7 @@
 The P agents nearest to an event are connected in the Voronoi neighbour graph, so lists of nearest
 agents passed between neighbours reach all of them. Deferred acceptance divides the agents among
 several events. Its matching is stable: no agent and event both prefer each other to their match.
-:func:`optimal_assignment` returns the assignment of least total distance.
+:func:`optimal_assignment` minimises the total distance.
 """
 
 from __future__ import annotations
@@ -226,7 +226,7 @@ def deferred_acceptance(distances_m: Floats, demands: Indices) -> Assignment:
 
 
 def optimal_assignment(distances_m: Floats, demands: Indices) -> Assignment:
-    """Assign agents to events with the least sum of distances; the distances are ``(n, k)``."""
+    """Return the assignment of agents to events with minimum total distance; distances (n, k)."""
     # The linear programme ``min sum c x, sum_k x_ik <= 1, sum_i x_ik = P_k, x >= 0`` has the same
     # optimum because its matrix is totally unimodular.
     _check(distances_m, demands)

@@ -74,7 +74,7 @@ def free_ring_places(
 
     Exchanging one bearing at a time minimises the trace of the position covariance; an unknown
     strength is estimated too. If the ring is entirely free, or too short for the agents, the result
-    is that of :func:`ring_places`.
+    equals :func:`ring_places`.
     """
     count, bearings = len(agents_m), ring_angles(BEARINGS)
     units = np.stack((np.cos(bearings), np.sin(bearings)), axis=1)
@@ -106,7 +106,7 @@ def _errors(information: Floats) -> Floats:
 
 
 def _nearest_slots(agents_m: Floats, places_m: Floats) -> Floats:
-    """Return positions (k, 2) matched to agents by the least sum of squared distances."""
+    """Return positions (k, 2) matched to agents by minimum sum of squared distances."""
     squares = ((agents_m[:, None] - places_m) ** 2).sum(axis=2)
     return places_m[cast("Indices", linear_sum_assignment(squares)[1])]
 

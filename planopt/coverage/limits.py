@@ -145,7 +145,7 @@ class LinkLaw:
     """Log-distance path loss law of a link with uncertain parameters."""
 
     # The power in dBm at distance d is Gaussian with mean ``k_pl_db - 10 n_pl log10 d``. Its
-    # variance is the sum of those of fading (shadowing and multipath) and of the uncertain path
+    # variance is the sum of the variances of fading (shadowing and multipath) and of the path
     # loss.
 
     theta: Floats  # (2,): k_pl_db and n_pl

@@ -62,7 +62,7 @@ def names_of(columns: Iterable[Column]) -> tuple[str, ...]:
 
 
 def table_of(columns: Iterable[Column], log: object, **values: NDArray[Any]) -> Data:
-    """Return the table of a log; columns in `values` override those of the log."""
+    """Return the table of a log; columns in `values` override the log's own."""
     return {
         column.name: values[column.name]
         if column.name in values

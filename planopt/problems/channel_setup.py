@@ -162,7 +162,7 @@ class RasterTruth(Part):
 
     @classmethod
     def of_keys(cls, table: Any) -> dict[str, Any]:
-        """Return the fields; the fading law is that of rician_k or multipath."""
+        """Return the fields, with the fading law from rician_k or multipath."""
         if table.rician_k is None:
             return super().of_keys(table)
         if table.multipath is not None:
@@ -568,7 +568,7 @@ class BaseStation(Part):
     """Name of the station in the log's column channel.measurements.transmitter_column; default: the
     station's name."""
     censored_column: Annotated[str | None, Field(min_length=1)] = None
-    """Column that marks the station's censored rows; the default for its own log is that of
+    """Column that marks the station's censored rows; the default for its own log is the one of
     channel.measurements."""
 
     @property

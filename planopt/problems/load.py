@@ -116,7 +116,7 @@ def load(path_or_name: Path | str) -> Any:
 
 
 def load_motion(path_or_name: Path | str) -> Problem:
-    """Load a motion planning problem; parameters and errors are those of :func:`load`."""
+    """Load a motion planning problem; see :func:`load` for parameters and errors."""
     problem = load(path_or_name)
     if isinstance(problem, Problem):
         return problem

@@ -115,8 +115,8 @@ class ReachObjective(Part):
     """Price of outage (a number): a metre driven with connection probability P counts as
     1 + outage_price (1 - P) metres. constraints.slack_max_db = 0 forbids coverage holes."""
     outage_charge: OutageCharge = "everywhere"
-    """Positions at which outage_price applies: everywhere (least expected cost), or below_p_min (no
-    cost at positions that satisfy p_min)."""
+    """Positions at which outage_price applies: everywhere (minimum expected cost), or below_p_min
+    (no cost at positions that satisfy p_min)."""
 
     @property
     def charges_everywhere(self) -> bool:
@@ -136,7 +136,7 @@ class TermsObjective:
 
 
 def _objective_of(table: Any) -> ReachObjective | TermsObjective:
-    """Return the objective that a table describes: a sum of terms, or that of the task reach."""
+    """Return the objective that a table describes: a sum of terms, or a reach objective."""
     if not table.terms:
         return ReachObjective.of_table(table)
     for key in sorted(table.model_fields_set - {"terms"}):

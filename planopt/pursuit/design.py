@@ -74,7 +74,7 @@ def mean_blocks_per_frame(border_relays: bool, levels: int) -> float:
 
 
 class MoteNetwork(Table):
-    """Table ``[network]``: motes and their radios; costs are those of motes far from the edges."""
+    """Table ``[network]``: motes and their radios; costs assume motes far from the edges."""
 
     levels: int = Field(ge=1, le=MAX_LEVELS)
     """Number of levels L; there are 4^L motes."""
@@ -93,7 +93,7 @@ class MoteNetwork(Table):
     slots_per_frame: int = Field(default=SLOTS_PER_FRAME, ge=SLOTS_PER_FRAME, le=10_000)
     """Number of slots per TDMA frame."""
     slot_blocks: int | None = Field(default=None, ge=1, le=MAX_SLOT_BLOCKS)
-    """Least capacity of a slot in blocks; default: the peak load, so that every record is on time.
+    """Minimum capacity of a slot in blocks; default: the peak load, so that no record is late.
     """
     border_relays: bool = True
     """Flag for relaying of records by motes at the border of the nine cells."""
@@ -340,7 +340,7 @@ def _rated_candidate(task: DesignTask, bits: int) -> Candidate:
 
 
 def _energy_candidate(task: DesignTask, bits: int) -> Candidate:
-    """Return the slot s of least ``(A / s + B) / (q - p s)`` that meets all requirements."""
+    """Return the feasible slot width s with minimum ``(A / s + B) / (q - p s)``."""
     # A and B are the costs of transmission and idling, q = 1 - a and p s = x.
     widest_s = _widest_s(task, bits)
     if isinstance(widest_s, _Failed):

@@ -408,7 +408,7 @@ def draw_stations(
     Raises
     ------
     InputError
-        There are no estimates, or their number differs from that of the true positions.
+        There are no estimates, or not as many as true positions.
     """
     wrong = [name for name, found in estimates_m.items() if found.shape != true_m.shape]
     if not estimates_m or wrong or not len(true_m):

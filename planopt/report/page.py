@@ -33,7 +33,7 @@ SYMBOLS = ("circle", "square", "diamond", "triangle-down", "cross", "x", "hexago
 """Symbols of robots; there are not as many as colours, so that pairs repeat late."""
 
 MOST_NAMED = 8
-"""Maximum number of robots with a colour and legend entry each; more share those of their role."""
+"""Maximum number of robots with individual colours and legend entries; more are grouped by role."""
 
 MOST_ROWS = 400
 """Maximum number of rows of a table on the page."""

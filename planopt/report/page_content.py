@@ -237,7 +237,7 @@ def _by_step(plan: Plan, values: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _driven(run: Run) -> Iterator[Track]:
-    """Yield the driven path of each robot with its plans, then that of the target."""
+    """Yield the driven path of each robot with its plans, then the path of the target."""
     for one, plans in zip(run.runs, run.plans, strict=True):
         yield Track(
             one.robot,
@@ -282,7 +282,7 @@ def _plan_certificates(problem: Problem, plans: Sequence[Plan]) -> list[str]:
 
 
 def _run_certificates(run: Run) -> list[str]:
-    """Return each robot's plan verdicts and least clearance and connectivity as text."""
+    """Return each robot's plan verdicts, minimum clearance and minimum connectivity as text."""
     lines: list[str] = []
     for plans in run.plans:
         if not plans:

@@ -1,7 +1,7 @@
 """Figures and panels: layout, files, and the common style of all figures.
 
 Neither pyplot nor global settings are used: figures belong to the caller.
-Colours are those of Okabe and Ito (2008) and the perceptually uniform maps viridis and cividis.
+Colours are from Okabe and Ito (2008) and from the perceptually uniform maps viridis and cividis.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ def solve(
 ) -> Solution | TaskResult:
     """Plan once from the initial state: `horizon` steps per robot, or a design or deployment.
 
-    The plans equal those of the first step of a simulation with the same seed.
+    The plans are equal to a simulation's first plans with the same seed.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def solve(
         Seed of the simulated fading, the positions of the initial measurements, the initial
         estimate of a target, and randomised planners.
     measurements
-        Initial measurements that replace those of the problem: :class:`planopt.Measurements` or a
+        Initial measurements that replace the problem's own: :class:`planopt.Measurements` or a
         table (dictionary or DataFrame) with ``x_m``, ``y_m`` in metres and ``power_dbm``; for
         several stations a sequence with one entry per station.
     prove_s

@@ -119,7 +119,7 @@ def _likeness(names: Sequence[str]) -> int:
 
 
 def columns_of(table: LogTable, log_format: LogFormat) -> LogColumns:
-    """Return the columns of a log: those of the format, else of a known program, else by name."""
+    """Return the columns of a log from its format, else from a known program, else by name."""
     name, reader = _reader_of(table, log_format) or (None, None)
     x, y, power = log_format.columns
     if reader is not None:

@@ -123,7 +123,7 @@ def plan_moves(
     drifts_m_s: Floats | None = None,  # (n, 2) velocities of the targets; zero if None
 ) -> Motion:
     """Plan the motion of all agents over a horizon; return the state after the first move."""
-    # The first move equals that of the control law ``k (target - p)`` if no constraint is active.
+    # The first move equals the control law ``k (target - p)`` if no constraint is active.
     # During the whole move bodies never touch each other and keep clear of obstacles and the outer
     # boundary. A feasible stop always remains.
     places, step_s = motion.places_m, limits.time_step_s
@@ -205,7 +205,7 @@ def _inert_moves(task: _Task, now: Floats) -> tuple[Floats, Floats]:
     fastest = np.minimum(speed + change, most)
     later = np.maximum(np.ceil(fastest / change - 1e-9), 1.0)
     inertia = Inertia(now, change, later.astype(np.intp))
-    # Over the horizon, reserves are those of the largest speed.
+    # Over the horizon, braking paths are bounded by the largest speed.
     reach_m = most * (horizon + 0.5 * math.ceil(most / change))
     sets = task.sets(stops, fastest * (1.0 + 0.5 * later), reach_m)
     path, rates = _braking(places, now, change, horizon)

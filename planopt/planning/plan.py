@@ -1,4 +1,4 @@
-"""Plan of one robot, and history of a run before it.
+"""Plan of one robot, and history of the run before the plan.
 
 Every plan satisfies clearance, workspace and speed limits (:func:`is_sound`), whatever its
 connectivity, so that the remainder of a verified plan can replace a new one.
@@ -42,11 +42,11 @@ class Termination(StrEnum):
 
 
 class Verdict(StrEnum):
-    """Verdict of an independent check of the plan.
+    """Verdict of the verifier on a plan.
 
-    ``verified``: every constraint holds, the connectivity bound at every step where it is
-    possible. ``feasible_unverified``: not rejected, but a part of the proof is missing.
-    ``violated``: a constraint does not hold. ``none``: there is no plan.
+    ``verified``: every constraint holds; steps may violate p_min only where that is unavoidable.
+    ``feasible_unverified``: not rejected, but a part of the proof is missing. ``violated``: a
+    constraint does not hold. ``none``: there is no plan.
     """
 
     VERIFIED = "verified"
@@ -56,13 +56,13 @@ class Verdict(StrEnum):
 
 
 class Rung(StrEnum):
-    """Fallback that a released plan came from.
+    """Fallback that produced a released plan.
 
     ``reserved`` is the remainder of the last plan, verified or not, used if waiting would block
     moving obstacles or robots; the other robots avoid it. ``direct`` is the shortest path to a
-    goal after long wandering, regardless of connection. ``give_way`` is a robot's part of joint
-    paths of all robots. ``leave`` is a step away from a forbidden position: too close to an
-    obstacle, or out of bounds.
+    goal after long wandering, regardless of connection. ``give_way`` is a robot's part of paths
+    planned jointly for all robots. ``leave`` is a step away from a forbidden position: too close
+    to an obstacle, or out of bounds.
     """
 
     PLAN = "plan"
@@ -112,12 +112,12 @@ class Plan:
         ``(N + 1,)`` predicted power, its standard deviation and P(connected) at these positions,
         from the exact posterior; future measurements are not anticipated (equation 3.2).
     objective
-        With a goal a cost in seconds (sense: min): time, effort and outage at their prices,
-        including cost-to-go; not a travel time. Otherwise the weighted sum of terms (sense: max).
+        With a goal, a cost in seconds to be minimised: time, effort and outage at their prices,
+        including cost-to-go; not a travel time. Otherwise the weighted sum of terms, maximised.
     lattice_objective
         Objective of the lattice path that the refinement started from.
     termination, verdict, rung, certificate
-        Values documented at their types.
+        Solver's termination, verdict, fallback, and results of the verifier.
     wall_s, solve_s, iterations
         Wall time of the whole step, solver time within it, and number of solver iterations.
     multipliers
@@ -133,7 +133,7 @@ class Plan:
     route_m
         ``(r, 2)`` route found from the last position to the goal.
     holes
-        Stretches of path and route to a goal that violate p_min.
+        Coverage holes on path and route to a goal.
     bound
         Proven bound on the objective; None unless a proof was required. A proof also smooths
         `route_m`, whose cost then is the cost-to-go in `objective`.
@@ -192,7 +192,7 @@ class Plan:
 
     @property
     def polish_gain(self) -> float:
-        """Return the gain over the lattice path, by :func:`share_gained`."""
+        """Return the gain relative to the lattice path's objective, by :func:`share_gained`."""
         return share_gained(self.gain, self.lattice_objective, self.objective)
 
 
@@ -222,9 +222,9 @@ def is_sound(
 def shifted_path(
     problem: Problem, index: ObstacleIndex, position_m: NDArray[np.float64], warm: Plan | None
 ) -> NDArray[np.float64] | None:
-    """Return the remainder (N, 2) of a verified plan after its first step, waiting at its end.
+    """Return the remainder of a verified plan after its first step, waiting at its end; (N, 2).
 
-    None if the plan is unverified, no longer drivable, or of a robot with dynamics.
+    None if the plan is unverified, no longer drivable, or for a robot with dynamics.
     """
     # Shapes: position_m (2,).
     if warm is None or warm.verdict is not Verdict.VERIFIED or warm.drive is not None:
@@ -236,9 +236,9 @@ def shifted_path(
 
 
 def shifted_drive(problem: Problem, warm: Plan | None) -> Drive | None:
-    """Return the remainder after its first step of a plan with dynamics, plus a braking step.
+    """Return the remainder of a plan with dynamics after its first step, plus a braking step.
 
-    The plan need not be verified: the swept area does not depend on the channel.
+    The plan need not be verified, since the swept area does not depend on the channel.
     """
     dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
     if warm is None or warm.drive is None:
@@ -250,15 +250,15 @@ def shifted_drive(problem: Problem, warm: Plan | None) -> Drive | None:
 
 @dataclass(frozen=True)
 class History:
-    """One robot's run so far; a step is connected if its end truly is."""
+    """History of a robot's run. A step counts as connected if its end truly is."""
 
     steps: int = 0
     connected_steps: int = 0
-    # Steps since the last connected step, or since the start
+    # Number of steps since the last connected step, or since the start
     outage_steps: int = 0
     outage_m: float = 0.0
     delivered_mbit: float = 0.0  # Data delivered before the deadline, if data are required
-    # Whether the robot once circled for `CIRCLING_STEPS` steps; False with moving obstacles
+    # Whether the robot has ever circled for `CIRCLING_STEPS` steps; False with moving obstacles
     has_circled: bool = False
     # For a goal: cost of the driven steps that violate p_min, and its excess over the cheapest
     # paths
@@ -306,7 +306,7 @@ def history_of(
 
 
 def _circled(track_m: NDArray[np.float64], step_length_m: float, gave_way: Sequence[bool]) -> bool:
-    """Return whether a track (n + 1, 2) once stayed near one position without giving way."""
+    """Return whether a track (n + 1, 2) ever stayed near one position without giving way."""
     if len(track_m) <= CIRCLING_STEPS:
         return False
     windows = np.lib.stride_tricks.sliding_window_view(track_m, CIRCLING_STEPS + 1, axis=0)
@@ -319,7 +319,7 @@ def _circled(track_m: NDArray[np.float64], step_length_m: float, gave_way: Seque
 
 
 def data_of_steps_mbit(problem: Problem, first: int, count: int) -> NDArray[np.float64]:
-    """Return the data (n,) that connected steps after step `first` deliver by the deadline."""
+    """Return the data that each step after `first` delivers by the deadline if connected; (n,)."""
     rule, step_s = problem.constraints.rule, problem.planner.step_s
     if rule.deadline_s is None or rule.rate_mbit_s is None:
         return np.zeros(count)
@@ -328,7 +328,7 @@ def data_of_steps_mbit(problem: Problem, first: int, count: int) -> NDArray[np.f
 
 
 def data_pace_mbit(problem: Problem, history: History, count: int) -> float:
-    """Return the data required of `count` steps: missing data spread over the time left."""
+    """Return the data required in `count` steps: the missing data, spread over the time left."""
     rule = problem.constraints.rule
     data_mbit, deadline_s, rate_mbit_s = rule.data_mbit, rule.deadline_s, rule.rate_mbit_s
     left_s = (deadline_s or 0.0) - history.steps * problem.planner.step_s

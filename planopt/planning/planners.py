@@ -1,15 +1,15 @@
 """Planners that a problem may name, including the baselines.
 
-The one-step planner follows [GM11]: it maximises equations (2), the inner layer of (3), and (4)
-over a dense set of positions within one step; measuring terms consider only unmeasured positions
-("q not in Q"). Several steps repeat this greedily. If all positions around are measured, the robot
-takes the shortest path out.
+The one-step planner follows [GM11]. It maximises their objectives (2), (3, inner layer) or (4) over
+a dense set of positions within one step; measuring terms consider only unmeasured positions ("q
+not in Q"). Plans of several steps repeat this greedily. If all positions nearby are measured, the
+robot takes the shortest path to an unmeasured one.
 
 The lawnmower sweeps all free space in lanes along lattice rows, about one decorrelation distance of
 the fitted channel apart and joined by shortest paths.
 
-The communication strategies of [GM11] plan with another channel: path loss without shadowing, a
-disc in which all packets arrive, or a link without loss. The verifier uses the actual belief.
+The communication strategies of [GM11] assume a simpler channel: path loss without shadowing, a disc
+in which all packets arrive, or a lossless link. The verifier uses the actual belief.
 """
 
 from __future__ import annotations
@@ -94,10 +94,10 @@ def horizon_planner(problem: Problem, ground: Ground, _generator: np.random.Gene
 
 
 RINGS, HEADINGS = 10, 48
-"""Numbers of circles and directions of the positions within a step."""
+"""Number of radii and directions of the grid of positions within a step."""
 
 Score = Callable[[StepContext, NDArray[np.float64]], NDArray[np.float64]]
-"""Function from paths (c, N, 2) to their scores (c,)."""
+"""Function that maps paths (c, N, 2) to their scores (c,)."""
 
 
 def as_ranked(context: StepContext, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -122,7 +122,7 @@ class OneStepPlanner:
     ) -> None:
         self._problem, self._ground, self._score = problem, ground, score
         self._measures = learns(problem)
-        # An expression needs a whole path: it is evaluated as if the robot waited afterwards.
+        # An expression needs a whole path, so the robot is assumed to wait afterwards.
         self._whole = any(
             term.structure == "full" and not (term.is_measured or term.steers or term.probes_end)
             for term in problem.terms
@@ -173,18 +173,18 @@ class OneStepPlanner:
 largest_deviation_planner = partial(OneStepPlanner, score=end_deviation)
 
 DRAWS = 64
-"""Number of candidate steps per draw; the robot waits if none is free."""
+"""Number of candidate steps drawn at once; the robot waits if none is collision-free."""
 
 TURN_STD_RAD = 0.4
 """Standard deviation of the turn between consecutive steps of a persistent walk."""
 
 Walk = Literal["full", "disk", "persistent"]
-"""Full steps in uniform directions, steps uniform in the one-step disc, or full steps with small
-turns."""
+"""Kind of random walk: full steps in uniform directions, steps to uniform positions in the one-step
+disc, or full steps with small turns."""
 
 
 class RandomPlanner:
-    """Random-walk planner."""
+    """Planner of a random walk."""
 
     def __init__(
         self,
@@ -216,13 +216,13 @@ class RandomPlanner:
         return released(scorer, held(context, path), begun)
 
     def _offsets(self, heading: float | None) -> NDArray[np.float64]:
-        """Draw steps (`DRAWS`, 2) relative to the longest, given the last heading or None."""
+        """Return random steps (`DRAWS`, 2) in units of the longest step; `heading` may be None."""
         drawn = self._generator.uniform(-math.pi, math.pi, DRAWS)
         lengths = np.ones(DRAWS)
         if self._walk == "disk":
             lengths = np.sqrt(self._generator.uniform(0.0, 1.0, DRAWS))
         elif self._walk == "persistent" and heading is not None:
-            # The other half is uniform, in case all small turns are blocked.
+            # Half of the directions are uniform, in case all small turns are blocked.
             turns = self._generator.normal(0.0, TURN_STD_RAD, DRAWS // 2)
             drawn[: DRAWS // 2] = heading + turns
         return lengths[:, None] * np.column_stack([np.cos(drawn), np.sin(drawn)])
@@ -240,11 +240,11 @@ def _heading(step_m: NDArray[np.float64]) -> float | None:
 
 
 FEWEST_LANES = 3
-"""Minimum number of lanes; the fitted decorrelation distance may exceed the workspace."""
+"""Minimum number of lanes, in case the fitted decorrelation distance exceeds the workspace."""
 
 
 class LawnmowerPlanner:
-    """Planner that sweeps the workspace; stores the tour and its progress."""
+    """Planner that sweeps the workspace in lanes; it stores the tour and its progress."""
 
     def __init__(
         self, problem: Problem, ground: Ground, _generator: np.random.Generator | None = None
@@ -284,7 +284,7 @@ class LawnmowerPlanner:
 
 
 def lawn_tour(road_map: RoadMap, first: int, apart_m: float) -> NDArray[np.intp]:
-    """Return the nodes of lanes over all reachable space from `first`, one move apart.
+    """Return the nodes of a sweep in lanes over the space reachable from `first`, one move apart.
 
     The lane spacing is `apart_m`, rounded to rows of nodes.
     """
@@ -307,7 +307,7 @@ def lawn_tour(road_map: RoadMap, first: int, apart_m: float) -> NDArray[np.intp]
 
 
 def lane_rows(low: int, high: int, apart: float) -> list[int]:
-    """Return lane rows about `apart` rows apart, with half of that to the first and last row."""
+    """Return lattice rows of lanes about `apart` apart, half of that from the outermost rows."""
     rows = high - low + 1
     count = min(max(math.ceil(rows / apart), FEWEST_LANES), rows)
     middles = low + (np.arange(count) + 0.5) * rows / count - 0.5
@@ -324,17 +324,17 @@ def _route(road_map: RoadMap, here: int, there: int) -> list[int]:
 
 
 EDGE_STD_DB = 0.1
-"""Standard deviation of power at a disc's edge, which provides a gradient there."""
+"""Standard deviation of power in the disc model, for a gradient at the disc's edge."""
 
 CERTAIN_DB = 300.0
 """Path gain at which no packet is lost."""
 
 Assumed = Callable[[ChannelParameters], ChannelParameters]
-"""Function from the fitted channel to the channel that a strategy assumes."""
+"""Function that maps the fitted channel to the channel that a strategy assumes."""
 
 
 def path_loss_only(parameters: ChannelParameters) -> ChannelParameters:
-    """Return the fitted channel; without measurements it predicts path loss only."""
+    """Return the fitted channel; used without measurements, it predicts path loss only."""
     return parameters
 
 
@@ -385,14 +385,14 @@ class StrategyPlanner:
         channel = condition(self._assumed(parameters), nothing, theta="known")
         path = self._home(context) if self._assumed is informed_disk else None
         if path is None:
-            # An assumed channel is not updated by the run, so that the history is empty as well.
+            # Measurements do not update the assumed channel, so the history is empty as well.
             seen = replace(context, posteriors=(channel,), uncertain=None, history=BEGINNING)
             assuming = replace(scorer, context=seen, objective=ObjectiveValue(seen))
             path = self._planner.plan(seen, assuming, warm).positions_m[1:]
         return released(scorer, path, begun)
 
     def _home(self, context: StepContext) -> NDArray[np.float64] | None:
-        """Return the shortest path (N, 2) to the station; None if the disc is reachable."""
+        """Return the shortest path to the station, (N, 2); None if the disc is reachable."""
         believed, station = context.posterior, self._problem.stations[0]
         k_pl_db, n_pl = believed.theta
         slant = 10.0 ** ((k_pl_db - station.threshold_dbm) / (10.0 * n_pl))

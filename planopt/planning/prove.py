@@ -42,10 +42,10 @@ from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.clearance import ObstacleIndex, index_obstacles, segments_clear
 
 MetreCost = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-"""Function from positions (n, 2) to the cost of a metre at each; (n,)."""
+"""Function that maps positions (n, 2) to the cost per metre there; (n,)."""
 
 PIECES = (8, 16, 32, 64, 128, 256)
-"""Numbers of pieces of a route on the levels of smoothing."""
+"""Number of pieces into which each level of smoothing divides a route."""
 
 OFFSETS = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
 """Sideways moves of a point in each pass, in units of the pass."""
@@ -245,24 +245,24 @@ def smooth_steps(
 
 
 STEP_SHARES = np.linspace(1.0, 0.0, 21)
-"""Lengths of a step that are tried in this order, in longest steps."""
+"""Lengths of a step to try in this order, in longest steps."""
 
 ROUNDS, LEAST_GAIN = 3, 1e-4
-"""Maximum number of alternations between steps and route, and the least relative gain of one."""
+"""Maximum number of alternations between smoothing of steps and route; minimum relative gain of one."""
 
 LEAST_SHARE = 0.3
-"""Least share of the time for the bound, however long smoothing takes."""
+"""Minimum share of the time that is reserved for the bound."""
 
 INSIDE_GOAL = 0.999
-"""Share of the goal's radius at which a smoothed route ends."""
+"""Distance of a smoothed route's end from the goal, as a share of the goal's radius."""
 
 
 def proven_plans(
     problem: Problem, belief: Belief, plans: Sequence[Plan], seconds: float
 ) -> tuple[Plan, ...]:
-    """Return plans with bounds, and with smoothed routes where these are cheaper.
+    """Return the plans with proven bounds, and with smoothed routes if these are cheaper.
 
-    The time is shared evenly by the robots.
+    Each robot gets the same share of the time.
     """
     found: list[Plan] = []
     for number, plan in enumerate(plans):
@@ -275,7 +275,7 @@ def proven_plans(
         begun = monotonic()
         plan = with_smooth_route(own, belief.posteriors, plan, len(plans) == 1)
         left = max(LEAST_SHARE * share, share - (monotonic() - begun))
-        # Each bound is at least as good as the one before.
+        # Bounds never get worse.
         best = list(route_bounds(route_problem(own, belief.posteriors), left))[-1]
         bound = bound_of(own, belief.posteriors, plan, best.value_m, best.potential, len(plans))
         found.append(replace(plan, bound=replace(bound, wall_s=best.seconds)))
@@ -287,9 +287,8 @@ def with_smooth_route(
 ) -> Plan:
     """Return the plan with a smoothed route, whose integrated cost is the new cost-to-go.
 
-    A robot that is `alone` drives the first steps of the smoothed route itself, if the verifier
-    accepts them and they are cheaper. Plans of robots with dynamics, and those without a route, are
-    unchanged.
+    If the robot is `alone`, its steps are smoothed as well, if the verifier accepts them and they
+    are cheaper. Plans of robots with dynamics, and plans without a route, are returned unchanged.
     """
     if plan.drive is not None or plan.pivot is None or not len(plan.route_m):
         return plan
@@ -340,7 +339,7 @@ class _Smoothing:
         )
 
     def _thinned(self, route_m: NDArray[np.float64], longest_m: float) -> NDArray[np.float64]:
-        """Return vertices of a route (n, 2) about `longest_m` apart, with clear legs."""
+        """Return vertices of a route (n, 2) about `longest_m` apart, with collision-free legs."""
         clearance_m = self._problem.constraints.clearance_m + CLEARANCE_PAD_M
         lengths = np.linalg.norm(np.diff(route_m, axis=0), axis=1)
         along = np.concatenate([[0.0], lengths.cumsum()])
@@ -365,7 +364,7 @@ class _Smoothing:
         return replace(plan, route_m=route_m[1:], pivot=ahead, objective=objective, holes=holes)
 
     def cruising(self, plan: Plan, route_m: NDArray[np.float64]) -> Plan:
-        """Return a plan, to be verified, with full steps along a route (n, 2), as a guess."""
+        """Return an unverified plan with full steps along a route (n, 2), as an initial guess."""
         problem = self._problem
         clearance_m = problem.constraints.clearance_m + CLEARANCE_PAD_M
         lengths = np.linalg.norm(np.diff(route_m, axis=0), axis=1)

@@ -1,4 +1,4 @@
-"""One receding-horizon step to a goal: initial guess, refinement, verification, fallbacks.
+"""Receding-horizon step to a goal: initial guess, refinement, verification, fallbacks.
 
 A robot with dynamics follows the lattice path that is found for a single integrator. Its
 cost-to-go is measured from its resting position after braking.
@@ -69,14 +69,14 @@ from planopt.robots.dynamics import Drive, rolled_out
 from planopt.world.moving_discs import MovingDiscs
 
 FOLLOWED_HORIZONS = (2.0, 0.5, 0.25)
-"""Fractions of the horizon over which a robot with dynamics follows the lattice path: above one, so
-that it does not brake at the end, and below one for sharp turns."""
+"""Fractions of the horizon over which a robot with dynamics follows the lattice path: above one to
+avoid braking at the end, below one for sharp turns."""
 
 GAIN_SHARE = 0.15
-"""Distance that a refinement may gain on the followed path, relative to the longest plan."""
+"""Distance by which a refinement may exceed the followed path, as a share of the longest plan."""
 
 STAGNANT_STEPS = 0.1
-"""A plan stagnates if it moves the resting position by at most this many longest steps."""
+"""Displacement of the resting position up to which a plan counts as stagnant, in longest steps."""
 
 LINES_PER_SEGMENT = 4
 """Number of nearest convex pieces with a separating line per segment; the verifier checks all."""
@@ -84,7 +84,7 @@ LINES_PER_SEGMENT = 4
 
 @dataclass(frozen=True, eq=False)
 class Outlook:
-    """Context of one robot's step, and the lattice path found for it."""
+    """Step context of one robot, and the lattice path found for this step."""
 
     context: VerifierContext
     step: StepContext  # Planner's context, thresholds lowered by bounded slack
@@ -103,11 +103,11 @@ class Course:
 
     outlook: Outlook  # Context with the first steps of the path
     places_m: NDArray[np.float64]  # (T + 1, 2) initial position and positions after each step
-    arrives: bool = True  # False if it ends at a refuge off the others' paths
+    arrives: bool = True  # False for a path to a refuge, off the other robots' paths
 
 
 class ReachPlanner:
-    """Planner to one problem's goal; caches the solver, the lattice and the verifier's grid."""
+    """Planner of one robot to its goal; it caches solver, lattice and the verifier's grid."""
 
     def __init__(self, problem: Problem, scene: Scene, others: int = 0) -> None:
         self.problem = problem
@@ -140,7 +140,7 @@ class ReachPlanner:
     def outlook(
         self, belief: Belief, state: NDArray[np.float64], history: History = BEGINNING
     ) -> Outlook:
-        """Search the robot's path, ignoring other robots."""
+        """Return the step context and the lattice path, which ignores other robots."""
         begun = perf_counter()
         context = verifier_context(
             self.problem,
@@ -157,14 +157,14 @@ class ReachPlanner:
         return Outlook(context, step, start, perf_counter() - begun)
 
     def clear_course(self, outlook: Outlook, discs: MovingDiscs) -> Course | None:
-        """Return a course to the goal that keeps clear of moving discs; None if there is none."""
+        """Return a timed path to the goal that avoids moving discs; None if there is none."""
         search = partial(self._search.clear_course, discs=discs)
         return _course(outlook, search)
 
     def refuge_course(
         self, outlook: Outlook, others_m: NDArray[np.float64], steps: int
     ) -> Course | None:
-        """Return a course to a refuge off the others' positions (k, 2); None if there is none."""
+        """Return a timed path to a refuge away from others (k, 2); None if there is none."""
         search = partial(self._search.refuge_course, others_m=others_m, steps=steps)
         return _course(outlook, search)
 
@@ -175,7 +175,7 @@ class ReachPlanner:
         moving: MovingDiscs | None = None,
         reserved_m: NDArray[np.float64] | None = None,  # (N, 2)
     ) -> Plan:
-        """Refine and verify the path of an outlook, or use a fallback."""
+        """Return the plan to execute: the outlook's path refined and verified, or a fallback."""
         begun = perf_counter() - outlook.wall_s
         problem, position_m = self.problem, outlook.state[:2]
         context, step, start = outlook.context, outlook.step, outlook.start
@@ -254,7 +254,7 @@ class ReachPlanner:
     def _as_found(
         self, scorer: Scorer, cost: ReachCost, start: GlobalStart, warm: Plan | None
     ) -> Candidate:
-        """Return the unrefined path as a plan if it is sound; otherwise a fallback."""
+        """Return the unrefined path as a candidate if it is sound; otherwise a fallback."""
         rung = Rung.GIVE_WAY if start.gives_way else Rung.DIRECT
         found = scorer.assessed(scorer.candidate(start.path_m, rung, Termination.LATTICE_ONLY))
         if found.sound:
@@ -271,7 +271,7 @@ def _course(
         tuple[GlobalStart, NDArray[np.float64], TimedPath] | None,
     ],
 ) -> Course | None:
-    """Return the course found by a search for an outlook; None if there is none."""
+    """Return the timed path that a search finds for an outlook; None if there is none."""
     begun = perf_counter()
     found = None if outlook.start is None else search(outlook.state[:2], outlook.start)
     if found is None:
@@ -295,13 +295,13 @@ def eased(problem: Problem) -> Problem:
 
 
 def _moves(scorer: Scorer, path_m: NDArray[np.float64]) -> bool:
-    """Return whether any step of a path moves; a stationary path needs no refinement."""
+    """Return whether any step of a path moves, so that a refinement is useful."""
     steps = np.diff(np.vstack([scorer.position_m, path_m]), axis=0)
     return bool((np.linalg.norm(steps, axis=1) > STANDSTILL_M).any())
 
 
 class DrivenReach:
-    """Choice of the candidate of a robot with dynamics along a given lattice path."""
+    """Refinement of a lattice path to a goal for a robot with dynamics."""
 
     def __init__(self, problem: Problem, scene: Scene) -> None:
         self._problem = problem
@@ -318,7 +318,7 @@ class DrivenReach:
         warm: Plan | None,
         budget: Budget,
     ) -> tuple[Candidate, Pivot | None]:
-        """Return the candidate to release and the pivot of its cost-to-go."""
+        """Return the candidate to release and the terminal waypoint of its cost-to-go."""
         if start is None:
             return without_guess(scorer, warm), None
         if start.is_direct and (direct := self._direct(scorer, start, warm)) is not None:
@@ -329,7 +329,7 @@ class DrivenReach:
             self._problem, scorer.position_m, step.power, ahead, priced=not start.is_direct
         )
         now = np.array(self._dynamics.resting_place(tuple(scorer.state)))
-        # Drives that violate clearance predict no resting position.
+        # A drive that violates clearance predicts no useful resting position.
         rests = [resting_places_m(each.drive)[-1] for each in starts if each.clear and each.drive]
         shared = self._pivot(start, rests or [now], node_margin_db)
 
@@ -340,7 +340,7 @@ class DrivenReach:
 
         found = self._climb(step, scorer, starts, cost, own, warm, budget)
         if self._is_stagnant(found):
-            # The shared pivot may be hidden from the robot: a straight path to it stagnates.
+            # If an obstacle hides the common pivot from the robot, straight drives to it stagnate.
             nearer = self._pivot(start, [now], node_margin_db)
             if not np.array_equal(nearer.position_m, shared.position_m):
                 found = self._climb(step, scorer, starts, cost, lambda _: nearer, warm, budget)
@@ -413,7 +413,7 @@ class DrivenReach:
         places_m: list[NDArray[np.float64]],
         node_margin_db: NDArray[np.float64] | None,
     ) -> Pivot:
-        """Return the pivot visible from the resting position (2,) with the least cost-to-go."""
+        """Return the visible terminal waypoint with the least cost-to-go from a position (2,)."""
         problem, cost_m = self._problem, start.cost_to_go.cost_m
         views = [(int(start.nodes[-1]), start.path_m[-1])]
         for place in places_m:
@@ -440,7 +440,7 @@ class DrivenReach:
         warm: Plan | None,
         budget: Budget,
     ) -> Candidate:
-        """Return the best candidate refined from the initial guesses, each with its own pivot."""
+        """Return the best refined candidate; each initial guess has its own terminal waypoint."""
         scorer = replace(scorer, objective=cost)
         if stops_at_goal(self._problem, scorer.state):
             stopped = self._stopped(scorer)
@@ -459,7 +459,7 @@ class DrivenReach:
         return self._cascade.first_verified(step, scorer, charged, warm, budget)
 
     def _charge(self, cost: ReachCost, pivot: Pivot, drive: Drive) -> GoalCharge:
-        """Return the goal cost for the solver, charged at every step near the goal."""
+        """Return the solver's goal cost; near the goal, each step pays for the remaining distance."""
         problem, horizon = self._problem, len(drive.inputs)
         away = np.linalg.norm(resting_places_m(drive)[1:] - pivot.position_m, axis=1)
         arrived = np.flatnonzero(away <= problem.constraints.goal_radius_m)
@@ -484,7 +484,7 @@ class DrivenReach:
         return moved <= STAGNANT_STEPS * self._problem.step_length_m
 
     def _stopped(self, scorer: Scorer) -> Candidate:
-        """Return the candidate that brakes."""
+        """Return the candidate that brakes at once."""
         rung = Rung.LATTICE if self._problem.planner.name in METHODS else Rung.PLAN
         found = scorer.assessed(
             drive_candidate(scorer, braked(scorer), rung, Termination.LATTICE_ONLY)

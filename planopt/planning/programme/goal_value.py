@@ -1,12 +1,12 @@
-"""Values of a path with exact derivatives, and the cost of reaching a goal over N steps.
+"""Objective values with exact derivatives, and the cost of reaching a goal over N steps.
 
 With step duration h, effort weight w, standard normal distribution Phi and smoothed step length
 l_k = |q_k - q_{k-1}|, a path of a single integrator costs::
 
     w / h sum l_k^2 + rate |q_N - pivot| + price sum l_k (c_{k-1} + c_k) / 2
 
-where ``c_k = charged_k (1 - Phi(score_k(q_k)))`` is the fraction of a metre to which the outage
-price applies. This cost couples each stage with the next.
+where ``c_k = charged_k (1 - Phi(score_k(q_k)))`` is the fraction of a metre that the outage price
+applies to. This cost couples successive stages.
 
 For a robot with dynamics, state x_k = (q_k, r_k), resting position s(x_k) and turning time
 turning(x_k, pivot), the cost is written symbolically::
@@ -14,11 +14,11 @@ turning(x_k, pivot), the cost is written symbolically::
     effort sum |q_k - q_{k-1}|^2
         + sum c_k (rate |s(x_k) - pivot| + braking |s(x_k) - q_k| + turning(x_k, pivot))
 
-c_N is 1, for the route beyond the horizon. If the pivot is reachable within the horizon, every step
-pays for the remaining distance; otherwise arriving late would be free. The distance is measured
-from the resting position, so that the robot brakes as late as possible. The outage price applies up
-to the resting position; otherwise a robot would repeatedly postpone expensive parts beyond the
-horizon.
+c_N is 1, for the route beyond the horizon. If the pivot (the terminal waypoint) is reachable within
+the horizon, every step pays for the remaining distance; otherwise arriving late would be free. The
+distance is measured from the resting position, so that the robot brakes as late as possible. The
+outage price applies up to the resting position; otherwise the robot would postpone expensive parts
+beyond the horizon again and again.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def margins_of(
     threshold_dbm: float,
     z: float | NDArray[np.float64],
 ) -> Derivatives:
-    """Return the margin in dB of every stage; z is a scalar or ``(N,)``."""
+    """Return ``mean - threshold - z deviation`` of all stages in dB; z is a scalar or ``(N,)``."""
     rows = mean.rows - np.reshape(z, (-1, 1)) * deviation.rows
     rows[:, 0] -= threshold_dbm
     return Derivatives.of(rows)
@@ -51,7 +51,7 @@ def margins_of(
 
 @dataclass(frozen=True)
 class PathValue:
-    """Value and derivatives of a scalar function of a path of N steps."""
+    """Scalar function of a path of N steps, with first and second derivatives."""
 
     value: float
     gradient: NDArray[np.float64]  # (N, 2)
@@ -62,7 +62,7 @@ class PathValue:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Objective value of one path, and its bounded margins or sum."""
+    """Objective value of one path, and the margins or sum that constraints bound."""
 
     value: PathValue
     margins: Derivatives | None  # Margins of the N stages
@@ -79,7 +79,7 @@ class Evaluation:
 
 
 EvaluatePath = Callable[[NDArray[np.float64]], Evaluation]
-"""Function from positions (N, 2) to their evaluation."""
+"""Function that maps positions (N, 2) to their evaluation."""
 
 
 def remembering(evaluate: EvaluatePath) -> EvaluatePath:
@@ -100,13 +100,13 @@ def remembering(evaluate: EvaluatePath) -> EvaluatePath:
 
 
 class ValueSource:
-    """Evaluation that the callbacks of a built solver read; each solve sets its own."""
+    """Exchangeable evaluation function that the callbacks of a built solver call."""
 
     def __init__(self) -> None:
         self._evaluate: EvaluatePath | None = None
 
     def use(self, evaluate: EvaluatePath) -> None:
-        """Set the evaluation function and clear its cache."""
+        """Set the evaluation function, with an empty cache."""
         self._evaluate = remembering(evaluate)
 
     def __call__(self, flat: NDArray[np.float64]) -> Evaluation:
@@ -117,7 +117,7 @@ class ValueSource:
 
 
 PIVOT_ROUNDING_M, STEP_ROUNDING_M = 1e-2, 1e-2
-"""Smoothing widths of the distance to the pivot and of step lengths, for gradients at zero."""
+"""Smoothing widths of the distance to the pivot and of step lengths, which have cusps at zero."""
 
 
 DENSITY = 1.0 / math.sqrt(2.0 * math.pi)
@@ -126,11 +126,11 @@ DENSITY = 1.0 / math.sqrt(2.0 * math.pi)
 
 @dataclass(frozen=True)
 class OutagePrice:
-    """Price of being out of contact along a path."""
+    """Cost of the metres of a path that are out of contact."""
 
-    price_s_m: float  # Cost of a metre that is certainly out of contact
-    share_before: float  # Charged fraction of a metre at the start
-    # (N,) charged fraction after each step if that is certainly out of contact
+    price_s_m: float  # Cost of a metre out of contact
+    share_before: float  # Penalised fraction of a metre at the start
+    # (N,) penalised fraction after each step if it is certainly out of contact
     charged: NDArray[np.float64]
 
 
@@ -143,11 +143,11 @@ class GoalValue:
     effort_s_m2: float  # Cost per squared step length, and per metre beyond the horizon
     rate_s_m: float
     outage: OutagePrice
-    # Function from positions to each stage's connectivity margin and normal score of its connection
+    # Maps positions to each stage's connectivity margin and its normal score of connection
     margins: Callable[[NDArray[np.float64]], tuple[Derivatives, Derivatives]]
 
     def __call__(self, places_m: NDArray[np.float64]) -> Evaluation:
-        """Evaluate a path (N, 2)."""
+        """Return objective value and margins of a path (N, 2)."""
         margins, scores = self.margins(places_m)
         return Evaluation(self._value(places_m, scores), margins)
 
@@ -158,7 +158,7 @@ class GoalValue:
         steps[1:] -= places_m[:-1]
         squares = np.einsum("ij,ij->i", steps, steps)
         lengths = np.sqrt(squares + STEP_ROUNDING_M**2)
-        # Charged fraction of a metre after each step, with derivatives by score and position.
+        # Penalised fraction of a metre after each step, with derivatives by score and position.
         z = score.value
         share = outage.charged * ndtr(-z)
         by_score = outage.charged * np.exp(-0.5 * z * z) * -DENSITY
@@ -199,12 +199,12 @@ class GoalValue:
 
 
 def _square(a: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the entries xx, xy, yy of a a', a (..., 2)."""
+    """Return the entries xx, xy, yy of the outer products a a' of vectors a (..., 2)."""
     return a[..., [0, 0, 1]] * a[..., [0, 1, 1]]
 
 
 ROUNDING_STEPS = 0.01
-"""Smoothing width of a robot with dynamics' distance to the pivot, in longest steps."""
+"""Smoothing width of the distance to the pivot for robots with dynamics, in longest steps."""
 
 PARAMETERS = 7
 """Number of parameters of `GoalCharge`."""
@@ -220,18 +220,18 @@ class GoalCharge:
     effort_s_m2: float
     rate_s_m: float
     braking_s_m: float
-    each_step: float  # Added to every c_k; 0 if the pivot is unreachable
+    each_step: float  # Added to every c_k; 0 if the pivot is not reachable
     rounding_m: float  # Smoothing width of the distance to the pivot
 
     @property
     def numbers(self) -> NDArray[np.float64]:
-        """Return the parameters (7,) for :func:`goal_cost_s`."""
+        """Return the parameters as an array (7,) for :func:`goal_cost_s`."""
         costs = (self.effort_s_m2, self.rate_s_m, self.braking_s_m)
         return np.array([*self.pivot_m, *costs, self.each_step, self.rounding_m])
 
 
 def goal_cost_s(shape: MotionShape, q: Any, w: Any, start: Components, charge: Any) -> Any:
-    """Return the symbolic goal cost of positions `q` and variables `w`."""
+    """Return the symbolic goal cost in seconds of positions `q` and motion variables `w`."""
     pivot = (charge[0], charge[1])
     effort, rate, braking, each_step, rounding = (charge[i] for i in range(2, PARAMETERS))
     before, cost = start, 0.0

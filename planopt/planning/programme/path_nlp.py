@@ -14,8 +14,8 @@ slack t of a total::
 L is the longest step. The separating lines (n, b, a) are fixed from the initial guess and applied
 to both ends of a segment, so that the whole segment is clear; b and a differ for a moving obstacle.
 The connectivity rows are margins, or one total (a sum over stages), or none. The total's slack t is
-in dB; c is the change of the total per dB. A cost exists only if a robot with dynamics has a goal
-(:mod:`planopt.planning.programme.goal_value`); its variables and rows
+in dB; c is the change of the total per dB. A cost exists only for a robot with dynamics and a goal
+(:mod:`planopt.planning.programme.goal_value`). Variables and rows of the dynamics
 (:mod:`planopt.planning.programme.path_rows`) follow the positions and precede "connectivity".
 
 Value v, margins m and total w are callbacks with exact gradients (dv, dm, dw) and the nonzero
@@ -23,8 +23,8 @@ entries of their Hessians (hv, hm, hw); margin callbacks take a fifth of the tim
 form. Everything else is symbolic. The parameters are ``head`` (start, scale, slack weight, c), the
 lines, and those of the robot's dynamics and its goal.
 
-A solver is built once per structure and reused; each call sets guess, bounds and parameters and
-passes on no multipliers. CasADi has no usable type stubs, hence the looser type checking.
+A solver is built once per structure and reused. Each call sets guess, bounds and parameters, but
+no multipliers. CasADi has no usable type stubs, hence the looser type checking.
 """
 
 from __future__ import annotations
@@ -52,14 +52,14 @@ Method = Literal["ipopt", "scp"]
 """Interior-point method, or sequential convex programming."""
 
 METHODS: dict[str, Method] = {"auto": "ipopt", "nlp": "ipopt", "scp": "scp"}
-"""Solution method of each planner that refines its guesses."""
+"""Solution method of each planner that refines guesses."""
 
 CURVATURE: dict[Structure, Callable[[int], int]] = {
     "stagewise": lambda n: 3 * n,
     "chain": lambda n: 7 * n - 4,
     "full": lambda n: 4 * n * n,
 }
-"""Number of Hessian entries of a value over N stages."""
+"""Number of stored Hessian entries of a value over N stages, by structure."""
 
 
 class PathCallback(ca.Callback):
@@ -86,7 +86,7 @@ class PathCallback(ca.Callback):
         return ca.Sparsity.dense(self._sizes[1], 1)
 
     def has_eval_buffer(self) -> bool:
-        """Return True: buffers are ten times faster than CasADi matrices."""
+        """Return True, as buffers are ten times faster than CasADi matrices."""
         return True
 
     def eval_buffer(self, arguments: Any, results: Any) -> int:
@@ -98,7 +98,7 @@ class PathCallback(ca.Callback):
 def path_callbacks(
     name: str, stages: int, values: int, curved: int, evaluate: Callable[[NDArray[np.float64]], Any]
 ) -> list[PathCallback]:
-    """Return the callbacks of value, gradient and Hessian of one quantity."""
+    """Return CasADi callbacks for value, gradient and Hessian of one quantity."""
     sizes = {"value": values, "gradient": 2 * max(values, stages), "hessian": curved}
     return [
         PathCallback(
@@ -130,7 +130,7 @@ def curvature(entries: Any, n: int, structure: Structure) -> Any:
 
 @dataclass(frozen=True)
 class PathNlp:
-    """Solver built for one structure."""
+    """Solver of the nonlinear programme for one structure."""
 
     shape: PathShape
     source: ValueSource  # Source of its value and margins
@@ -157,11 +157,11 @@ NEAR_START: dict[str, Any] = {
 }
 """Options for guesses that satisfy all rows and lie near the optimum.
 
-With IPOPT's default barrier, which first moves the iterates to the interior, one in ten long solves
+IPOPT's default barrier first moves the iterates to the interior; with it, one in ten long solves
 (40 steps) does not return. Least-squares initial multipliers, scaling (the value is already
-scaled), refinement of well-conditioned steps and their residual check take a fifth of the time
-without benefit. Second-order corrections and smaller step reductions take a fifth of the
-evaluations. The few solves that need more than 30 iterations may gain most."""
+scaled), iterative refinement and its residual check take a fifth of the time without benefit.
+Second-order corrections and smaller step reductions take a fifth of the evaluations. The few solves
+that need more than 30 iterations may gain most."""
 
 DRIVEN: dict[str, Any] = {
     "ipopt.mu_init": 1e-2,
@@ -169,7 +169,7 @@ DRIVEN: dict[str, Any] = {
     "ipopt.max_soc": 4,
     "ipopt.alpha_red_factor": 0.5,
 }
-"""Options for a robot with dynamics, whose guess is far from the optimum: 20-step plans of
+"""Options for a robot with dynamics, whose guess is far from the optimum. 20-step plans of
 harbour_track gain a quarter over `NEAR_START` (8 seeds)."""
 
 SETTLED: dict[str, Any] = {
@@ -180,26 +180,26 @@ SETTLED: dict[str, Any] = {
     "ipopt.acceptable_dual_inf_tol": 0.5,
     "ipopt.acceptable_compl_inf_tol": 0.5,
 }
-"""Accept a path that satisfies all rows and gained less than this fraction in an iteration. This
-forgoes 0.05 % in the mean and saves every third iteration. After an iteration that the line search
-shortened, the multipliers are inaccurate and the solver continues."""
+"""Options that accept a feasible path once an iteration gains less than this fraction. They save a
+third of the iterations and lose 0.05 % on average. After an iteration that the line search
+shortened, the multipliers are inaccurate, so the solver continues."""
 
 DRIVEN_SETTLED: dict[str, Any] = SETTLED | {
     "ipopt.acceptable_iter": 2,
     "ipopt.acceptable_obj_change_tol": 3e-4,
 }
-"""`SETTLED` for robots with dynamics, where single iterations far from the optimum gain little."""
+"""Options like `SETTLED` for robots with dynamics, whose early iterations may gain little."""
 
 
 GOAL: dict[str, Any] = {"ipopt.tol": 1e-5, "ipopt.max_soc": 0}
-"""Options for a goal cost. With second-order corrections IPOPT cycled at the smoothed kink of a
-reachable pivot in 14 of 180 straight tasks, without them in none."""
+"""Options for a goal cost. With second-order corrections, IPOPT cycled at the smoothed kink of a
+reachable terminal waypoint in 14 of 180 straight tasks; without them, in none."""
 
 
 def near_start(shape: PathShape, *, until_settled: bool = False) -> dict[str, Any]:
     """Return the options for refining a guess near the optimum.
 
-    With `until_settled` a solve ends when the value has `SETTLED`, possibly before a KKT point.
+    With `until_settled`, a solve ends once iterations gain little, possibly before a KKT point.
     """
     settled = SETTLED if shape.motion is None else DRIVEN_SETTLED
     driven = {} if shape.motion is None else DRIVEN
@@ -212,10 +212,10 @@ def build_path_nlp(
     budget_s: float | None = None,
     options: dict[str, Any] | None = None,
 ) -> PathNlp:
-    """Build the programme of a structure.
+    """Return the solver of the programme for one structure.
 
-    A solve ends after `budget_s` seconds, if given. `options` are IPOPT's; None means
-    :func:`near_start`.
+    A solve ends after `budget_s` seconds; None means no limit. `options` are IPOPT's; None means
+    those of :func:`near_start`.
     """
     n, source = shape.horizon, ValueSource()
     quantities: dict[str, tuple[int, int, Callable[[Evaluation], Any]]] = {
@@ -253,7 +253,7 @@ def _solve_by(
 def _exact_solver(
     shape: PathShape, callbacks: dict[str, list[PathCallback]], options: dict[str, Any]
 ) -> Any:
-    """Build IPOPT with exact derivatives, including those of the callbacks."""
+    """Return an IPOPT solver with exact derivatives, including those of the callbacks."""
     n, slacks, driven, motion = shape.horizon, shape.slacks, shape.driven, shape.motion
     q, s = ca.SX.sym("q", 2 * n), ca.SX.sym("s", slacks)
     driving = ca.SX.sym("driving", driven)
@@ -309,7 +309,7 @@ def _exact_solver(
     by_f, by_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", lam.numel())
     upper = ca.Function("h", [x, p, lam_f, lam, hv, hm, hw], [ca.triu(hessian)])
     h = upper(X, P, by_f, by_g, V[2], M[2], W[2])
-    # The solver reads only derivatives of these two functions; their values are not needed.
+    # The solver uses only the derivatives of these two functions, so they return no values.
     no_f, no_g = ca.MX.nan(1), ca.MX.nan(g.numel())
     derivatives = {
         "grad_f": ca.Function("nlp_grad_f", [X, P], [no_f, df], ["x", "p"], ["f", "grad_f_x"]),

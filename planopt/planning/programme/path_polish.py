@@ -1,4 +1,4 @@
-"""Refinement of an initial guess for any smooth value: separating lines, task, and solve."""
+"""Refinement of an initial guess for any smooth objective: separating lines, data and solve."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from planopt.world.separation import (
 
 @dataclass(frozen=True, eq=False)
 class MotionTask:
-    """Initial guess of a robot with dynamics."""
+    """Initial guess of a robot with dynamics and separating lines of its braking."""
 
     shape: MotionShape
     drive: Drive  # Drive along the guess, from the robot's state
@@ -44,7 +44,7 @@ class RefinedPath:
     termination: Termination
     iterations: int
     kkt_residual: float  # KKT residual of the unscaled programme
-    # By row name: speed (N,), line_end (N, lines), line_start (N - 1, lines), connectivity (N,)
+    # By row: speed (N,), line_end (N, lines), line_start (N - 1, lines), connectivity (N,)
     multipliers: dict[str, NDArray[np.float64]]
     inputs: NDArray[np.float64] | None = None  # (N, m) inputs of a robot with dynamics
 
@@ -59,7 +59,7 @@ class PathTask:
     clearance_m: float
     step_length_m: float
     bounds_m: tuple[float, float, float, float]  # The workspace (x_min, y_min, x_max, y_max)
-    evaluate: EvaluatePath  # Function from a path to its value and margins
+    evaluate: EvaluatePath  # Maps a path to its value and margins
     scale: float  # Factor of the value, as solver tolerances are absolute
     # (N,) lower bounds of the margins in dB, or (1,) of their sum; None without connectivity rows
     bound: NDArray[np.float64] | None = None
@@ -74,7 +74,7 @@ class PathTask:
 
 
 def polish_path(nlp: PathNlp, task: PathTask) -> RefinedPath:
-    """Solve the programme from the task's guess."""
+    """Return the solution of the programme from the task's guess."""
     shape, motion = nlp.shape, task.motion
     n, lines = shape.horizon, shape.lines
     bound = np.zeros(0) if task.bound is None else task.bound
@@ -132,7 +132,7 @@ def polish_path(nlp: PathNlp, task: PathTask) -> RefinedPath:
 
 
 def _position_bounds(task: PathTask, n: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return position bounds (2 N,): the workspace, or the guess's positions after arrival."""
+    """Return bounds of positions (2 N,): the workspace; after arrival, the guess's positions."""
     x_min, y_min, x_max, y_max = task.bounds_m
     lower, upper = np.tile([x_min, y_min], n), np.tile([x_max, y_max], n)
     if task.arrival is not None:
@@ -152,7 +152,7 @@ def _residual(
     at = np.concatenate([point.positions_m.ravel(), point.others])
     if not (np.isfinite(at).all() and np.isfinite(point.row_multipliers).all()):
         return float("inf")
-    nlp.source(point.positions_m)  # CasADi would hide an exception of a user-defined term.
+    nlp.source(point.positions_m)  # CasADi would hide exceptions of user-defined terms.
     gradient, jacobian = nlp.functions.slopes(at, parameters)
     return kkt_residual(
         gradient,
@@ -183,22 +183,22 @@ def _named_multipliers(
 
 
 LINE_REACH_STEPS = 2.0
-"""Convex pieces farther than this many longest steps from a segment get no line."""
+"""Distance, in longest steps, beyond which a convex piece gets no line for a segment."""
 
 REPAIRS = 3
-"""Maximum number of refinements of a guess, each with lines for the verified violations added."""
+"""Maximum number of refinements of a guess; each adds lines for the violations found before."""
 
 MOVING_LINES = 3
-"""Maximum number of moving discs, nearest first, that a segment is separated from."""
+"""Maximum number of moving discs, nearest first, with a separating line for a segment."""
 
 
 def moving_count(discs: MovingDiscs) -> int:
-    """Return the number of lines per segment for moving discs; they follow those of obstacles."""
+    """Return the number of a segment's lines for moving discs, after its lines for obstacles."""
     return min(MOVING_LINES, len(discs))
 
 
 def tail_count(discs: MovingDiscs, horizon: int) -> int:
-    """Return the number of lines of the last segment for discs that move after the plan."""
+    """Return the number of lines for discs that still move after the last step of the plan."""
     return moving_count(discs) if discs.steps > horizon else 0
 
 
@@ -209,7 +209,7 @@ def lines_about(
     path_m: NDArray[np.float64],  # (N + 1, 2) the robot's position, then the guess
     count: int,
 ) -> SeparatingLines:
-    """Return `count` lines per segment from the nearest convex pieces and moving discs."""
+    """Return `count` separating lines per segment for nearby convex pieces and moving discs."""
     reach = LINE_REACH_STEPS * problem.step_length_m
     standing = count - moving_count(discs)
     lines = separating_lines(pieces, path_m[:-1], path_m[1:], standing, reach)
@@ -224,7 +224,7 @@ def lines_with_violated(
     guess_m: NDArray[np.float64],
     path_m: NDArray[np.float64],
 ) -> SeparatingLines | None:
-    """Return the guess's lines plus those that a path violates; None if it violates no others."""
+    """Return the guess's lines plus lines for collisions of a path; None if there are none."""
     # Shapes: guess_m, path_m (N + 1, 2).
     standing = lines.piece.shape[1] - moving_count(discs)
     chosen = lines.piece[:, :standing].copy()
@@ -251,7 +251,7 @@ def _moving_lines(
     path_m: NDArray[np.float64],
     needed: NDArray[np.bool_] | None = None,
 ) -> SeparatingLines:
-    """Return a path's separating lines from the nearest moving discs and from required ones."""
+    """Return separating lines for the moving discs nearest to a path, and for required ones."""
     reach = LINE_REACH_STEPS * problem.step_length_m
     # The pad covers the robot's uncertain position within a step.
     pad_m = problem.robots[0].dynamics.timed_pad_m(problem.planner.step_s)
@@ -262,7 +262,7 @@ def _moving_lines(
 def _discs_met(
     discs: MovingDiscs, chosen: NDArray[np.int64], path_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Return the discs that a path approaches too closely in steps without their line; (m, N)."""
+    """Return a mask (m, N) of discs that a path collides with in steps without their line."""
     if not len(discs):
         return np.zeros((0, len(path_m) - 1), dtype=np.bool_)
     apart = discs.apart_m[:, : len(path_m) - 1]

@@ -1,5 +1,5 @@
 # pyright: basic
-"""Structure and rows of the path programme, as CasADi expressions or NumPy arrays.
+"""Structure and constraint rows of the path programme, as CasADi expressions or NumPy arrays.
 
 The rows of a single integrator are those of :mod:`planopt.planning.programme.path_nlp`. A robot
 with dynamics has variables w in addition to the positions q: for each step the remaining components
@@ -12,9 +12,9 @@ curve and lines (n, b), are::
     n_kj . c_ki               >= b_kji k = 1..N, all i, j  "line_way"
     c_ki within the workspace          k = 1..N, all i     "box"
 
-A line of a moving obstacle has its own offset at each control point: the I - 1 points of a curve
-are equally spaced in time, b_kji = (1 - i / I) a_kj + i / I b_kj. Braking after the last step is
-one additional step with its own lines.
+A moving obstacle's line has a separate offset for each control point. The I - 1 points of a curve
+are equally spaced in time, so b_kji = (1 - i / I) a_kj + i / I b_kj. Braking after the last step is
+one more step with its own lines.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from planopt.robots.dynamics import Components, Drive, Dynamics
 
 @dataclass(frozen=True)
 class MotionShape:
-    """Structure of the rows of a robot's dynamics."""
+    """Structure of the variables and rows of a robot's dynamics."""
 
     dynamics: Dynamics
     step_s: float  # Duration of a step
@@ -56,21 +56,21 @@ class MotionShape:
 
     @property
     def parameters(self) -> int:
-        """Return the number of parameters: remaining initial state and lines of braking."""
+        """Return the number of parameters: initial state without position, lines for braking."""
         return self.rest + 4 * self.lines
 
     def variables_of(self, drive: Drive) -> NDArray[np.float64]:
-        """Return the variables w of a drive."""
+        """Return the variables w that describe a drive (states and inputs)."""
         return np.hstack([drive.states[1:, 2:], drive.inputs]).ravel()
 
     def inputs_of(self, w: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the inputs ``(N, m)`` in variables w."""
+        """Return the inputs ``(N, m)`` that variables w contain."""
         return w.reshape(self.horizon, self.per_step)[:, self.rest :]
 
 
 @dataclass(frozen=True)
 class PathShape:
-    """Structure of a programme over a path."""
+    """Structure of the nonlinear programme of a path."""
 
     horizon: int
     lines: int  # Separating lines per segment
@@ -88,7 +88,7 @@ class PathShape:
 
     @property
     def slacks(self) -> int:
-        """Return the number of slacks: one per connectivity row, if any."""
+        """Return the number of slacks: one per connectivity row, or none."""
         return self.bounds if self.slacked else 0
 
     @property
@@ -105,7 +105,7 @@ class PathShape:
     def per_m(self) -> NDArray[np.float64]:
         """Return the trust-region width of each variable per metre of a position; ``(variables,)``.
 
-        The width is infinite for slacks and inputs, which follow from the other variables.
+        It is infinite for slacks and inputs, which the other variables determine.
         """
         places, slacks = np.ones(2 * self.horizon), np.full(self.slacks, np.inf)
         if self.motion is None:
@@ -133,7 +133,7 @@ def path_rows(n: int, lines: int, q: Any, start: Any, line: Any) -> Any:
 
 @dataclass(frozen=True)
 class MotionRows:
-    """Rows by name, each a list of expressions or numbers."""
+    """Constraint rows of the dynamics, each kind as a list of expressions or numbers."""
 
     defect: list[Any]
     limit: list[Any]
@@ -192,7 +192,7 @@ def _hull_rows(
     line: Any,
     segment: int,
 ) -> None:
-    """Append the rows of the control points of one curve."""
+    """Append the rows that keep the control points of one curve in the workspace and lines."""
     for number, (x, y) in enumerate(points, start=1):
         share = number / (len(points) + 1)
         for j in range(shape.lines):

@@ -1,9 +1,9 @@
-"""Sequential convex programming: solves IPOPT's programmes by convex steps in a trust region.
+"""Sequential convex programming in a trust region, an alternative to IPOPT.
 
-Speed limits, and discs of inputs and states, are exact second-order cones. Every other row is
-linearised and may be violated at an exact penalty, so that a step always exists. The Hessian of the
-Lagrangian is projected to a positive semidefinite matrix. A step is accepted by its achieved share
-of the predicted decrease (trust region and penalty as in section 18.5 of [NW06]).
+Speed limits and disc-shaped sets of inputs and states are exact second-order cones. Every other row
+is linearised and may be violated at an exact penalty, so that a step always exists. The Hessian of
+the Lagrangian is projected to a positive semidefinite matrix. A step is accepted by its achieved
+share of the predicted decrease (trust region and penalty as in section 18.5 of [NW06]).
 
 Clarabel solves each convex step. About a point x with rows g, Jacobian J, objective gradient c and
 a positive semidefinite B, the variables are the step d and the violation t >= 0 of each row that x
@@ -42,7 +42,7 @@ from planopt.planning.programme.solver import (
 )
 
 NO_VARIABLE = -1
-"""Placeholder for a missing column index."""
+"""Column index of a missing variable."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class ConeRows:
         return len(self.row)
 
     def pairs(self, jacobian: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return z (k, 2) from the rows' Jacobian (m, n), whose rows are 2 weight z."""
+        """Return z (k, 2) from the Jacobian (m, n) of all rows, which contains 2 weight z."""
         return jacobian[self.row[:, None], self.own] / (2.0 * self.weight[:, None])
 
     def radii(self, upper: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -70,14 +70,14 @@ class ConeRows:
 
 
 def step_cones(horizon: int) -> ConeRows:
-    """Return the cones of a path's steps; their squared lengths are the first rows."""
+    """Return the cones of the speed limits; the squared step lengths are the first rows."""
     own = [(2 * k, 2 * k + 1) for k in range(horizon)]
     less = [(NO_VARIABLE, NO_VARIABLE), *own[:-1]]
     return _rows(list(range(horizon)), own, less, [1.0] * horizon, [0.0] * horizon)
 
 
 def motion_cones(shape: PathShape) -> ConeRows:
-    """Return the cones of inputs and velocities that are bounded by discs."""
+    """Return the cones of inputs and velocities whose magnitude is bounded."""
     motion = shape.motion
     if motion is None:
         return _rows([], [], [], [], [])
@@ -134,15 +134,15 @@ TERMINATIONS: dict[str, Termination] = {
 """Termination for every status of Clarabel."""
 
 BIG = 1e12
-"""Replacement of infinite limits in sums."""
+"""Finite replacement of infinite limits."""
 
 USABLE = (Termination.CONVERGED, Termination.ACCEPTABLE)
-"""Terminations after which the merit function tests the step."""
+"""Terminations of the convex solver whose step the merit function tests."""
 
 
 @dataclass(frozen=True)
 class Model:
-    """Convex model of a programme at a point."""
+    """Convex approximation of a nonlinear programme at a point."""
 
     rows: NDArray[np.float64]
     jacobian: NDArray[np.float64]
@@ -157,7 +157,7 @@ class Model:
 
 @dataclass(frozen=True)
 class Step:
-    """Step, with multipliers of the rows and of its bounds.
+    """Solution of the convex programme: a step, with multipliers of rows and bounds.
 
     Multipliers are positive at upper bounds and negative at lower ones; those of cones refer to the
     squared form.
@@ -170,12 +170,12 @@ class Step:
 
     @property
     def usable(self) -> bool:
-        """Return whether the step may be tested."""
+        """Return whether the convex solver terminated with a step worth testing."""
         return self.termination in USABLE
 
 
 def convex_step(model: Model) -> Step:
-    """Solve the convex programme."""
+    """Return the solution of the convex programme."""
     n, cones = len(model.gradient), model.cones
     plain = np.delete(np.arange(len(model.rows)), cones.row)
     jacobian, values = model.jacobian[plain], model.rows[plain]
@@ -189,7 +189,7 @@ def convex_step(model: Model) -> Step:
     equal = np.nonzero(lower == upper)[0]
     high = np.nonzero(moving & np.isfinite(model.highest))[0]
     low = np.nonzero(moving & np.isfinite(model.lowest))[0]
-    # Only violated rows need t.
+    # Only violated rows need a variable t.
     sides = np.concatenate([jacobian[above], -jacobian[below]])
     room = np.concatenate([upper[above] - values[above], values[below] - lower[below]])
     short = np.nonzero(room < 0.0)[0]
@@ -269,25 +269,25 @@ MAX_ITERATIONS = 60
 """Maximum number of convex steps of a solve, rejected ones included."""
 
 FIRST_PENALTY, LARGEST_PENALTY = 1e2, 1e6
-"""First and largest penalty of a violated row."""
+"""Initial and maximum penalty of a violated row."""
 
 PENALTY_FACTOR = 10.0
 """Growth factor of the penalty while rows are violated."""
 
 TAKEN_SHARE, GOOD_SHARE = 0.1, 0.75
-"""Shares of the predicted gain from which a step is accepted, and from which the region grows."""
+"""Shares of the predicted decrease from which a step is accepted, and the trust region grows."""
 
 SHRINK, GROW = 0.25, 2.0
 """Factors of the trust-region radius after poor and good steps."""
 
 PROMISE_TOLERANCE = 1e-6
-"""Relative predicted gain at which a solve has converged."""
+"""Relative predicted decrease below which a solve has converged."""
 
 ROW_TOLERANCE = 1e-6
 """Tolerance of the rows, equal to IPOPT's."""
 
 SMALLEST_REGION = 1e-7
-"""Trust-region radius at which a solve has converged, in longest steps."""
+"""Trust-region radius below which a solve has converged, in longest steps."""
 
 
 def scp_solve(functions: NlpFunctions, shape: PathShape, budget_s: float | None = None) -> SolveNlp:
@@ -323,7 +323,7 @@ def scp_solve(functions: NlpFunctions, shape: PathShape, budget_s: float | None 
 
 
 class _Climb:
-    """State of one solve."""
+    """State of one solve by sequential convex programming."""
 
     def __init__(
         self,
@@ -345,7 +345,7 @@ class _Climb:
         self._penalty = FIRST_PENALTY
 
     def run(self, start: NDArray[np.float64], until: float) -> NlpPoint:
-        """Iterate until the model predicts no gain, or until a deadline by `perf_counter`."""
+        """Return the solution, once the model predicts no decrease or `until` has passed."""
         x = np.clip(start, self._variable_bounds.lower, self._variable_bounds.upper)
         value, rows = self._at(x)
         last = Step(np.zeros(len(x)), np.zeros(len(rows)), np.zeros(len(x)), Termination.STOPPED)
@@ -414,7 +414,7 @@ class _Climb:
         return self._functions.values(x, self._parameters)
 
     def _excess(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the violation of each row's bounds, cones excluded."""
+        """Return the violation of each row's bounds, without cones."""
         lower, upper = self._row_bounds.lower, self._row_bounds.upper
         return np.delete(np.maximum(np.maximum(lower - rows, rows - upper), 0.0), self._cones.row)
 
@@ -435,7 +435,7 @@ class _Climb:
         multipliers: NDArray[np.float64],
         region: float,
     ) -> Model:
-        """Return the model at x, within a region in longest steps."""
+        """Return the convex model at x, with a trust region in longest steps."""
         curving = multipliers.copy()
         curving[self._cones.row] = 0.0
         widest = region * self._reach

@@ -1,4 +1,4 @@
-"""Interface to solvers: points and functions of a nonlinear programme, KKT residual, IPOPT call.
+"""Interface to solvers of nonlinear programmes: functions, points, KKT residual, IPOPT call.
 
 Sign convention: with rows g between bounds and variables x between bounds,
 ``grad f + J' lambda_g + lambda_x = 0``; multipliers are positive at an active upper bound and
@@ -47,7 +47,7 @@ def nlp_point(
     termination: Termination,
     iterations: int,
 ) -> NlpPoint:
-    """Return a point from all variables in the programme's order, positions first."""
+    """Return a solver's point from all variables, positions first."""
     places, others = np.split(variables, [2 * horizon])
     return NlpPoint(
         places.reshape(horizon, 2),
@@ -60,25 +60,25 @@ def nlp_point(
 
 
 def lost_point(horizon: int, variables: int, rows: int) -> NlpPoint:
-    """Return a point of NaN for a solve that could not begin."""
+    """Return a point of NaN, for a solve whose input is rejected."""
     nothing = np.full(variables, np.nan)
     failure = Termination.NUMERICAL_FAILURE
     return nlp_point(horizon, nothing, np.full(rows, np.nan), nothing, failure, 0)
 
 
 SolveNlp = Callable[[Point, Point, Bounds, Bounds], NlpPoint]
-"""Solve function of guess, parameters, variable bounds and row bounds, in the programme's order."""
+"""Solve function with arguments guess, parameters, variable bounds and row bounds."""
 
 
 @dataclass(frozen=True)
 class NlpFunctions:
-    """Functions of variables x, parameters p and row multipliers."""
+    """Functions of a nonlinear programme with variables x and parameters p, and derivatives."""
 
-    # (x, p) to the objective (minimised) and all rows
+    # Maps (x, p) to the objective (minimised) and all rows
     values: Callable[[Point, Point], tuple[float, Point]]
-    # (x, p) to the objective's gradient and the rows' Jacobian
+    # Maps (x, p) to the objective's gradient and the rows' Jacobian
     slopes: Callable[[Point, Point], tuple[Point, Point]]
-    # (x, p, multipliers) to the Hessian of objective + multipliers . rows
+    # Maps (x, p, multipliers) to the Hessian of objective + multipliers . rows
     hessian: Callable[[Point, Point, Point], Point]
 
 
@@ -103,7 +103,7 @@ def nlp_functions(solver: Any) -> NlpFunctions:
 
 
 def _dense(matrix: Any) -> NDArray[np.float64]:
-    """Return a CasADi matrix as an array; for large ones five times faster than its method."""
+    """Return a CasADi matrix as an array, for large ones five times faster than its method."""
     found = np.zeros(matrix.shape)
     rows, columns = matrix.sparsity().get_triplet()
     found[rows, columns] = matrix.nonzeros()
@@ -120,9 +120,9 @@ def kkt_residual(
     variable_bounds: Bounds,
     variable_multipliers: NDArray[np.float64],
 ) -> float:
-    """Return the largest of stationarity, violation, wrong sign and complementarity, unscaled.
+    """Return the unscaled KKT residual at a point; infinite if any part is NaN.
 
-    The residual is infinite if any of these is NaN.
+    It is the maximum of stationarity, violation, wrong multiplier sign and complementarity.
     """
     free = variable_bounds.lower < variable_bounds.upper
     stationarity = gradient + jacobian.T @ row_multipliers + variable_multipliers
@@ -133,10 +133,10 @@ def kkt_residual(
     ):
         below, above = value - bounds.lower, bounds.upper - value
         parts += [np.maximum(-below, 0.0), np.maximum(-above, 0.0)]
-        # A multiplier may only act against its active bound.
+        # A multiplier may only push away from its active bound.
         parts += [np.maximum(multiplier, 0.0) * _gap(above)]
         parts += [np.maximum(-multiplier, 0.0) * _gap(below)]
-    # NumPy's maximum keeps a NaN; Python's would lose it and report an exact point.
+    # NumPy's maximum propagates NaN; Python's could lose it and report an exact point.
     worst = float(np.concatenate(parts).max(initial=0.0))
     return worst if np.isfinite(worst) else float("inf")
 
@@ -172,7 +172,7 @@ TERMINATIONS: dict[str, Termination] = {
 
 
 def termination_of(return_status: str) -> Termination:
-    """Map a raw IPOPT status; an unknown status is a numerical failure."""
+    """Return the termination for a raw IPOPT status; unknown ones are numerical failures."""
     return TERMINATIONS.get(return_status, Termination.NUMERICAL_FAILURE)
 
 
@@ -190,7 +190,7 @@ OPTIONS: dict[str, Any] = {
     "ipopt.acceptable_iter": 0,
     "ipopt.max_iter": 100,
 }
-"""Options of every solver; acceptable points are off because their constraint tolerance is 1e-2."""
+"""Options of every solver. IPOPT's acceptable points are off, as they may violate rows by 1e-2."""
 
 
 def call_nlp(
@@ -201,7 +201,7 @@ def call_nlp(
     variable_bounds: Bounds,
     row_bounds: Bounds,
 ) -> NlpPoint:
-    """Solve once with a built CasADi solver; return a point of NaN if CasADi rejects the input.
+    """Return the point found by a CasADi solver; a point of NaN if CasADi rejects the input.
 
     The raw status is mapped because `unified_return_status` hides infeasible and NaN, and `success`
     includes acceptable points.

@@ -1,6 +1,6 @@
-"""Verification of a proven bound, and the cost that is compared with it.
+"""Verification of proven bounds on the objective, and the plan's cost to compare with a bound.
 
-The bound holds for the cost with the outage integrated along the route (equation 6.13).
+A bound holds for the cost with the outage integrated along the route (equation 6.13).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def bound_of(
     potential: Potential | None,
     robots: int,
 ) -> Bound:
-    """Return the bound on the first robot's objective from one on the cost of its route."""
+    """Return the bound on the first robot's objective implied by a bound on its route cost."""
     triangles = 0 if potential is None else len(potential.corners)
     method = f"potential on {triangles} triangles" if triangles else "distance to the goal"
     return Bound(
@@ -62,7 +62,7 @@ def verified_bound(
 def metre_cost_of(
     problem: Problem, posteriors: Sequence[ChannelPosterior]
 ) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
-    """Return the function from positions (n, 2) to the cost of a metre there (equation 4.17)."""
+    """Return a function that maps positions (n, 2) to the cost per metre there (equation 4.17)."""
     law, reach = connectivity_law(problem, posteriors), problem.reach
     slack_db = problem.constraints.rule.slack_max_db or 0.0
 
@@ -79,7 +79,7 @@ def integrated_cost_s(
 ) -> float:
     """Return the objective of a plan with the outage integrated along its steps.
 
-    The objective of a robot with dynamics keeps its charge of the mean of both ends of a step.
+    For a robot with dynamics, outage remains the mean of both ends of a step.
     """
     if plan.drive is not None or plan.pivot is None:
         return plan.objective

@@ -1,7 +1,7 @@
 """Connectivity rules of planopt: each step, average, joint, outage and data.
 
-One station's powers along a path are jointly normal. The serving power of several stations is not:
-their channels are drawn independently, with the same seeds for every path.
+One station's powers along a path are jointly normal. The serving power of several stations is not,
+so channels are sampled, independently by station and with the same random numbers for every path.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from planopt.planning.tolerances import RULE_TOLERANCE
 from planopt.problems.problem import Problem
 
 WHOLE_STEPS = 1e-6
-"""Tolerance of a multiple of the step duration, relative to it."""
+"""Relative tolerance for a time to be a multiple of the step duration."""
 
 
 @dataclass(frozen=True)
@@ -36,11 +36,11 @@ class EachStep(Rule):
     metric: ClassVar[str] = "stated_times_connected"
     by_step: ClassVar[bool] = True
     holds_steps: ClassVar[bool] = True
-    stated: tuple[int, ...] = ()  # Counted steps of the run, 1 is the first; empty for all
+    stated: tuple[int, ...] = ()  # Counted steps of the run (1 is the first); empty: all
 
     @classmethod
     def of(cls, problem: Problem, legs_m: NDArray[np.float64]) -> EachStep:
-        """Return the rule with the steps that end at the stated times."""
+        """Return the rule for the steps that end at the times stated in the problem."""
         times_s = np.array(problem.constraints.rule.connected_times_s)
         return cls(tuple(np.rint(times_s / problem.planner.step_s).astype(int).tolist()))
 
@@ -80,28 +80,28 @@ class EachStep(Rule):
         return np.where(counted, probability, 1.0).min(axis=-1)
 
     def held(self, keeps: NDArray[np.bool_], history: History) -> NDArray[np.bool_]:
-        """Return the counted steps."""
+        """Return a mask of the steps for which p_min is required."""
         return self.counted(history, len(keeps))
 
     def by_slack(self, case: PathCase) -> BySlack:
-        """Raise an error: :func:`planopt.planning.proof.verify.verify_single_steps` verifies it."""
+        """Raise an AssertionError; single steps have their own verification."""
         raise AssertionError("a rule on single steps")
 
     def run_metrics(
         self, problem: Problem, connected: Sequence[NDArray[np.bool_]]
     ) -> dict[str, float]:
-        """Return the connected fraction of the stated times, if there are any."""
+        """Return the fraction of the stated times with connection; empty without stated times."""
         return super().run_metrics(problem, connected) if self.stated else {}
 
     def over_run(self, problem: Problem, connected: NDArray[np.bool_]) -> float:
-        """Return the connected fraction of the stated times so far."""
+        """Return the fraction of the stated times so far with connection."""
         stated = np.unique(np.array(self.stated))
         return super().over_run(problem, connected[stated[stated <= len(connected)] - 1])
 
 
 @dataclass(frozen=True)
 class Average(Rule):
-    """Rule that the expected connected fraction of run and plan is >= p_min (equation 5.1)."""
+    """Rule that the expected fraction of connected steps is >= p_min (equation 5.1)."""
 
     kind: ClassVar[str] = "average"
     method: ClassVar[str] = "mean"
@@ -111,13 +111,13 @@ class Average(Rule):
     def achieved(
         self, probability: NDArray[np.float64], history: History
     ) -> float | NDArray[np.float64]:
-        """Return the expected connected fraction."""
+        """Return the expected fraction of connected steps."""
         steps = history.steps + probability.shape[-1]
         return (history.connected_steps + probability.sum(axis=-1)) / steps
 
 
 DRAWS, SEED = 10_000, 0
-"""Number of drawn channels; seed of the draws and of the integral's shifts."""
+"""Number of sampled channels, and seed of the samples and of the integral's random shifts."""
 
 DOUBT = 0.01
 """One-sided error probability of the confidence interval (Clopper, Pearson 1934)."""
@@ -126,11 +126,11 @@ DRAWN = f"{DRAWS} drawn channels, lower end of the {1.0 - DOUBT:.0%} interval"
 """Name of the sampling method."""
 
 MOST_PROBABLE = 0.9995
-"""Largest p_min that the drawn channels can demonstrate."""
+"""Largest p_min that the sampled channels can demonstrate."""
 
 
 def _require_shown(problem: Problem, words: str, remedy: str) -> None:
-    """Raise an InputError if p_min exceeds the value that drawn channels can demonstrate."""
+    """Raise an InputError if p_min exceeds the value that sampled channels can demonstrate."""
     p_min = problem.constraints.p_min
     if p_min > MOST_PROBABLE:
         raise InputError(
@@ -142,14 +142,14 @@ def _require_shown(problem: Problem, words: str, remedy: str) -> None:
 
 
 def share_at_least(count: int, of: int) -> float:
-    """Return the lower one-sided confidence limit of a probability observed `count` times."""
+    """Return the lower one-sided confidence limit of a probability, for `count` events in `of`."""
     if count == 0:
         return 0.0
     return float(np.asarray(betaincinv(count, of - count + 1, DOUBT), dtype=np.float64))
 
 
 def drawn_by_slack(rule: Rule, case: PathCase, least: float) -> BySlack:
-    """Return a lower bound of the probability that a rule's value is at least `least`; 1 for 0."""
+    """Return a function that maps slack to a lower bound of P(value >= `least`), by sampling."""
     drawn_dbm = case.context.law.sample(case.positions_m[1:], DRAWS, SEED)
     threshold, p_min = case.problem.stations[0].threshold_dbm, case.problem.constraints.p_min
 
@@ -163,7 +163,7 @@ def drawn_by_slack(rule: Rule, case: PathCase, least: float) -> BySlack:
 
 
 ACCURACY = 4e-3
-"""Target for three standard errors of the integral."""
+"""Target accuracy of the integral (three standard errors)."""
 
 INTEGRATED_STEPS = 60
 """Maximum number of steps for the integral; beyond it, an analytic lower bound is used."""
@@ -178,7 +178,7 @@ class Joint(Rule):
 
     @classmethod
     def check(cls, problem: Problem) -> None:
-        """Raise an InputError for a probability that several stations cannot demonstrate."""
+        """Raise an InputError for a p_min that sampling of several stations cannot demonstrate."""
         if len(problem.stations) > 1:
             words = f"of all steps together with {len(problem.stations)} stations"
             _require_shown(problem, words, "keep only one entry of stations")
@@ -186,15 +186,15 @@ class Joint(Rule):
     def achieved(
         self, probability: NDArray[np.float64], history: History
     ) -> float | NDArray[np.float64]:
-        """Return Boole's lower bound, valid for any correlation; it may be negative."""
+        """Return Boole's lower bound of the joint probability, which may be negative."""
         return 1.0 - (1.0 - probability).sum(axis=-1)
 
     def correlates(self, p_min: float) -> bool:
-        """Return True, because the verified value is a joint probability."""
+        """Return True, as the verified value is a joint probability."""
         return True
 
     def by_slack(self, case: PathCase) -> BySlack:
-        """Return a lower bound: an integral for one station, drawn channels for several."""
+        """Return a function that maps slack to a lower bound, by integration or sampling."""
         problem, path_m = case.problem, case.positions_m[1:]
         threshold, p_min = problem.stations[0].threshold_dbm, problem.constraints.p_min
         if len(case.context.posteriors) == 1:
@@ -204,7 +204,7 @@ class Joint(Rule):
 
 
 def joint_result(prediction: JointPrediction, threshold_dbm: float, p_min: float) -> RuleResult:
-    """Return the largest lower bound of the probability that all steps are connected."""
+    """Return the best lower bound of the probability that all steps are connected."""
     found = joint_connectivity(prediction, threshold_dbm)
     # If a single step already violates the bound, no integral is needed.
     if len(prediction) <= INTEGRATED_STEPS and found.at_each.min() >= p_min:
@@ -243,11 +243,11 @@ class Outage(Rule):
     p_min: float
     sizes: NDArray[np.float64]  # (..., N) length or duration of each step
     limit: float
-    step_s: float | None = None  # None for lengths
+    step_s: float | None = None  # Step duration; None for an outage in metres
 
     @classmethod
     def of(cls, problem: Problem, legs_m: NDArray[np.float64]) -> Outage:
-        """Return the rule for these steps."""
+        """Return the rule for steps of these lengths."""
         p_min, rule, step_s = problem.constraints.p_min, problem.constraints.rule, None
         if rule.outage_max_m is None:
             legs_m, step_s = np.full(legs_m.shape, problem.planner.step_s), problem.planner.step_s
@@ -259,16 +259,16 @@ class Outage(Rule):
     def achieved(
         self, probability: NDArray[np.float64], history: History
     ) -> float | NDArray[np.float64]:
-        """Return the negated longest outage, including an ongoing outage of the run."""
+        """Return minus the longest outage, including an outage in progress."""
         below = probability < self.p_min - RULE_TOLERANCE
         return -longest_run(self.sizes, below, self._begun(history))
 
     def required(self, p_min: float, history: History, count: int) -> float:
-        """Return the negated limit."""
+        """Return minus the limit of the outage."""
         return -self.limit
 
     def held(self, keeps: NDArray[np.bool_], history: History) -> NDArray[np.bool_]:
-        """Return the fewest steps that end each outage in time, each as late as possible."""
+        """Return a mask of the fewest, latest steps that end each outage in time if connected."""
         held = np.zeros(len(keeps), dtype=np.bool_)
         run, last = self._begun(history), -1
         for step, size in enumerate(self.sizes.tolist()):
@@ -281,19 +281,19 @@ class Outage(Rule):
         return held
 
     def by_slack(self, case: PathCase) -> BySlack:
-        """Return the longest outage in its unit."""
+        """Return a function that maps slack to the longest outage, in metres or seconds."""
         result_at, unit = super().by_slack(case), "m" if self.step_s is None else "s"
         return lambda slack_db: replace(result_at(slack_db), unit=unit)
 
     def over_run(self, problem: Problem, connected: NDArray[np.bool_]) -> float:
-        """Return the longest outage in seconds."""
+        """Return the longest outage of the run so far, in seconds."""
         longest = longest_run(np.full(len(connected), problem.planner.step_s), ~connected)
         return float(longest) if len(connected) else float("nan")
 
 
 @dataclass(frozen=True)
 class Data(Rule):
-    """Rule that the delivered data keep pace with the deadline (equation 5.4)."""
+    """Rule that the required data are delivered by the deadline (equation 5.4)."""
 
     kind: ClassVar[str] = "data"
     unit: ClassVar[str] = "Mbit"
@@ -307,7 +307,7 @@ class Data(Rule):
 
     @classmethod
     def of(cls, problem: Problem, legs_m: NDArray[np.float64]) -> Data:
-        """Return the rule of a problem."""
+        """Return the data rule of a problem."""
         return cls(problem)
 
     @classmethod
@@ -322,17 +322,17 @@ class Data(Rule):
         return probability @ data_of_steps_mbit(self.problem, history.steps, probability.shape[-1])
 
     def required(self, p_min: float, history: History, count: int) -> float:
-        """Return the sufficient expectation; for a probability, by Markov's inequality."""
+        """Return the expected data that suffice; by Markov's inequality if p_min is required."""
         needed = data_pace_mbit(self.problem, history, count)
         most = float(data_of_steps_mbit(self.problem, history.steps, count).sum())
         return needed if p_min == 0.0 or needed == 0.0 else most - (1.0 - p_min) * (most - needed)
 
     def correlates(self, p_min: float) -> bool:
-        """Return whether a probability is required."""
+        """Return whether the rule requires a probability, which depends on correlations."""
         return p_min > 0.0
 
     def by_slack(self, case: PathCase) -> BySlack:
-        """Return what the rule achieves: an expectation, or a lower bound of a probability."""
+        """Return a function that maps slack to the expected data, or to a probability's bound."""
         p_min, count = case.problem.constraints.p_min, len(case.positions_m) - 1
         if p_min == 0.0:
             return super().by_slack(case)
@@ -341,19 +341,19 @@ class Data(Rule):
         return drawn_by_slack(self, case, needed)
 
     def missed_words(self, result: RuleResult) -> tuple[str, str]:
-        """Return the expectation or the probability in words, and its bound."""
+        """Return text on the achieved expectation or probability, and text on its bound."""
         if result.unit != self.unit:
             return super().missed_words(result)
         words = "the expected data delivered by the plan"
         return words, "keeping pace with constraints.data_mbit"
 
     def over_run(self, problem: Problem, connected: NDArray[np.bool_]) -> float:
-        """Return the data delivered by the deadline."""
+        """Return the data that the run delivered by the deadline."""
         return float(data_of_steps_mbit(problem, 0, len(connected)) @ connected)
 
 
 def _require_deliverable(problem: Problem) -> None:
-    """Raise an InputError for more data than a permanent connection delivers by the deadline."""
+    """Raise an InputError for more data than a permanent connection can deliver in time."""
     _require_shown(problem, "for data", "leave it out to ask for the expectation")
     rule = problem.constraints.rule
     data_mbit, most_mbit = (

@@ -1,4 +1,4 @@
-"""Context of a verification, and the predictions of verifier and search.
+"""Context of a verification, and the power predictions of verifier and search.
 
 The verifier uses all measurements, the search a nearby subset.
 """
@@ -25,11 +25,11 @@ from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs, predicted_dis
 SEARCH_EXACT_LIMIT = 1000
 """Maximum number of measurements for which searches use the full posterior."""
 SEARCH_NEIGHBOURS = 128
-"""Number of nearest measurements per position beyond that limit; the error is a few
-thousandths of a dB."""
+"""Number of nearest measurements per position for larger logs; the error is a few thousandths of a
+dB."""
 
 SEARCH_ERROR_DB = 2e-3
-"""Beyond that limit, the smallest margin that counts before certification."""
+"""Margin that a search requires if it uses nearest measurements only."""
 
 
 def is_search_exact(posterior: ChannelPosterior) -> bool:
@@ -40,7 +40,7 @@ def is_search_exact(posterior: ChannelPosterior) -> bool:
 def certified_prediction(
     law: ConnectivityLaw, positions_m: NDArray[np.float64]
 ) -> tuple[Prediction, str]:
-    """Return the verifier's prediction, and the name of its posterior."""
+    """Return the verifier's power prediction at positions (n, 2), and its posterior's name."""
     most = max(len(station.measurements) for station in law.posteriors)
     kind = "exact" if most <= EXACT_LIMIT else f"neighbours:{NEIGHBOURS_BEYOND}"
     return law.power(positions_m, _certified_power), kind
@@ -53,19 +53,19 @@ def _certified_power(posterior: ChannelPosterior, positions_m: NDArray[np.float6
 
 
 def search_prediction(law: ConnectivityLaw, positions_m: NDArray[np.float64]) -> Prediction:
-    """Return the prediction of searches."""
+    """Return the power prediction that searches use at positions (n, 2)."""
     return law.power(positions_m, search_power)
 
 
 def search_power(posterior: ChannelPosterior, positions_m: NDArray[np.float64]) -> Prediction:
-    """Return the search's prediction of one station's power."""
+    """Return one station's power prediction that searches use at positions (n, 2)."""
     if is_search_exact(posterior):
         return predict(posterior, positions_m)
     return predict_nearby(posterior, positions_m, SEARCH_NEIGHBOURS)
 
 
 def stations_law(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> ConnectivityLaw:
-    """Return the law of connection to any of the stations."""
+    """Return the probability model of a connection to any of the stations."""
     thresholds = tuple(radio.threshold_dbm for radio in problem.stations)
     return ConnectivityLaw(tuple(posteriors), thresholds, problem.constraints.p_min)
 
@@ -73,7 +73,7 @@ def stations_law(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> Co
 def uncertain_law(
     problem: Problem, posteriors: Sequence[ChannelPosterior]
 ) -> ConnectivityLaw | None:
-    """Return the law with uncertain parameters if the problem requires it; otherwise None."""
+    """Return the model with uncertain channel parameters, if the problem requires it; else None."""
     if problem.constraints.rule.parameter_uncertainty == "path_loss":
         return None
     plain = stations_law(problem, posteriors)
@@ -83,13 +83,13 @@ def uncertain_law(
 
 
 def connectivity_law(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> ConnectivityLaw:
-    """Return the law on which the chance constraint is evaluated."""
+    """Return the probability model that the chance constraint is based on."""
     return uncertain_law(problem, posteriors) or stations_law(problem, posteriors)
 
 
 @dataclass(frozen=True, eq=False)
 class VerifierContext:
-    """Problem, state and belief of one robot at one step."""
+    """Data for the verification of one robot's plan: problem, state and belief at one step."""
 
     problem: Problem  # Problem with this robot alone
     index: ObstacleIndex  # Index of the problem's obstacles
@@ -97,7 +97,7 @@ class VerifierContext:
     state: NDArray[np.float64]  # (s,) the robot's state, its position first
     moving: MovingDiscs = NOTHING_MOVES  # Moving obstacles and other robots during the steps
     history: History = BEGINNING  # Executed steps, for rules over the whole run
-    uncertain: ConnectivityLaw | None = None  # Law with uncertain parameters, if required
+    uncertain: ConnectivityLaw | None = None  # Model with uncertain parameters, if required
     # The verifier's grid of paths to the goal; None if it is built on demand
     goal_grid: GoalGrid | None = None
     _goal_costs: list[tuple[GoalGrid, GoalCosts]] = field(
@@ -114,7 +114,7 @@ class VerifierContext:
 
     @property
     def law(self) -> ConnectivityLaw:
-        """Law of connectivity."""
+        """Probability model of connection."""
         return self.uncertain or stations_law(self.problem, self.posteriors)
 
     @property
@@ -124,13 +124,13 @@ class VerifierContext:
 
     @property
     def laid_grid(self) -> GoalGrid | None:
-        """Grid of paths to the goal if built so far; shared by all steps of a robot's run."""
+        """Grid of paths to the goal, shared by all steps of a run; None before it is built."""
         return self._goal_costs[0][0] if self._goal_costs else self.goal_grid
 
     def goal_costs(
         self, build: Callable[[], GoalGrid], value: Callable[[GoalGrid], GoalCosts]
     ) -> tuple[GoalGrid, GoalCosts]:
-        """Return the verifier's grid and its costs by the belief, cached for all candidates."""
+        """Return the verifier's grid and its costs for the belief, cached for all candidates."""
         if not self._goal_costs:
             grid = self.goal_grid or build()
             self._goal_costs.append((grid, value(grid)))
@@ -139,7 +139,7 @@ class VerifierContext:
     def best_margins(
         self, steps: tuple[int, ...], search: Callable[[], tuple[float, ...]]
     ) -> tuple[float, ...]:
-        """Return the best reachable margins at some steps, computed once for all candidates."""
+        """Return the best reachable margins at some steps, cached for all candidates."""
         if steps not in self._best_margins:
             self._best_margins[steps] = search()
         return self._best_margins[steps]
@@ -151,7 +151,7 @@ def verifier_context(
     posteriors: Sequence[ChannelPosterior],
     state: NDArray[np.float64],
     history: History = BEGINNING,
-    moving: MovingDiscs | None = None,  # None: the problem's moving obstacles alone
+    moving: MovingDiscs | None = None,  # None: moving obstacles of the problem
     goal_grid: GoalGrid | None = None,
 ) -> VerifierContext:
     """Return the context of the step after `history`."""
@@ -164,7 +164,7 @@ def verifier_context(
 
 
 def steps_ahead(problem: Problem) -> int:
-    """Return the number of steps for predictions: the horizon plus the longest braking."""
+    """Return the number of steps to predict obstacles: the horizon plus the longest braking."""
     settings = problem.planner
     braking = [robot.dynamics.longest_stop_steps(settings.step_s) for robot in problem.robots]
     return settings.horizon + max(braking)
@@ -173,7 +173,7 @@ def steps_ahead(problem: Problem) -> int:
 def obstacles_ahead(problem: Problem, driven: int) -> MovingDiscs:
     """Return the predicted discs over the steps ahead, after `driven` steps of a run.
 
-    Predictions are renewed at every step; the motion uncertainty grows from then on.
+    Predictions are renewed at every step; their uncertainty grows over the steps ahead.
     """
     if not problem.workspace.moving:
         return NOTHING_MOVES

@@ -1,12 +1,12 @@
 """Verification of a motion: swept clearance, dynamics, separation, and arrival.
 
-A single integrator moves straight from position to position. The drive of any other robot has
-states and inputs: the robot's dynamics recompute every step, and the braking path after the last
-step belongs to the swept path, so that the next step always has a plan.
+A single integrator moves straight from position to position. For a robot with dynamics, every step
+is recomputed from states and inputs. The braking path after the last step belongs to the swept
+path, so that the next step always has a plan.
 
-Distances at equal times include braking after the last step, of other robots until all have
-stopped; moving obstacles are included until this robot has stopped. A robot has arrived if it
-rests at the goal, or would come to rest there.
+Distances at equal times include braking after the last step: to other robots until all have
+stopped, to moving obstacles until this robot has stopped. A robot has arrived if it rests at the
+goal or comes to rest there by braking.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from planopt.world.moving_discs import MovingDiscs
 
 @dataclass(frozen=True)
 class Apart:
-    """Minimum distances of a motion to others at equal times; None without others."""
+    """Minimum distances to other robots and moving obstacles at equal times; None without any."""
 
     min_separation_m: float | None  # Distance to any other robot
     min_moving_clearance_m: float | None  # Distance to any predicted disc of an obstacle
@@ -38,7 +38,7 @@ def verify_apart(
     motion: TimedMotion,
     planned: int | None = None,  # Number N of planned steps, before braking; None: all
 ) -> Apart:
-    """Verify a motion of at most T steps, rest afterwards, against discs over T steps."""
+    """Return the distances of a motion to moving discs at equal times, while either moves."""
     if not len(discs):
         return Apart(None, None, ())
     planned = motion.steps if planned is None else planned
@@ -69,9 +69,9 @@ def _least(away_m: NDArray[np.float64]) -> float | None:
 def swept_motion(
     problem: Problem, positions_m: NDArray[np.float64], drive: Drive | None
 ) -> TimedMotion:
-    """Return the timed motion of the first robot on a finite path, including braking after it.
+    """Return the first robot's motion along a path of finite numbers, including braking.
 
-    Without a valid drive, which the verifier rejects, the motion is straight.
+    If the drive is invalid, which the verifier rejects, straight motion is returned.
     """
     dynamics = problem.robots[0].dynamics
     if drive is None or drive_fault(dynamics, positions_m, drive):
@@ -96,7 +96,7 @@ def verify_motion(
     positions_m: NDArray[np.float64],  # (N + 1, 2)
     drive: Drive | None,  # None for the single integrator
 ) -> MotionFinding:
-    """Verify the motion of the problem's first robot along a finite path."""
+    """Return the verifier's findings on the first robot's motion along a path of finite numbers."""
     if problem.robots[0].moves_freely:
         return _straight(problem, index, start, positions_m)
     dynamics = problem.robots[0].dynamics
@@ -206,7 +206,7 @@ def is_at_goal(problem: Problem, place_m: NDArray[np.float64]) -> bool:
 
 
 def stands(problem: Problem, state: NDArray[np.float64]) -> bool:
-    """Return whether the first robot is at rest in a state (s,): braking does not move it."""
+    """Return whether the first robot is at rest in a state (s,)."""
     dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
     control = dynamics.braking(state, step_s, 1)[0]
     after = np.array(dynamics.step(tuple(state), tuple(control), step_s), dtype=np.float64)

@@ -1,7 +1,7 @@
-"""Connectivity rules: the value that a plan's connection probabilities must reach.
+"""Base classes of connectivity rules, which require a value of a plan's connection probabilities.
 
 Verifier and planner share :meth:`Rule.achieved`. The verifier evaluates it with the exact
-posterior, or computes a probability of correlated steps instead; the planner uses its gradient.
+posterior, or computes a joint probability of the steps instead; the planner uses its gradient.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from planopt.problems.constraints import register_rule
 from planopt.problems.problem import Problem
 
 BySlack = Callable[[float], RuleResult]
-"""Function from the slack in dB, which lowers the threshold, to the result of a path."""
+"""Function that maps slack in dB, which lowers the threshold, to the result of a path."""
 
 PROBE = 1e-4
-"""Probability step of the finite differences."""
+"""Probability increment of the finite differences."""
 
 ROUNDING = 1e-9
 """Tolerance of range and monotonicity checks."""
 
 HALVINGS = 22
-"""Number of bisections of the slack: 500 dB to a ten-thousandth."""
+"""Number of bisections of the slack, from 500 dB to about a ten-thousandth of a dB."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,7 @@ class PathCase:
 
     context: VerifierContext
     positions_m: NDArray[np.float64]  # (N + 1, 2) positions, the robot's current one first
-    power: Prediction  # Power at the N positions after each step
+    power: Prediction  # Predicted power after each of the N steps
 
     @property
     def problem(self) -> Problem:
@@ -63,7 +63,7 @@ class PathCase:
 
     @property
     def rule(self) -> Rule:
-        """Rule for the lengths of the path's steps."""
+        """Connectivity rule for the path's step lengths."""
         return rule_of(self.problem, np.linalg.norm(np.diff(self.positions_m, axis=0), axis=1))
 
 
@@ -76,13 +76,13 @@ class Rule(ABC):
     keys: ClassVar[tuple[str, ...]] = ()  # Keys of [constraints] specific to this rule
     keys_required: ClassVar[int] = 0  # Exact number of required keys; 0 for any
     by_step: ClassVar[bool] = False  # Whether each step is verified individually
-    # Whether the planner bounds single steps by p_min, instead of a weighted sum of probabilities
+    # Whether the planner constrains single steps by p_min, rather than a sum of probabilities
     holds_steps: ClassVar[bool] = False
-    # Whether results report the negated value, which has an upper bound
+    # Whether results report minus the value, which then has an upper bound
     greatest: ClassVar[bool] = False
     asks_p_min: ClassVar[bool] = True  # Whether p_min = 0 disables the rule
-    subject: ClassVar[str] = ""  # Description of the value
-    metric: ClassVar[str] = ""  # Name of its value over a run, if that is reported
+    subject: ClassVar[str] = ""  # Name of the value in messages
+    metric: ClassVar[str] = ""  # Name of the metric of a run; empty if there is none
 
     @classmethod
     def of(cls, problem: Problem, legs_m: NDArray[np.float64]) -> Rule:
@@ -109,18 +109,18 @@ class Rule(ABC):
     def achieved(
         self, probability: NDArray[np.float64], history: History
     ) -> float | NDArray[np.float64]:
-        """Return the value ``(...)`` of plans with probabilities ``(..., N)``; larger is better."""
+        """Return the value ``(...)`` of plans with connection probabilities ``(..., N)``."""
 
     def required(self, p_min: float, history: History, count: int) -> float:
-        """Return the lower bound of the value for a plan of `count` steps."""
+        """Return the value that a plan of `count` steps must reach."""
         return p_min
 
     def counted(self, history: History, count: int) -> NDArray[np.bool_]:
-        """Return the mask of the `count` steps that must each satisfy p_min; ``(count,)``."""
+        """Return a mask ``(count,)`` of the steps that must each satisfy p_min."""
         return np.zeros(count, dtype=np.bool_)
 
     def held(self, keeps: NDArray[np.bool_], history: History) -> NDArray[np.bool_]:
-        """Return a sufficient subset (N,) of the steps that satisfy p_min."""
+        """Return a mask (N,) of steps that satisfy the rule if each satisfies p_min."""
         raise AssertionError("a rule that holds no steps")
 
     def valued(self, probability: NDArray[np.float64], history: History) -> NDArray[np.float64]:
@@ -154,7 +154,7 @@ class Rule(ABC):
         return False
 
     def by_slack(self, case: PathCase) -> BySlack:
-        """Return the verified result of a path as a function of the slack."""
+        """Return a function that maps slack to the verified result of a path."""
         p_min, count = case.problem.constraints.p_min, len(case.positions_m) - 1
         sign = -1.0 if self.greatest else 1.0
         required = sign * self.required(p_min, case.history, count)
@@ -166,19 +166,19 @@ class Rule(ABC):
         return result
 
     def missed_words(self, result: RuleResult) -> tuple[str, str]:
-        """Return the value in words, and the key of its bound."""
+        """Return text on the value, and the key of its bound."""
         limit = next((key for key in self.keys if key.endswith(f"_max_{result.unit}")), None)
         return self.subject, "constraints.p_min" if limit is None else f"constraints.{limit}"
 
     def run_metrics(
         self, problem: Problem, connected: Sequence[NDArray[np.bool_]]
     ) -> dict[str, float]:
-        """Return the worst robot's metric by name; `connected` has one mask (n,) per robot."""
+        """Return the worst robot's metric by name, from one mask (n,) of connection per robot."""
         each = [self.over_run(problem, now) for now in connected]
         return {self.metric: (max if self.greatest else min)(each)} if self.metric else {}
 
     def over_run(self, problem: Problem, connected: NDArray[np.bool_]) -> float:
-        """Return one robot's metric over the steps (n,) of a run; NaN without steps."""
+        """Return one robot's metric from its mask of connection (n,); NaN without steps."""
         return float(connected.mean()) if connected.size else float("nan")
 
 
@@ -192,8 +192,8 @@ def rule_of(problem: Problem, legs_m: NDArray[np.float64] | None = None) -> Rule
 def whole_plan_result(case: PathCase) -> RuleResult:
     """Return the result of a path by a rule over all steps, with the required slack.
 
-    The slack is the smallest threshold reduction with which the rule holds, or zero if none up to
-    `slack_max_db` suffices.
+    The slack is the smallest threshold reduction for which the rule holds, or zero if no reduction
+    up to `slack_max_db` suffices.
     """
     result_at = case.rule.by_slack(case)
     hard = result_at(0.0)
@@ -208,7 +208,7 @@ def whole_plan_result(case: PathCase) -> RuleResult:
 
 
 def rule_reasons(problem: Problem, result: RuleResult) -> list[str]:
-    """Return the reason if a path violates its rule beyond the slack."""
+    """Return the reason why a path violates its rule beyond the slack; no reasons otherwise."""
     if not result.is_missed or result.slack_db > 0.0:
         return []
     words, key = rule_of(problem).missed_words(result)
@@ -227,8 +227,8 @@ KEY = "constraints.connectivity"
 class OwnRule(Rule):
     """Base class of a user-defined rule: a frozen dataclass with a ``kind`` and a value.
 
-    The fields of a subclass are the keys of ``constraints.settings``, all numbers. The verifier
-    decides by :meth:`achieved`; planners follow its gradient. The value must not decrease if a
+    The fields of a subclass, all numbers, are the keys of ``constraints.settings``. The verifier
+    evaluates :meth:`achieved`; planners use its gradient. The value must not decrease if a
     probability increases.
 
     Attributes
@@ -238,7 +238,7 @@ class OwnRule(Rule):
     unit
         Unit of the value; the default ``"probability"`` requires values from 0 to 1.
     asks_p_min
-        Whether p_min is the bound; otherwise the rule returns its own bound by :meth:`asked`.
+        Whether the value must reach p_min; otherwise it must reach :meth:`asked`.
 
     Examples
     --------
@@ -262,7 +262,7 @@ class OwnRule(Rule):
     kind: ClassVar[str]
 
     def __init_subclass__(cls, **keywords: Any) -> None:
-        """Register the rule for problems, in this process and in workers of its studies."""
+        """Register the rule for problems in this process and in worker processes of studies."""
         super().__init_subclass__(**keywords)
         if not cls.asks_p_min and cls.asked is OwnRule.asked:
             raise InputError(
@@ -289,7 +289,7 @@ class OwnRule(Rule):
         """
 
     def asked(self, p_min: float) -> float:
-        """Return the lower bound of the value."""
+        """Return the value that a plan must reach."""
         return p_min
 
     def valued(self, probability: NDArray[np.float64], history: History) -> NDArray[np.float64]:
@@ -312,7 +312,7 @@ class OwnRule(Rule):
 
     @property
     def _number(self) -> str:
-        """Return a description of the valid values."""
+        """Return a description of valid values for messages."""
         is_probability = self.unit == OwnRule.unit
         return "one number from 0 to 1" if is_probability else "one finite number"
 
@@ -331,11 +331,11 @@ class OwnRule(Rule):
         return inside
 
     def by_slack(self, case: PathCase) -> BySlack:
-        """Return the result of a path after checking that the value is monotonic."""
+        """Return a function that maps slack to the result, after a check of monotonicity."""
         self.slopes(case.probability(0.0), case.history)
         return super().by_slack(case)
 
     def missed_words(self, result: RuleResult) -> tuple[str, str]:
-        """Return the name of the rule, and the key of its bound."""
+        """Return text with the name of the rule, and the key of its bound."""
         key = "constraints.p_min" if self.asks_p_min else "the rule"
         return f"what constraints.connectivity {self.kind!r} counts", key

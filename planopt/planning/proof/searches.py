@@ -1,13 +1,13 @@
-"""Searches of the verifier: reachable positions, and cheaper paths to the goal.
+"""Searches of the verifier for reachable connected positions and for cheaper paths to the goal.
 
 A step may violate the chance constraint if no reachable position satisfies it. The searched
-positions are a superset of the reachable ones (a disc restricted to the connected free space; for
-good positions, the shortest paths around obstacles). A negative best margin is therefore a proof,
-up to the grid's resolution.
+positions are a superset of the reachable ones: a disc restricted to the connected free space, where
+positions with a positive margin must also have a short enough path around obstacles. A negative
+best margin is therefore a proof, up to the grid's resolution.
 
-A plan may leave contact if that is cheaper than a detour. Dijkstra's algorithm runs on the
-verifier's own grid over the workspace. Its paths are feasible; paths between its nodes are not
-considered. Probabilities are exact at every other node and interpolated in between.
+A plan may leave contact if a detour costs more. Costs are compared with paths that Dijkstra's
+algorithm finds on the verifier's own grid over the workspace. These paths are feasible; paths off
+the nodes are not considered. Probabilities are exact at every other node and interpolated between.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def grid_of(
     spacing_m: float,
     radius_m: float = np.inf,
 ) -> NDArray[np.float64]:
-    """Return the nodes (rows, columns, 2) of a grid through the anchor, within the radius."""
+    """Return nodes (rows, columns, 2) of a grid that contains the anchor, within a radius of it."""
     low = np.maximum(np.array(bounds_m[:2]) - anchor_m, -radius_m)
     high = np.minimum(np.array(bounds_m[2:]) - anchor_m, radius_m)
     columns = _steps_within(float(low[0]), float(high[0]), spacing_m)
@@ -66,7 +66,7 @@ def parts_of(passable: NDArray[np.bool_]) -> NDArray[np.int32]:
 
 
 def may_reach_from(problem: Problem, state: NDArray[np.float64]) -> MayReach | None:
-    """Return the reachable-set test of `state`; None for a single integrator (a disc suffices)."""
+    """Return a test of positions reachable from `state`; None for a single integrator (a disc)."""
     if problem.robots[0].moves_freely:
         return None
     dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
@@ -78,14 +78,14 @@ def may_reach_from(problem: Problem, state: NDArray[np.float64]) -> MayReach | N
 
 
 MarginAt = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-"""Function from positions (n, 2) to margins (n,) in dB."""
+"""Function that maps positions (n, 2) to connectivity margins (n,) in dB."""
 Places = tuple[NDArray[np.float64], NDArray[np.float64]]
-"""Positions (n, 2) and their margins (n,) in dB."""
+"""Positions (n, 2) and their connectivity margins (n,) in dB."""
 
 FIRST_PATHS = 64
-"""Number of best positions whose path lengths are computed first; it then grows fourfold."""
+"""Number of best positions in the first round of path lengths; each round has four times as many."""
 SPLIT_NODES = 100
-"""Number of good nodes too close to obstacles that are replaced by clear positions nearby."""
+"""Maximum number of good nodes too close to obstacles that clear positions nearby replace."""
 
 
 def best_by_paths(
@@ -98,14 +98,14 @@ def best_by_paths(
     looked: list[Places],
     spacing_m: float,
 ) -> tuple[float, ...]:
-    """Return the best margin (dB) within each of k path lengths, over reachable positions.
+    """Return the best margin (dB) of the positions reachable within each of k path lengths.
 
-    Lengths are computed only for positive margins; a negative value is an upper bound.
+    Path lengths are computed only for positive margins; a negative result is an upper bound.
     """
     paths = shortest_paths(index, bounds_m, start_m, clearance, float(reach_m[-1]), inner=True)
     places = np.concatenate([at for at, _ in looked])
     margins = np.concatenate([values for _, values in looked])
-    # A node too close to an obstacle represents the clear positions around it.
+    # A node too close to an obstacle is replaced by clear positions around it.
     near = is_near_joined(paths, places, spacing_m)
     places, margins = places[near], margins[near]
     clear = is_clear(clearance_m(index, places), clearance) | (places == start_m).all(axis=1)
@@ -145,9 +145,9 @@ def _best_reached(
     margins_db: NDArray[np.float64],
     bound_db: NDArray[np.float64],
 ) -> tuple[float, ...]:
-    """Return the margin of the first position (n, 2) within each path length; best come first.
+    """Return the margin of the first position, best first, within each of k path lengths.
 
-    If there is none, return the bound `bound_db` (k,) of the other positions.
+    If there is none, return the upper bound `bound_db` (k,) for all other positions.
     """
     by_air = np.linalg.norm(places_m - paths.start_m, axis=1)
     length = np.full(len(places_m), np.nan)
@@ -169,7 +169,7 @@ def _best_reached(
 
 
 FINE_NODES, COARSE_NODES = 12, 4
-"""Number of grid nodes per step: within `FINE_STEPS` steps, and beyond."""
+"""Number of grid nodes per step length, within `FINE_STEPS` steps and beyond."""
 FINE_STEPS = 4
 REFINED_STEPS = 12
 """Number of initial steps with a refined grid."""
@@ -179,8 +179,8 @@ REFINEMENTS = 2
 """Number of refinements, each with a quarter of the previous spacing."""
 
 MayReach = Callable[[NDArray[np.float64], int, float], NDArray[np.bool_]]
-"""Function that returns whether a robot may be within a distance (m) of positions (n, 2) after a
-number of steps; conservative, that is never False for a reachable position."""
+"""Function that returns a mask of positions (n, 2): whether a robot may be within a distance (m) of
+each after a number of steps. It is conservative: never False for a reachable position."""
 
 
 def best_margins_by_step(
@@ -195,13 +195,13 @@ def best_margins_by_step(
 ) -> tuple[float, ...]:
     """Return the largest connectivity margin (dB) over the positions reachable by each step.
 
-    One grid serves all steps, so that values never decrease, unless the robot cannot wait.
+    One grid serves all steps, so values never decrease unless the robot cannot wait.
     """
     radius = float(steps[-1]) * step_length_m
     spacing = step_length_m / (FINE_NODES if steps[-1] <= FINE_STEPS else COARSE_NODES)
     grid = grid_of(bounds_m, start_m, spacing, radius)
     from_start = np.linalg.norm(grid - start_m, axis=-1)
-    # A path may pass between nodes that are all slightly too close to an obstacle.
+    # A path may lead between nodes that are all slightly too close to an obstacle.
     away = clearance_m(index, grid.reshape(-1, 2)).reshape(from_start.shape)
     passable = (away > 0.0) & (away >= clearance - spacing)
     passable |= from_start == 0.0
@@ -237,7 +237,7 @@ def best_margins_by_step(
 def _reached(
     start_m: NDArray[np.float64], radius_m: float, step: int, may_reach: MayReach | None
 ) -> Callable[[NDArray[np.float64]], NDArray[np.bool_]]:
-    """Return whether positions (n, 2) are reachable."""
+    """Return a function that tests which positions (n, 2) are reachable by a step."""
 
     def reached(places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
         near = np.linalg.norm(places_m - start_m, axis=1) <= radius_m
@@ -255,7 +255,7 @@ def _refined(
     top_m: NDArray[np.float64],
     spacing_m: float,
 ) -> list[Places]:
-    """Return positions on finer grids around the best nodes."""
+    """Return positions on finer grids around the best nodes, with their margins."""
     found: list[Places] = []
     fractions = np.array([-0.5, -0.25, 0.0, 0.25, 0.5])
     around = np.stack(np.meshgrid(fractions, fractions), axis=-1).reshape(1, -1, 2)
@@ -275,23 +275,23 @@ def _refined(
 
 
 SPACING_STEPS = 0.5
-"""Grid spacing in longest steps."""
+"""Spacing of the goal grid, in longest steps."""
 MOVES = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1))
 """Row and column offsets to a node's neighbours, one of each opposite pair: sixteen headings."""
 JOINING_SPACINGS = 1.5
-"""An off-grid position is connected to the nodes within this many spacings."""
+"""Distance, in spacings, within which an off-grid position is linked to nodes."""
 
 COARSE = 2
 """Stride of rows and columns with predictions; values in between are interpolated."""
 
 ContactAt = Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]]
-"""Function from positions (n, 2) to the fraction (n,) of a metre that costs the outage price, and
-to the connectivity margin (n,) in dB."""
+"""Function that maps positions (n, 2) to the fraction (n,) of a metre that costs the outage price
+and the connectivity margin (n,) in dB."""
 
 
 @dataclass(frozen=True, eq=False)
 class GoalGrid:
-    """Nodes and moves that satisfy the clearance; the goal is one of the nodes."""
+    """Grid of nodes and moves that satisfy the clearance; one node is the goal."""
 
     spacing_m: float  # Grid spacing
     nodes_m: NDArray[np.float64]  # (n, 2)
@@ -305,9 +305,9 @@ class GoalGrid:
 
 @dataclass(frozen=True, eq=False)
 class GoalCosts:
-    """Costs on a grid for one belief."""
+    """Costs of paths on the goal grid for one channel belief."""
 
-    share: NDArray[np.float64]  # (n,) fraction of a metre at each node that is out of contact
+    share: NDArray[np.float64]  # (n,) fraction of a metre out of contact at each node
     to_goal_m: NDArray[np.float64]  # (n,) cost of the cheapest path to the goal
     best_margin_db: float  # Largest connectivity margin in the workspace
 
@@ -328,7 +328,7 @@ class PricedPath:
 
 
 def build_goal_grid(problem: Problem, index: ObstacleIndex) -> GoalGrid:
-    """Return the grid through the goal, shared by a whole run."""
+    """Return the verifier's grid, which contains the goal and is shared by a whole run."""
     spacing = SPACING_STEPS * problem.step_length_m
     goal = np.asarray(problem.goal_m)
     grid = grid_of(problem.workspace.bounds_m, goal, spacing)
@@ -347,7 +347,7 @@ def build_goal_grid(problem: Problem, index: ObstacleIndex) -> GoalGrid:
         both = (one >= 0) & (other >= 0)
         ends.append(np.stack([one[both], other[both]]))
     joined = np.concatenate(ends, axis=1)
-    # Lower bound of the clearance between two nodes.
+    # Lower bound of the clearance along a move between two nodes.
     length = np.linalg.norm(nodes[joined[0]] - nodes[joined[1]], axis=1)
     least = 0.5 * (away[is_open][joined].sum(axis=0) - length)
     doubtful = np.flatnonzero(least < clearance + CLEARANCE_TOLERANCE_M)
@@ -362,7 +362,7 @@ def build_goal_grid(problem: Problem, index: ObstacleIndex) -> GoalGrid:
 def _coarser(
     grid: NDArray[np.float64], is_open: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.float64]]:
-    """Return the coarse grid's positions around open nodes, and the interpolation weights."""
+    """Return the coarse grid's positions around open nodes, and the nodes' interpolation weights."""
     rows, columns = np.nonzero(is_open)
     last = (np.array(is_open.shape) - 1) // COARSE
     corners: list[NDArray[np.intp]] = []
@@ -370,7 +370,7 @@ def _coarser(
     for down in (0, 1):
         for right in (0, 1):
             row, column = rows // COARSE + down, columns // COARSE + right
-            # Extrapolate constantly beyond the last coarse row.
+            # Beyond the last coarse row, the extrapolation is constant.
             corners.append(np.minimum(row, last[0]) * (last[1] + 1) + np.minimum(column, last[1]))
             share_y, share_x = rows % COARSE / COARSE, columns % COARSE / COARSE
             by_y = share_y if down else 1.0 - share_y
@@ -382,7 +382,7 @@ def _coarser(
 
 
 def goal_costs(grid: GoalGrid, contact_at: ContactAt, price: float) -> GoalCosts:
-    """Return the cost of the cheapest path to the goal from every node."""
+    """Return costs on the grid: outage fractions and each node's cheapest cost to the goal."""
     coarse, margin = contact_at(grid.coarse_m)
     share = (coarse[grid.corners] * grid.weights).sum(axis=1)
     one, other = grid.ends
@@ -405,7 +405,7 @@ def price_path(
     positions_m: NDArray[np.float64],
     share: NDArray[np.float64],
 ) -> PricedPath:
-    """Return a path's (N + 1, 2) cost and that of the cheapest path from its start."""
+    """Return the cost of a path (N + 1, 2), and of the cheapest path from its start."""
 
     def rest_m(k: int) -> float:
         """Return the cost of the cheapest path from the k-th position."""
@@ -421,6 +421,6 @@ def price_path(
     best = rest_m(0)
     step = float(lengths[:1].sum()) + price * charged_length_m(lengths[:1], share[:2])
     after = rest_m(min(1, len(lengths)))
-    # If the grid has no path, there is no excess.
+    # Without a path on the grid, the excess is undefined.
     excess = step + after - best if max(best, after) < np.inf else 0.0
     return PricedPath(driven + rest_m(len(positions_m) - 1), best, step, excess)

@@ -2,10 +2,10 @@
 
 This module imports nothing from the programme or the solvers. A plan is verified if its swept path
 satisfies clearance, workspace, speed and separation from moving obstacles and robots, and if the
-connectivity rule holds with the exact posterior and the current standard deviation. For a goal, a
-step may violate the bound if no path found by the verifier is cheaper by more than a tolerance; for
-a sum of terms, if no reachable position satisfies it by then. With bounded slack there is no other
-exception (:mod:`planopt.planning.proof.searches`).
+connectivity rule holds with the exact posterior and the current standard deviation. A step to a
+goal may violate p_min if no path found by the verifier is cheaper by more than a tolerance; a step
+for a sum of terms, if no position reachable by then satisfies p_min
+(:mod:`planopt.planning.proof.searches`). Bounded slack replaces these exceptions.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ from planopt.robots.dynamics import Drive
 COST_TOLERANCE = 0.05
 """Relative excess cost over the cheapest path found, allowed for a plan and for a run."""
 COST_LEEWAY_STEPS = 2.0
-"""Additional allowance for the grid, in longest steps out of contact, per plan and per run."""
+"""Additional allowance for the grid's resolution, in longest steps out of contact."""
 
 
 @dataclass(frozen=True)
 class StepsFinding:
-    """Findings on the bound on single steps; the fields are those of the certificate."""
+    """Verifier's findings on p_min at single steps; the fields are those of the certificate."""
 
     relaxed_steps: tuple[int, ...] = ()
     relaxation_db: tuple[float, ...] = ()
@@ -59,22 +59,22 @@ class StepsFinding:
     step_excess_m: float | None = None
     reasons: tuple[str, ...] = ()
     rule: RuleResult | None = None  # None for the default rule
-    is_compared: bool = True  # Whether the verifier has a path for cost comparison
+    is_compared: bool = True  # Whether a path exists for the cost comparison
 
 
 def is_priced(problem: Problem) -> bool:
-    """Return whether single steps may violate the bound at a price."""
+    """Return whether single steps may violate p_min at the outage price."""
     return problem.task == "reach" and problem.constraints.rule.is_plain
 
 
 def verify_single_steps(
     context: VerifierContext, positions_m: NDArray[np.float64], power: Prediction
 ) -> StepsFinding:
-    """Verify the bound at the counted steps of a path (N + 1, 2)."""
+    """Return the findings on p_min at the counted steps of a path (N + 1, 2)."""
     problem = context.problem
     constraints, radio = problem.constraints, problem.stations[0]
     mean, deviation = power.mean_db[1:], power.deviation_db[1:]
-    # Without a bound every margin is infinite.
+    # Without p_min, every margin is infinite.
     margins = bound_margin_db(mean, deviation, radio.threshold_dbm, constraints.p_min)
     asked = rule_of(problem).counted(context.history, len(margins))
     missed = np.nonzero((margins < -MARGIN_TOLERANCE_DB) & asked)[0] + 1
@@ -105,7 +105,7 @@ def verify_single_steps(
         lambda: best_margins_by_step(
             context.index,
             problem.workspace.bounds_m,
-            # Readings excuse nothing: a robot need not return to where a packet arrived.
+            # Known links excuse no step: a robot need not return to where a packet arrived.
             lambda places_m: law.margin_of_db(law.predicted(places_m, search_power)),
             context.position_m,
             problem.step_length_m,
@@ -135,7 +135,7 @@ def _result(
     asked: NDArray[np.bool_],
     relaxation_db: tuple[float, ...],
 ) -> RuleResult | None:
-    """Return the number of counted steps that satisfy the bound; None for the default rule."""
+    """Return the result: the number of steps that satisfy p_min; None for the default rule."""
     rule = problem.constraints.rule
     if rule.is_plain:
         return None
@@ -154,7 +154,7 @@ def _result(
 def _beyond_slack(
     problem: Problem, missed: NDArray[np.intp], relaxation_db: tuple[float, ...]
 ) -> list[str]:
-    """Return reasons for steps that violate the bound beyond the slack."""
+    """Return reasons if steps violate p_min beyond the slack."""
     limit = problem.constraints.rule.slack_max_db or 0.0
     return [
         f"connectivity at step {step} misses constraints.p_min {problem.constraints.p_min:g} by "
@@ -191,7 +191,7 @@ def _priced(context: VerifierContext, positions_m: NDArray[np.float64]) -> tuple
 def _too_dear(
     problem: Problem, history: History, priced: PricedPath, best_margin_db: float
 ) -> list[str]:
-    """Return the reason if a path or run is too costly, or if no position meets the bound."""
+    """Return the reason if a path or run costs too much, or if no position satisfies p_min."""
     p_min, price = problem.constraints.p_min, problem.reach.outage_price
     if best_margin_db < -MARGIN_TOLERANCE_DB:
         return [
@@ -207,7 +207,7 @@ def _too_dear(
             f"{spent:.1f} m more than the cheapest paths found at objective.outage_price "
             f"{price:g}, {allowed:.1f} m are allowed"
         ]
-    # Without a path for comparison nothing is proved.
+    # Without a path for comparison, nothing is proven.
     within = priced.cost_m <= (1.0 + COST_TOLERANCE) * priced.best_m + leeway
     if within or not priced.is_compared:
         return []
@@ -227,12 +227,12 @@ STANDING = "the plan stands still short of the goal without a moving obstacle in
 
 @dataclass(frozen=True)
 class Judgement:
-    """Verdict on a path, and the underlying prediction.
+    """Findings of the verifier on a path, with the predicted power.
 
     Attributes
     ----------
     certificate, verdict
-        Values documented at their types.
+        Results of the verification, and the verdict.
     power
         Prediction at every position, the robot's first; None if the path is not finite.
     sound
@@ -254,7 +254,7 @@ class Judgement:
         termination: Termination,
         drive: Drive | None,
     ) -> Plan:
-        """Return a verified path as a plan."""
+        """Return the path as a plan with these findings."""
         if self.power is None:
             raise AssertionError("a path that is not finite is never released")
         mean, deviation = self.power.mean_db, self.power.deviation_db
@@ -284,7 +284,7 @@ def verify(
     kkt_residual: float | None = None,  # Copied into the certificate
     drive: Drive | None = None,  # None for the single integrator
 ) -> Judgement:
-    """Verify a path (N + 1, 2) of the context's robot, its current position first."""
+    """Return the verifier's findings on a path (N + 1, 2), the robot's position first."""
     problem = context.problem
     if not np.isfinite(positions_m).all():
         broken = Certificate(0.0, 0.0, float("inf"), kkt_residual, "exact", reasons=("not finite",))
@@ -334,7 +334,7 @@ def verify(
 def _gets_nowhere(
     context: VerifierContext, positions_m: NDArray[np.float64], drive: Drive | None
 ) -> bool:
-    """Return whether a robot waits short of its goal, without moving obstacles."""
+    """Return whether a robot waits short of its goal although no obstacle moves."""
     problem = context.problem
     if problem.task != "reach" or len(context.moving) or is_at_goal(problem, positions_m[0]):
         return False

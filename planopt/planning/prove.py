@@ -248,7 +248,7 @@ STEP_SHARES = np.linspace(1.0, 0.0, 21)
 """Lengths of a step to try in this order, in longest steps."""
 
 ROUNDS, LEAST_GAIN = 3, 1e-4
-"""Maximum number of alternations between smoothing of steps and route; minimum relative gain of one."""
+"""Maximum number of alternations of smoothing steps and route, and minimum relative gain of one."""
 
 LEAST_SHARE = 0.3
 """Minimum share of the time that is reserved for the bound."""

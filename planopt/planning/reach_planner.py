@@ -459,7 +459,7 @@ class DrivenReach:
         return self._cascade.first_verified(step, scorer, charged, warm, budget)
 
     def _charge(self, cost: ReachCost, pivot: Pivot, drive: Drive) -> GoalCharge:
-        """Return the solver's goal cost; near the goal, each step pays for the remaining distance."""
+        """Return the goal cost; near the goal, each step pays for the remaining distance."""
         problem, horizon = self._problem, len(drive.inputs)
         away = np.linalg.norm(resting_places_m(drive)[1:] - pivot.position_m, axis=1)
         arrived = np.flatnonzero(away <= problem.constraints.goal_radius_m)

@@ -83,7 +83,7 @@ Places = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Positions (n, 2) and their connectivity margins (n,) in dB."""
 
 FIRST_PATHS = 64
-"""Number of best positions in the first round of path lengths; each round has four times as many."""
+"""Number of best positions in the first round of path lengths; it grows fourfold per round."""
 SPLIT_NODES = 100
 """Maximum number of good nodes too close to obstacles that clear positions nearby replace."""
 
@@ -362,7 +362,7 @@ def build_goal_grid(problem: Problem, index: ObstacleIndex) -> GoalGrid:
 def _coarser(
     grid: NDArray[np.float64], is_open: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.float64]]:
-    """Return the coarse grid's positions around open nodes, and the nodes' interpolation weights."""
+    """Return the coarse grid's positions around open nodes, and interpolation weights."""
     rows, columns = np.nonzero(is_open)
     last = (np.array(is_open.shape) - 1) // COARSE
     corners: list[NDArray[np.intp]] = []

@@ -112,7 +112,10 @@ def _ignore(*_: object) -> None:
 
 def require_array_size(path: Path, key: str, *lengths: int) -> None:
     """Raise an error for an array that declares too many values, before it is read."""
-    if min(lengths, default=0) < 0 or math.prod(map(int, lengths)) > LARGEST_ARRAY_VALUES:
-        shape = " x ".join(str(int(length)) for length in lengths)
+    shape = " x ".join(str(int(length)) for length in lengths)
+    if min(lengths, default=0) < 0:
+        fault = f"declares the invalid shape {shape}"
+        raise InputError(fault, file=path, key=key, remedy="export the file again")
+    if math.prod(map(int, lengths)) > LARGEST_ARRAY_VALUES:
         fault = f"has {shape} values, more than the limit of {LARGEST_ARRAY_VALUES}"
         raise InputError(fault, file=path, key=key, remedy="give a smaller map")

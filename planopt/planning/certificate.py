@@ -140,8 +140,9 @@ def goal_in_words(problem: Problem, holes: Sequence[Hole]) -> list[str]:
     """Return a line saying that the goal is out of contact; no lines if it is not."""
     if not holes or not holes[-1].to_end:
         return []
+    x, y = problem.goal_m
     return [
-        f"P(connected) at the goal {list(problem.goal_m)} is below {problem.constraints.p_min:g} "
+        f"P(connected) at the goal ({x:g}, {y:g}) m is below {problem.constraints.p_min:g} "
         "according to the measurements so far"
     ]
 
@@ -269,22 +270,30 @@ def plan_message(certificate: Certificate, positions_m: NDArray[np.float64]) -> 
             )
     elif certificate.relaxed_steps and not parts:
         worst = max(certificate.relaxation_db)
-        steps = ", ".join(map(str, certificate.relaxed_steps))
+        steps = _ranges(certificate.relaxed_steps)
         path_m, best_m = certificate.path_cost_m, certificate.best_cost_m
         if path_m is None or best_m is None:
             parts.append(
-                f"P(connected) cannot reach p_min at steps {steps} from here; "
+                f"P(connected) cannot reach p_min at {steps} from here; "
                 f"up to {worst:.2f} dB of power are missing"
             )
         else:
             parts.append(
-                f"P(connected) is below p_min at steps {steps}, by up to {worst:.2f} dB of power. "
-                f"The price allows this: the planned route costs {path_m:.1f} m including outage, "
-                f"the cheapest route that the verifier found {best_m:.1f} m"
+                f"P(connected) is below p_min at {steps}, by up to {worst:.2f} dB of power. "
+                f"The price of outage allows this: the planned route costs {path_m:.4g} m "
+                f"including outage, and the cheapest that the verifier found {best_m:.4g} m"
             )
     if np.linalg.norm(positions_m[1:] - positions_m[0], axis=1).max() <= STANDSTILL_M:
         parts.append("the plan stands still")
     return "; ".join(parts)
+
+
+def _ranges(steps: Sequence[int]) -> str:
+    """Return step numbers as text, consecutive ones as a range."""
+    first = [step for step in steps if step - 1 not in steps]
+    last = [step for step in steps if step + 1 not in steps]
+    ranges = [f"{a}" if a == b else f"{a} to {b}" for a, b in zip(first, last, strict=True)]
+    return f"{'step' if len(steps) == 1 else 'steps'} {', '.join(ranges)}"
 
 
 @dataclass(frozen=True)

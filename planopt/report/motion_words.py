@@ -31,7 +31,7 @@ ORIGINS = {
     "plan": "refined path",
     "cold_retry": "path refined from another guess",
     "lattice": "lattice path",
-    "relaxed": "path that misses p_min",
+    "relaxed": "path with steps below p_min",
     "direct": "shortest path",
     "give_way": "part of the paths of all robots",
     "shifted": "last plan, shifted by one step",
@@ -44,7 +44,7 @@ ORIGINS = {
 STOPPED = {
     "converged": "converged",
     "acceptable": "converged to its looser tolerance",
-    "lattice_only": "result replaced by a lattice path",
+    "lattice_only": "result not used",
     "iteration_limit": "stopped at the iteration limit",
     "time_limit": "stopped at the time limit",
     "infeasible": "found no feasible point",
@@ -94,7 +94,7 @@ def plan_in_words(problem: Problem, plan: Plan) -> list[str]:
     proof, unit = plan.certificate, " s" if problem.task == "reach" else ""
     lines = [
         f"{plan.robot}: {plan.verdict.value}; {ORIGINS[plan.rung.value]}; solver "
-        f"{STOPPED[plan.termination.value]} ({plan.iterations} iterations); planned in "
+        f"{STOPPED[plan.termination.value]} after {plan.iterations} iterations; planned in "
         f"{shown_number(plan.wall_s, ' s', 2)}",
         f"  {_value(problem, plan.objective)}; "
         f"{shown_number(plan.lattice_objective, unit)} before refinement",

@@ -23,9 +23,13 @@ class MetricName:
     """Name, unit and number format of a metric."""
 
     words: str
-    unit: str
+    unit: str  # "1" for numbers without unit
     scale: float = 1.0  # Factor from the value to the unit
-    digits: int = 1  # Decimal places in tables
+    digits: int | None = 1  # Decimal places in tables; None for four significant digits
+
+    def shown(self, value: float, sign: str = "") -> str:
+        """Return a value in the unit as text."""
+        return f"{self.scale * value:{sign}{'.4g' if self.digits is None else f'.{self.digits}f'}}"
 
 
 METRIC_NAMES = {
@@ -70,7 +74,25 @@ METRIC_NAMES = {
     "min_separation_m": MetricName("least distance between robots", "m", digits=3),
     "min_moving_clearance_m": MetricName("least distance to moving obstacles", "m", digits=3),
     "polish_gain": MetricName("gain by refinement", "%", 100.0, 2),
+    "cost_first": MetricName("initial coverage cost", "1", digits=None),
+    "cost_last": MetricName("final coverage cost", "1", digits=None),
+    "cost_mean": MetricName("mean coverage cost", "1", digits=None),
+    "residual_m": MetricName("final distance to the targets, largest", "m", digits=2),
+    "settled_s": MetricName("time to settle", "s"),
+    "energy_m2_s": MetricName("control energy", "m2/s"),
+    "count_error_most": MetricName("largest error of the count", "1", digits=2),
+    "pursuer_path_m": MetricName("driven length of the pursuers", "m"),
+    "evader_path_m": MetricName("driven length of the evaders", "m"),
+    "records": MetricName("records used", "1"),
+    "mean_age_s": MetricName("mean age of records", "s", digits=2),
+    "mean_error_m": MetricName("mean error of records", "m", digits=2),
 }
+
+UNITS = {
+    ending: ending.replace("_", "/")
+    for ending in ("m_s", "m2_s", "m2", "m4", "db2", "m", "s", "w", "j", "db", "dbm")
+} | {"w": "W", "j": "J", "db": "dB", "dbm": "dBm", "db2": "dB2"}
+"""Units by the ending of a key, for metrics that are not listed; longer endings first."""
 
 
 BANDS = {"nis": ("nis_low", "nis_high", "95 % of consistent filters")}
@@ -81,13 +103,19 @@ BAND_ENDS = {end: metric for metric, (*ends, _) in BANDS.items() for end in ends
 
 
 def metric_name(metric: str) -> MetricName:
-    """Return the name of a metric; a metric that is not listed keeps its key and unit."""
-    return METRIC_NAMES.get(metric, MetricName(spaced(metric), "as is", 1.0, 3))
+    """Return the name of a metric; for a metric that is not listed, from its key."""
+    if metric in METRIC_NAMES:
+        return METRIC_NAMES[metric]
+    for ending, unit in UNITS.items():
+        if metric.endswith(f"_{ending}"):
+            return MetricName(spaced(metric.removesuffix(f"_{ending}")), unit, digits=None)
+    return MetricName(spaced(metric), "1", digits=None)
 
 
 def metric_label(metric: str) -> str:
-    """Return the name of a metric with its unit."""
-    return f"{metric_name(metric).words} [{metric_name(metric).unit}]"
+    """Return the name of a metric with its unit, if it has one."""
+    name = metric_name(metric)
+    return name.words if name.unit == "1" else f"{name.words} [{name.unit}]"
 
 
 MISSING = "-"
@@ -127,7 +155,7 @@ def comparison_text(comparison: Comparison) -> str:
     ----------
     comparison
         Comparison to print. Missing metrics are shown as ``-``; without a goal, metrics that no
-        setting has are omitted.
+        setting has, and those that are zero in all of them, are omitted.
     """
     settings = comparison.settings
     problems = (comparison.problem, *comparison.others)
@@ -224,15 +252,13 @@ def _difference(row: Row | None) -> str:
     low, high, name = row.difference_low, row.difference_high, metric_name(row.metric)
     if low is None or high is None:
         return MISSING
-    mean, begin, end = (
-        f"{name.scale * value:+.{name.digits}f}" for value in (row.paired_difference, low, high)
-    )
+    mean, begin, end = (name.shown(value, "+") for value in (row.paired_difference, low, high))
     return f"{mean} ({begin} to {end})" + ("" if low <= 0.0 <= high else " *")
 
 
 def _columns(rows: Sequence[Row]) -> list[tuple[str, str]]:
     """Return heading and name of every available metric, for problems without a goal."""
-    there = dict.fromkeys(row.metric for row in rows if row.mean is not None)
+    there = dict.fromkeys(row.metric for row in rows if row.mean)
     bands = {metric: f", and of {words}" for metric, (*_, words) in BANDS.items()}
     metrics = [m for m in there if m != "polish_gain" and m not in BAND_ENDS]
     return [*((metric_label(m) + bands.get(m, ""), m) for m in metrics), VERIFIED, POLISH]
@@ -256,15 +282,11 @@ def _mean(rows: Mapping[str, Row], metric: str, *, interval: bool) -> str:
     row, name = rows.get(metric), metric_name(metric)
     if row is None or row.mean is None:
         return MISSING
-
-    def shown(value: float) -> str:
-        return f"{name.scale * value:.{name.digits}f}"
-
-    text = shown(row.mean)
+    text = name.shown(row.mean)
     if interval and row.ci_low is not None and row.ci_high is not None:
-        text += f" ({shown(row.ci_low)} to {shown(row.ci_high)})"
+        text += f" ({name.shown(row.ci_low)} to {name.shown(row.ci_high)})"
     ends = [rows[end].mean for end in BANDS.get(metric, ())[:2] if end in rows]
-    return f"{text}, {' to '.join(shown(end or 0.0) for end in ends)}" if ends else text
+    return f"{text}, {' to '.join(name.shown(end or 0.0) for end in ends)}" if ends else text
 
 
 def _in_blocks(table: Sequence[Sequence[str]], first: int) -> list[str]:

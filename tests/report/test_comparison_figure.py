@@ -72,9 +72,10 @@ def test_constant_metrics_are_words(comparison):
 def test_unknown_metric_and_one_setting(comparison):
     """A metric without a name here is shown by its own; a run need not have it."""
     row = replace(comparison.rows[0], metric="heart_rate", mean=2.0, ci_low=None, ci_high=None)
-    lone = replace(comparison, runs=comparison.runs[:2], rows=(row,))
+    heat = replace(row, metric="motor_heat_w")
+    lone = replace(comparison, runs=comparison.runs[:2], rows=(row, heat))
     figure = drawn(draw_comparison(lone))
-    assert "heart rate [as is]" in labels_of(figure)
+    assert {"heart rate", "motor heat [W]"} <= labels_of(figure)
 
 
 def with_traces(comparison, count):

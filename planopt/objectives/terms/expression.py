@@ -223,7 +223,7 @@ def _parsed(program: str, symbols: Mapping[str, Any], steps: int) -> Any:
                     raise ValueError
         except (SyntaxError, ValueError, KeyError, TypeError, RecursionError, MemoryError):
             raise InputError(
-                f"has an invalid line {row} of {len(lines)}, for {steps} steps: {line[:60]}",
+                f"is invalid in line {row} of {len(lines)} for a horizon of {steps}: {line[:60]}",
                 key="program",
                 remedy="create programs with planopt.extend.casadi_term",
             ) from None

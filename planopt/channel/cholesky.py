@@ -177,7 +177,7 @@ def one_blas_thread() -> Generator[None]:
 
 @cache
 def _controller() -> ThreadpoolController:
-    """Return the controller of the BLAS threads, cached because loading takes milliseconds."""
+    """Return the cached controller of the BLAS threads, whose construction takes milliseconds."""
     return ThreadpoolController()
 
 

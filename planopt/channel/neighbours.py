@@ -36,7 +36,7 @@ the exact ones, and theta within 0.11. 32 and 64 give 0.46 and 0.24; 64 and 192 
 without a gain."""
 
 PRESELECTED = 4
-"""Candidates per neighbour, preselected by distance from the block's bounding box."""
+"""Number of candidates per neighbour, preselected by distance from the block's box."""
 
 
 class PlaceTree:
@@ -115,7 +115,7 @@ class PlaceIndex:
         return np.take_along_axis(indices, chosen, axis=1), farthest
 
     def within(self, centres_m: Floats, reach_m: float) -> tuple[Indices, Indices]:
-        """Return pairs (centre, position) of indices within `reach_m`, sorted; centres (k, 2)."""
+        """Return sorted index pairs (centre, position) within `reach_m` for centres (k, 2)."""
         pairs = [np.zeros((2, 0), dtype=np.intp)]
         for first, tree in (0, self.tree), (self._treed, self._late_tree):
             if tree is None:

@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 68_500,
-    "lines of code": 49_100,
+    "lines": 70_300,
+    "lines of code": 50_500,
     "files": 296,
-    "functions": 3_600,
+    "functions": 3_700,
     "docstring lines": 8_740,
-    "lines of tests": 47_650,
+    "lines of tests": 48_300,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

@@ -118,6 +118,9 @@ def input_error(
                 if "tag" in context
                 else "is missing"
             )
+        case "list_type" | "tuple_type" if isinstance(fault["input"], dict):
+            message = "is a single table, should be an array of tables"
+            remedy = f"write [[{key_text(path)}]] instead of [{key_text(path)}]"
         case "too_long" | "too_short":
             count, words = len(fault["input"]), _allowed(fault, field)
             message = f"has {count} entries, {words.partition(', not ')[0]}"
@@ -512,7 +515,9 @@ def _kind_of(data: Any) -> dict[str, Any]:
 
 def made_of(data: type[Any], table: BaseModel) -> Any:
     """Return the dataclass instance described by a table."""
-    return data(**{each.name: getattr(table, each.name) for each in fields(data)})
+    left_out = getattr(data, "not_keys", ())
+    names = (each.name for each in fields(data) if each.name not in left_out)
+    return data(**{name: getattr(table, name) for name in names})
 
 
 def saved(value: Any) -> Any:

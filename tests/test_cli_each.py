@@ -94,3 +94,11 @@ def test_the_best_server(log: Path, tmp_path: Path, capsys) -> None:
 def test_refusals(arguments: list[str], log: Path, capsys) -> None:
     """What is missing is named."""
     refused_command(capsys, "fit", log, *arguments)
+
+
+def test_mixed_transmitters_are_reported(log: Path, capsys) -> None:
+    """A fit of several transmitters as one has a warning, a fit of one has none."""
+    together = found(capsys, "fit", log, "--station", "0,0")
+    alone = found(capsys, "fit", log, "--station", "0,0", "--where", "bssid=a:1")
+    assert "bssid names 3 transmitters" in together["warnings"][0]
+    assert not any("transmitters" in each for each in alone["warnings"])

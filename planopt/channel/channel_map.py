@@ -298,6 +298,10 @@ class PosteriorMap:
 
     __repr__ = short_repr
 
+    def _repr_html_(self) -> str:
+        """Return the picture and key figures for notebooks."""
+        return import_module("planopt.report.notebook").map_html(self)
+
     def to_xarray(self) -> Any:
         """Return the map as an ``xarray.Dataset`` with the coordinates ``y_m`` and ``x_m``.
 

@@ -208,13 +208,18 @@ def listed(text: str | None, option: str, kind: Callable[[str], Value]) -> tuple
     """Return the distinct values of a list such as ``1,2,5``; None if it is not given."""
     if text is None:
         return None
-    parts = [part.strip() for part in text.split(",")]
-    try:
-        values = [kind(part) for part in parts]
-    except ValueError:
-        values = []
-    if not values or "" in parts:
-        raise InputError(
-            f"cannot read {text!r}", key=option, remedy="separate the values by commas"
-        )
+    values: list[Value] = []
+    for part in (part.strip() for part in text.split(",")):
+        try:
+            values.append(kind(part))
+        except ValueError:
+            raise InputError(
+                f"{part!r} in {text!r} is not a whole number",
+                key=option,
+                remedy="write for instance 1,5",
+            ) from None
+        if not part:
+            raise InputError(
+                f"{text!r} has an empty value", key=option, remedy="separate the values by commas"
+            )
     return tuple(dict.fromkeys(values))

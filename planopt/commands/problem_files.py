@@ -34,7 +34,7 @@ def list_problems(json: JsonOption = False) -> int:
 def schema(
     task: Annotated[
         str | None,
-        typer.Option("--task", metavar="NAME", help="A task with tables of its own."),
+        typer.Option("--task", metavar="NAME", help="Task; default: motion planning."),
     ] = None,
     json: JsonOption = False,
 ) -> int:
@@ -44,14 +44,14 @@ def schema(
     from planopt.problems.schema import json_schema
     from planopt.problems.tasks import MOTION, TASKS, task_named
 
-    names = [name for name in TASKS.names() if name not in MOTION]
-    if task is not None and task not in names:
+    if task is not None and task not in TASKS.names():
         raise InputError(
-            f"is {task!r}, which is not a task with a schema of its own",
+            f"is {task!r}, which is not a task",
             key="--task",
-            remedy=f"use one of {', '.join(names)}; leave --task out for motion planning",
+            remedy=f"use one of {', '.join(TASKS.names())}",
         )
-    definition = json_schema() if task is None else json_schema(task_named(task).model)
+    is_motion = task is None or task in MOTION
+    definition = json_schema() if is_motion else json_schema(task_named(task).model)
     show(json, definition, dumps(definition, indent=2))
     return 0
 

@@ -279,9 +279,11 @@ def released(scorer: Scorer, path_m: NDArray[np.float64], begun_s: float) -> Pla
             remedy="give x and y in metres after each of the planner.horizon steps",
         )
     found = scorer.assessed(scorer.candidate(path_m, Rung.PLAN, Termination.LATTICE_ONLY))
-    if not found.sound:
+    rejected = ""
+    if not found.sound and found.certificate is not None:
+        rejected = "; ".join(found.certificate.reasons)
         found = scorer.standing(len(path_m))
-    return scorer.plan_from(found, wall_s=perf_counter() - begun_s)
+    return replace(scorer.plan_from(found, wall_s=perf_counter() - begun_s), rejected=rejected)
 
 
 def held(context: VerifierContext, path: list[NDArray[np.float64]]) -> NDArray[np.float64]:

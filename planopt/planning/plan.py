@@ -124,6 +124,8 @@ class Plan:
         Named constraint multipliers of the solver, for reports.
     message
         Reason why there is no better plan; empty if the plan meets all requirements.
+    rejected
+        Reasons why the path of a user-defined planner was rejected; empty if it was released.
     pivot
         Terminal waypoint of the cost-to-go; None without one.
     sense
@@ -158,6 +160,7 @@ class Plan:
         default_factory=dict[str, NDArray[np.float64]]
     )
     message: str = ""
+    rejected: str = ""
     pivot: Pivot | None = None
     sense: Literal["min", "max"] = "min"
     drive: Drive | None = None

@@ -106,11 +106,18 @@ class Course:
     arrives: bool = True  # False for a path to a refuge, off the other robots' paths
 
 
+Proposal = Callable[[StepContext, Scorer, Plan | None], Plan]
+"""User-defined planner of a step, which may reject all its paths and stand still."""
+
+
 class ReachPlanner:
     """Planner of one robot to its goal; it caches solver, lattice and the verifier's grid."""
 
-    def __init__(self, problem: Problem, scene: Scene, others: int = 0) -> None:
+    def __init__(
+        self, problem: Problem, scene: Scene, others: int = 0, proposal: Proposal | None = None
+    ) -> None:
         self.problem = problem
+        self._proposal = proposal
         self.scene = scene
         self._eased = eased(problem)
         self._search = GlobalSearch(self._eased, scene, others)
@@ -185,6 +192,7 @@ class ReachPlanner:
         if reserved_m is None and len(context.moving) and warm is not None:
             reserved_m = reserved_path(position_m, warm.positions_m, problem.planner.horizon)[1:]
         scorer = Scorer(context, cost, reserved_m)
+        rejected = ""
         connected = problem.reach.cost_to_go == "connected"
         margin_db = self._search.margins.margin_db if connected else None
         budget = budget_from(problem, begun)
@@ -196,6 +204,14 @@ class ReachPlanner:
             ahead = Ahead(problem, self.scene, start, margin_db)
             cost = replace(cost, ahead=ahead, priced=not start.is_direct)
             scorer = replace(scorer, objective=cost)
+            if self._proposal is not None and not (start.gives_way or start.is_direct):
+                proposed = self._proposal(step, scorer, warm)
+                if proposed.verdict is Verdict.VERIFIED and proposed.rung is Rung.PLAN:
+                    pivot = cost.pivot_of(proposed.positions_m[1:])
+                    return self._routed(proposed, context, pivot, np.zeros((0, 2)))
+                rejected = (
+                    proposed.rejected or f"it is {proposed.verdict.value}: {proposed.message}"
+                )
             if start.gives_way or start.is_direct:
                 chosen = self._as_found(scorer, cost, start, warm)
             else:
@@ -209,9 +225,19 @@ class ReachPlanner:
             pivot = cost.pivot_of(chosen.path_m)
         plan = scorer.plan_from(chosen, wall_s=perf_counter() - begun)
         route = np.zeros((0, 2)) if start is None else start.route_m
-        places = np.vstack([plan.positions_m, route])
-        holes = holes_on(problem, search_prediction(context.law, places), places)
-        return replace(plan, pivot=pivot, route_m=route, holes=holes)
+        return self._routed(replace(plan, rejected=rejected), context, pivot, route)
+
+    def _routed(
+        self,
+        plan: Plan,
+        context: VerifierContext,
+        pivot: Pivot | None,
+        route_m: NDArray[np.float64],
+    ) -> Plan:
+        """Return a plan with its route to the goal and the coverage holes on both."""
+        places = np.vstack([plan.positions_m, route_m])
+        holes = holes_on(self.problem, search_prediction(context.law, places), places)
+        return replace(plan, pivot=pivot, route_m=route_m, holes=holes)
 
     def _blocked(self, step: StepContext, start: GlobalStart) -> BlockedError:
         """Return the error that lists the coverage holes of the cheapest path."""

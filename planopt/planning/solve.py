@@ -9,7 +9,7 @@ import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Any, NoReturn, Self, overload
+from typing import Any, Self, overload
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -228,6 +228,7 @@ class Planner:
         seeds = team_seeds(problem, seed)
         watch = watch_target(problem, seeds.target) if given is None else expected_target(problem)
         self.problem = problem
+        self._seed = seed
         lasting = replace(problem.workspace, obstacles=problem.workspace.lasting)
         self._index = index_obstacles(lasting)
         self._robots = Stepper(problem, belief, planning(problem, scenes, seeds), watch)
@@ -240,12 +241,18 @@ class Planner:
         counts = [len(belief.posterior.measurements) for belief in self.beliefs]
         return wrapped(f"Planner({self.problem!r}, steps driven: {steps}, measurements: {counts})")
 
-    def __reduce__(self) -> NoReturn:
-        """Raise an InputError: solvers and locks belong to one process."""
-        raise InputError(
-            "a Planner cannot be pickled",
-            remedy="send its problem, and create a Planner in each process",
-        )
+    def __getnewargs__(self) -> tuple[Problem]:
+        return (self.problem,)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return beliefs and plans; solvers and random streams start anew in a copy."""
+        return {**vars(self), "_busy": None, "_robots": self._robots.kept()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        scenes, seeds = build_scenes(self.problem), team_seeds(self.problem, self._seed)
+        self._robots = Stepper.restored(state["_robots"], planning(self.problem, scenes, seeds))
+        self._busy = threading.Lock()
 
     @property
     def beliefs(self) -> tuple[Belief, ...]:

@@ -10,9 +10,10 @@ bounds any fusion of several robots' estimates. One generator draws all randomne
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import reduce
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -264,6 +265,18 @@ class Stepper:
         self.connected = np.zeros((0, len(numbers)), dtype=np.bool_)
         self.watches = [watch]
         self._warm: list[Plan | None] = [None for _ in numbers]
+
+    def kept(self) -> dict[str, Any]:
+        """Return what a copy in another process needs, without the planner."""
+        return {name: value for name, value in vars(self).items() if "_plan" not in name}
+
+    @classmethod
+    def restored(cls, kept: Mapping[str, Any], planning: Planning) -> Stepper:
+        """Return a copy with a new planner."""
+        made = cls.__new__(cls)
+        vars(made).update(kept, _planning=planning)
+        made._know(made.problem)
+        return made
 
     def plan(self) -> list[Plan]:
         """Return a plan for each robot."""

@@ -9,6 +9,8 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from planopt.errors import InputError, require_text
+from planopt.files.toml_text import toml_text
+from planopt.files.writing import write_text
 from planopt.keys import saved
 from planopt.parts import part_of
 from planopt.problems.channel_setup import (
@@ -24,7 +26,13 @@ from planopt.problems.channel_setup import (
 from planopt.problems.library import find_problem, read_toml
 from planopt.problems.objective import ReachObjective, TermsObjective, term_keys
 from planopt.problems.planner_kinds import names_with, planner_kind
-from planopt.problems.problem import Problem, check_problem, problem_from_tables, tables_of
+from planopt.problems.problem import (
+    NAME,
+    Problem,
+    check_problem,
+    problem_from_tables,
+    tables_of,
+)
 from planopt.problems.robot import Robot
 from planopt.problems.schema import world_table
 from planopt.problems.tasks import MOTION, TaskProblem, problem_from
@@ -134,6 +142,13 @@ def problem_to_dict(problem: Problem) -> dict[str, Any]:
     Keys without a value are omitted, as in a problem file.
     """
     return {key: saved_table(part) for key, part in tables_of(problem).items()}
+
+
+def save_problem(problem: Problem, file: Path) -> None:
+    """Write a problem file."""
+    if file.suffix != ".toml":
+        raise InputError("is not a name for a problem file", file=file, remedy=NAME)
+    write_text(file, toml_text(problem_to_dict(problem)))
 
 
 def saved_table(part: Any) -> Any:
@@ -248,6 +263,8 @@ def _overridden(
             remedy=f"use {names_with('reaches_goals')} for the task reach",
         )
     changed = replace(problem, planner=settings) if changes else problem
+    if horizon is not None and isinstance(problem.objective, TermsObjective):
+        changed = replace(changed, objective=problem.objective.at_horizon(horizon))
     if cost_to_go is None:
         return changed
     if not is_reach:

@@ -134,6 +134,10 @@ class TermsObjective:
         if not self.terms:
             raise InputError("is empty", key="objective.terms", remedy="give at least one term")
 
+    def at_horizon(self, steps: int) -> TermsObjective:
+        """Return the objective for plans of another number of steps."""
+        return TermsObjective(tuple(term.at_horizon(steps) for term in self.terms))
+
 
 def _objective_of(table: Any) -> ReachObjective | TermsObjective:
     """Return the objective that a table describes: a sum of terms, or a reach objective."""

@@ -35,7 +35,8 @@ class PlannerKind:
         and a random number generator, and returns an object with the method ``plan`` of
         :class:`planopt.planning.planners.Planner`.
     reaches_goals
-        True if the planner supports the task ``reach``; only built-in ones do.
+        True if the planner supports the task ``reach``. If its path is not verified or does not
+        move, planopt's lattice path is released. Robots must be single integrators.
     has_dynamics
         True if the planner supports dynamics other than the single integrator.
     searches
@@ -133,8 +134,8 @@ def register_planner(kind: PlannerKind) -> None:
     Raises
     ------
     InputError
-        The argument is not a PlannerKind, its name is not a word or belongs to a built-in planner,
-        or `reaches_goals` is set.
+        The argument is not a PlannerKind, or its name is not a word or belongs to a built-in
+        planner.
 
     Examples
     --------
@@ -150,7 +151,7 @@ def register_planner(kind: PlannerKind) -> None:
     part_of("kind", kind, PlannerKind, remedy)
     if not isinstance(kind.make, str):
         kind.maker()
-    PLANNERS.add(kind.name, _without_goals(kind), key="name")
+    PLANNERS.add(kind.name, kind, key="name")
 
 
 def unregister_planner(name: str) -> None:
@@ -176,19 +177,7 @@ def planner_kind(name: str) -> PlannerKind:
     kind = found if isinstance(found, PlannerKind) else PlannerKind(name, found)
     package = getattr(PLANNERS.installed[name], "dist", None)
     version = kind.version or getattr(package, "version", "")
-    return _without_goals(replace(kind, name=name, version=version))
-
-
-def _without_goals(kind: PlannerKind) -> PlannerKind:
-    """Return an external planner; raise `InputError` if it has `reaches_goals` set."""
-    if kind.reaches_goals:
-        raise InputError(
-            f"is true for {kind.name}, but only the planners {names_with('reaches_goals')} "
-            "support the task reach",
-            key="reaches_goals",
-            remedy="leave it False; in the task custom, a goal can be an objective term",
-        )
-    return kind
+    return replace(kind, name=name, version=version)
 
 
 def names_with(trait: str) -> str:

@@ -45,7 +45,7 @@ def log_warnings(log: PowerLog) -> list[str]:
     """Return warnings about a log, such as degrees read as metres or powers in another unit."""
     remark = None if log.columns.reader is None else log.columns.reader.remark
     remarks = [] if remark is None else [remark]
-    return [*remarks, *_degrees(log), *_powers(log.measurements, "the log")]
+    return [*remarks, *_transmitters(log), *_degrees(log), *_powers(log.measurements, "the log")]
 
 
 def problem_warnings(problem: Problem) -> list[str]:
@@ -56,6 +56,15 @@ def problem_warnings(problem: Problem) -> list[str]:
 def measured_warnings(measurements: Measurements) -> list[str]:
     """Return warnings about the powers of initial or new measurements."""
     return list(_powers(measurements, "measurements"))
+
+
+def _transmitters(log: PowerLog) -> Iterator[str]:
+    if len(log.transmitters) > 1:
+        column, first = log.columns.transmitter, next(iter(log.transmitters))
+        yield (
+            f"column {column} names {len(log.transmitters)} transmitters, which are fitted as one "
+            f"(select one with --where {column}={first}, or fit each with --each {column})"
+        )
 
 
 def _degrees(log: PowerLog) -> Iterator[str]:

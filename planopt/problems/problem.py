@@ -9,9 +9,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, cast
 
+from planopt.errors import path_of
 from planopt.keys import located
 from planopt.objectives.terms.term import Term, TermSetting, require_kind
 from planopt.parts import part_of, parts_of
@@ -24,6 +26,8 @@ from planopt.problems.schema import SCHEMA_VERSION, ProblemFile, Task
 from planopt.problems.settings import ComparisonSettings, PlannerSettings, ReportSettings, Target
 from planopt.short_repr import wrapped
 from planopt.world.workspace import Workspace
+
+NAME = "give a name that ends in .toml"
 
 
 @dataclass(frozen=True, init=False)
@@ -147,6 +151,26 @@ class Problem:
             f"bounds_m={self.workspace.bounds_m}, horizon={self.planner.horizon}, "
             f"step_s={self.planner.step_s:g}, p_min={self.constraints.p_min:g})"
         )
+
+    def save(self, file: Path | str) -> None:
+        """Write the problem file.
+
+        Obstacles are written as polygons; logs and maps are named by their files.
+
+        Parameters
+        ----------
+        file
+            File ending in ``.toml``; it is replaced.
+
+        Raises
+        ------
+        InputError
+            The problem has parts from Python, which cannot be saved.
+        OutputError
+            The file cannot be written.
+        """
+        # Reached by name: that module builds problems.
+        import_module("planopt.problems.load").save_problem(self, path_of("file", file, NAME))
 
     @property
     def step_length_m(self) -> float:

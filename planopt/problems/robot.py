@@ -147,7 +147,13 @@ class Robot(Part):
         return {**super().of_keys(table), "dynamics": dynamics, "start_rest": rest}
 
     def fault(self) -> str | None:
-        """Return a message if the initial state is invalid."""
+        """Return a message if the speed limits differ or the initial state is invalid."""
+        own, speed = self.dynamics.speed_max_m_s, self.speed_max_m_s
+        if not self.moves_freely and own != speed:
+            return (
+                f"has speed_max_m_s {speed:g} and dynamics with speed_max_m_s {own:g}: give both "
+                "the same limit"
+            )
         rest = self.start_rest if isinstance(self.dynamics, DoubleIntegrator) else ()
         if sum(each * each for each in rest) > self.speed_max_m_s**2:
             return (

@@ -114,7 +114,7 @@ def draw_belief(problem: Problem, belief: Belief) -> Figure:
 
 def draw_posterior_map(
     maps: PosteriorMap,
-    measurements: Measurements,
+    measurements: Measurements | None,
     station: Station | Sequence[Station],
     title: str,
 ) -> Figure:
@@ -125,7 +125,7 @@ def draw_posterior_map(
     maps
         Predicted rasters.
     measurements
-        Measurements used: dots on the map of the standard deviation, hollow if censored.
+        Measurements used: dots on the map of the standard deviation, hollow if censored; or None.
     station
         Station or stations, marked if they are inside the map.
     title
@@ -138,9 +138,9 @@ def draw_posterior_map(
         panel.set_aspect("equal")
     rasters, threshold = (maps.mean_db, maps.deviation_db, maps.connectivity), maps.threshold_dbm
     level = _prediction_maps(figure, panels, rasters, threshold, _chance_words(threshold), None)
-    entries = draw_measurements(panels[1], measurements)
+    entries = [] if measurements is None else draw_measurements(panels[1], measurements)
     stations = [station] if isinstance(station, Station) else station
-    sites = np.array([each.position_m for each in stations])
+    sites = np.array([each.position_m for each in stations]).reshape(-1, 2)
     inside = ((sites >= (x_min, y_min)) & (sites <= (x_max, y_max))).all(axis=1)
     if inside.any():
         entries += [draw_sites(panel, sites[inside]) for panel in panels][:1]

@@ -104,6 +104,8 @@ def plan_in_words(problem: Problem, plan: Plan) -> list[str]:
     ]
     if proof.rule is not None:
         lines.append(f"  {proof.rule.words}")
+    if plan.rejected:
+        lines.append(f"  the proposed path is rejected: {plan.rejected}")
     if plan.message:
         lines.append(f"  {plan.message}")
     if problem.task == "reach":

@@ -9,6 +9,7 @@ from html import escape
 from itertools import islice
 from typing import TYPE_CHECKING, Any, cast
 
+from planopt.report.channel_figures import draw_posterior_map
 from planopt.report.page import cell_text
 from planopt.report.page_content import key_figures
 from planopt.report.panel import DPI
@@ -16,6 +17,8 @@ from planopt.report.panel import DPI
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from planopt.channel.channel_map import PosteriorMap
+    from planopt.channel.estimation.channel_fit import ChannelFit
     from planopt.planning.loop.results import Run, Solution
 
 MOST_FIGURES = 5
@@ -27,11 +30,42 @@ def result_html(result: Solution | Run) -> str:
     return summary_html(result.problem.name, key_figures(result), result.plot())
 
 
-def summary_html(title: str, figures: Iterable[tuple[str, object]], picture: Figure | None) -> str:
+def fit_html(fit: ChannelFit) -> str:
+    """Return a fit as HTML, with standard errors and warnings."""
+    figures = [
+        ("status", f"{fit.status}, by {fit.method} from {fit.measurements} measurements"),
+        *(
+            (name, f"{getattr(fit.parameters, name):.4g} ± {error:.2g}")
+            for name, error in fit.standard_errors.items()
+        ),
+    ]
+    notes = "".join(f"<li>{escape(each)}</li>" for each in fit.warnings)
+    return summary_html("channel fit", figures, None, len(figures)) + f"<ul>{notes}</ul>"
+
+
+def map_html(maps: PosteriorMap) -> str:
+    """Return a map as HTML."""
+    x, y = maps.mean_db.x_m, maps.mean_db.y_m
+    figures = [
+        ("x_m", f"{x[0]:g} to {x[-1]:g}"),
+        ("y_m", f"{y[0]:g} to {y[-1]:g}"),
+        ("cell_m", maps.mean_db.cell_m[0]),
+        ("threshold_dbm", maps.threshold_dbm),
+        ("connected_share", float((maps.connectivity.values >= 0.5).mean())),
+    ]
+    return summary_html("radio map", figures, draw_posterior_map(maps, None, (), "radio map"))
+
+
+def summary_html(
+    title: str,
+    figures: Iterable[tuple[str, object]],
+    picture: Figure | None,
+    most: int = MOST_FIGURES,
+) -> str:
     """Return HTML with the first key figures as a table, and the picture, if any."""
     rows = "".join(
         f'<tr><th scope="row">{escape(name)}</th><td>{escape(cell_text(value))}</td></tr>'
-        for name, value in islice(figures, MOST_FIGURES)
+        for name, value in islice(figures, most)
     )
     image = ""
     if picture is not None:

@@ -227,13 +227,14 @@ def _short(value: object) -> str:
 
 
 def obstacles_from(source: Any, name: str = "obstacle") -> tuple[Obstacle, ...]:
-    """Create obstacles from geometries, tables of geometries, corners or grids.
+    """Create obstacles from files, geometries, tables of geometries, corners or grids.
 
     Parameters
     ----------
     source
-        Shapely polygon or collection of polygons; GeoDataFrame or GeoSeries, with names from the
-        column ``name`` if present; array ``(n, 2)`` of the corners of one obstacle;
+        File of obstacles (GeoJSON, WKT) or of an occupancy grid (Nav2 YAML, CSV), whose unknown
+        cells are occupied; shapely polygon or collection of polygons; GeoDataFrame or GeoSeries,
+        with names from the column ``name`` if present; array ``(n, 2)`` of corners of an obstacle;
         :class:`planopt.problems.OccupancyGrid`; or a list of any of these, including obstacles.
         Coordinates are metres in the frame of the problem.
     name
@@ -257,6 +258,8 @@ def obstacles_from(source: Any, name: str = "obstacle") -> tuple[Obstacle, ...]:
 def _obstacles(source: Any, name: str) -> Iterator[Obstacle]:
     if isinstance(source, Obstacle):
         yield source
+    elif isinstance(source, str | Path):
+        yield from read_obstacles(Path(source))
     elif isinstance(source, shapely.Geometry):
         yield from obstacles_of_geometry(name, source)
     elif isinstance(source, OccupancyGrid):
@@ -276,7 +279,7 @@ def _obstacles(source: Any, name: str) -> Iterator[Obstacle]:
         )
     elif _is_ring(source):
         yield footprint(name, cast("Any", np.asarray(source)).tolist())
-    elif isinstance(source, Iterable) and not isinstance(source, str | bytes):
+    elif isinstance(source, Iterable) and not isinstance(source, bytes):
         entries = list(cast("Iterable[Any]", source))
         for number, entry in enumerate(entries, start=1):
             yield from _obstacles(entry, name if len(entries) == 1 else f"{name} {number}")
@@ -284,7 +287,7 @@ def _obstacles(source: Any, name: str) -> Iterator[Obstacle]:
         raise InputError(
             f"{name}: a {type(source).__name__} is not a polygon",
             key="world.obstacles",
-            remedy="give polygons, a GeoDataFrame, corners (n, 2) or an OccupancyGrid",
+            remedy="give a file, polygons, a GeoDataFrame, corners (n, 2) or an OccupancyGrid",
         )
 
 

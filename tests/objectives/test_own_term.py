@@ -1,5 +1,6 @@
 """A user-defined term as a class, against the same expression written by casadi_term."""
 
+import pickle
 import subprocess
 import sys
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ import pytest
 from refusals import refused
 from terms_scene import LEARNING, context_of, terms_problem
 
+from planopt import load
 from planopt.extend import OwnTerm, casadi_term
 from planopt.objectives import TermsObjective
 from planopt.objectives.terms import term as registry
@@ -20,6 +22,8 @@ from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.solve import solve
 from planopt.planning.values.local_value import local_value
 from planopt.planning.values.objective_value import ObjectiveValue
+from planopt.problems import problem_to_dict
+from planopt.problems.load import with_overrides
 
 
 @pytest.fixture
@@ -61,6 +65,22 @@ def test_it_is_the_expression_of_its_fields(near_term):
     plans = [solve(each, seed=0).plans[0] for each in problems]
     assert plans[0].verdict.value == "verified"
     np.testing.assert_allclose(plans[0].positions_m, plans[1].positions_m, atol=1e-9)
+
+
+def test_an_expression_follows_the_horizon() -> None:
+    """An override of the horizon writes the text again; a pickled term keeps its text alone."""
+    term = casadi_term(lambda path: -(path.positions_m[-1, 0] ** 2), 5, weight=2.0)
+    problem = with_overrides(
+        replace(load("outdoor_map"), objective=TermsObjective((term,))), horizon=3
+    )
+    (own,) = problem.terms
+    assert own == casadi_term(lambda path: -(path.positions_m[-1, 0] ** 2), 3, weight=2.0)
+    assert problem_to_dict(problem)["objective"]["terms"][0].keys() == {
+        *("kind", "weight", "steps", "program")
+    }
+    kept = pickle.loads(pickle.dumps(own))
+    assert kept == own
+    assert kept.at_horizon(4) is kept
 
 
 def test_an_expression_that_is_none_is_refused(near_term):

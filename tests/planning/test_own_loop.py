@@ -248,8 +248,19 @@ def test_two_threads_cannot_share_a_planner() -> None:
     assert refused
     assert "another thread" in refused[0]
     assert planner.step(here).verdict is Verdict.VERIFIED
-    with pytest.raises(InputError, match="a Planner cannot be pickled"):
-        pickle.dumps(planner)
+
+
+def test_a_pickled_planner_continues() -> None:
+    """The copy in another process has the beliefs and the last plan, and plans the same."""
+    planner = Planner(shortened("open_field", 10), horizon=3)
+    here = planner.step(planner.problem.robots[0].start_m).next_position_m
+    copy = pickle.loads(pickle.dumps(planner))
+    heard = Measurements([here], [-50.0])
+    plan, other = planner.step(here, heard), copy.step(here, heard)
+    np.testing.assert_array_equal(plan.positions_m, other.positions_m)
+    assert len(copy.beliefs[0].posterior.measurements) == len(
+        planner.beliefs[0].posterior.measurements
+    )
 
 
 def test_a_long_log_in_one_step(log: Measurements) -> None:

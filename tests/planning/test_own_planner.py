@@ -9,9 +9,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from planopt import InputError, check, load, solve
+from planopt import InputError, Verdict, check, load, load_result, simulate, solve
 from planopt.extend import PlannerKind, register_planner, released, unregister_planner
 from planopt.planning.candidates import held
+from planopt.planning.loop.log import Outcome
 from planopt.planning.planners import LawnmowerPlanner
 from planopt.problems import planner_kinds, problem_to_dict
 from planopt.problems.planner_kinds import OWN, planner_kind, planner_names
@@ -104,7 +105,48 @@ def test_own_planners_can_all_be_made() -> None:
     assert all(callable(kind.maker()) for kind in OWN.values())
 
 
-def test_goals_are_left_to_planopt():
-    """A planner that says it reaches goals would never be asked: it is refused."""
-    with pytest.raises(InputError, match="reaches_goals"):
-        register_planner(PlannerKind("courier", Eastward, reaches_goals=True))
+class Straight:
+    """Drives straight to the goal with a share of the largest speed, through walls."""
+
+    share = 0.9
+
+    def __init__(self, problem, ground, generator) -> None:
+        self._goal_m = np.array(problem.goal_m)
+        self._step_m = self.share * problem.step_length_m
+
+    def plan(self, context, scorer, warm=None):
+        """The straight line, which ends at the goal."""
+        begun, here = perf_counter(), context.position_m
+        away = np.linalg.norm(self._goal_m - here)
+        steps = np.arange(1, context.problem.planner.horizon + 1) * self._step_m
+        share = np.minimum(steps / max(away, 1e-9), 1.0)[:, None]
+        return released(scorer, here + share * (self._goal_m - here), begun)
+
+
+class TooFast(Straight):
+    """Its steps are too long."""
+
+    share = 1.5
+
+
+@pytest.mark.parametrize(
+    ("planner", "reason"), [(Straight, "comes within"), (TooFast, "longer than")]
+)
+def test_a_planner_to_a_goal(planner, reason: str, tmp_path) -> None:
+    """Its verified paths are released, others are rejected with the reason; every run arrives."""
+    register_planner(PlannerKind("straight", planner, reaches_goals=True))
+    try:
+        problem = load("open_field")
+        plan = solve(problem, planner="straight", horizon=8).plan
+        assert plan.verdict is Verdict.VERIFIED
+        assert reason in plan.rejected
+        run = simulate(problem, planner="straight", horizon=8)
+        assert run.outcome is Outcome.REACHED
+        assert run.verified_rate == 1.0
+        assert not run.plans[0][-1].rejected
+        for result in (solve(problem, planner="straight", horizon=8), run):
+            result.save(tmp_path)
+            assert check(tmp_path).verdict is Verdict.VERIFIED
+            assert load_result(tmp_path) == result
+    finally:
+        unregister_planner("straight")

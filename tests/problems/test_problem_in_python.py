@@ -240,9 +240,11 @@ class NamedGeometries(dict):
         self.geometry, self.columns = geometries, ["name", "geometry"]
 
 
-def test_obstacles_of_any_source() -> None:
+def test_obstacles_of_any_source(tmp_path) -> None:
     """The same area from every kind of source."""
     house = shapely.box(10, 10, 14, 13)
+    file = tmp_path / "house.wkt"
+    file.write_text(house.wkt)
     grid = planopt.problems.OccupancyGrid(
         occupied=np.pad(np.ones((3, 4), dtype=bool), ((10, 5), (10, 6))),
         unknown=np.zeros((18, 20), dtype=bool),
@@ -252,7 +254,7 @@ def test_obstacles_of_any_source() -> None:
     series = SimpleNamespace(geometry=[house])
     frame = NamedGeometries([house], ["town hall"])
     corners = shapely.get_coordinates(house.exterior)
-    for source in (house, [house], series, corners, corners[:-1].tolist(), grid):
+    for source in (house, [house], series, corners, corners[:-1].tolist(), grid, file, str(file)):
         (obstacle,) = obstacles_from(source, "house")
         assert obstacle.name == "house"
         assert obstacle.polygon.equals(house)

@@ -1,6 +1,7 @@
 """A problem as plain data and back."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -46,6 +47,16 @@ def test_library_problems_survive_json_exactly(name: str) -> None:
     assert back == problem
     for before, after in zip(problem.workspace.obstacles, back.workspace.obstacles, strict=True):
         assert before.polygon.wkb == after.polygon.wkb
+
+
+@pytest.mark.parametrize("name", ["munich_courier", "outdoor_track", "connect_rooftop"])
+def test_a_saved_problem_file_is_the_same_problem(name: str, tmp_path: Path) -> None:
+    """``Problem.save`` writes a file that loads to an equal problem."""
+    problem, file = load(name), tmp_path / "mine.toml"
+    problem.save(file)
+    assert replace(load(file), file=problem.file) == problem
+    with refused():
+        problem.save(tmp_path / "mine.json")
 
 
 def test_every_setting_survives(tables: Tables, built: Build, tmp_path: Path) -> None:

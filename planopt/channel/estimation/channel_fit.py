@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from importlib import import_module
 from typing import Literal, cast, get_args
 
 import numpy as np
@@ -222,3 +223,7 @@ class ChannelFit:
     other_modes: tuple[OtherMode, ...] = ()
 
     __repr__ = short_repr
+
+    def _repr_html_(self) -> str:
+        """Return the parameters for notebooks."""
+        return import_module("planopt.report.notebook").fit_html(self)

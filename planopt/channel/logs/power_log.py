@@ -7,7 +7,7 @@ for blocks of 600 in the column ``t_s`` within each day.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -58,6 +58,7 @@ class PowerLog:
     receivers: tuple[str, ...]
     columns: LogColumns
     power_unit: str
+    transmitters: Mapping[str, int]  # Numbers of readings; empty without a transmitter column
 
 
 Source = Path | str | Frame
@@ -135,7 +136,9 @@ def measurements_of(table: LogTable, columns: LogColumns, log_format: LogFormat)
         time_s=np.zeros(len(power)) if columns.time is None else times_s(table.cells(columns.time)),
         receiver=np.array([number_of[each] for each in labels], dtype=np.intp),
     )
-    return PowerLog(measurements, tuple(number_of), columns, unit)
+    column = columns.transmitter
+    heard = {} if column is None or column not in table.names else labels_of(table, column)
+    return PowerLog(measurements, tuple(number_of), columns, unit, heard)
 
 
 def _from_milliwatts(cells: Sequence[Cell], power: NDArray[np.float64]) -> NDArray[np.float64]:

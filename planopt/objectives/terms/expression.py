@@ -17,7 +17,7 @@ from __future__ import annotations
 import ast
 import operator
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Annotated, Any, ClassVar
 
@@ -318,9 +318,27 @@ class CasadiTerm(Term):
     program: Annotated[
         str, Field(description="Assignments, one a line; the last line is the value.")
     ]
+    # Function that the program was written from, to write it for other horizons
+    function: Any = field(default=None, kw_only=True, repr=False, compare=False)
 
+    not_keys: ClassVar[frozenset[str]] = frozenset({"function"})
     kind: ClassVar[str] = "casadi"
     summary: ClassVar[str] = "A value of one's own, made large."
+
+    @property
+    def left_out(self) -> frozenset[str]:
+        """Fields to omit from a saved table."""
+        return self.not_keys
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return the fields without the function, which need not pickle."""
+        return {**vars(self), "function": None}
+
+    def at_horizon(self, steps: int) -> CasadiTerm:
+        """Return the term with its program written for another horizon, if it has a function."""
+        if self.function is None or steps == self.steps:
+            return self
+        return replace(self, steps=steps, program=program_of(self.function, steps))
 
     def check(self, setting: TermSetting) -> None:
         """Raise an InputError if horizon or inputs of the program do not match the problem."""
@@ -338,7 +356,8 @@ class CasadiTerm(Term):
             raise InputError(
                 f"is {self.steps}, but planner.horizon is {steps}",
                 key="steps",
-                remedy="create the term again for this horizon with planopt.extend.casadi_term",
+                remedy="create the term for this horizon with planopt.extend.casadi_term, or "
+                "derive a class from planopt.extend.OwnTerm",
             )
         nothing = {name: np.zeros((1, steps, width)) for name, width in WIDTHS.items()}
         expression_values(self.program, steps, nothing | {START: np.zeros((1, 1, 2))})
@@ -419,7 +438,9 @@ def casadi_term(expression: Any, horizon: int, weight: float = 1.0) -> CasadiTer
     """Return a term that maximises an expression of the path and the predicted channel.
 
     The expression is stored as text. Problems, plans and runs that use it are therefore saved,
-    checked and sent to other processes like any other.
+    checked and sent to other processes like any other. Overrides of the horizon, such as those of
+    :func:`planopt.compare`, write the text of a function again; a problem from a file keeps its
+    horizon.
 
     Parameters
     ----------
@@ -429,7 +450,7 @@ def casadi_term(expression: Any, horizon: int, weight: float = 1.0) -> CasadiTer
         CasADi expression, twice differentiable; or a `casadi.Function` with inputs of these names
         and shapes and one output.
     horizon
-        Number of steps N of the path.
+        Number of steps N of the problem's plans.
     weight
         Factor in the sum of terms; negative for a cost.
 
@@ -438,7 +459,8 @@ def casadi_term(expression: Any, horizon: int, weight: float = 1.0) -> CasadiTer
     InputError
         The expression is not a scalar function of these symbols.
     """
-    return CasadiTerm(horizon, program_of(expression, horizon), weight=weight)
+    function = None if isinstance(expression, ca.Function) else expression
+    return CasadiTerm(horizon, program_of(expression, horizon), weight=weight, function=function)
 
 
 @dataclass(frozen=True)

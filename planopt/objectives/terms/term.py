@@ -76,6 +76,10 @@ class Term:
         if "kind" in cls.__dict__:
             register(cls)
 
+    def at_horizon(self, steps: int) -> Term:
+        """Return the term for plans of another number of steps."""
+        return self
+
     @classmethod
     def table_fault(cls, given: frozenset[str], term: Term) -> str | None:
         """Return why the keys `given` conflict with the rest of the table, or None."""

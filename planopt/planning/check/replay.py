@@ -301,7 +301,8 @@ def _verified_again(
     plan = replace(plan, pivot=saved.pivot)
     if not isinstance(record, RobotPlan):
         return plan
-    plan = replace(plan, wall_s=record.wall_s, solve_s=record.solve_s, iterations=record.iterations)
+    planned = ("wall_s", "solve_s", "iterations", "rejected")
+    plan = replace(plan, **{name: getattr(record, name) for name in planned})
     if problem.task == "reach" and record.route is not None:
         route_m = record.route.positions_m
         places = np.vstack([path_m, route_m])

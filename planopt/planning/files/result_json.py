@@ -169,6 +169,7 @@ class RobotPlan(Trajectory):
     certificate: Annotated[Residual, Source(lambda plan: certificate_json(plan.certificate))]
     polish_gain: Computed
     message: Computed
+    rejected: Annotated[str, Source(lambda plan: plan.rejected or OMITTED)] = ""
     route: Annotated[Places | None, Source(lambda plan: xy(plan.route_m))] = None
     holes: Annotated[Computed, Source(lambda plan: _holes(plan.holes))]
     bound: Annotated[Computed, _of_bound("value")]

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -61,6 +61,16 @@ class Result(ABC):
     def data(self) -> Mapping[str, Any]:
         """Return the JSON object of the result."""
         return task_of(self.problem).data(self)
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether two results have the same content, except for the time of planning."""
+        if type(self) is not type(other):
+            return False
+        own, others = ({**each.data, "step_s": None} for each in (self, cast("Result", other)))
+        return own == others
+
+    def __hash__(self) -> int:
+        return hash((type(self), self.problem.name, self.seed))
 
     def draw(self, folder: Path, *, animation: bool = False) -> None:
         """Write the figures selected by the problem, and optionally an animation."""

@@ -15,12 +15,14 @@ a robot with dynamics cannot drive its own, they keep clear of reservations
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.planning.initial_data import TeamSeeds
 from planopt.planning.plan import Plan, Rung, Verdict
+from planopt.planning.planners import asked_plan, planner_for
 from planopt.planning.proof.context import obstacles_ahead
 from planopt.planning.proof.motion import is_at_goal
 from planopt.planning.reach_planner import Course, Outlook, ReachPlanner
@@ -31,6 +33,7 @@ from planopt.planning.stepping import Planning, PlanStep, TeamMoment
 from planopt.planning.team.team_step import build_team, keep_apart, plan_in_turn, plan_together
 from planopt.planning.tolerances import STEP_PAD_M
 from planopt.planning.values.context import Aim
+from planopt.problems.planner_kinds import OWN
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.motion import TimedMotion
 from planopt.world.moving_discs import MovingDiscs, joined_discs
@@ -45,14 +48,16 @@ NO_LIMIT_M = -1e9
 class Couriers:
     """Planner for all robots of one problem; stores the order of their courses."""
 
-    def __init__(self, problem: Problem, scenes: Sequence[Scene]) -> None:
+    def __init__(self, problem: Problem, scenes: Sequence[Scene], seeds: TeamSeeds) -> None:
         count = len(problem.robots)
         others = count - 1 if has_separation(problem) else 0
         self._problem = problem
-        self._planners = [
-            ReachPlanner(problem_of_robot(problem, number), scene, others)
-            for number, scene in enumerate(scenes)
-        ]
+        self._planners: list[ReachPlanner] = []
+        for number, (scene, generator) in enumerate(zip(scenes, seeds.planners, strict=True)):
+            own, proposal = problem_of_robot(problem, number), None
+            if problem.planner.name not in OWN:
+                proposal = partial(asked_plan, planner_for(own, scene.ground, generator))
+            self._planners.append(ReachPlanner(own, scene, others, proposal))
         self._order = list(range(count))
         self._arrived: list[int] = []
 
@@ -278,7 +283,7 @@ def plan_step(
 ) -> PlanStep:
     """Return the planner of a step: to goals in one scene per robot, or for a sum of terms."""
     if scenes is not None:
-        couriers = Couriers(problem, scenes)
+        couriers = Couriers(problem, scenes, seeds)
         return lambda at: (couriers.plan(at), [Aim() for _ in problem.robots])
     team = build_team(problem, seeds, foreseen_m)
     return lambda at: plan_together(problem, team, at)

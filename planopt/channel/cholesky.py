@@ -170,7 +170,7 @@ def semidefinite_factor(covariance: Floats) -> Floats:
 
 @contextmanager
 def one_blas_thread() -> Generator[None]:
-    """Limit BLAS to one thread; usable as a context manager or, called, as a decorator."""
+    """Limit BLAS to one thread within a ``with`` block or a decorated function."""
     with _controller().limit(limits=1, user_api="blas"):  # pyright: ignore[reportUnknownMemberType]
         yield
 

@@ -103,7 +103,7 @@ def _log_any(scores: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _score(log_any: NDArray[np.float64], log_none: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the combined score from the smaller tail, for full precision."""
+    """Return the combined score, computed from the smaller tail probability for precision."""
     low = np.asarray(ndtri_exp(np.minimum(log_any, log_none)), dtype=np.float64)
     return np.where(log_any < log_none, low, -low)
 
@@ -275,7 +275,7 @@ class ConnectivityLaw:
         ]
 
     def is_connected(self, positions_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return which positions (n, 2) are known to be connected to any station; ``(n,)``."""
+        """Return a mask of positions (n, 2) with a known connection to any station; ``(n,)``."""
         found = np.zeros(len(positions_m), dtype=np.bool_)
         for known, threshold in zip(self.known(positions_m), self.thresholds_dbm, strict=True):
             found[known.rows[known.least_dbm >= threshold]] = True

@@ -224,7 +224,7 @@ def _as_rician(source: Multipath) -> Rician:
 
 
 def _with_std(std_db: Callable[[float], float], least: float, wanted_db: float) -> float:
-    """Invert a decreasing standard deviation by bisection on a logarithmic scale."""
+    """Return the parameter with a required standard deviation, by logarithmic bisection."""
     most_db, least_db = std_db(least), std_db(STRONGEST)
     if not least_db <= wanted_db <= most_db:
         raise InputError(

@@ -280,7 +280,7 @@ class LocalChannel:
         return KrigingTerms(projected[..., 0], trend, variance)
 
     def predict(self, places_m: Floats) -> Prediction:
-        """Predict at positions (..., p, 2)."""
+        """Predict the power at positions (..., p, 2)."""
         return combine(self.terms(places_m), self.theta, self.theta_covariance)
 
 
@@ -322,7 +322,7 @@ class LocalGrid:
 
 
 def predict_nearby(posterior: ChannelPosterior, positions_m: Floats, count: int) -> Prediction:
-    """Predict at `positions_m` (n, 2) from at least the `count` nearest measurements each."""
+    """Predict the power at each position (n, 2) from at least its `count` nearest measurements."""
     terms = nearby_terms(posterior, positions_m, count)
     return combine(terms, posterior.theta, posterior.theta_covariance)
 

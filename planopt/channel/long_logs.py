@@ -139,7 +139,7 @@ class OffsetsGivenTheta:
     covariance_db2: Floats  # (R, R) s^2 I - s^4 Z' U^-1 Z
 
     def indicators(self, receiver: Indices) -> Floats:
-        """Return the indicators Z of measurements from receivers (...); ``(..., R)``."""
+        """Return indicators Z for measurements with receiver numbers (...); ``(..., R)``."""
         return (receiver[..., None] == self.receivers).astype(np.float64)
 
 
@@ -200,7 +200,7 @@ measurements. It takes about ten sweeps."""
 
 @dataclass(frozen=True, eq=False)
 class IntervalRows:
-    """The m of n measurements that are intervals, with windows for matching their sites."""
+    """Interval measurements (m of n), and the windows in which their sites are matched."""
 
     rows: Indices  # (m,) indices, ascending
     known: Intervals

@@ -425,7 +425,7 @@ def own_variance_db2(origins: Origins, parameters: ChannelParameters) -> Floats:
 
 
 def own_distance_m(origins: Origins) -> Floats:
-    """Return distances among `origins` (n), position errors included; ``(n, n)``."""
+    """Return distances between all pairs of `origins`, position errors included; ``(n, n)``."""
     blur_m2 = _blur_m2(origins, origins)
     distance = pairwise_distance_m(origins.positions_m, origins.positions_m, blur_m2)
     np.fill_diagonal(distance, 0.0)

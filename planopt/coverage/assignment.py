@@ -194,7 +194,7 @@ def fair_shares(demands: Indices, agents: int) -> Indices:
 
 
 def deferred_acceptance(distances_m: Floats, demands: Indices) -> Assignment:
-    """Assign agents to events by deferred acceptance, which agents can run in a distributed way."""
+    """Return a stable assignment by deferred acceptance, which can run distributed on agents."""
     # In each round every event requests as many agents as it lacks, nearest first and none twice.
     # Every agent keeps the nearest event among its requests and rejects the others. Ties go to the
     # smaller numbers.

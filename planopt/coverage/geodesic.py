@@ -135,7 +135,7 @@ class GeodesicGround:
         return np.asarray(shapely.get_coordinates(inside), dtype=np.float64).reshape(-1, 2, 2)
 
     def distances_m(self, agents_m: Floats, places_m: Floats) -> Floats:
-        """Return the lengths ``(n, k)`` of shortest paths to the nearest allowed positions."""
+        """Return the lengths ``(n, k)`` of shortest paths from agents to positions."""
         return self.area.distances_m(self.nearest(agents_m), self.nearest(places_m))
 
     def steered(self, agents_m: Floats, places_m: Floats, share: float) -> Floats:
@@ -192,7 +192,7 @@ def _in_one_part(whole: shapely.Polygon, obstacles: Sequence[shapely.Polygon]) -
 
 
 def _shrunk(free: shapely.Polygon, clearance_m: float) -> shapely.Polygon:
-    """Return the part of an area that keeps a clearance; raise if it is not connected."""
+    """Return the part of an area with a clearance; raise `InputError` if it is not connected."""
     if clearance_m == 0.0:
         return free
     parts = _parts(free.buffer(-clearance_m, join_style="mitre"))

@@ -61,7 +61,7 @@ def gets_through(messages: int, loss: Loss, generator: np.random.Generator | Non
 
 @dataclass(frozen=True)
 class LinkModel(Part):
-    """Message loss between agents from path loss and log-normal fading."""
+    """Model of message loss between agents: path loss and log-normal fading."""
 
     at = "links"
 

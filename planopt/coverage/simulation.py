@@ -459,7 +459,7 @@ def simulate_network(
 
 
 def _run(scene: Scene, motions: list[Motion], rows: list[NetworkStep]) -> NetworkRun:
-    """Collect the decisions of all steps in arrays."""
+    """Return the record of a run, made from the decisions of all steps."""
     steps, events = len(rows), len(scene.events)
     places = np.array([[watch.place_m for watch in row.watches] for row in rows])
     stds = np.array([[watch.std_m for watch in row.watches] for row in rows])

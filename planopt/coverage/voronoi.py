@@ -240,7 +240,7 @@ def _diagram(places: Floats) -> Polygons:
 
 
 def _clipped(polygons: Polygons, normals: Floats, offsets: Floats) -> Polygons:
-    """Clip all polygons together at half-planes ``normals @ q <= offsets``, one plane at a time."""
+    """Return all polygons clipped to the half-planes ``normals @ q <= offsets``."""
     # Every polygon keeps its number, even if it becomes empty.
     for normal, offset in zip(normals, offsets, strict=True):
         corners = polygons.corners_m

@@ -98,7 +98,7 @@ class DraftStation:
 
     @property
     def position_std_m(self) -> float:
-        """Return the standard deviation of the estimated position: the larger axis."""
+        """Return the standard deviation of the estimated position along its larger axis."""
         covariance = self.fit.station_covariance_m2
         if covariance is None:
             return 0.0

@@ -38,7 +38,7 @@ class Theorem(Enum):
 
 @dataclass(frozen=True)
 class Inequality:
-    """``left < right``."""
+    """Strict inequality ``left < right`` with its description."""
 
     words: str  # Description of the inequality
     left: float  # Both sides, in `unit` ("" for ratios)

@@ -149,7 +149,7 @@ class MoteNetwork(Table):
         )
 
     def staleness_per_slot(self, evader_speed_m_s: float) -> float:
-        """Return x / s_w for r = 1 in 1/s: ``12 eta_s v_e`` divided by the mote spacing."""
+        """Return staleness per slot width in 1/s: ``12 eta_s v_e`` / mote spacing, for r = 1."""
         frames = 4.0 * HOPS_PER_ROUND * self.slots_per_frame
         return frames * evader_speed_m_s / self.mote_spacing_m
 
@@ -173,7 +173,7 @@ class DesignTask:
 
     @property
     def staleness_per_slot(self) -> float:
-        """Return x / s_w for r = 1 in 1/s: staleness per slot width."""
+        """Return staleness per slot width, x / s_w, in 1/s for r = 1."""
         return self.network.staleness_per_slot(self.chase.evader_speed_m_s)
 
     def room(self, bits_per_axis: float) -> float:

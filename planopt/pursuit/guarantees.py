@@ -99,7 +99,7 @@ class Guarantee:
         return floor_m
 
     def next_bound_m(self, bound_m: Floats) -> Floats:
-        """Return the distance bound W at the end of stages that start with W, of the same shape."""
+        """Return the bounds W after a stage for bounds W before it, in the same shape."""
         return np.max([stage(bound_m)[0] for stage in self.stages], axis=0)
 
     def captures(self, capture_radius_m: float) -> Inequality:

@@ -28,7 +28,7 @@ ARRIVED_SHARE = 1e-6
 
 
 class Motion(Protocol):
-    """Motion of a pursuer, with states (..., s) that begin with x and y."""
+    """Motion model of a pursuer; its states (..., s) begin with x and y."""
 
     @property
     def speed_max_m_s(self) -> float:
@@ -51,7 +51,7 @@ class Motion(Protocol):
 
 @dataclass(frozen=True)
 class StraightMotion:
-    """A single integrator."""
+    """Motion model of a single integrator."""
 
     speed_max_m_s: float
     turning_s: float = 0.0

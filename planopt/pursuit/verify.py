@@ -81,7 +81,7 @@ class Reports:
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
-        """Return (pursuer, evader) of each report."""
+        """Return the pair (pursuer, evader) of each report."""
         pursuers: list[int] = self.pursuer.tolist()
         return list(zip(pursuers, self.evader.tolist(), strict=True))
 
@@ -269,7 +269,7 @@ def _position_faults(data: PursuitData, robot: Robot, places_m: Floats) -> Itera
 
 
 def _report_faults(data: PursuitData, log: PursuitLog) -> Iterator[Violation]:
-    """Yield reports that no mote could have sent, or that violate rule R."""
+    """Yield reports that no mote could have sent, and uses of reports that violate rule R."""
     service, reports = data.service, log.reports
     if not len(reports.time_s):
         return

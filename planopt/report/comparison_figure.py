@@ -84,7 +84,7 @@ class Slot:
 
 @dataclass(frozen=True)
 class Layout:
-    """Slots of a comparison and their axis."""
+    """Positions of a comparison's settings along an axis, with ticks and label."""
 
     slots: tuple[Slot, ...]
     ticks: tuple[str, ...]

@@ -252,7 +252,7 @@ def _draw_teams(panel: Panel, picture: NetworkPicture) -> None:
 
 
 def _draw_errors(panel: Panel, picture: NetworkPicture) -> None:
-    """Draw the errors of the estimated positions, and the agents' standard deviations."""
+    """Draw the errors of estimated event positions, and their estimated standard deviations."""
     run, times_s = picture.run, picture.run.times_s[:-1]
     for number, event in enumerate(picture.events):
         colour = SERIES[number % len(SERIES)]

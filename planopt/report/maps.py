@@ -84,7 +84,7 @@ INSET_BELOW = 0.6
 
 
 def cell_centres(bounds_m: Bounds) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return x and y of the centres of nearly square cells that fill `bounds_m`; see `NODES`."""
+    """Return x and y of the centres of nearly square cells, `NODES` along the longer side."""
     x_min, y_min, x_max, y_max = bounds_m
     side = max(x_max - x_min, y_max - y_min) / NODES
     axes: list[NDArray[np.float64]] = []

@@ -116,7 +116,7 @@ def plan_in_words(problem: Problem, plan: Plan) -> list[str]:
 
 
 def bound_in_words(problem: Problem, bound: Bound | None) -> list[str]:
-    """Return a proven bound, or why there is none, as lines of text."""
+    """Return a proven bound, or the reason for its absence, as lines of text."""
     if bound is None:
         return []
     if bound.value is None:
@@ -294,7 +294,7 @@ def problem_in_words(problem: Problem) -> list[str]:
 
 
 def in_columns(cells: Sequence[tuple[str, str]]) -> list[str]:
-    """Return names with their values, `COLUMNS` per line, aligned."""
+    """Return aligned lines of names with their values, `COLUMNS` pairs per line."""
     lines: list[str] = []
     sizes = [
         [max((len(cell[part]) for cell in cells[column::COLUMNS]), default=0) for part in (0, 1)]

@@ -486,7 +486,7 @@ def key_figures(result: Solution | Run) -> list[tuple[str, object]]:
 
 
 def _settings(settings: Mapping[str, Any], seed: object) -> list[PageTable]:
-    """Return the tables of the problem's keys and of the versions that made the page."""
+    """Return two tables: the problem's keys, and the software versions."""
     keys = [("seed", seed), *_flat(settings)] if seed is not None else list(_flat(settings))
     return [
         PageTable("Settings", ("key", "value"), keys),

@@ -89,7 +89,7 @@ def new_figure(
 
 
 def split_panel(figure: Figure, panel: Panel, shares: Sequence[float]) -> list[Panel]:
-    """Replace a panel by stacked panels with these shares of its height."""
+    """Replace a panel by stacked panels and return them; `shares` are their relative heights."""
     from matplotlib.gridspec import GridSpecFromSubplotSpec
 
     cell = panel.get_subplotspec()
@@ -250,7 +250,7 @@ def legend_inside(panel: Panel, place: str = "best") -> None:
 
 
 def log_scale(panel: Panel, *names: str) -> None:
-    """Make axes "x" or "y" logarithmic, with plain numbers at 1, 2 and 5."""
+    """Make the axes named "x" or "y" logarithmic, with plain numbers at 1, 2 and 5."""
     for name in names:
         getattr(panel, f"set_{name}scale")("log")
         plain_log_ticks(getattr(panel, f"{name}axis"))

@@ -254,7 +254,7 @@ def _convex_line(
     loss: Loss = "absolute",
     turn: float = 0.0,  # Residual at which Huber's loss becomes linear
 ) -> tuple[float, float]:
-    """Return the constrained optimum (log xi^2, 1 / beta)."""
+    """Return the optimum (log xi^2, 1 / beta) of the convex fit within its bounds."""
     import cvxpy as cp
 
     scale = float(bins.lag_m.max())

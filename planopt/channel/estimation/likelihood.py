@@ -105,7 +105,7 @@ class LikelihoodData:
 
     @property
     def is_whole(self) -> bool:
-        """Return whether there is only one window."""
+        """Return True if there is only one window."""
         return len(self.windows) == 1
 
     def part(self, taken: Mask) -> LikelihoodData:
@@ -436,7 +436,7 @@ def _interval_prior(
     latent_db2: Floats,  # (n, n) covariance of shadowing
     noise_db2: Floats,  # (n,) of the Gaussian measurements
 ) -> tuple[LatentPrior, float]:
-    """Return the prior of intervals given the Gaussian measurements, and log L of the latter."""
+    """Return the intervals' prior given the Gaussian measurements, and the log L of these."""
     # If rounded intervals may be needed to determine theta, log L is taken at the line; the
     # integral over theta is left to the prior's score and information.
     if data.intervals is None:

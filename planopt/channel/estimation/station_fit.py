@@ -253,7 +253,7 @@ def losses(surface: StationSurface, places_m: Floats) -> tuple[Floats, Floats]:
 
 
 def _mean_jacobian(positions_m: Floats, station: Station, n_pl: float) -> Floats:
-    """Return the Jacobian J (n, 4) of the mean by K_PL, n_PL and the position (x, y)."""
+    """Return the Jacobian J (n, 4) of the mean with respect to K_PL, n_PL, x and y."""
     # For a measurement at p the gradient with respect to q is ``10 n_PL / ln 10 (p - q) / d^2``.
     offset = positions_m - np.asarray(station.position_m)
     square = (offset**2).sum(axis=1) + station.height_m**2
@@ -351,7 +351,7 @@ def locate(
 
 
 def _line_surface(measurements: Measurements, station: Station) -> StationSurface:
-    """Return the likelihood surface for independent errors of the line's residual variance."""
+    """Return the likelihood surface for independent errors with the line's residual variance."""
     model = mean_model(measurements.positions_m, ~measurements.censored, station, True)
     line = least_squares(model, measurements)
     k_pl, n_pl = model.theta(line.coefficients)
@@ -380,7 +380,7 @@ def _clear_of(measurements: Measurements, station: Station) -> Station:
 
 
 def line_covariance_m2(measurements: Measurements, parameters: ChannelParameters) -> Floats | None:
-    """Return the sandwich covariance of the line's position; ``(2, 2)``, None if undetermined."""
+    """Return the sandwich covariance (2, 2) of the ``line`` position; None if undetermined."""
     line = _line_surface(measurements, parameters.station)
     fitted = station_surface(measurements, parameters, has_prior=False)
     if _is_at_edge(line, parameters.station):
@@ -427,7 +427,7 @@ def joint_covariance_m2(measurements: Measurements, parameters: ChannelParameter
 
 
 def theta_by_position(measurements: Measurements, parameters: ChannelParameters) -> Floats:
-    """Return the Jacobian B (2, 2) of generalised least-squares theta by the station's position."""
+    """Return the derivative B (2, 2) of theta with respect to the station's position."""
     # With S the position's covariance, theta's covariance grows by B S B', because the position's
     # error is uncorrelated with theta's error at the true position.
     surface = station_surface(measurements, parameters, has_prior=False)

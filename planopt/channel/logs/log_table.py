@@ -111,7 +111,7 @@ class LogTable:
         return [Cell(cells[at], self.file, line, name) for line, cells in self.rows]
 
     def numbers(self, name: str) -> list[Cell]:
-        """Return the cells of a numeric column with decimal points."""
+        """Return the cells of a numeric column, with decimal commas replaced by points."""
         cells = self.cells(name)
         commas = [cell for cell in cells if DECIMAL_COMMA.fullmatch(cell.text.strip())]
         if not commas:
@@ -139,7 +139,7 @@ class LogTable:
 
     @cached_property
     def folded(self) -> dict[str, str]:
-        """Return a mapping from lower-case letters and digits to column names."""
+        """Return the column names by their reduced forms from :func:`fold`."""
         return {fold(name): name for name in reversed(self.names)}
 
 

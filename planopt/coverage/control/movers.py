@@ -275,7 +275,7 @@ def _driven(
 
 @dataclass(frozen=True)
 class LawMover:
-    """Mover that applies the control laws with clipped speed."""
+    """Motion of agents by the control laws with clipped speed."""
 
     gains: Gains
     time_step_s: float
@@ -297,7 +297,7 @@ class LawMover:
 
 @dataclass(frozen=True)
 class RecedingMover:
-    """Receding-horizon mover, which executes the first move of each plan."""
+    """Motion of agents by the first moves of receding-horizon plans."""
 
     gains: Gains
     limits: MoveLimits

@@ -57,7 +57,7 @@ def run(
     workers: WorkersOption = 1,
     json: JsonOption = False,
 ) -> int:
-    """Solve all cases, or resume. Exit code 0, or 3 if the check rejects an answer."""
+    """Solve all cases that have no row yet. Exit codes: 0, or 3 if a check rejects a result."""
     from planopt.studies.bench_cases import ERROR, TABLE, library_cases, run_into
 
     cases = library_cases(
@@ -132,7 +132,7 @@ def check(
     workers: WorkersOption = 2,
     json: JsonOption = False,
 ) -> int:
-    """Solve the fast subset again. Exit code 0, or 1 if anything is worse than its reference."""
+    """Solve the fast subset again. Exit codes: 0, or 1 if a case is worse than its reference."""
     from time import perf_counter
 
     from planopt.studies.bench_cases import answers

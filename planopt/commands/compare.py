@@ -68,7 +68,7 @@ def compare(
     out: OutOption = None,
     json: JsonOption = False,
 ) -> int:
-    """Compare settings over seeds. Exit code 0 all verified, 3 not all, 4 a run not done.
+    """Compare settings over seeds. Exit codes: 0 all verified, 3 not all, 4 a run failed.
 
     Without settings, the comparison in the problem's own table compare is run.
     """

@@ -30,13 +30,13 @@ ProveOption = Annotated[
 
 @with_options(PlanningOptions)
 def solve(options: PlanningOptions, prove: ProveOption = None) -> int:
-    """Compute one plan from the start. Exit code 0 verified, 3 not verified, 4 no plan."""
+    """Compute one plan from the start. Exit codes: 0 verified, 3 not verified, 4 no plan."""
     return _perform("solve", options, prove_s=prove)
 
 
 @with_options(PlanningOptions)
 def simulate(options: PlanningOptions, animation: AnimationOption = False) -> int:
-    """Run the closed loop in the simulated channel. Exit code 0 verified, 3 not all, 4 not done."""
+    """Simulate the closed loop. Exit codes: 0 all verified, 3 not all, 4 the task failed."""
     return _perform("simulate", options, animation)
 
 
@@ -122,7 +122,7 @@ def check(
     ],
     json: JsonOption = False,
 ) -> int:
-    """Verify saved results from their files alone. Exit code 0 accepted, 3 rejected."""
+    """Verify saved results from their files alone. Exit codes: 0 accepted, 3 rejected."""
     from planopt.files.typed_json import encoded
     from planopt.planning.certificate import excused_in_words, excused_steps
     from planopt.planning.files.result_json import certificate_json, no_certificate_json

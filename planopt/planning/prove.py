@@ -48,22 +48,22 @@ PIECES = (8, 16, 32, 64, 128, 256)
 """Number of pieces into which each level of smoothing divides a route."""
 
 OFFSETS = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
-"""Sideways moves of a point in each pass, in units of the pass."""
+"""Sideways displacements of a point in each pass, in units of the pass."""
 
 WIDEST, NARROWEST = 0.25, 0.002
-"""First and last unit of a level, in lengths of its pieces."""
+"""First and last unit of a smoothing level, in lengths of its pieces."""
 
 FINEST = 2.0
-"""Shortest piece of a level, in spacings of the raster."""
+"""Minimum length of a piece, in spacings of the cost raster."""
 
 PASSES = 4
 """Maximum number of passes with the same unit."""
 
 RASTER_SHARE = 3e-3
-"""Spacing of the raster of costs, in diagonals of the workspace; values are interpolated."""
+"""Spacing of the cost raster, as a share of the workspace diagonal; values are interpolated."""
 
 RASTER_M = (0.2, 3.0)
-"""Smallest and largest spacing."""
+"""Minimum and maximum spacing of the cost raster."""
 
 
 def smooth_route(
@@ -73,7 +73,7 @@ def smooth_route(
     clearance_m: float,
     corners_m: NDArray[np.float64],  # (n, 2)
 ) -> NDArray[np.float64]:
-    """Return a route between the same ends that costs at most as much; (m, 2)."""
+    """Return a smoothed route (m, 2) between the same ends, which costs no more."""
     raster = CostRaster(metre_cost, bounds_m)
     total = float(np.linalg.norm(np.diff(corners_m, axis=0), axis=1).sum())
     route = corners_m
@@ -96,7 +96,7 @@ def smooth_route(
 
 
 class CostRaster:
-    """Cost of a metre at the nodes of a raster, computed where needed and interpolated."""
+    """Raster of costs per metre, computed where needed and interpolated."""
 
     def __init__(self, metre_cost: MetreCost, bounds_m: tuple[float, float, float, float]) -> None:
         self._metre_cost = metre_cost
@@ -139,7 +139,7 @@ def _taut(
     clearance_m: float,
     corners_m: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the route over the corners (n, 2) with the cheapest straight legs."""
+    """Return the cheapest route with straight legs between some of the corners (n, 2)."""
     count = len(corners_m)
     cost, before = np.full(count, np.inf), np.zeros(count, dtype=int)
     cost[0] = 0.0
@@ -166,7 +166,7 @@ def _moved(
     route_m: NDArray[np.float64],
     unit_m: float,
 ) -> NDArray[np.float64]:
-    """Return the cheapest route with each inner point moved sideways; its ends stay."""
+    """Return the cheapest route after one pass of sideways moves; its ends stay."""
     along = np.zeros_like(route_m)
     along[1:-1] = route_m[2:] - route_m[:-2]
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-12)[:, None]
@@ -180,7 +180,7 @@ def _moved(
     legs = raster.legs_m(starts, ends)
     clear = segments_clear(index, starts, ends, clearance_m)
     legs = np.where(clear, legs, np.inf).reshape(count - 1, choices, choices)
-    # The present route may be closer to an obstacle than the clearance with its pad.
+    # The current route may violate the clearance with its pad.
     still = choices // 2
     present = raster.legs_m(route_m[:-1], route_m[1:])
     legs[:, still, still] = np.minimum(legs[:, still, still], present)
@@ -190,7 +190,7 @@ def _moved(
     for k in range(1, count):
         through = cost[:, None] + legs[k - 1]
         before[k] = through.argmin(axis=0)
-        # Prefer the present point, so that equal costs end the passes.
+        # Ties keep the current point, so that equal costs end the passes.
         tie = through[still] <= through.min(axis=0) + 1e-12
         before[k][tie] = still
         cost = np.take_along_axis(through, before[k][None], axis=0)[0]
@@ -201,10 +201,10 @@ def _moved(
 
 
 ROUND = np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]), axis=-1).reshape(-1, 2)
-"""Moves of a position of a plan in each pass, in units of the pass; no move is in the middle."""
+"""Displacements of a plan's position in each pass, in units of the pass; the middle one is zero."""
 
 STEP_UNITS = 0.25 * 0.5 ** np.arange(7)
-"""Units of the passes over the positions of a plan, in longest steps."""
+"""Units of the passes over a plan's positions, in longest steps."""
 
 STEP_PASSES = 6
 """Maximum number of passes with the same unit."""

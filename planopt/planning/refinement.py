@@ -62,7 +62,7 @@ def candidate_of(
     solve_s: float,
     drive: Drive | None = None,
 ) -> Candidate:
-    """Return the unverified candidate of a refined path."""
+    """Return a refined path as a candidate, not yet verified."""
     path = point.path_m if drive is None else drive.positions_m[1:]
     return replace(
         scorer.candidate(path, rung, point.termination, drive),
@@ -75,14 +75,14 @@ def candidate_of(
 
 
 LOCAL_PAD_DB = 0.04
-"""Margin added to the corrected bound: nine of ten returned paths have a smaller error (48
-neighbours, 1,000 measurements, xi 4, beta 20 m)."""
+"""Pad of a tightened bound in dB. Nine of ten returned paths have a smaller error (48 neighbours,
+1,000 measurements, xi 4 dB, beta 20 m)."""
 
 GIVEN_UP_DB = 1e-3
-"""Slack up to this value counts as solver tolerance."""
+"""Slack in dB that counts as solver tolerance."""
 
 MISSING_DB_COST = 100.0
-"""Cost per dB of slack in the solver if the bound cannot be met."""
+"""Cost per dB of slack in the solver if the guess violates the constraint beyond the slack."""
 
 
 def tightened(
@@ -127,10 +127,10 @@ def with_bounds(task: PathTask, context: StepContext, rows: RuleRows) -> PathTas
 def lacks(
     context: StepContext, rows: RuleRows, point: RefinedPath, *, firmly: bool = False
 ) -> bool:
-    """Return whether a returned path violates a bound that it meets by the local model.
+    """Return whether a solver's path violates a constraint that it satisfies by the local model.
 
-    With `firmly` a margin below the error of the search's predictions counts as a violation, since
-    its verification may be expensive.
+    With `firmly`, a margin below the error of search predictions counts as a violation, since
+    verification may be expensive.
     """
     if not len(point.slack_db) or not np.isfinite(point.path_m).all():
         return False
@@ -141,7 +141,7 @@ def lacks(
 
 
 def recentred(task: PathTask, context: StepContext, rows: RuleRows, point: RefinedPath) -> PathTask:
-    """Return the task corrected by the local model's error at a returned path."""
+    """Return the task with bounds corrected by the local model's error at a solver's path."""
     task = moved(task, context, rows, point.path_m)
     power = context.predicted(point.path_m)
     return replace(task, bound=tightened(task, rows, power, feasible=False))
@@ -150,21 +150,21 @@ def recentred(task: PathTask, context: StepContext, rows: RuleRows, point: Refin
 def moved(
     task: PathTask, context: StepContext, rows: RuleRows, path_m: NDArray[np.float64]
 ) -> PathTask:
-    """Return the task for another path (N, 2), with the local channel near it."""
+    """Return the task for another path (N, 2), with the local channel model around this path."""
     return replace(task, path_m=path_m, evaluate=local_value(context, path_m, rows))
 
 
 LINES_PER_SEGMENT = 2
-"""Number of convex pieces that each segment is separated from; the verifier checks all."""
+"""Number of nearest convex pieces with a separating line per segment; the verifier checks all."""
 
 ALLOCATIONS = 6
-"""Maximum number of refinements that redistribute the total risk over the steps."""
+"""Maximum number of refinements, each of which redistributes the total risk over the steps."""
 
 VALUE_IN_SOLVER = 10.0
-"""Scaled value of the guess in the solver, whose tolerances are absolute."""
+"""Value to which the guess's objective is scaled, since solver tolerances are absolute."""
 
 RETURNED = frozenset((Termination.CONVERGED, Termination.ACCEPTABLE))
-"""Terminations after which another solve may start from the returned point."""
+"""Terminations whose point may be the guess of another solve."""
 
 
 class GuessRefinement:
@@ -177,7 +177,7 @@ class GuessRefinement:
         self._nlp_for(obstacles_ahead(problem, 0))
 
     def _nlp_for(self, discs: MovingDiscs) -> PathNlp:
-        """Return the programme with lines for these moving discs, built on first use."""
+        """Return the programme with lines for certain moving discs, cached by their number."""
         settings = self._problem.planner
         lines = LINES_PER_SEGMENT + moving_count(discs) + tail_count(discs, settings.horizon)
         if lines not in self._built:
@@ -209,7 +209,7 @@ class GuessRefinement:
         rung: Rung,
         budget: Budget | None = None,
     ) -> list[Candidate]:
-        """Return the verified candidates of a guess; none once the budget is spent."""
+        """Return refined candidates of a guess, verified; none once the budget is spent."""
         budget = Budget() if budget is None else budget
         problem, moving = self._problem, context.moving
         nlp = self._nlp_for(moving)
@@ -251,7 +251,7 @@ class GuessRefinement:
             solve_s, lattice = perf_counter() - begun, scorer.sense * guess.value
             candidate = candidate_of(scorer, point, rung, lattice, solve_s, drive)
             if lacks(context, rows, point, firmly=attempt == 0):
-                # The local model was inaccurate, and a verification would be expensive.
+                # The local model was inaccurate, and verification is expensive.
                 found.append(candidate)
                 if budget.spent or point.termination not in RETURNED:
                     return found
@@ -259,7 +259,7 @@ class GuessRefinement:
                 continue
             improvable = guess.clear and guess.missing_db == 0.0 and not allocations
             if improvable and scorer.score(candidate) < guess.value:
-                # The guess itself will be verified instead.
+                # The guess itself is verified instead.
                 return [*found, candidate]
             candidate = scorer.assessed(candidate)
             if candidate.relaxes:
@@ -285,7 +285,7 @@ class GuessRefinement:
     def _repaired(
         self, task: PathTask, context: StepContext, candidate: Candidate
     ) -> PathTask | None:
-        """Return the task with lines for the path's violations; None if there are none."""
+        """Return the task with lines for a candidate's collisions; None if there are none."""
         if candidate.sound or not np.isfinite(candidate.path_m).all():
             return None
         discs = context.moving
@@ -338,7 +338,7 @@ class GuessRefinement:
 
 
 def _driven_from(task: PathTask, drive: Drive | None) -> PathTask:
-    """Return the task that starts from a drive; unchanged for the single integrator."""
+    """Return the task with a drive as guess; unchanged for the single integrator."""
     if task.motion is None or drive is None:
         return task
     return replace(task, motion=replace(task.motion, drive=drive))

@@ -1,10 +1,10 @@
-"""Reservations that robots keep clear of while others plan, and distances between robots.
+"""Reservations: motions that all other robots avoid, and distances between robots.
 
-The *reservation* of a robot is the remainder of its last released plan, then braking and waiting.
-Before the first plan it is braking from the start. Each plan, including its braking, keeps the
+The *reservation* of a robot is the remainder of its last released plan, then braking and waiting;
+before the first plan, it is braking from the start. Each plan, including its braking, keeps the
 separation from the plans made in this step and from the reservations of robots that plan later.
-Every robot can therefore follow its reservation instead of a plan, and separated reservations stay
-separated in the next step. Loading a problem checks the separation of the starts.
+Every robot can therefore follow its reservation instead of a new plan, and separated reservations
+stay separated in the next step. Loading a problem checks the separation of the starts.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def reserved_path(
 def reserved_motion(
     problem: Problem, number: int, state: NDArray[np.float64], last: Plan | None
 ) -> TimedMotion:
-    """Return the reservation of robot `number` for the steps ahead."""
+    """Return the reservation of robot `number` over the steps ahead."""
     step_s, steps = problem.planner.step_s, steps_ahead(problem)
     if last is None:
         dynamics = problem.robots[number].dynamics
@@ -76,12 +76,12 @@ def discs_to_avoid(problem: Problem, driven: int, others: Mapping[int, TimedMoti
 
 
 def others_of(motions: Sequence[TimedMotion], number: int) -> dict[int, TimedMotion]:
-    """Return the motions of all robots except one, by number."""
+    """Return the motions of all robots except robot `number`, by robot number."""
     return {other: motion for other, motion in enumerate(motions) if other != number}
 
 
 def with_separations(problem: Problem, driven: int, plans: Sequence[Plan]) -> list[Plan]:
-    """Return the plans of one step with their mutual separations added."""
+    """Return the plans of one step, with the robots' mutual separations in their certificates."""
     motions = [planned_motion(problem, plan) for plan in plans]
     found: list[Plan] = []
     for number, plan in enumerate(plans):
@@ -93,7 +93,7 @@ def with_separations(problem: Problem, driven: int, plans: Sequence[Plan]) -> li
 
 
 def least_separations_m(motions: Sequence[TimedMotion]) -> NDArray[np.float64]:
-    """Return the minimum distance of any two robots during each step; ``(n,)``."""
+    """Return the minimum distance between any two robots in each step; ``(n,)``."""
     steps = motions[0].steps
     return np.min([step_distances_m(a, b, steps) for a, b in combinations(motions, 2)], axis=0)
 

@@ -1,7 +1,7 @@
-"""Geometry of a run: obstacles and lattice, built once, and paths over them.
+"""Geometry of a run: obstacles and lattice, built once, and shortest paths.
 
-A guess that passes a corner one step late stays late in refinement, because separating lines belong
-to segments. Sampling at cruising speed (:func:`retime`) lets it pass the corner in time.
+A guess that passes a corner one step late stays late in refinement, because each separating line
+belongs to a segment. Sampling the guess at cruising speed (:func:`retime`) avoids this.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from planopt.world.separation import PackedPieces, pack_pieces
 
 @dataclass(frozen=True)
 class Ground:
-    """Free space for planning: obstacles, convex pieces, lattice."""
+    """Obstacles, their convex pieces, and the lattice of the free space."""
 
     index: ObstacleIndex  # Exact obstacles, for the verifier
     pieces: PackedPieces  # Convex pieces, for the solver
@@ -45,7 +45,7 @@ def build_ground(
 ) -> Ground:
     """Return the geometry of a problem, with a lattice node at `anchor_m` (2,).
 
-    If the ground `shared` of another robot is given, its obstacles are reused.
+    `shared` is the ground of another robot, whose obstacles are reused.
     """
     workspace = problem.workspace
     return Ground(
@@ -72,12 +72,12 @@ class Scene:
 
     @property
     def index(self) -> ObstacleIndex:
-        """Return the exact obstacles, for the verifier."""
+        """Return the index of the exact obstacles, for the verifier."""
         return self.ground.index
 
     @property
     def pieces(self) -> PackedPieces:
-        """Return the convex pieces, for the solver."""
+        """Return the obstacles' convex pieces, for the solver."""
         return self.ground.pieces
 
     @property
@@ -143,7 +143,7 @@ def build_scenes(
 
 
 def _why_no_path(problem: Problem, spacing_m: float, place_m: NDArray[np.float64]) -> str:
-    """Return whether obstacles cut the goal off or the lattice is too coarse, in words."""
+    """Return text on why no path exists: closed obstacles, or too coarse a lattice."""
     start_m = tuple(place_m.tolist())
     what = "the start" if start_m == problem.robots[0].start_m else "the position"
     robot = replace(problem.robots[0], start_m=start_m)
@@ -182,7 +182,7 @@ def free_ends(
 
 
 STRAIGHT_SHARE = 1e-9
-"""Least difference of two legs' directions that counts as a turn."""
+"""Minimum difference of two legs' directions that counts as a turn."""
 
 
 class PathsFrom:
@@ -211,7 +211,7 @@ class PathsFrom:
         return segments_clear(self._ground.index, starts, places_m, self._wanted_m)
 
     def turns_m(self, node: int, end_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the turns (m, 2) of the path to a position (2,) next to `node`, ends included."""
+        """Return both ends and the turns of the path to a position (2,) next to `node`; (m, 2)."""
         if self._cost_to_go is None:
             raise AssertionError("no node is reachable")
         nodes = route_from(self._ground.road_map, self._cost_to_go, node, math.inf)[::-1]
@@ -225,7 +225,7 @@ def taut_turns(
     corners_m: NDArray[np.float64],  # (n, 2)
     is_cheap: Callable[[int], NDArray[np.bool_]] | None = None,
 ) -> NDArray[np.float64]:
-    """Return the turns (m, 2) of a taut path: each turn is the farthest one visible from the last.
+    """Return the turns (m, 2) of a path, each the farthest corner visible from its predecessor.
 
     `is_cheap` maps a corner's index to a mask of the later corners with a cheap straight leg.
     """
@@ -237,14 +237,14 @@ def taut_turns(
         if is_cheap is not None:
             allowed &= is_cheap(last)
         seen = np.flatnonzero(allowed)
-        # The next corner is one move away and needs no test of clearance or cost.
+        # The next corner is one move away, so clearance and cost need no test.
         last += 1 + (int(seen[-1]) if len(seen) else 0)
         turns.append(corners_m[last])
     return np.array(turns)
 
 
 def stops_along(corners_m: NDArray[np.float64], longest_m: float) -> NDArray[np.float64]:
-    """Return stops (s, 2) at every turn of the path through `corners_m` (n, 2), and in between."""
+    """Return stops (s, 2) along a path, at its turns and at most `longest_m` apart."""
     legs = np.diff(corners_m, axis=0)
     length = np.linalg.norm(legs, axis=1)
     corners = corners_m[np.concatenate([[True], length > 0.0])]
@@ -265,7 +265,7 @@ def retime(
     beyond_m: NDArray[np.float64],  # (b, 2)
     step_m: float,
 ) -> NDArray[np.float64]:
-    """Sample the polyline of a path again, N positions `step_m` apart; ``(N, 2)``."""
+    """Return N positions `step_m` apart along the polyline of a path and its route; ``(N, 2)``."""
     horizon = len(path_m)
     arrived = horizon > 1 and bool((path_m[-1] == path_m[-2]).all())
     line = np.vstack([start_m, path_m] if arrived else [start_m, path_m, beyond_m])

@@ -1,11 +1,11 @@
-"""Initial guesses for objectives that couple the positions of a path: a fan of straight paths.
+"""Initial guesses for objectives that couple the positions of a path: a fan of paths.
 
 All paths are extended together, step by step. If the next step of a path would leave free space,
-the path turns aside by the smallest sufficient angle. Meanwhile a raster of clearances decides;
-afterwards every segment is checked exactly, and a path stops before its first blocked segment.
+the path turns aside by the smallest sufficient angle, according to a raster of clearances. Finally,
+every segment is checked exactly, and a path stops before its first blocked segment.
 
-Paths to the base station are added while path loss is uncertain: a measurement next to the station
-is the most informative one, and the fan may have no path near it.
+While path loss is uncertain, paths to the base station are added: measurements next to the station
+are most informative, and the fan may have no path near it.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ MAX_CELLS = 250_000
 
 @dataclass(frozen=True, eq=False)
 class RoughClearance:
-    """Clearances at the corners of square cells over the workspace."""
+    """Raster of clearances at the corners of square cells over the workspace."""
 
     origin_m: NDArray[np.float64]  # (2,) of corner [0, 0]
     cell_m: float  # Side length of a cell
@@ -51,7 +51,7 @@ class RoughClearance:
     bounds_m: tuple[float, float, float, float]  # (x_min, y_min, x_max, y_max)
 
     def is_free(self, places_m: NDArray[np.float64], clearance: float) -> NDArray[np.bool_]:
-        """Return whether positions (..., 2) are in bounds and have about this clearance."""
+        """Return a mask of positions (..., 2) that are in bounds with about this clearance."""
         x_min, y_min, x_max, y_max = self.bounds_m
         x, y = places_m[..., 0], places_m[..., 1]
         inside = (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
@@ -67,7 +67,7 @@ class RoughClearance:
 
 
 def rough_clearance(problem: Problem, index: ObstacleIndex) -> RoughClearance:
-    """Return the clearances at the corners of all cells."""
+    """Return the raster of clearances of a problem's workspace."""
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     width, height = x_max - x_min, y_max - y_min
     cell = max(problem.step_length_m / CELLS_PER_STEP, math.sqrt(width * height / MAX_CELLS))
@@ -84,12 +84,12 @@ HEADINGS = 16
 """Number of directions of the fan."""
 
 TURNS_RAD = (0.0, 0.5, -0.5, 1.0, -1.0)
-"""Total turns of the paths as multiples of pi, spread evenly over the steps."""
+"""Total turns of the fan's paths as multiples of pi, spread evenly over the steps."""
 
 ASIDE_RAD = tuple(
     side * turn for turn in (0.0, 0.4, 0.8, 1.2, 1.6, 2.2, 2.8) for side in (1.0, -1.0)
 )[1:]
-"""Turns probed at a blocked step, smallest first."""
+"""Turns to try at a blocked step, smallest first."""
 
 SAMPLES = (0.5, 1.0)
 """Positions along a step at which the raster is read, as fractions of the step."""
@@ -98,7 +98,7 @@ SAMPLES = (0.5, 1.0)
 def fan_paths(
     context: StepContext, index: ObstacleIndex, rough: RoughClearance, horizon: int
 ) -> NDArray[np.float64]:
-    """Return the fan (c, N, 2): free paths at full speed."""
+    """Return the fan (c, N, 2) of collision-free paths at full speed."""
     heading, turn = (
         grid.ravel()
         for grid in np.meshgrid(
@@ -118,7 +118,7 @@ def driven_paths(
     turn_rad: NDArray[np.float64],  # (N, c) before each step; the first is a heading
     speed: NDArray[np.float64],  # (N, c) relative to the maximum speed
 ) -> NDArray[np.float64]:
-    """Drive c paths at once and return them; ``(c, N, 2)``."""
+    """Return c paths that follow commands of turns and speeds around obstacles; ``(c, N, 2)``."""
     problem = context.problem
     clear = problem.constraints.clearance_m + CLEARANCE_PAD_M
     longest = problem.step_length_m - STEP_PAD_M
@@ -191,7 +191,7 @@ def _stopped(
     count, places = len(paths_m), int(paths_m.shape[1])
     starts, ends = paths_m[:, :-1].reshape(-1, 2), paths_m[:, 1:].reshape(-1, 2)
     free = inside_bounds(context.problem.workspace, ends)
-    # Half a step to each side of the midpoint; the raster's error is below one cell.
+    # The clearance at the midpoint covers the half steps around it; raster errors are below a cell.
     far = clear_m + 0.5 * context.problem.step_length_m + rough.cell_m
     near = free & ~rough.is_free(0.5 * (starts + ends), far)
     free[near] = segments_clear(index, starts[near], ends[near], clear_m)
@@ -210,21 +210,21 @@ ONWARD = 8
 """Number of directions in which paths continue from the station."""
 
 DETOURS = 2
-"""Maximum number of additional steps of the arcs to the station."""
+"""Maximum number of steps by which arcs to the station exceed the straight path."""
 
 HALVINGS = 40
 """Number of bisections for the curvature of an arc."""
 
 Commands = tuple[NDArray[np.float64], NDArray[np.float64]]
-"""Turns and speeds ``(N, c)``."""
+"""Commands of c paths: turns and relative speeds ``(N, c)`` of the steps."""
 
 
 def commands_via(
     start_m: NDArray[np.float64], place_m: NDArray[np.float64], horizon: int, longest_m: float
 ) -> Commands | None:
-    """Return commands to a position, straight or in an arc, then on in all directions or waiting.
+    """Return commands of paths to a position, straight or in an arc, then onward or waiting.
 
-    None if the position is unreachable within the horizon.
+    None if the position is not reachable within the horizon.
     """
     # Shapes: start_m, place_m (2,).
     offset = (place_m - start_m) / longest_m
@@ -241,7 +241,7 @@ def commands_via(
 
 
 def arc_turn(chord: float, steps: int) -> float:
-    """Return the turn a of `steps` unit steps whose ends are `chord` apart.
+    """Return the turn a per step with which `steps` unit steps end at distance `chord`.
 
     ``chord = sin(steps a / 2) / sin(a / 2)`` decreases from `steps` to 0 for a in
     (0, 2 pi / steps).
@@ -268,16 +268,16 @@ def _onward(heading: float, bend: float, speed: float, steps: int, horizon: int)
 
 
 ELITE, ROUNDS_BENT, NARROWING = 8, 3, 0.6
-"""Number of paths varied per round, number of rounds, factor of the deviations per round."""
+"""Number of paths varied per round, number of rounds, factor on standard deviations per round."""
 
 BENT, NUDGED, NUDGED_PLACES = 8, 6, 3.0
-"""Number of bent and of nudged copies of each path; mean number of nudged positions in a copy."""
+"""Number of bent and nudged copies of each path, and mean number of nudged positions per copy."""
 
 BEND_RAD, NUDGE_SHARE = 0.8, 0.4
 """Initial standard deviations of a bend, and of a nudge relative to the longest step."""
 
 FIRST_SHARE, EVEN_SHARE, SPEED_SHARE = 0.5, 2.0, 0.5
-"""Standard deviations of first heading, uniform turn and speed, relative to that of a bend."""
+"""Standard deviations of first heading, uniform turn and speed, relative to a bend's."""
 
 SEED, RANKED = 0, 4
 """Seed of the random variations, the same at every step; number of returned paths."""
@@ -291,9 +291,9 @@ def varied_paths(
     value: Callable[[NDArray[np.float64]], NDArray[np.float64]],
     budget: Budget = UNLIMITED,
 ) -> NDArray[np.float64]:
-    """Bend and nudge the best paths at random in a few rounds; return the best distinct ones.
+    """Return the best distinct paths after a few rounds of random bends and shifts of positions.
 
-    For terms without gradients this finds maxima that the fan misses, such as short first steps.
+    If terms have no gradients, this finds maxima that the fan misses, such as short first steps.
     """
     generator = np.random.default_rng(SEED)
     horizon, apart = int(paths_m.shape[1]), APART_STEPS * longest_m
@@ -344,7 +344,7 @@ def _nudged(
 def _bends(
     horizon: int, count: int, width_rad: float, generator: np.random.Generator
 ) -> NDArray[np.float64]:
-    """Return turns (N, c): of the first heading, uniform over all steps, and at one random step."""
+    """Return random turns (N, c): at the first step, equal at all steps, and at a random step."""
     turn = np.zeros((horizon, count))
     turn[0] = FIRST_SHARE * width_rad * generator.normal(size=count)
     if horizon > 1:
@@ -355,14 +355,14 @@ def _bends(
 
 
 CLIMBING = 12
-"""Number of paths that climb initially."""
+"""Number of paths that enter gradient ascent."""
 
 ROUNDS, FOLLOWED = (3, 3, 4), (6, 3, 3)
-"""Numbers of climbing steps per round, and of paths kept after each round."""
+"""Number of ascent steps in each round, and number of paths kept after each round."""
 
 
 class FanGuesses:
-    """Search for initial guesses of one robot; caches the raster of clearances."""
+    """Search for initial guesses of one robot; it caches the raster of clearances."""
 
     def __init__(self, problem: Problem, ground: Ground) -> None:
         self._problem = problem
@@ -375,7 +375,7 @@ class FanGuesses:
         known_m: list[NDArray[np.float64]],
         budget: Budget = UNLIMITED,
     ) -> list[NDArray[np.float64]]:
-        """Return the best distinct paths (N, 2), best first by the local ranking."""
+        """Return the best distinct paths (N, 2), best first by local ranking."""
         fan = fan_paths(context, self._index, self._rough, self._problem.planner.horizon)
         longest = self._problem.step_length_m - STEP_PAD_M
         climbs = can_climb(self._problem)

@@ -1,10 +1,10 @@
 """Initial guess of a plan to a goal: the cheapest lattice path at the outage price.
 
 The cost-to-go is the length of the cheapest path to the goal; each metre is weighted by
-``1 + outage_price (1 - P)``. Dynamic programming finds the path of N steps with the same costs. A
-connectivity rule over several steps is searched under guides
-(:class:`planopt.planning.values.rule_rows.Guide`). The search returns the cheapest path that
-satisfies the rule, unless its progress is less than half of the cheapest path's: a robot that
+``1 + outage_price (1 - P)``. Dynamic programming finds the path of N steps with the same costs. For
+a connectivity rule over several steps, searches with guides
+(:class:`planopt.planning.values.rule_rows.Guide`) propose paths. The cheapest one that satisfies
+the rule is returned, unless its progress is less than half of the cheapest path's: a robot that
 satisfies the rule by waiting would never arrive.
 """
 
@@ -38,18 +38,18 @@ from planopt.world.lattice import CostToGo, lattice_paths, route_from
 from planopt.world.moving_discs import MovingDiscs
 
 FORBIDDEN = 1e6
-"""Cost of a metre that violates a hard bound; it exceeds the cost of any path."""
+"""Cost of a metre that violates a hard constraint; it exceeds the cost of any path."""
 STAGNANT_STEPS = 0.75
-"""A path that stays within this many longest steps of the robot makes no progress."""
+"""Distance, in longest steps, that a path must leave the robot's position to count as progress."""
 LEAST_PROGRESS = 0.5
-"""Least progress of a path that satisfies a rule, relative to the cheapest path."""
+"""Minimum progress of a path that satisfies a rule, relative to the cheapest path."""
 OUT_OF_BOUND_STEP_S = 1e5
-"""Penalty of a step below a guide's level; it exceeds any time that can be saved."""
+"""Penalty in seconds of a step below a guide's level; it exceeds any time that can be saved."""
 MISSING_DB_S = 1e3
-"""Penalty per missing dB; it ranks paths with equally many steps below the level."""
+"""Penalty in seconds per missing dB, which ranks paths with equally many steps below the level."""
 BACK_STEPS = 10
-"""A plan ends at a node whose cost-to-go exceeds the robot's by at most this many longest steps,
-unless other robots or a rule require it; other nodes need no cost-to-go."""
+"""Number of longest steps by which the cost-to-go may grow over a plan, unless other robots or a rule
+require more. Nodes beyond this limit need no cost-to-go."""
 CORRECTION_ROUNDS = 8
 """Maximum number of searches, each with corrected predictions along the last path."""
 
@@ -59,22 +59,22 @@ class GlobalStart:
     """Initial guess of a plan to a goal, with its route and costs."""
 
     nodes: NDArray[np.intp]  # (N,) lattice nodes
-    path_m: NDArray[np.float64]  # (N, 2) their positions
-    margin_db: NDArray[np.float64]  # (N,) their connectivity margins
+    path_m: NDArray[np.float64]  # (N, 2) positions of the nodes
+    margin_db: NDArray[np.float64]  # (N,) connectivity margins of the nodes
     route_m: NDArray[np.float64]  # (r, 2) route from its end to the goal
     # (b, 2) first part of the route: connected and reachable in N steps
     beyond_m: NDArray[np.float64]
-    # Cost-to-go of the nodes, in metres; infinite where it was not computed
+    # Cost-to-go of all nodes, in metres; infinite where it was not computed
     cost_to_go: CostToGo
-    metre_cost: NDArray[np.float64]  # (n,) cost of a metre at every node
-    is_blocked: bool  # Whether path or route violate a hard bound
+    metre_cost: NDArray[np.float64]  # (n,) cost per metre at every node
+    is_blocked: bool  # Whether path or route violates a hard constraint
     is_direct: bool = False  # Whether it is released unchanged, after detours
     # Whether it is released unchanged, clear of other robots' paths
     gives_way: bool = False
 
 
 class GlobalSearch:
-    """Search for initial guesses of plans to a goal; caches the map of the channel."""
+    """Search for initial guesses of plans to a goal; it caches the predicted channel map."""
 
     def __init__(self, problem: Problem, scene: Scene, others: int = 0) -> None:
         self._problem = problem
@@ -127,7 +127,7 @@ class GlobalSearch:
     def clear_course(
         self, position_m: NDArray[np.float64], start: GlobalStart, discs: MovingDiscs
     ) -> tuple[GlobalStart, NDArray[np.float64], TimedPath] | None:
-        """Return a path to the goal that keeps clear of moving discs; None if there is none."""
+        """Return a path to the goal that avoids moving discs; None if there is none."""
         # Shapes: position_m (2,).
         problem, scene = self._problem, self._scene
         nodes, lengths = first_moves(scene.ground, problem, position_m)
@@ -154,7 +154,7 @@ class GlobalSearch:
         others_m: NDArray[np.float64],
         steps: int,
     ) -> tuple[GlobalStart, NDArray[np.float64], TimedPath] | None:
-        """Return a path to a refuge off the others' positions (k, 2); as :meth:`clear_course`."""
+        """Return a path to a refuge away from others (k, 2); as :meth:`clear_course`."""
         problem, scene = self._problem, self._scene
         found = search_room(
             scene.road_map,
@@ -168,7 +168,7 @@ class GlobalSearch:
     def _given(
         self, position_m: NDArray[np.float64], start: GlobalStart, found: TimedPath, steps: int
     ) -> tuple[GlobalStart, NDArray[np.float64], TimedPath]:
-        """Return the first steps of a timed path, its positions over all `steps`, and the path."""
+        """Return a timed path as an initial guess, as positions over all `steps`, and unchanged."""
         problem, places = self._problem, self._scene.road_map.nodes_m
         horizon = problem.planner.horizon
         first = found.nodes[:horizon]
@@ -187,11 +187,11 @@ class GlobalSearch:
         return given, timed_places(way, places[found.route], step_m, steps), found
 
     def _has_wandered(self, history: History) -> bool:
-        """Return whether a run has circled or exceeds the cost bound of the direct path.
+        """Return whether a run has circled or is longer than the cost of the shortest path.
 
-        The shortest path, out of contact throughout, costs ``1 + outage_price`` times its length. A
+        Out of contact throughout, the shortest path costs ``1 + outage_price`` times its length. A
         robot that has driven this far takes the shortest path, so that its run is at most
-        ``3 + 2 outage_price`` times as long as the shortest path.
+        ``3 + 2 outage_price`` times as long as that path.
         """
         if self._forbids:
             return False
@@ -201,7 +201,7 @@ class GlobalSearch:
     def _cost_to_go_from(self, position_m: NDArray[np.float64]) -> CostToGo:
         """Return the cost-to-go to the goal near the robot and near the end of its plan.
 
-        The search radius follows from the cost-to-go one step ago; if it is too small, the search
+        The search radius follows from the cost-to-go one step ago. If it is too small, the search
         covers all nodes.
         """
         scene, metre_cost = self._scene, self._metre_cost()
@@ -226,7 +226,7 @@ class GlobalSearch:
     ) -> NDArray[np.intp]:
         """Return the cheapest path that satisfies the rule and makes enough progress.
 
-        The fallback is `cheapest`. With a slack limit the rule has priority over progress.
+        If there is none, return `cheapest`. With a slack limit, the rule takes priority over progress.
         """
         found: dict[bytes, NDArray[np.intp]] = {}
         places = self._scene.road_map.nodes_m
@@ -346,7 +346,7 @@ class GlobalSearch:
         return nodes
 
     def _penalty_s(self, guide: Guide) -> NDArray[np.float64]:
-        """Return the penalties (N, n) of ending steps at nodes; credits are negative."""
+        """Return the penalties (N, n) in seconds of ending steps at nodes, negative for credits."""
         margins, threshold = self.margins, self._problem.stations[0].threshold_dbm
         penalty = np.zeros((len(guide.bounded), len(margins.mean_db)))
         if guide.bounded.any():

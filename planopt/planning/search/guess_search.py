@@ -1,8 +1,8 @@
 """Initial guesses for sums of terms: the best distinct paths found by search.
 
-The lattice is searched stage by stage. The reward of ending a step at a node is exact for terms
-that are additive over steps. Terms that couple the positions of a path are approximated by the
-value of each position alone.
+Dynamic programming searches the lattice stage by stage. The reward of ending a step at a node is
+exact for terms that are additive over steps. Terms that couple the positions of a path are
+approximated by the sum of the values of single positions.
 """
 
 from __future__ import annotations
@@ -45,12 +45,12 @@ Nodes = tuple[NDArray[np.intp], NDArray[np.intp]]
 """Rows and columns of individual nodes."""
 
 MISSING_DB_SHARE = 10.0
-"""Cost of a missing dB relative to the largest reward of a step: a violated bound outweighs the
-reward of all steps."""
+"""Cost of a missing dB relative to the largest reward of a step, so that a violated constraint
+outweighs the rewards of all steps."""
 
 
 class StageRewards:
-    """Rewards of the steps in one step context."""
+    """Rewards of lattice nodes at each stage of a plan, in one step context."""
 
     def __init__(self, context: StepContext, field: NodeField, guide: Guide) -> None:
         self._context = context
@@ -65,7 +65,7 @@ class StageRewards:
                 alone = term.weight * found
                 self._alone = alone if self._alone is None else self._alone + alone
         self._largest = self._largest_reward()
-        # Blocked or unreachable nodes keep these values.
+        # Blocked or unreachable nodes keep these initial values.
         self._chance, self._fixed = np.zeros(shape), np.full(shape, -np.inf)
         # Rewards of unconstrained steps.
         self._unbounded = self._fixed if guide.bounded.all() else self._fixed.copy()
@@ -77,7 +77,7 @@ class StageRewards:
         return self._rewards(window, stage - 1)
 
     def along(self, nodes: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Return the reward of ending step k at the k-th of `nodes` (N, 2), rows (iy, ix)."""
+        """Return the rewards of ending step k at the k-th of `nodes` (N, 2), given as (iy, ix)."""
         return self._rewards((nodes[:, 0], nodes[:, 1]), np.arange(len(nodes)))
 
     def corrected(self, nodes: NDArray[np.intp]) -> None:
@@ -99,7 +99,7 @@ class StageRewards:
         return reward
 
     def _look_at(self, where: Window | Nodes) -> None:
-        """Compute the stage-independent part of the rewards."""
+        """Compute the stage-independent part of the rewards of some nodes."""
         problem = self._context.problem
         radio = problem.stations[0]
         mean, deviation = self._field.mean_db[where], self._field.deviation_db[where]
@@ -125,9 +125,9 @@ class StageRewards:
 
 
 def move_values(problem: Problem, lengths_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the value of moves of these lengths: minus their energy.
+    """Return the values of moves of these lengths: minus the energy of motion.
 
-    Waiting is excluded if repeated measurements at one position are redundant.
+    Waiting is excluded if another measurement at the same position is redundant.
     """
     value = np.zeros(len(lengths_m))
     for term in problem.terms:
@@ -142,25 +142,25 @@ GUESSES = 2
 """Maximum number of returned guesses."""
 
 COUPLED_GUESSES = 3
-"""Maximum number for terms that couple positions, whose objective has more maxima."""
+"""Maximum number of returned guesses if terms couple positions and thus have more maxima."""
 
 CORRECTIONS = 6
 """Maximum number of repeated searches with corrected predictions along the path."""
 
 SETTLED_SHARE = 1e-3
-"""Least relative loss of a path's value that triggers another search."""
+"""Minimum relative loss of a path's value that triggers another search."""
 
 EQUAL_M = 1e-6
-"""Paths that differ by at most this distance at every position count as one."""
+"""Distance within which corresponding positions of two paths count as equal."""
 
 
 @dataclass(frozen=True, eq=False)
 class Guess:
-    """Initial guess of a refinement."""
+    """Initial guess of a refinement, with its objective value."""
 
     path_m: NDArray[np.float64]  # (N, 2)
     value: float  # Objective value
-    missing_db: float  # Violation of the connectivity rule by `rule_missing`
+    missing_db: float  # Violation of the connectivity rule in dB (`rule_missing`)
     drive: Drive | None = None  # Drive of a robot with dynamics
     clear: bool = True  # Whether the unrefined path is feasible and collision-free
     charge: GoalCharge | None = None  # Goal cost in a refinement; None without a goal
@@ -171,7 +171,7 @@ def without_waiting(
 ) -> NDArray[np.float64]:
     """Return a path (N, 2) with the initial waiting steps moved to its end.
 
-    Refinement cannot do this, and a plan that waits first would be postponed at every step.
+    A refinement cannot do this, and a plan that waits first would be postponed at every step.
     """
     away = np.linalg.norm(path_m - position_m, axis=1) > STANDSTILL_M
     waits = int(away.argmax())
@@ -179,7 +179,7 @@ def without_waiting(
 
 
 class GuessSearch:
-    """Search for initial guesses of one robot; caches the map of the channel."""
+    """Search for initial guesses of one robot; it caches the predicted channel map."""
 
     def __init__(self, problem: Problem, ground: Ground) -> None:
         self._problem = problem
@@ -187,7 +187,7 @@ class GuessSearch:
         self._field = NodeField(ground.road_map.lattice)
         self._table = move_table(ground.road_map.lattice)
         self._move_values = move_values(problem, ground.road_map.lengths_m)
-        # For N = 1 the fan compares all directions.
+        # For N = 1, the fan compares all directions.
         self._bends = bends_guesses(problem) or problem.planner.horizon == 1
         self._may_bend = bends_guesses(problem, steered=False)
         # Built on first use because its raster of clearances is expensive.
@@ -238,7 +238,7 @@ class GuessSearch:
     def _apart(
         self, context: StepContext, paths: list[NDArray[np.float64]]
     ) -> list[NDArray[np.float64]]:
-        """Return the paths that keep clear of moving obstacles; all of them if none does."""
+        """Return the paths that avoid moving obstacles; all paths if none does."""
         moving = context.moving
         if not len(moving):
             return paths
@@ -251,7 +251,7 @@ class GuessSearch:
         return kept or paths
 
     def _lattice_paths(self, context: StepContext, budget: Budget) -> list[NDArray[np.float64]]:
-        """Return the best lattice paths, one for each guide of the connectivity rule.
+        """Return the best lattice path for each guide of the connectivity rule.
 
         After the first path, further guides are searched until the search budget is spent.
         """
@@ -270,7 +270,7 @@ class GuessSearch:
     def _guided_paths(
         self, context: StepContext, guide: Guide, budget: Budget
     ) -> list[NDArray[np.float64]]:
-        """Return the best path under a guide, with corrected predictions along it."""
+        """Return the best lattice path under a guide, as a list that is empty if there is none."""
         nodes, lengths = first_moves(self._ground, self._problem, context.position_m)
         road_map = self._ground.road_map
         moving = context.moving
@@ -292,7 +292,7 @@ class GuessSearch:
         return [] if path is None else [self._field.places_m(path)]
 
     def _loses(self, rewards: StageRewards, path: NDArray[np.intp], guide: Guide) -> bool:
-        """Return whether the path loses value after its nodes are predicted more accurately."""
+        """Return whether a path loses value once its nodes are predicted more accurately."""
         if not (guide.bounded.any() or guide.credit.any()):
             return False
         before = float(rewards.along(path).sum())

@@ -2,10 +2,10 @@
 
 The search is exact for rewards that are additive over steps. The first move leads from the robot's
 position to any node within a step; later moves are the lattice's 21 moves. A surcharge on a move
-depends on its two ends; a moving obstacle blocks it only in the steps when it is there. Each stage
-computes the best value of every node in the reachable window from shifted slices of the previous
-stage's values; paths are traced back from these values. A window is a part of the lattice with a
-margin of blocked nodes around it.
+depends on its two ends; a moving obstacle blocks moves only in the steps when it is nearby. Each
+stage computes the best value of every node in the reachable window from shifted slices of the
+previous stage's values; paths are traced back from these values. A window is a rectangular part of
+the lattice, indexed with a margin of blocked nodes around the lattice.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from planopt.world.workspace import LONGEST_MOVE
 
 @dataclass(frozen=True)
 class MoveTable:
-    """Moves of a lattice as a table."""
+    """Table of the open moves of a lattice."""
 
     lattice: Lattice
     # (21, ny + 2 REACH, nx + 2 REACH): 0 for an open move from the node, else minus infinity; has a
@@ -39,7 +39,7 @@ class MoveTable:
 
 
 def move_table(lattice: Lattice) -> MoveTable:
-    """Tabulate the moves of a lattice."""
+    """Return the table of a lattice's moves."""
     inside = np.where(lattice.open_moves, 0.0, -np.inf)
     margin = ((0, 0), (REACH, REACH), (REACH, REACH))
     closed = np.pad(inside, margin, constant_values=-np.inf)
@@ -67,7 +67,7 @@ REACH = max(max(abs(dx), abs(dy)) for dx, dy in MOVES)
 def window_around(
     low: NDArray[np.intp], high: NDArray[np.intp], grown: int, shape: tuple[int, int]
 ) -> Window:
-    """Return the window from `low` to `high`, grown on all sides, in the lattice with margin."""
+    """Return the window from `low` to `high`, grown on all sides, in indices with margin."""
     rows, columns = (
         slice(
             max(int(low[axis]) - grown, 0) + REACH,
@@ -79,7 +79,7 @@ def window_around(
 
 
 def without_margin(window: Window) -> Window:
-    """Return a window's coordinates in the lattice without its margin."""
+    """Return a window in indices of the lattice without margin."""
     rows, columns = window
     return (
         slice(rows.start - REACH, rows.stop - REACH),
@@ -93,20 +93,20 @@ def window_shape(window: Window) -> tuple[int, int]:
 
 
 TINY_M2 = 1e-30
-"""A relative move of less than this squared length counts as standstill."""
+"""Squared length below which a relative motion counts as standstill."""
 
 
 def first_steps_apart(
     discs: MovingDiscs, position_m: NDArray[np.float64], ends_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Return whether first steps from a position (2,) to `ends_m` (n, 2) keep clear of discs."""
+    """Return a mask of first steps from a position (2,) to `ends_m` (n, 2) that avoid discs."""
     return steps_apart(discs, 0, np.broadcast_to(position_m, ends_m.shape), ends_m)
 
 
 def steps_apart(
     discs: MovingDiscs, step: int, starts_m: NDArray[np.float64], ends_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Return whether straight motions (..., 2) during `step` (0-based) keep clear of discs.
+    """Return a mask of straight motions (..., 2) during `step` (0-based) that avoid discs.
 
     A first step that begins too close to a disc is allowed if it moves away.
     """
@@ -122,7 +122,7 @@ def steps_apart(
 class MovingMoves:
     """Moves of a lattice that are blocked by moving discs.
 
-    Relative to a disc, a move along (dx, dy) is the same vector at every node, so that one formula
+    Relative to a moving disc, a move (dx, dy) is the same vector at every node, so one formula
     applies to all nodes.
     """
 
@@ -154,7 +154,7 @@ class MovingMoves:
     def blocked(
         self, step: int, rows: NDArray[np.intp], columns: NDArray[np.intp]
     ) -> NDArray[np.bool_]:
-        """Return whether each move to nodes (n,) in a step is too close to a disc; ``(21, n)``."""
+        """Return a mask of the moves to nodes (n,) in a step that violate a disc; ``(21, n)``."""
         found = np.zeros((len(MOVES), len(rows)), dtype=np.bool_)
         for number in range(len(self._discs)):
             found |= self._blocked_by(step, number, rows, columns)
@@ -163,7 +163,7 @@ class MovingMoves:
     def _about(
         self, step: int, number: int, rows: slice, columns: slice
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return the rows and columns of a window where a move may be too close to a disc."""
+        """Return rows and columns of a window at which a move may violate a disc."""
         lattice, discs = self._lattice, self._discs
         before, centre = discs.centres_m[number, step], discs.centres_m[number, step + 1]
         reach = (
@@ -191,7 +191,7 @@ class MovingMoves:
     def _blocked_by(
         self, step: int, number: int, rows: NDArray[np.intp], columns: NDArray[np.intp]
     ) -> NDArray[np.bool_]:
-        """Return whether moves to nodes hit one disc; `rows` and `columns` broadcast."""
+        """Return a mask of moves to nodes that violate one disc; `rows` and `columns` broadcast."""
         lattice, discs = self._lattice, self._discs
         before, centre = discs.centres_m[number, step], discs.centres_m[number, step + 1]
         x = lattice.origin_m[0] + lattice.spacing_m * columns - centre[0]
@@ -204,17 +204,17 @@ class MovingMoves:
             across[:, 1].reshape(shape),
             square.reshape(shape),
         )
-        # Measured backwards from its end, the move is closest to the disc at this fraction.
+        # Fraction of the move, backwards from its end, at which it is closest to the disc.
         share = np.clip((dx * x + dy * y) / square, 0.0, 1.0)
         limit = float(discs.apart_m[number, step]) + CLEARANCE_PAD_M
         return np.asarray((x - share * dx) ** 2 + (y - share * dy) ** 2 < limit**2)
 
 
 StageReward = Callable[[int, Window], NDArray[np.float64]]
-"""Function from stage k = 1..N and a window to the reward of ending step k at each node."""
+"""Function that maps stage k = 1..N and a window to the reward of ending step k at each node."""
 
 Node = tuple[int, int]
-"""A node (iy, ix)."""
+"""Node indices (iy, ix)."""
 
 MOVES_BY_NUMBER = tuple((int(dx), int(dy)) for dx, dy in MOVES)
 """(dx, dy) of each move."""
@@ -225,11 +225,11 @@ STANDING = 0
 
 @dataclass(frozen=True, eq=False)
 class MoveValues:
-    """Value of every move, and the set of open moves."""
+    """Values and surcharges of the moves of a search, with the open moves."""
 
     table: MoveTable  # Open moves
     value: NDArray[np.float64]  # (21,)
-    # Additional cost of a move: its factor, (21,), times the sum of the charges of both nodes, (n,)
+    # Surcharge of a move: its factor, (21,), times the sum of both nodes' charges, (n,)
     factor: NDArray[np.float64] | None = None
     charge: NDArray[np.float64] | None = None
     rest: Node | None = None  # Node where waiting is free
@@ -241,7 +241,7 @@ class MoveValues:
         return not self.value.any() and self.charge is None
 
     def surcharge(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Return the surcharge of each move to nodes (n,), indexed with margin; (21, n)."""
+        """Return the surcharge of each move to nodes (n,), in indices with margin; (21, n)."""
         width, places = self.table.number.shape[1], self.table.number.size
         end = rows * width + columns
         source = np.asarray(end - (MOVES[:, 1:] * width + MOVES[:, :1]), dtype=np.intp)
@@ -266,8 +266,8 @@ class MoveValues:
 class StageFrame:
     """Values of the previous stage on all nodes that any stage reads.
 
-    If moves are free and unblocked, the maximisation over a node's 21 predecessors is a disc-shaped
-    max filter: five maxima along rows and columns. Other nodes compare predecessors singly.
+    If moves are free and unblocked, the maximum over a node's 21 predecessors is a disc-shaped max
+    filter: five maxima along rows and columns. At other nodes, predecessors are compared singly.
     """
 
     def __init__(self, moves: MoveValues, windows: list[Window]) -> None:
@@ -288,7 +288,7 @@ class StageFrame:
         self._value[self._at(window)] = value
 
     def arriving(self, stage: int) -> NDArray[np.float64]:
-        """Return the best value over all moves to each node of the window of `stage`."""
+        """Return the best value of arriving at each node of the window of `stage`."""
         window = self._windows[stage]
         rows, columns = self._at(window)
         around = self._value[
@@ -328,7 +328,7 @@ class StageFrame:
         best[rows - window[0].start, columns - window[1].start] = arriving.max(axis=0)
 
     def _list_nodes(self) -> None:
-        """List the nodes with a one-by-one maximum, ordered by the first stage that uses them."""
+        """List the nodes outside the max filter, ordered by the first stage that uses them."""
         widest, first, table = self._windows[-1], self._windows[0], self._moves.table
         listed = table.hindered if self._moves.are_free else table.lattice.free
         rows, columns = np.nonzero(listed[without_margin(widest)])
@@ -351,7 +351,7 @@ class StageFrame:
         return end - (MOVES[:, 1:] * width + MOVES[:, :1])
 
     def surcharge(self, row: int, column: int) -> list[float]:
-        """Return the surcharge of each move to a node, indexed with margin."""
+        """Return the surcharge of each move to a node, in indices with margin."""
         if self._moves.are_free:
             return self._moves.surcharge(np.array([row]), np.array([column]))[:, 0].tolist()
         if self._listed is None:
@@ -361,7 +361,7 @@ class StageFrame:
         return self._surcharge[:, self._listed[row - self._top, column - self._left]].tolist()
 
     def _at(self, window: Window) -> Window:
-        """Return the frame's slices of a window given with margin."""
+        """Return the frame's slices for a window in indices with margin."""
         rows, columns = window
         return (
             slice(rows.start - self._top, rows.stop - self._top),
@@ -397,7 +397,7 @@ class LatticeValues:
     surcharge: Callable[[int, int], list[float]]
 
     def best_path(self, cost: NDArray[np.float64] | float = 0.0) -> NDArray[np.intp] | None:
-        """Return the nodes (N, 2) of the best path, end `cost` deducted; None if there is none."""
+        """Return the nodes (N, 2) of the best path, for a terminal `cost`; None without a path."""
         total = self.values[-1] - cost
         row, column = (int(i) for i in np.unravel_index(int(np.argmax(total)), total.shape))
         if not np.isfinite(total[row, column]):
@@ -410,7 +410,7 @@ class LatticeValues:
 
     def _best_source(self, stage: int, node: Node) -> Node:
         """Return the predecessor (iy, ix) that gave a node its best value."""
-        # A scalar loop: for 21 entries, arrays cost several times as much.
+        # For 21 entries, a scalar loop is several times faster than arrays.
         moves, (rows, columns), value = self.moves, self.windows[stage], self.values[stage]
         row, column = node[0] + REACH, node[1] + REACH
         values, blocked = moves.value.tolist(), np.zeros(len(MOVES), dtype=np.bool_)
@@ -476,7 +476,7 @@ def search_cheapest(
     surcharge_s_m: NDArray[np.float64] | None = None,  # (n + 1,) per metre at nodes and robot
     moving: MovingDiscs | None = None,
 ) -> NDArray[np.intp] | None:
-    """Return the nodes (N,) of the cheapest path, or None; waiting at the goal is free."""
+    """Return the nodes (N,) of the cheapest path, with free rest at the goal; None without one."""
     if first_nodes.size == 0:
         return None
     rows, columns, number = road_map.rows, road_map.columns, road_map.number
@@ -492,7 +492,7 @@ def search_cheapest(
         (int(rows[goal_node]), int(columns[goal_node])) if goal_node >= 0 else None,
         MovingMoves(road_map.lattice, moving) if moving is not None and len(moving) else None,
     )
-    # Blocked nodes have the value minus infinity, regardless of the unused last entries.
+    # Blocked nodes have value minus infinity, so the last entries do not matter.
     penalties = np.atleast_2d(node_penalty_s)
     first = np.stack([rows[first_nodes], columns[first_nodes]], axis=1)
     found = LatticeSearch(moves, first, -cost, horizon)(

@@ -32,14 +32,14 @@ LEAST_NEIGHBOURS, STEP_NEIGHBOURS, MOST_NEIGHBOURS = 96, 16, 256
 """Number of measurements shared by all paths: minimum, increment per step, maximum."""
 
 MAPPED_NEIGHBOURS = 384
-"""Number of shared measurements for map averages: with 256, 20-step paths along the edge of the
-measured area were overrated."""
+"""Number of shared measurements for map averages. With 256, values of 20-step paths along the edge
+of the measured area were too large."""
 
 RANKED_PLACES, CLIMBED_PLACES = 300, 1000
-"""Approximate number of map positions evaluated for ranking, and for climbing."""
+"""Approximate number of map positions evaluated for ranking, and for gradient ascent."""
 
 MISSING_DB_SHARE = 10.0
-"""Cost of a missing dB relative to the largest value in the first batch of ranked paths."""
+"""Cost per dB of constraint violation, relative to the largest value in the first batch."""
 
 
 def can_climb(problem: Problem) -> bool:
@@ -49,7 +49,7 @@ def can_climb(problem: Problem) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class _Station:
-    """Local channel model of one station, with map grids for climbing and for ranking."""
+    """Local channel model of one station, with map grids for gradient ascent and for ranking."""
 
     channel: LocalChannel
     precision: NDArray[np.float32]
@@ -58,7 +58,7 @@ class _Station:
 
 
 class LocalRanking:
-    """Ranking of paths in one step context."""
+    """Approximate objective values of many paths in one step context."""
 
     def __init__(self, context: StepContext, about_m: NDArray[np.float64]) -> None:
         self._context = context
@@ -80,7 +80,7 @@ class LocalRanking:
         self._stations = self._expected if same else [near(each) for each in context.stations]
 
     def _grid(self, channel: LocalChannel, about_m: NDArray[np.float64]) -> LocalGrid | None:
-        """Return the part of the map that paths near `about_m` (a, 2) change, if any."""
+        """Return the part of the map that paths near `about_m` (a, 2) change; None without a map."""
         at = self._context
         if not _averages_map(at.problem):
             return None
@@ -89,7 +89,7 @@ class LocalRanking:
         return LocalGrid.of(channel, region.grid_m[::every], every * region.weight[::every])
 
     def __call__(self, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the objective values of paths (c, N, 2), minus the penalty of a violated bound."""
+        """Return objective values of paths (c, N, 2), minus penalties of violated constraints."""
         gate = None
         if self._measures:
             taken = self._context.near_measuring.takes(paths_m)
@@ -100,7 +100,7 @@ class LocalRanking:
     def slopes(
         self, paths_m: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the smoothed values of paths, and their gradients by position ``(c, N, 2)``."""
+        """Return smoothed values of paths, and their gradients w.r.t. positions ``(c, N, 2)``."""
         at = self._context
         gates = at.near_measuring.gates(paths_m) if self._measures else None
         measured = self._along(self._expected, paths_m, climbed=True)
@@ -115,7 +115,7 @@ class LocalRanking:
                 with calling(term, "slope", key="objective.terms"):
                     pull = pull.plus(term.slope(paths, number), term.weight)
             if self._missing_db_cost is not None and len(at.stations) == 1:
-                # With several stations the gradient of the connectivity bound is omitted.
+                # With several stations, the gradient of the chance constraint is omitted.
                 own = paths.stations[0]
                 lacking = Pull().plus(missing_slope(at, own), -self._missing_db_cost)
                 if own is along:
@@ -181,22 +181,22 @@ def _anchors(paths_m: NDArray[np.float64], count: int) -> NDArray[np.float64]:
 
 
 APART_STEPS = 0.5
-"""Two paths count as one if they differ by at most this many longest steps at every position."""
+"""Distance, in longest steps, within which corresponding positions of two paths count as equal."""
 
 Drive = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
-"""Function from turns and speeds (N, c) to paths (c, N, 2)."""
+"""Function that maps turns and relative speeds (N, c) to paths (c, N, 2)."""
 
 FIRST_STEP, LONGEST_STEP = 0.3, 0.8
-"""Largest change of a heading (rad) or a relative speed in the first step, and in later steps."""
+"""Largest change of a heading (rad) or a relative speed in the first ascent step and in later ones."""
 
 SHORTER = 0.35
-"""Factor of the step length after a step without gain."""
+"""Factor on the step length after an ascent step without gain."""
 
 CURVED_SHARE = 1e-8
-"""Least cosine between a step and the change of the gradient that updates the Hessian."""
+"""Minimum cosine between a step and the change of the gradient for a Hessian update."""
 
 Slope = Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]]
-"""Function from paths (c, N, 2) to their values (c,) and gradients (c, N, 2)."""
+"""Function that maps paths (c, N, 2) to their values (c,) and gradients (c, N, 2)."""
 
 
 def distinct(
@@ -215,7 +215,7 @@ def distinct(
 
 @dataclass(frozen=True, eq=False)
 class _Climbers:
-    """State of c climbing paths; a row of x has N headings, then N speeds."""
+    """State of c paths in gradient ascent; a row of x has N headings, then N speeds."""
 
     paths_m: NDArray[np.float64]
     x: NDArray[np.float64]
@@ -240,7 +240,7 @@ def climb_paths(
     apart_m: float,
     budget: Budget = UNLIMITED,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Climb from `paths_m` (c, N, 2); return paths and values, best first, none below its guess."""
+    """Return the results of gradient ascent from `paths_m` (c, N, 2), with values, best first."""
     x = headings_and_speeds(start_m, paths_m, longest_m)
     value, by_place = slope(paths_m)
     at = _Climbers(
@@ -290,7 +290,7 @@ def _stepped(
 
 
 def _direction(at: _Climbers) -> NDArray[np.float64]:
-    """Return ascent steps; a speed at its bound does not move beyond it."""
+    """Return ascent directions; a speed at its bound does not move beyond the bound."""
     half = at.x.shape[1] // 2
     speed, slope = at.x[:, half:], at.slope.copy()
     held = np.zeros(slope.shape, dtype=np.bool_)
@@ -309,7 +309,7 @@ def _direction(at: _Climbers) -> NDArray[np.float64]:
 
 
 def _updated(at: _Climbers, new: _Climbers, gained: NDArray[np.bool_]) -> _Climbers:
-    """Return the BFGS update of the inverse Hessians (of minus the value) of paths that gained."""
+    """Return the state with BFGS updates of the inverse Hessians of paths that gained."""
     step, change = new.x - at.x, at.slope - new.slope
     along = (step * change).sum(axis=1)
     size = np.sqrt((step**2).sum(axis=1) * (change**2).sum(axis=1))
@@ -337,7 +337,7 @@ def headings_and_speeds(
     legs = np.diff(np.concatenate([begin, paths_m], axis=1), axis=1)
     length = np.hypot(legs[:, :, 0], legs[:, :, 1])
     heading = np.arctan2(legs[:, :, 1], legs[:, :, 0])
-    # A step of zero length keeps the last heading.
+    # A step of length zero keeps the last heading.
     moved = (length > 0.0) * np.arange(int(paths_m.shape[1]))
     heading = np.take_along_axis(heading, np.maximum.accumulate(moved, axis=1), axis=1)
     turn = np.diff(heading, axis=1, prepend=0.0)
@@ -348,7 +348,7 @@ def headings_and_speeds(
 def _by_command(
     by_place: NDArray[np.float64], x: NDArray[np.float64], longest_m: float
 ) -> NDArray[np.float64]:
-    """Return gradients (c, 2 N) by headings and speeds; a step moves all later positions."""
+    """Return gradients (c, 2 N) w.r.t. headings and speeds, from gradients w.r.t. positions."""
     half = x.shape[1] // 2
     heading, speed = x[:, :half], x[:, half:]
     after = longest_m * np.cumsum(by_place[:, ::-1], axis=1)[:, ::-1]

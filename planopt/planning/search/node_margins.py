@@ -1,6 +1,6 @@
-"""Predictions at the nodes of a lattice, corrected where paths depend on them.
+"""Power predictions at the nodes of a lattice, corrected where paths depend on them.
 
-The map conditions each tile on its nearest measurements, which is fast but approximate. Nodes that
+The map predicts each tile from its nearest measurements, which is fast but approximate. Nodes that
 a path depends on are predicted again from more measurements.
 """
 
@@ -24,7 +24,7 @@ from planopt.world.lattice import Lattice, RoadMap, node_positions
 
 
 class LatticeMap:
-    """Tile maps of all stations, and their combination."""
+    """Maps of predicted power of all stations, by tiles, and of the serving power."""
 
     def __init__(self, lattice: Lattice) -> None:
         self._lattice = lattice
@@ -46,7 +46,7 @@ class LatticeMap:
         law: ConnectivityLaw,
         window_m: tuple[float, float, float, float] | None = None,
     ) -> None:
-        """Update the maps to the belief, within a window or everywhere."""
+        """Update the maps to the current belief, within a window or everywhere."""
         while len(self._maps) < len(law.posteriors):
             self._maps.append(self._tile_map())
         for own, station in zip(self._maps, law.posteriors, strict=True):
@@ -87,7 +87,7 @@ class NodeMargins:
 
     @property
     def outside(self) -> NDArray[np.bool_]:
-        """Return which nodes (n,) violate the bound plus the planners' pad."""
+        """Return a mask of nodes (n,) that violate p_min with the planners' pad."""
         return self.margin_db < MARGIN_PAD_DB
 
     def refresh(
@@ -95,7 +95,7 @@ class NodeMargins:
         law: ConnectivityLaw,
         power: Callable[[NDArray[np.float64]], Prediction] | None = None,
     ) -> None:
-        """Update to the belief."""
+        """Update margins and shares to the current belief."""
         self._map.refresh(law)
         self._power = power or partial(search_prediction, law)
         self.mean_db = self._map.mean_db.take(self._nodes)
@@ -133,7 +133,7 @@ class NodeMargins:
 
 
 class NodeField:
-    """Predicted power on a lattice."""
+    """Predicted power at the nodes of a lattice."""
 
     def __init__(self, lattice: Lattice) -> None:
         self._map = LatticeMap(lattice)
@@ -146,13 +146,13 @@ class NodeField:
         self.window = slice(0, 0), slice(0, 0)
 
     def refresh(self, context: StepContext, reach_m: float) -> None:
-        """Update to the belief within `reach_m` of the robot along both axes."""
+        """Update the predictions to the belief, within `reach_m` of the robot along both axes."""
         low, high = context.position_m - reach_m, context.position_m + reach_m
         self._map.refresh(
             context.law,
             (float(low[0]), float(low[1]), float(high[0]), float(high[1])),
         )
-        # Copies, because corrections do not change the stations' own predictions.
+        # Copies, as corrections must not change the stations' own predictions.
         self.mean_db, self.deviation_db = self._map.mean_db.copy(), self._map.deviation_db.copy()
         lattice = self._lattice
         first = np.ceil((low - lattice.origin_m) / lattice.spacing_m)
@@ -183,7 +183,7 @@ class NodeField:
         return self.grid_m[nodes[:, 0], nodes[:, 1]]
 
     def nearest(self, places_m: NDArray[np.float64]) -> Prediction:
-        """Return the power at the window's nearest node of each position; NaN if it is blocked."""
+        """Return the power at the node nearest to each position; NaN if that node is blocked."""
         lattice, (rows, columns) = self._lattice, self.window
         first = np.array([columns.start, rows.start])
         last = np.array([columns.stop, rows.stop]) - 1

@@ -1,9 +1,9 @@
-"""The pivot: one waypoint that represents the route beyond a path's end in the cost-to-go.
+"""Pivot: the terminal waypoint that represents the route beyond a path's end in the cost-to-go.
 
 The shortest route around obstacles from q is straight up to some corner. Its length is the distance
 to any visible point of the route plus the remaining length from there. The pivot is the farthest
-visible point, unless it is within the path's reach; then a farther point is chosen, visible or not.
-Distance plus remaining length never overestimates the route.
+visible point; if the path can reach it, a farther point, visible or not. Distance plus remaining
+length never overestimates the route.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from planopt.world.lattice import lattice_paths, route_from
 LOOKAHEAD_STEPS = 5.0
 """Length of the route that is searched for a pivot, in longest steps."""
 LATTICE_DETOUR = 0.03
-"""Largest relative detour of a lattice path (16 headings: 2.7 %); it keeps the pivot out of reach
-of a refined path."""
+"""Largest relative detour of a lattice path (16 headings: 2.7 %). It keeps the pivot out of reach of
+refined paths."""
 
 
 class Ahead:
-    """Route from the end of any path, represented by a pivot."""
+    """Route beyond the end of a path, represented by a pivot."""
 
     def __init__(
         self,
@@ -44,12 +44,12 @@ class Ahead:
         self._is_complete = False
         self._node_margin_db = node_margin_db
         self.pivot = self._seen_from(int(start.nodes[-1]), None)
-        # Lattice path, refined path and released path are evaluated repeatedly.
+        # The ends of lattice, refined and released path are evaluated repeatedly.
         self._joins: dict[bytes, tuple[int, float, float] | None] = {}
         self._pivots: dict[bytes, Pivot] = {}
 
     def __call__(self, end_m: NDArray[np.float64]) -> Pivot:
-        """Return the pivot if visible from `end_m` (2,) and cheapest, else a node within a step."""
+        """Return the pivot if it is visible from `end_m` (2,) and cheapest, else a node nearby."""
         key = end_m.tobytes()
         if key not in self._pivots:
             self._pivots[key] = self._cheaper(end_m)
@@ -74,9 +74,9 @@ class Ahead:
         return Pivot(place, float(self._start.cost_to_go.cost_m[node]), metre)
 
     def leading(self, end_m: NDArray[np.float64]) -> Pivot:
-        """Return a pivot of the route from `end_m` (2,) that a path of N steps cannot reach.
+        """Return a pivot of the route from `end_m` (2,) that no path of N steps can reach.
 
-        A solver with a reachable pivot could postpone the departure.
+        With a reachable pivot, a solver could postpone the departure.
         """
         joined = self._joined(end_m)
         return self.pivot if joined is None else self._seen_from(joined[0], end_m)
@@ -126,14 +126,14 @@ def find_pivot(
     clearance: float,
     origin_m: NDArray[np.float64] | None = None,  # (2,)
 ) -> Pivot:
-    """Return the farthest route point visible from the guess's end, or one out of reach."""
+    """Return the farthest route point visible from the guess's end, or one beyond its reach."""
     end = int(start.nodes[-1])
     way = route_from(scene.road_map, start.cost_to_go, end, LOOKAHEAD_STEPS * step_length_m)
     places = scene.road_map.nodes_m[way]
     origin = places[0] if origin_m is None else origin_m
     chosen = 0
     if len(way) > 1:
-        # Fan of segments as one path: origin, p1, origin, p2, ...
+        # Segments from one origin as one path: origin, p1, origin, p2, ...
         fan = np.empty((2 * (len(way) - 1) + 1, 2))
         fan[0::2] = origin
         fan[1::2] = places[1:]
@@ -149,7 +149,7 @@ def find_pivot(
         chosen = max(farthest_seen, enough)
     cost_m = start.cost_to_go.cost_m
     straight = float(np.linalg.norm(places[chosen] - origin))
-    # From the guess's end both cost computations agree, whatever lies between.
+    # From the guess's end, both cost computations agree.
     joining = float(np.linalg.norm(places[0] - origin)) * float(start.metre_cost[end])
     saved = joining + float(cost_m[end] - cost_m[way[chosen]])
     metre_cost = saved / straight if straight else 1.0

@@ -1,13 +1,13 @@
-"""Initial guesses that lead to single positions: probed, unmeasured, or known to meet the bound.
+"""Initial guesses that lead to one position: probed, unmeasured, or satisfying p_min.
 
-Terms that probe the end of a path compare many positions. The power at the nearest node ranks the
-paths; only the ends of the best paths are predicted individually.
+Terms that probe the end of a path compare many positions. The predicted power at the nearest node
+ranks the paths; only the ends of the best paths are predicted individually.
 
 If no N-step plan yields a measurement, the robot takes a short path to the most informative
 position (:func:`path_to_unmeasured`).
 
-In most directions the lattice is slower than the robot and may miss a position that is only just
-reachable in time. If the verifier reports that a step could have met the bound,
+In most directions, lattice paths are slower than the robot, so a search may miss a position that is
+only just reachable in time. If the verifier reports that a step could have satisfied p_min,
 :func:`paths_to_good_place` searches for such a position and the shortest path to it.
 """
 
@@ -40,13 +40,13 @@ CIRCLES = (0.35, 0.7, 1.0, 1.5, 2.0, 2.5, 3.25, 4.0, 5.0, 6.0, 7.5, 9.0)
 """Radii of circles of positions, in longest steps."""
 
 FEWEST_ON_CIRCLE, APART_SHARE, LEAST_APART = 8, 1.0 / 6.0, 0.5
-"""Positions on a circle: minimum number, and spacing relative to the radius and longest step."""
+"""Minimum number of positions on a circle, and their spacing in radii and in longest steps."""
 
 MOST_KNOWN = 60
-"""Maximum number of positions known to be connected, nearest to the expected target first."""
+"""Maximum number of known connected positions, nearest to the expected target first."""
 
 MOST_HIDDEN = 12
-"""Maximum number of hidden positions, nearest to the target first."""
+"""Maximum number of positions behind obstacles, nearest to the target first."""
 
 COMPARED = 12
 """Number of paths whose ends are predicted individually."""
@@ -98,7 +98,7 @@ class ProbedPlaces:
         chance: NDArray[np.float64],
         count: int,
     ) -> NDArray[np.intp]:
-        """Return the best paths (c, N, 2) for given connection probabilities (c, N)."""
+        """Return indices of the best paths (c, N, 2), for connection probabilities (c, N)."""
         value = np.zeros(len(paths))
         for number, term in enumerate(context.problem.terms):
             if term.probes_end:
@@ -157,7 +157,7 @@ class ProbedPlaces:
     def _round(
         self, context: StepContext, hidden_m: NDArray[np.float64]
     ) -> list[NDArray[np.float64]]:
-        """Return paths around obstacles to those of the positions (n, 2) nearest to the target."""
+        """Return paths around obstacles to those of `hidden_m` (n, 2) nearest to the target."""
         target, horizon = context.target_m, self._problem.planner.horizon
         if not len(hidden_m) or target is None:
             return []
@@ -177,7 +177,7 @@ class ProbedPlaces:
 
 
 STEPS_MORE = 2
-"""Positions up to this many steps farther than the nearest one are compared with it."""
+"""Number of steps by which compared positions may be farther than the nearest one."""
 
 
 def path_to_unmeasured(context: StepContext, ground: Ground) -> NDArray[np.float64] | None:
@@ -209,7 +209,7 @@ def _steps(
     nodes_m: NDArray[np.float64],
     longest_m: float,
 ) -> NDArray[np.float64]:
-    """Return the number of steps to each position, straight or via its nearest node; (n,)."""
+    """Return the number of steps to each position (n,), straight or via its nearest node."""
     aside: NDArray[np.float64] = np.linalg.norm(nodes_m[next_to] - places_m, axis=1)
     straight: NDArray[np.float64] = np.linalg.norm(places_m - here_m, axis=1)
     length = np.where(routes.straight(places_m), straight, routes.length_m[next_to] + aside)
@@ -217,20 +217,20 @@ def _steps(
 
 
 FINE_NODES, COARSE_NODES = 12, 4
-"""Grid positions per longest step: within `FINE_STEPS` steps, and beyond."""
+"""Number of grid positions per longest step, within `FINE_STEPS` steps and beyond."""
 FINE_STEPS = 4
 MEASURED = 400
 """Number of best positions for which path lengths are computed."""
 KEPT = 24
 """Number of best reachable positions that are refined."""
 STEP_PLACES = 12
-"""Candidate step ends per step length along a path."""
+"""Number of candidate step ends per step length along a path."""
 REFINEMENTS = 3
 """Number of grid refinements, each with a quarter of the previous spacing."""
 
 
 def paths_to_good_place(scorer: Scorer, probed: Sequence[Candidate]) -> list[NDArray[np.float64]]:
-    """Return paths (N, 2) to a position that meets the bound in time."""
+    """Return paths (N, 2) to a position that satisfies p_min and is reachable in time."""
     problem, index = scorer.problem, scorer.index
     sound = [candidate for candidate in probed if candidate.sound]
     step = min((step for candidate in sound for step in candidate.avoidable), default=None)
@@ -255,7 +255,7 @@ def paths_to_good_place(scorer: Scorer, probed: Sequence[Candidate]) -> list[NDA
 def _good_place(
     scorer: Scorer, routes: ShortestPaths, step: int, clear_m: float
 ) -> NDArray[np.float64] | None:
-    """Return the nearest position (2,) that meets the bound, with the pad if possible."""
+    """Return the nearest position (2,) that satisfies p_min, with the planners' pad if possible."""
     nodes = FINE_NODES if step <= FINE_STEPS else COARSE_NODES
     spacing = scorer.problem.step_length_m / nodes
     offsets = spacing * np.arange(-nodes * step, nodes * step + 1)
@@ -295,7 +295,7 @@ def _reached(
 
 
 def _promise(margins_db: NDArray[np.float64], length_m: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return the order of positions: those that meet the bound by distance, then by margin."""
+    """Return the order of positions: those that satisfy p_min by path length, others by margin."""
     meets = margins_db >= MARGIN_PAD_DB
     return np.lexsort((np.where(meets, length_m, -margins_db), ~meets))
 
@@ -305,8 +305,8 @@ def _in_fewest_steps(
 ) -> NDArray[np.float64]:
     """Return the ends (n, 2) of the fewest straight collision-free steps along a path.
 
-    Steps end on the path, at its turns, and at crossings of its extended legs: a path around a
-    corner has several turns, and one step end near the corner is enough.
+    Steps end on the path, at its turns, and at crossings of its extended legs, since one step end
+    near a corner can replace several turns around the corner.
     """
     way = np.vstack([scorer.position_m, turns_m])
     driven = np.concatenate([[0.0], np.linalg.norm(np.diff(way, axis=0), axis=1).cumsum()])
@@ -336,7 +336,7 @@ def _in_fewest_steps(
 def _crossings(
     way_m: NDArray[np.float64], driven_m: NDArray[np.float64], length_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return crossings of legs with backward extensions of later legs, and their arc lengths."""
+    """Return crossings of legs with later legs extended backwards, and their arc lengths."""
     legs = np.diff(way_m, axis=0)
     places, along = [np.zeros((0, 2))], [np.zeros(0)]
     for one in range(len(legs)):

@@ -1,7 +1,7 @@
-"""Steering of robots beyond the horizon: to high variance, to a connection, or to the goal.
+"""Steering of a robot beyond its horizon: to high variance, to a connection, or to its goal.
 
 To learn the channel, a robot is steered to the workspace cell q* that maximises
-J_CH = max{0, sigma^2 - sigma_TH^2} psi(d); d is the length of the shortest path to the cell.
+J_CH = max{0, sigma^2 - sigma_TH^2} psi(d), with d the length of the shortest path to the cell.
 
 To connect, a robot is steered to the probe position z with the shortest expected search length
 R(z), in metres (:func:`planopt.objectives.terms.until_connected.search_length_m`).
@@ -37,14 +37,14 @@ from planopt.world.clearance import segments_clear
 from planopt.world.lattice import lattice_paths, route_from
 
 TILE = 1
-"""Tile size in cells: cells are far apart, so that each has its own neighbours."""
+"""Tile size in cells; cells are far apart, so each has its own neighbours."""
 
 NEIGHBOURS = 48
 """Number of measurements for the prediction of each cell."""
 
 
 class Steering:
-    """Search for the steering cell of highest variance; caches the map of the channel."""
+    """Search for the steering cell of high variance; it caches the predicted channel map."""
 
     def __init__(self, problem: Problem, ground: Ground, term: MappingTerm) -> None:
         self._problem, self._ground, self._term = problem, ground, term
@@ -59,7 +59,7 @@ class Steering:
         nodes = ground.road_map.nodes_m
         self._nearest = PlaceTree(nodes).nearest(places, 1)[0][:, 0]
         next_to = nodes[self._nearest]
-        # A cell too close to an obstacle is unreachable.
+        # A cell too close to an obstacle is not reachable.
         wanted = problem.constraints.clearance_m + CLEARANCE_PAD_M
         clear = segments_clear(ground.index, next_to, places, wanted)
         away: NDArray[np.float64] = np.linalg.norm(next_to - places, axis=1)
@@ -72,7 +72,7 @@ class Steering:
             self._map.refresh(own)
             variance = self._map.deviation_db[self._at] ** 2
         else:
-            # A map cannot follow the others' planned measurements, which change at every step.
+            # A cached map cannot include others' planned measurements, which change at every step.
             variance = search_power(posterior, self._places_m).deviation_db ** 2
         above = variance - self._term.variance_threshold_db2
         is_open = context.measuring.is_open(self._places_m)
@@ -96,7 +96,7 @@ class Steering:
             return None
         road_map, node = self._ground.road_map, int(self._nearest[best])
         lengths = lattice_paths(road_map, node).cost_m + self._away_m[best]
-        # Unreachable nodes get the largest finite distance; no search visits them.
+        # Unreachable nodes get a finite distance, as no search visits them.
         farthest = float(lengths[np.isfinite(lengths)].max())
         lattice = np.full(road_map.lattice.shape, farthest)
         lattice[road_map.rows, road_map.columns] = np.minimum(lengths, farthest)
@@ -109,7 +109,7 @@ FIRST_RADIUS_STEPS, WIDER = 16.0, 2.0
 
 
 class ConnectionSteering:
-    """Search for the steering position of a connection; caches the map of the channel."""
+    """Search for the position to probe for a connection; it caches the predicted channel map."""
 
     def __init__(self, problem: Problem, ground: Ground, term: UntilConnectedTerm) -> None:
         self._problem, self._ground, self._term = problem, ground, term
@@ -117,7 +117,7 @@ class ConnectionSteering:
         self._radius_m = FIRST_RADIUS_STEPS * problem.step_length_m
 
     def find_path(self, context: StepContext) -> SteeringPath | None:
-        """Return the path to the start of the shortest search; None without a position to probe."""
+        """Return the path to the best position to probe; None if there is none."""
         road_map, here = self._ground.road_map, context.position_m
         widest = context.workspace_diagonal_m
         rule = context.probing
@@ -158,7 +158,7 @@ TAUT_SHARE = 1.02
 
 
 class GoalSteering:
-    """Search for the cheapest path to the goal; caches the map of the channel."""
+    """Search for the cheapest path to the goal; it caches the predicted channel map."""
 
     def __init__(self, problem: Problem, ground: Ground, _term: Term) -> None:
         self._problem, self._ground = problem, ground
@@ -207,7 +207,7 @@ class GoalSteering:
         ends_m: NDArray[np.float64],
         metre_cost: NDArray[np.float64],
     ) -> NDArray[np.float64]:
-        """Return the cost of straight legs to `ends_m` (n, 2), from their nearest nodes."""
+        """Return the costs of straight legs to `ends_m` (n, 2), sampled at the nearest nodes."""
         road_map = self._ground.road_map
         lattice = road_map.lattice
         lengths = np.linalg.norm(ends_m - start_m, axis=1)

@@ -1,4 +1,4 @@
-"""Solution of a problem once, its simulation, and the planner for a user's own loop.
+"""Functions that solve and simulate a problem, and the planner for a user's own loop.
 
 The seed determines ground truth, first measurements, target path and sensor noise.
 """
@@ -44,7 +44,7 @@ from planopt.world.clearance import containing_obstacle, index_obstacles
 from planopt.world.workspace import Obstacle
 
 LONGEST_PROOF_S = 1e6
-"""Largest time limit of a proof."""
+"""Largest time limit of a proof, in seconds."""
 
 
 @one_blas_thread()
@@ -58,13 +58,13 @@ def solve(
     measurements: UserMeasurements | None = None,
     prove_s: float | None = None,
 ) -> Solution:
-    """Plan for each robot from its start; the arguments are those of :func:`planopt.solve`.
+    """Return the plans of all robots from their starts; arguments as for :func:`planopt.solve`.
 
     The plans equal the first plans of a run with the same seed.
     """
     problem, given = with_measurements(problem, measurements)
     problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
-    # Detect an unreachable goal before reading the channel files.
+    # An unreachable goal is detected before channel files are read.
     scenes = build_scenes(problem)
     solution = solve_on(problem, prepare(problem, seed, given).belief, seed, scenes)
     if prove_s is None:
@@ -75,7 +75,7 @@ def solve(
             key="prove_s",
             remedy=f"give seconds above 0, at most {LONGEST_PROOF_S:,.0f}",
         )
-    # Imported here, because solvers are imported where they are used.
+    # Solvers are imported only if they are used.
     from planopt.planning.prove import proven_plans
 
     plans = proven_plans(solution.problem, solution.belief, solution.plans, prove_s)
@@ -85,7 +85,7 @@ def solve(
 def solve_on(
     problem: Problem, belief: Belief, seed: int, scenes: Sequence[Scene] | None = None
 ) -> Solution:
-    """Plan for each robot from its start with a belief; scenes are built unless supplied."""
+    """Return the plans of all robots from their starts for a channel belief."""
     scenes = build_scenes(problem) if scenes is None else scenes
     problem = with_drawn_starts(problem, seed)
     seeds = team_seeds(problem, seed)
@@ -109,7 +109,7 @@ def simulate(
     on_start: Callable[[Sequence[Plan]], None] | None = None,
     on_step: Callable[[int], None] | None = None,
 ) -> Run:
-    """Simulate the closed loop; arguments as for :func:`planopt.simulate`.
+    """Return a simulated closed-loop run; arguments as for :func:`planopt.simulate`.
 
     Runs of one seed may share `scenes` (geometry) and `prepared` (ground truth, initial belief).
     """
@@ -152,7 +152,7 @@ def simulate(
 
 
 class Planner:
-    """Planner of the next steps of robots in a user's own loop.
+    """Model predictive planner for a user's own control loop.
 
     Belief, track and previous plan persist between calls. Each call of :meth:`step` is one
     step of ``problem.planner.step_s`` seconds. Several planners may run in several threads;
@@ -165,13 +165,13 @@ class Planner:
         planning the object is the controller of that task, with its own method ``step``:
         :class:`planopt.problems.NetworkController` or :class:`planopt.problems.PursuitController`.
     measurements
-        Initial measurements, as for :func:`planopt.solve`. By default they and all other random
-        values are those of :func:`planopt.simulate`: a loop in the same ground truth repeats its
-        run. If they are supplied, the target's initial estimate is that of its table.
+        Initial measurements, as for :func:`planopt.solve`. By default, they and all other random
+        values equal those of :func:`planopt.simulate`, so a loop in the same ground truth repeats
+        its run. With measurements, the target's initial estimate is read from its table.
     horizon, planner, cost_to_go
         Overrides of the problem's planner settings.
     budget_s
-        Time limit in seconds for each robot's plan, in each round of a team.
+        Time limit in seconds for each robot's plan, per planning round of a team.
     seed
         Random seed.
 
@@ -200,7 +200,7 @@ class Planner:
     @overload
     def __new__(cls, problem: Problem, **settings: Any) -> Self: ...
     def __new__(cls, problem: Any, **settings: Any) -> Any:
-        """Return the controller of the problem's task."""
+        """Create the controller of the problem's task."""
         if isinstance(problem, TaskProblem):
             return task_of(problem).control(problem, **settings)
         return super().__new__(cls)
@@ -236,7 +236,7 @@ class Planner:
         self._busy = threading.Lock()
 
     def __repr__(self) -> str:
-        """Return the problem, and the numbers of steps and measurements."""
+        """Return text with the problem and the numbers of steps and measurements."""
         steps = len(self._robots.connected)
         counts = [len(belief.posterior.measurements) for belief in self.beliefs]
         return wrapped(f"Planner({self.problem!r}, steps driven: {steps}, measurements: {counts})")
@@ -268,7 +268,7 @@ class Planner:
         target_m: ArrayLike | None = None,
         obstacles: Obstacle | Sequence[Obstacle] = (),
     ) -> Plan:
-        """Plan from the current state of a single robot.
+        """Return a plan from the current state of the only robot.
 
         Parameters
         ----------
@@ -280,14 +280,14 @@ class Planner:
             ``channel.measure_spacing_m`` of an earlier one are ignored.
         connected
             Whether the robot is connected now. Constraints over a whole run use this value, and an
-            observation of the target reaches the station only if it is true. The default is the
-            last measurement or, without one, the prediction.
+            observation of the target reaches the station only if it is true. By default, the last
+            measurement decides or, without one, the prediction.
         target_m
             ``(2,)`` observed position of the target, if observed. The first call ignores it and
             uses the initial estimate of the problem.
         obstacles
-            Obstacles discovered since the last call; ``until_s`` ends an obstacle. A robot inside a
-            new obstacle is led out of it.
+            Obstacles discovered since the last call; an obstacle disappears at its ``until_s``. A
+            robot inside a new obstacle leaves it first.
 
         Returns
         -------
@@ -300,7 +300,7 @@ class Planner:
             If there are several robots (use :meth:`step_all`), if the state or a measurement is
             invalid, or if another thread uses this planner. The planner is unchanged.
         NoPlanError
-            If it is proved that there is no plan from this state.
+            If it is proven that there is no plan from this state.
 
         Warns
         -----
@@ -339,7 +339,7 @@ class Planner:
         target_m: Sequence[ArrayLike | None] | NDArray[np.float64] | None = None,
         obstacles: Obstacle | Sequence[Obstacle] = (),
     ) -> tuple[Plan, ...]:
-        """Plan from the states of all robots; like :meth:`step`, with one entry per robot."""
+        """Return the plans of all robots; arguments as for :meth:`step`, one entry per robot."""
         if not self._busy.acquire(blocking=False):
             raise InputError(
                 "the planner is in use by another thread",
@@ -359,7 +359,7 @@ class Planner:
         target_m: Sequence[ArrayLike | None] | NDArray[np.float64] | None,
         obstacles: Obstacle | Sequence[Obstacle],
     ) -> tuple[Plan, ...]:
-        """Check all arguments, record the outcome of the last step, and plan."""
+        """Check all arguments, record the outcome of the last step, and return new plans."""
         count = len(self.problem.robots)
         for key, given in (
             ("states", states),
@@ -405,7 +405,7 @@ class Planner:
         key = f"states[{number}]" if len(self.problem.robots) > 1 else "state"
         names = robot.dynamics.state_names
         state = _numbers(key, given, (len(names),), ", ".join(names))
-        # Drift may carry a robot slightly out of bounds; a larger offset means another frame.
+        # Drift may carry a robot slightly out of bounds; a large offset means another frame.
         nearest = np.clip(state[:2], *np.reshape(self.problem.workspace.bounds_m, (2, 2)))
         reach = self._robots.owns[number].step_length_m if robot.moves_freely else 0.0
         if float(np.linalg.norm(state[:2] - nearest)) > reach:
@@ -443,7 +443,7 @@ class Planner:
                 )
 
     def _seen(self, place: ArrayLike | None) -> NDArray[np.float64]:
-        """Return the observed position of the target; NaN if unobserved."""
+        """Return the observed position of the target; NaN without an observation."""
         if place is None:
             return np.full(2, np.nan)
         if not self.problem.targets:
@@ -453,7 +453,7 @@ class Planner:
         return _numbers("target_m", place, (2,), "x_m, y_m")
 
     def _was_connected(self, number: int, measured: Sequence[Measurements]) -> bool:
-        """Return whether a robot is connected, by its last measurements or its previous plan."""
+        """Return whether a robot is connected, according to measurements or its previous plan."""
         stations = self.problem.stations
         received = [
             bool(taken.power_dbm[-1] >= station.threshold_dbm and not taken.censored[-1])
@@ -467,7 +467,7 @@ class Planner:
 
 
 def _links(given: Sequence[bool] | NDArray[np.bool_]) -> list[bool]:
-    """Return the robots' connection states, which must be booleans."""
+    """Return the robots' connection states; raise an InputError if one is not a boolean."""
     values: Sequence[object] = list(given)
     for number, value in enumerate(values):
         if not isinstance(value, bool | np.bool_):

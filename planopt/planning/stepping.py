@@ -1,11 +1,11 @@
-"""State of a run's robots between steps: beliefs, tracks, plans, and estimates of the target.
+"""State of all robots between steps of a run: beliefs, tracks, plans and target estimates.
 
 The simulation or a user's own loop alternates two calls of a :class:`Stepper`:
 :meth:`Stepper.plan`, and :meth:`Stepper.observe` with the outcome.
 
-A robot's target filter uses its own measurements. The station's filter uses those of received
-packets (equation 4.9). Packets with estimates carry all past measurements of their senders, which
-bounds any fusion of several robots' estimates. One generator draws all randomness about the target.
+A robot's target filter uses its own measurements. The station's filter uses measurements from
+received packets (equation 4.9). Packets with estimates carry all past measurements of their
+senders, so the station does at least as well as by any fusion of several robots' estimates.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ from planopt.targets.sensor import Sensor, noise_covariance_m2, sensing_informat
 from planopt.world.workspace import Obstacle
 
 MOST_HELD = 8
-"""Number of recent steps whose unsent measurements a plan uses; older ones hardly matter."""
+"""Number of recent steps whose unsent measurements a plan considers; older ones hardly matter."""
 
 
 @dataclass(frozen=True, eq=False)
 class Sent:
-    """Target measurements after one step, and the delivery of their packets."""
+    """Target measurements after one step, and whether their packets are delivered."""
 
     measured_m: NDArray[np.float64]  # (n, 2) measured target positions
     positions_m: NDArray[np.float64]  # (n, 2) positions of the robots
@@ -58,7 +58,7 @@ class Sent:
 
 @dataclass(frozen=True, eq=False)
 class TargetWatch:
-    """Target and its estimates after some steps."""
+    """Target track and all filters' estimates after some steps of a run."""
 
     model: TargetModel
     sensor: Sensor
@@ -74,7 +74,7 @@ class TargetWatch:
     past: tuple[InformationState, ...] = ()
 
     def expected_m(self, robot: int, steps: int) -> NDArray[np.float64]:
-        """Return the target track (steps, 2) that a robot predicts from now."""
+        """Return the target track (steps, 2) that a robot predicts for the next steps."""
         state = self.robots[robot]
         return predict_target(self.model, state.mean, state.covariance, steps).positions_m
 
@@ -90,7 +90,7 @@ class TargetWatch:
 
 
 def watch_target(problem: Problem, generator: np.random.Generator) -> TargetWatch | None:
-    """Draw the target's path and its initial estimate; None for a problem without a target."""
+    """Return a drawn target path with an initial estimate; None for a problem without a target."""
     if _sensor(problem) is None or not problem.targets:
         return None
     target = problem.targets[0]
@@ -103,7 +103,7 @@ def watch_target(problem: Problem, generator: np.random.Generator) -> TargetWatc
 
 
 def expected_target(problem: Problem) -> TargetWatch | None:
-    """Return the target with the problem's expected estimate, without draws; None without one."""
+    """Return the target with the problem's initial estimate, undrawn; None without a target."""
     return _first_watch(problem, np.zeros((0, 2)), np.zeros(4))
 
 
@@ -116,7 +116,7 @@ def _sensor(problem: Problem) -> Sensor | None:
 def _first_watch(
     problem: Problem, true_m: NDArray[np.float64], error: NDArray[np.float64]
 ) -> TargetWatch | None:
-    """Return the initial estimate of a target with an error (4,) in standard deviations."""
+    """Return the initial state of all filters, for an error (4,) in standard deviations."""
     sensor = _sensor(problem)
     if sensor is None or not problem.targets:
         return None
@@ -169,7 +169,7 @@ def counted(
     positions_m: NDArray[np.float64],  # (n, 2) positions of the robots
     delivered: NDArray[np.bool_],  # (n,) whether a robot's packet reaches the station
 ) -> TargetWatch:
-    """Return all filters one step later, updated with measurements of the target."""
+    """Return the target and all filters one step later, updated with measurements."""
     seen = np.asarray(np.isfinite(measured_m).all(axis=1), dtype=np.bool_)
     measured = np.where(seen[:, None], measured_m, positions_m)
     robots = tuple(
@@ -180,7 +180,7 @@ def counted(
     sent = (*watch.sent, Sent(measured, positions_m, seen, arrives))
     known = _known(sent, watch.packets, watch.delay_steps)
     past = (*watch.past, watch.station)
-    # Packets about earlier steps also update the station's later estimates.
+    # Delayed packets also update the station's estimates after their steps.
     before = watch.known if len(watch.known) else known[:0]
     changed = np.flatnonzero((known[:-1] != before).any(axis=1))
     first = int(changed[0]) if len(changed) else len(known) - 1
@@ -198,7 +198,7 @@ def counted(
 
 
 def _known(sent: Sequence[Sent], packets: Packets, delay_steps: int) -> NDArray[np.bool_]:
-    """Return which measurements the station has after the last step; ``(steps, robots)``."""
+    """Return a mask (steps, robots) of the measurements that the station has received."""
     arrived = np.array([step.delivered for step in sent])
     arrived[len(sent) - min(delay_steps, len(sent)) :] = False
     if packets == "estimates":
@@ -214,7 +214,7 @@ def _counted(
     positions_m: NDArray[np.float64],
     delivered: NDArray[np.bool_],
 ) -> InformationState:
-    """Return a filter one step later, with sensor noise evaluated at its own target estimate."""
+    """Return a filter one step later, with sensor noise evaluated at its own estimate."""
     ahead = predict(watch.model, state)
     noise = noise_covariance_m2(watch.sensor, positions_m, ahead.mean[:2])
     return update(ahead, measured_m, noise, delivered)
@@ -222,7 +222,7 @@ def _counted(
 
 @dataclass(frozen=True, eq=False)
 class TeamMoment:
-    """States, beliefs, tracks and previous plans of all robots at one step."""
+    """Input of one planning step: states, beliefs, tracks and previous plans of all robots."""
 
     beliefs: Sequence[Belief]
     states: Sequence[NDArray[np.float64]]  # (s,)
@@ -238,14 +238,14 @@ class TeamMoment:
 
 
 PlanStep = Callable[[TeamMoment], tuple[list[Plan], list[Aim]]]
-"""Function from the robots' information to one plan per robot and its external inputs."""
+"""Function that maps a `TeamMoment` to one plan per robot and its objective's external inputs."""
 
 Planning = Callable[[Problem, Sequence[NDArray[np.float64]]], PlanStep]
-"""Function from the problem with currently known obstacles and all states to a planner."""
+"""Function that maps a problem with the obstacles known so far, and all states, to a `PlanStep`."""
 
 
 class Stepper:
-    """State of the robots of one run."""
+    """State of all robots of one run, updated by alternate planning and observation."""
 
     def __init__(
         self,
@@ -316,13 +316,13 @@ class Stepper:
         return plans
 
     def _know(self, problem: Problem) -> None:
-        """Replace the workspace by that of `problem`, with a new planner."""
+        """Use the workspace of `problem` from now on, with a new planner."""
         self._plan_step = self._planning(problem, [driven[-1] for driven in self.states])
         self.problem = problem
         self.owns = [problem_of_robot(problem, number) for number in range(len(problem.robots))]
 
     def add_obstacles(self, obstacles: Sequence[Obstacle]) -> None:
-        """Add obstacles that become known now."""
+        """Add obstacles that have been discovered."""
         now_s = len(self.connected) * self.problem.planner.step_s
         workspace = self.problem.workspace
         later = [replace(one, known_from_s=now_s) for one in obstacles]
@@ -360,7 +360,7 @@ class Stepper:
         self.watches.append(watch)
 
     def _learnt(self, measured: Sequence[Sequence[Measurements]]) -> list[Belief]:
-        """Return all robots' beliefs updated with each one's measurements, by station."""
+        """Return the robots' beliefs, each updated with its own measurements of each station."""
         if self.problem.channel.share_measurements:
             # A shared belief needs only one update.
             taken = [each for each in measured if each]
@@ -372,10 +372,10 @@ class Stepper:
         ]
 
     def _goes_on(self, number: int, state: NDArray[np.float64]) -> bool:
-        """Return whether a robot may continue its previous plan.
+        """Return whether a robot is on its previous plan and may continue it.
 
-        Off its plan, a robot with dynamics cannot drive the remainder, and other robots do not keep
-        clear of it.
+        Off its plan, a robot with dynamics cannot drive the remainder, and other robots do not
+        avoid it.
         """
         plan, robot = self._warm[number], self.problem.robots[number]
         if plan is None:

@@ -1,9 +1,9 @@
 # pyright: basic
 """Dynamics defined by a CasADi function: a discrete map, or a derivative for Runge-Kutta.
 
-Within a step only samples and the largest speed v are known. Between two samples d metres and t
-seconds apart, all admissible paths lie in an ellipse within sqrt((v t)^2 - d^2) / 2 of the straight
-line. At equal times, the robot is within the same distance of uniform motion on that line
+Within a step, only samples and the maximum speed v are known. Between two samples that are d metres
+and t seconds apart, all admissible paths lie in an ellipse, within sqrt((v t)^2 - d^2) / 2 of the
+straight line. At equal times, the robot is within the same distance of uniform motion on that line
 (Stewart's theorem). A plan must end in a state in which the robot can rest.
 """
 
@@ -28,7 +28,7 @@ from planopt.world.motion import PointCurve, StepCurve
 
 
 class ComponentFunction:
-    """Wrapper that calls a CasADi function of (state, input) with components."""
+    """CasADi function of (state, input) that accepts tuples of components."""
 
     def __init__(self, function: Any) -> None:
         self._function = function
@@ -48,13 +48,13 @@ class ComponentFunction:
 
 
 Derivative = Callable[[Components, Components], Components]
-"""Function from state and input to the time derivative of the state, per second."""
+"""Function that maps state and input to the time derivative of the state."""
 
 
 def runge_kutta(
     derivative: Derivative, state: Components, control: Components, step_s: float, substeps: int
 ) -> list[Components]:
-    """Integrate a step of constant input; return the states after `substeps` equal parts."""
+    """Return the states after each of `substeps` equal parts of a step with constant input."""
     part = step_s / substeps
     states: list[Components] = []
     for _ in range(substeps):
@@ -82,10 +82,10 @@ INPUT_VALUES = 5
 """Number of values per input compared by :meth:`CasadiMap.following`."""
 
 HELD_STEPS = 2
-"""Number of steps for which path following holds each compared input."""
+"""Number of steps for which path following holds an input to compare it with others."""
 
 REST_SEARCH = 1e-15
-"""Tolerance of the search for a rest state, near rounding error, for steep maps."""
+"""Tolerance of the search for a rest state, near rounding error because maps may be steep."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +103,7 @@ class CasadiMap(BaseDynamics):
     speed_max_m_s
         Largest speed, on which the verifier relies.
     state_bounds, input_bounds
-        Smallest and largest value of each component; infinite if unbounded.
+        Minimum and maximum of each component; infinite if unbounded.
     rest_input
         Input that keeps the robot at rest.
     continuous
@@ -135,7 +135,7 @@ class CasadiMap(BaseDynamics):
         return self._samples(state, control, step_s, self.substeps)[-1]
 
     def limits(self, control: Components, after: Components) -> Components:
-        """Return the scaled excesses of the components over their finite bounds."""
+        """Return the scaled excesses of states and inputs over their finite bounds."""
         rows = []
         for values, bounds in ((control, self.input_bounds), (after, self.state_bounds)):
             for value, (low, high) in zip(values, bounds, strict=True):
@@ -152,7 +152,7 @@ class CasadiMap(BaseDynamics):
         return tuple((sample[0], sample[1]) for sample in samples[:-1])
 
     def hull_pad_m(self, step_s: float) -> float:
-        """Return half the longest path of a substep."""
+        """Return half the maximum path length of a substep."""
         return 0.5 * self.speed_max_m_s * step_s / self.substeps
 
     def stop_rows(self, state: Components, step_s: float) -> Components:
@@ -161,9 +161,9 @@ class CasadiMap(BaseDynamics):
         return tuple(there - here for there, here in zip(after, state, strict=True))
 
     def change_at_rest(self, state: Floats, step_s: float) -> Floats:
-        """Return the smallest change ``(s,)`` under the rest input at this position."""
-        # Local searches start from the other components of `state` and from zeros. If the map is
-        # not finite during a search, the change at its initial guess is used.
+        """Return the smallest change of state ``(s,)`` under the rest input at this position."""
+        # Local searches over the other components start from `state` and from zeros. If the map is
+        # not finite during a search, the change at its initial guess counts.
         low, high = np.array(self.state_bounds)[2:].T
         free = low < high
 
@@ -200,7 +200,7 @@ class CasadiMap(BaseDynamics):
         return np.tile(np.array(self.rest_input), (steps, 1))
 
     def following(self, state: Floats, path_m: Floats, step_s: float) -> Floats:
-        """Return inputs chosen so that holding each for two steps gets closest to the path."""
+        """Return inputs that follow a path; each, held for two steps, gets closest to the path."""
         pursuit = PurePursuit(np.vstack([state[:2], path_m]))
         ranges = [
             np.linspace(max(low, rest - 1.0), min(high, rest + 1.0), INPUT_VALUES)
@@ -239,7 +239,7 @@ class CasadiMap(BaseDynamics):
         for points, planned in zip(places, end, strict=True):
             apart = np.linalg.norm(np.diff(points, axis=0), axis=1)
             within = 0.5 * math.sqrt(max(0.0, longest**2 - float(apart.min()) ** 2))
-            # The plan integrates more coarsely; its error is added.
+            # The plan's coarser integration error is added.
             error = float(np.linalg.norm(planned - points[-1]))
             found.append(PointCurve(points, within + error))
         return found
@@ -256,7 +256,7 @@ class CasadiMap(BaseDynamics):
         return max(over)
 
     def unit_m(self, step_s: float) -> tuple[float, ...]:
-        """Return 1 m per unit of position and the longest step per unit of other components."""
+        """Return the metres per unit of state: 1 for positions, the longest step for others."""
         other = self.speed_max_m_s * step_s
         return (1.0, 1.0, *(other for _ in self.state_names[2:]))
 

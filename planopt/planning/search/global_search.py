@@ -48,8 +48,8 @@ OUT_OF_BOUND_STEP_S = 1e5
 MISSING_DB_S = 1e3
 """Penalty in seconds per missing dB, which ranks paths with equally many steps below the level."""
 BACK_STEPS = 10
-"""Number of longest steps by which the cost-to-go may grow over a plan, unless other robots or a rule
-require more. Nodes beyond this limit need no cost-to-go."""
+"""Number of longest steps by which a plan may increase the cost-to-go, unless other robots or a
+rule require more. Nodes beyond this limit need no cost-to-go."""
 CORRECTION_ROUNDS = 8
 """Maximum number of searches, each with corrected predictions along the last path."""
 
@@ -226,7 +226,7 @@ class GlobalSearch:
     ) -> NDArray[np.intp]:
         """Return the cheapest path that satisfies the rule and makes enough progress.
 
-        If there is none, return `cheapest`. With a slack limit, the rule takes priority over progress.
+        Without one, return `cheapest`. With a slack limit, the rule has priority over progress.
         """
         found: dict[bytes, NDArray[np.intp]] = {}
         places = self._scene.road_map.nodes_m

@@ -80,7 +80,7 @@ class LocalRanking:
         self._stations = self._expected if same else [near(each) for each in context.stations]
 
     def _grid(self, channel: LocalChannel, about_m: NDArray[np.float64]) -> LocalGrid | None:
-        """Return the part of the map that paths near `about_m` (a, 2) change; None without a map."""
+        """Return the part of the map that paths near `about_m` (a, 2) change; None if unused."""
         at = self._context
         if not _averages_map(at.problem):
             return None
@@ -187,7 +187,7 @@ Drive = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]
 """Function that maps turns and relative speeds (N, c) to paths (c, N, 2)."""
 
 FIRST_STEP, LONGEST_STEP = 0.3, 0.8
-"""Largest change of a heading (rad) or a relative speed in the first ascent step and in later ones."""
+"""Largest change of a heading (rad) or relative speed, in the first and in later ascent steps."""
 
 SHORTER = 0.35
 """Factor on the step length after an ascent step without gain."""

@@ -1,8 +1,8 @@
 """Search for a lattice path to a goal in space and time, among other robots.
 
-The search expands the nodes reachable after each step, waiting included. The cost-to-go without
-other robots prunes paths that exceed the lowest cost by `DELAYS_STEPS` of waiting. The search ends
-as soon as the shortest route from a promising node is collision-free in time.
+The search expands the nodes reachable after each step, waiting included. Based on the cost-to-go
+without other robots, it prunes paths that exceed the lowest cost by `DELAYS_STEPS` of waiting. It
+ends as soon as the shortest route from a promising node avoids the other robots in time.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from planopt.world.motion import closest_approach_m
 from planopt.world.moving_discs import MovingDiscs
 
 DELAYS_STEPS = (16, 64, 200)
-"""Allowed delays in waiting steps, searched one after the other."""
+"""Allowed delays in waiting steps, tried in this order."""
 
 MOST_PLACES = 12_000
 """Maximum number of nodes per stage, lowest cost first."""
@@ -32,7 +32,7 @@ ROUTES_TESTED = 4
 
 @dataclass(frozen=True, eq=False)
 class TimedCosts:
-    """Costs of lattice motion to a goal."""
+    """Lattice, and costs of motion on it to a goal."""
 
     road_map: RoadMap  # Lattice, its cost-to-go without other robots, goal
     cost_to_go: CostToGo
@@ -41,7 +41,7 @@ class TimedCosts:
     step_m: float
     effort_s2_m2: float
     rate_s_m: float  # Cost per metre of the cost-to-go
-    # (n + 1,) additional cost per metre at each node, and last at the robot
+    # (n + 1,) additional cost per metre at each node and, last, at the robot
     surcharge_s_m: NDArray[np.float64]
 
 
@@ -56,7 +56,7 @@ def route_nodes(cost_to_go: CostToGo, node: int) -> NDArray[np.intp]:
 def timed_places(
     places_m: NDArray[np.float64], route_m: NDArray[np.float64], step_m: float, steps: int
 ) -> NDArray[np.float64]:
-    """Return the positions of a path, followed by a route at full speed and then by waiting."""
+    """Return the positions after each step of a path, then a route at full speed, then waiting."""
     # Shapes: places_m (k + 1, 2); route_m (r, 2).
     route = np.vstack([places_m[-1:], route_m])
     driven = np.concatenate([[0.0], np.linalg.norm(np.diff(route, axis=0), axis=1).cumsum()])
@@ -67,7 +67,7 @@ def timed_places(
 
 
 def is_apart(discs: MovingDiscs, places_m: NDArray[np.float64], first: int = 0) -> bool:
-    """Return whether a timed path keeps clear of all discs; its first step may leave one."""
+    """Return whether a timed path avoids all moving discs; its first step may leave one."""
     # Shapes: places_m (T - first + 1, 2).
     if not len(discs):
         return True
@@ -82,14 +82,14 @@ def is_apart(discs: MovingDiscs, places_m: NDArray[np.float64], first: int = 0) 
 
 @dataclass(frozen=True, eq=False)
 class TimedPath:
-    """Timed path among other robots."""
+    """Timed path that avoids other robots."""
 
     nodes: NDArray[np.intp]  # (k,) after each step
     # (r,) nodes of the remaining route to the goal, driven at full speed; empty if the path does
     # not arrive
     route: NDArray[np.intp]
     cost_s: float  # Total cost in seconds
-    arrives: bool = True  # Whether it ends at the goal, not at a refuge
+    arrives: bool = True  # Whether the path ends at the goal, not at a refuge
 
 
 def search_timed(
@@ -100,7 +100,7 @@ def search_timed(
     discs: MovingDiscs,
     least_stages: int,
 ) -> TimedPath | None:
-    """Return a cheap path to the goal that keeps clear of all discs, also after arrival."""
+    """Return a cheap path to the goal that avoids all moving discs, also after arrival."""
     kept = steps_apart(
         discs,
         0,
@@ -132,7 +132,7 @@ def search_room(
     least_m: float,
     least_stages: int,
 ) -> TimedPath | None:
-    """Return the shortest path to a refuge off the other robots' paths; None if there is none."""
+    """Return the shortest path to a refuge away from the others' paths; None if there is none."""
     if not len(first_nodes):
         return None
     here = int(first_nodes[np.argmin(first_length_m)])
@@ -144,7 +144,7 @@ def search_room(
     if not np.isfinite(cost[room]):
         return None
     nodes = route_nodes(cost_to_go, room)[::-1]
-    # A robot already at a node would postpone its departure forever.
+    # If the robot's own node counted, it would postpone its departure forever.
     nodes = nodes[1:] if len(nodes) > 1 and first_length_m.min() <= STANDSTILL_M else nodes
     waits = np.repeat(nodes[-1:], max(least_stages - len(nodes), 0))
     return TimedPath(np.concatenate([nodes, waits]), nodes[:0], float(cost[room]), False)
@@ -158,9 +158,9 @@ def _search_within(
     least_stages: int,
     limit_s: float,
 ) -> TimedPath | None:
-    """Search paths up to a cost limit, from nodes (m,) at which the first step may end.
+    """Return the best path up to a cost limit, from nodes (m,) at which the first step may end.
 
-    The space-time search ends when all other robots have stopped; a static search does the rest.
+    Once all other robots have stopped, a static search completes the search in space and time.
     """
     to_go = costs.rate_s_m * costs.cost_to_go.cost_m
     stages: list[tuple[NDArray[np.intp], NDArray[np.intp]]] = [
@@ -196,16 +196,16 @@ def _search_within(
 
 
 def _is_free(costs: TimedCosts, discs: MovingDiscs, step: int, route: NDArray[np.intp]) -> bool:
-    """Return whether a route (r,) begun after `step` steps is collision-free at full speed."""
+    """Return whether a route (r,), driven at full speed after `step` steps, avoids the discs."""
     route_m = costs.road_map.nodes_m[route]
     on = timed_places(route_m[:1], route_m[1:], costs.step_m, discs.steps - step)
     return is_apart(discs, on, step)
 
 
 def _cost_to_go_past_standing(costs: TimedCosts, discs: MovingDiscs) -> CostToGo:
-    """Return the cost-to-go with all discs at their last positions.
+    """Return the cost-to-go with all discs at rest at their last positions.
 
-    Nodes near a disc are blocked, so that no move between other nodes comes too close to it.
+    Nodes near a disc are blocked, so that no move between other nodes violates the separation.
     """
     road_map = costs.road_map
     factor = 1.0 + costs.surcharge_s_m[:-1] / costs.rate_s_m

@@ -1,14 +1,14 @@
 """One step of all robots that have goals of their own and keep a separation.
 
 Timed paths to all goals (*courses*) are searched in sequence. A robot takes its single-robot path
-if that is clear of the earlier courses; otherwise it takes the cheapest clear course in space and
-time (:mod:`planopt.planning.search.timed_search`). A robot without a course moves to the front of
-the order and the search restarts; the order is kept for the next step. Thus a robot at its goal
+if that avoids the earlier courses; otherwise it takes the cheapest course in space and time that
+does (:mod:`planopt.planning.search.timed_search`). A robot without a course moves to the front of
+the order and the search restarts; the order is kept for the next step. A robot at its goal thus
 steps aside for one that must pass, and returns.
 
 The first steps of the courses are separated, so that each can be released independently: robots
-plan in sequence, clear of earlier plans and of the courses of later robots. Without courses, or if
-a robot with dynamics cannot drive its own, they keep clear of reservations
+plan in sequence and avoid earlier plans and the courses of later robots. Without courses, or if a
+robot with dynamics cannot drive its own, they avoid reservations
 (:mod:`planopt.planning.reservations`).
 """
 
@@ -39,14 +39,14 @@ from planopt.world.motion import TimedMotion
 from planopt.world.moving_discs import MovingDiscs, joined_discs
 
 STAYING = (Rung.SHIFTED, Rung.STOP, Rung.RESERVED, Rung.LEAVE)
-"""Fallbacks that make no progress: the previous plan, waiting, leaving an obstacle."""
+"""Fallbacks that make no progress to a goal: the previous plan, waiting, leaving an obstacle."""
 
 NO_LIMIT_M = -1e9
-"""Radius of a moving obstacle after its predicted steps; it disables the obstacle."""
+"""Radius of a moving obstacle after its predicted steps, negative to disable it."""
 
 
 class Couriers:
-    """Planner for all robots of one problem; stores the order of their courses."""
+    """Planner for all robots of a problem with goals; it stores the order of their courses."""
 
     def __init__(self, problem: Problem, scenes: Sequence[Scene], seeds: TeamSeeds) -> None:
         count = len(problem.robots)
@@ -98,17 +98,17 @@ class Couriers:
         )
 
     def _rank(self, plans: Sequence[Plan], must_move: bool) -> tuple[bool, int, int]:
-        """Return a rank: whether separated, number in progress if some must move, number verified.
+        """Return a rank: whether separated, number of moving plans if required, verified plans.
 
-        Without the count of progress two robots could block each other forever, because waiting is
-        verified and giving way would leave contact at a price.
+        If moving plans were not counted, two robots could block each other forever: waiting is
+        verified, whereas giving way may violate the chance constraint.
         """
         leading = sum(plan.rung not in STAYING for plan in plans) if must_move else 0
         verified = sum(plan.verdict is Verdict.VERIFIED for plan in plans)
         return keep_apart(self._problem, plans), leading, verified
 
     def _first_steps(self, courses: Sequence[Course]) -> dict[int, TimedMotion]:
-        """Return the part of each course within the horizon, if it can be driven."""
+        """Return the motion of each course within the horizon, if it can be driven."""
         horizon = self._problem.planner.horizon
         return {
             number: TimedMotion(course.places_m[: horizon + 1])
@@ -119,7 +119,7 @@ class Couriers:
     def _in_turn(
         self, at: TeamMoment, outlooks: Sequence[Outlook], kept: Mapping[int, TimedMotion]
     ) -> list[Plan]:
-        """Let robots plan in sequence, clear of earlier plans and of reserved motions."""
+        """Return plans made in sequence, which avoid earlier plans and reserved motions."""
 
         def plan_one(
             number: int, moving: MovingDiscs, reserved_m: NDArray[np.float64], _: Mapping[int, Plan]
@@ -133,8 +133,8 @@ class Couriers:
         """Return separated courses and store their order; None if none are found.
 
         If no order lets all arrive, some wait at refuges off the others' paths; robots that have
-        been at their goals come last. If these cannot be passed in time, all others make room for
-        the first robot that has not arrived.
+        been at their goals plan last. If waiting robots block the way, all others make room for the
+        first robot that has not arrived.
         """
         for number, state in enumerate(at.states):
             at_goal = is_at_goal(self._planners[number].problem, state[:2])
@@ -162,7 +162,7 @@ class Couriers:
     def _with_room(
         self, at: TeamMoment, first: int, alone: Sequence[Course]
     ) -> list[Course] | None:
-        """Return courses on which all others make room for robot `first`; None if none exist."""
+        """Return courses on which all other robots make room for robot `first`; None without."""
         passing = alone[first].places_m
         steps = len(passing) - 1
         found: dict[int, Course] = {}
@@ -185,7 +185,7 @@ class Couriers:
     def _in_order(
         self, at: TeamMoment, order: Sequence[int], alone: Sequence[Course]
     ) -> tuple[dict[int, Course], int | None]:
-        """Return the courses found in an order, and the first robot that does not arrive."""
+        """Return the courses found in `order`, and the first robot that does not arrive."""
         found: dict[int, Course] = {}
         late: int | None = None
         for number in order:
@@ -197,7 +197,7 @@ class Couriers:
         return found, late
 
     def _alone(self, outlooks: Sequence[Outlook]) -> list[Course]:
-        """Return each robot's course without the others, all over the same number of steps."""
+        """Return each robot's course that ignores the others, all over the same number of steps."""
         horizon = self._problem.planner.horizon
         paths: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
         for outlook in outlooks:
@@ -219,7 +219,7 @@ class Couriers:
     def _course(
         self, at: TeamMoment, number: int, alone: Course, found: Mapping[int, Course]
     ) -> Course | None:
-        """Return a robot's course that keeps clear of those found; None if there is none."""
+        """Return a robot's course that avoids the courses in `found`; None if there is none."""
         robots = _discs(self._problem, found, len(alone.places_m) - 1)
         if alone.outlook.start is None or is_apart(robots, alone.places_m):
             return alone
@@ -229,7 +229,7 @@ class Couriers:
 
 
 def _discs(problem: Problem, courses: Mapping[int, Course], steps: int) -> MovingDiscs:
-    """Return robots on their courses as moving discs."""
+    """Return moving discs that represent robots on their courses."""
     count = len(courses)
     return MovingDiscs(
         tuple(problem.robots[number].name for number in courses),
@@ -241,7 +241,7 @@ def _discs(problem: Problem, courses: Mapping[int, Course], steps: int) -> Movin
 
 
 def _lasting(discs: MovingDiscs, steps: int) -> MovingDiscs:
-    """Return the discs over more steps; they have no effect in the added steps."""
+    """Return the discs extended to more steps, in which they are disabled."""
     more = steps - discs.steps
     if not len(discs) or more <= 0:
         return discs
@@ -261,9 +261,9 @@ def planning(
     seeds: TeamSeeds,
     foreseen_m: Sequence[NDArray[np.float64]] | None = None,
 ) -> Planning:
-    """Return the planner factory for a workspace; the arguments are those of :func:`plan_step`.
+    """Return a function that creates planners; the arguments are those of :func:`plan_step`.
 
-    The scenes belong to the initial obstacles and are rebuilt for others.
+    The scenes belong to the initial obstacles and are rebuilt if obstacles change.
     """
 
     def made(now: Problem, states: Sequence[NDArray[np.float64]]) -> PlanStep:
@@ -281,7 +281,7 @@ def plan_step(
     seeds: TeamSeeds,
     foreseen_m: Sequence[NDArray[np.float64]] | None = None,  # (T, 2)
 ) -> PlanStep:
-    """Return the planner of a step: to goals in one scene per robot, or for a sum of terms."""
+    """Return the function that plans a step for all robots, to goals or for a sum of terms."""
     if scenes is not None:
         couriers = Couriers(problem, scenes, seeds)
         return lambda at: (couriers.plan(at), [Aim() for _ in problem.robots])

@@ -1,9 +1,9 @@
 """One step of all robots whose objective is a sum of terms.
 
-Robots plan in sequence. In the first round each keeps clear of the reservations of later robots
+Robots plan in sequence. In the first round, each avoids the reservations of later robots
 (:mod:`planopt.planning.reservations`). If a robot then has no verified plan, it plans first in a
-second round that considers only completed plans. The second result is released if all plans are
-separated and more of them are verified.
+second round that considers only completed plans. The result of the second round is released if all
+plans are separated and more of them are verified.
 """
 
 from __future__ import annotations
@@ -50,17 +50,17 @@ from planopt.world.motion import TimedMotion
 from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
 
 Steer = Callable[[StepContext], SteeringPath | None]
-"""Function from a step context to the robot's steering path."""
+"""Function that maps a step context to the robot's steering path."""
 
 STEERINGS: Mapping[Steers, Callable[[Problem, Ground, Any], Any]] = {
     "variance": Steering,
     "connection": ConnectionSteering,
     "goal": GoalSteering,
 }
-"""Classes that find the steering path, constructed from problem, ground and term."""
+"""Classes that find the steering path of a term, constructed from problem, ground and term."""
 
 PlanOne = Callable[[int, MovingDiscs, NDArray[np.float64], Mapping[int, Plan]], Plan]
-"""Planner of one robot: number, moving discs, reservation (N + 1, 2) and earlier plans."""
+"""Function that plans for one robot: number, moving discs, reservation, earlier plans."""
 
 
 def plan_in_turn(
@@ -70,7 +70,7 @@ def plan_in_turn(
     kept: Mapping[int, TimedMotion],
     plan_one: PlanOne,
 ) -> list[Plan]:
-    """Return plans made in the given order, clear of earlier plans and reserved motions."""
+    """Return plans made in `order`, which avoid earlier plans and the reserved motions `kept`."""
     made: dict[int, Plan] = {}
     for number in order:
         others = {
@@ -91,7 +91,7 @@ def plan_in_turn(
 
 @dataclass(frozen=True, eq=False)
 class Member:
-    """One robot with its own problem, ground and planner."""
+    """Robot of a team with its own problem, ground and planner."""
 
     problem: Problem  # Problem with this robot alone
     start: NDArray[np.float64]  # (s,) initial state
@@ -111,7 +111,7 @@ class Member:
         history: History = BEGINNING,
         pending: Pending = NOTHING_PENDING,
     ) -> tuple[Plan, Aim]:
-        """Return a plan from `state` with this robot's belief, and its external inputs."""
+        """Return this robot's plan from `state`, and its objective's external inputs."""
         base = verifier_context(
             self.problem, self.ground.index, belief.posteriors, state, history, moving
         )
@@ -128,17 +128,17 @@ class Member:
         return plan, replace(watched, steering_turns_m=steered, pending=pending)
 
     def value(self, plan: Plan, belief: Belief, aim: Aim, history: History) -> float:
-        """Return the objective of a plan's path for other external inputs."""
+        """Return the objective value of a plan's path for external inputs `aim`."""
         index, place = self.ground.index, plan.positions_m[0]
         base = verifier_context(self.problem, index, belief.posteriors, place, history)
         return ObjectiveValue(step_context(base, self.region, aim))(plan.positions_m[1:])
 
 
 def _valued_alone(plan: Plan, context: StepContext) -> Plan:
-    """Return the plan with the objective of its path in a fresh context.
+    """Return the plan with its objective value recomputed in a fresh context.
 
-    Beyond `SEARCH_EXACT_LIMIT` measurements a prediction depends on the positions predicted with
-    it, so that values of a search are not reproducible.
+    Beyond `SEARCH_EXACT_LIMIT` measurements, predictions depend on the positions that are predicted
+    together, so values computed during a search are not reproducible.
     """
     if len(context.posterior.measurements) <= SEARCH_EXACT_LIMIT:
         return plan
@@ -153,7 +153,7 @@ def build_team(
     seeds: TeamSeeds,
     foreseen_m: Sequence[NDArray[np.float64]] | None = None,  # (T, 2) of each robot
 ) -> tuple[Member, ...]:
-    """Return all robots of a problem; with `foreseen_m` they follow these paths."""
+    """Return the team of a problem; with `foreseen_m`, robots follow these paths."""
     region = workspace_region(problem)
     team: list[Member] = []
     for number, generator in enumerate(seeds.planners):
@@ -202,7 +202,7 @@ def _in_order(
     order: Sequence[int],
     kept: Mapping[int, TimedMotion],
 ) -> tuple[list[Plan], list[Aim]]:
-    """Let robots plan in the given order, clear of earlier plans and reserved motions."""
+    """Return plans made in `order`, which avoid earlier plans and reserved motions, and inputs."""
     aims: dict[int, Aim] = {}
 
     def plan_one(
@@ -223,7 +223,7 @@ def _planned(
     reserved_m: NDArray[np.float64],
     made: Mapping[int, Plan],
 ) -> tuple[Plan, Aim]:
-    """Return the plan of one robot that accounts for the others' planned measurements."""
+    """Return the plan of one robot, given the others' planned measurements, and its inputs."""
     pending = NOTHING_PENDING
     if counts_others(team[number].problem):
         planned = tuple(made[other].positions_m[1:] for other in sorted(made) if other != number)
@@ -247,7 +247,7 @@ def _again_in_turn(
     plans: Sequence[Plan],
     aims: Sequence[Aim],
 ) -> tuple[list[Plan], list[Aim]]:
-    """Let each robot plan again, given all other plans, and keep the better plan.
+    """Return improved plans: each robot plans again, given all other plans, and keeps the better.
 
     With F the objective of all plans together, F(p_i | others) = F(all) - F(others). Only a
     verified plan of larger F(p_i | others) replaces a verified plan, so that F(all) never
@@ -274,7 +274,7 @@ def _again_in_turn(
 
 
 def keep_apart(problem: Problem, plans: Sequence[Plan]) -> bool:
-    """Return whether the plans of one step keep the separation from each other."""
+    """Return whether the plans of one step satisfy the mutual separations."""
     limit = problem.constraints.separation_m - CLEARANCE_TOLERANCE_M
     found = [plan.certificate.min_separation_m for plan in plans]
     return all(distance is None or distance >= limit for distance in found)

@@ -1,13 +1,13 @@
 """Context of one planning step: belief, state, target, steering, other robots' plans.
 
-The robots of a team plan in sequence, knowing the earlier plans of the step and the others' past
-positions. The others' future measurements are treated as made, with the predicted power as value:
-this changes no mean and reduces variances exactly as real measurements would, because variances do
-not depend on measured values. The conditional information of a path given the others' paths is then
+The robots of a team plan in sequence, with knowledge of the earlier plans of the step and the
+others' past positions. The others' future measurements are treated as made, with the predicted
+power as value. This changes no mean and reduces variances as real measurements would, because
+variances do not depend on measured values. The information of a path given the others' paths is
 
     F(path | others) = F(path and others) - F(others),
 
-so that the conditional values of all robots add up to that of the team.
+so that the conditional values of all robots add up to the value of the team.
 """
 
 from __future__ import annotations
@@ -34,15 +34,15 @@ from planopt.problems.problem import Problem
 from planopt.targets.information_filter import TargetModel
 
 MOST_DRIVEN = 256
-"""Maximum number of positions visited by other robots that are used, nearest first; farther ones
-do not affect reachable positions."""
+"""Maximum number of positions visited by other robots that are considered, nearest first. Farther
+ones hardly affect reachable positions."""
 
 
 @dataclass(frozen=True, eq=False)
 class Pending:
     """Positions at which the other robots measure."""
 
-    # Positions (N, 2) after each step of every plan that is taken into account
+    # Positions (N, 2) after each step of every other robot's plan
     planned_m: tuple[NDArray[np.float64], ...] = ()
     # (k, 2) the others' positions after each past step of the run
     driven_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
@@ -57,7 +57,7 @@ def anticipated(
     position_m: NDArray[np.float64],  # (2,) position of the robot
     spacing_m: float,
 ) -> tuple[ChannelPosterior, ...]:
-    """Return the belief of each station's channel given the others' measurements."""
+    """Return each station's channel posterior, updated with the others' measurements."""
     away = np.linalg.norm(pending.driven_m - position_m, axis=1)
     near = np.sort(np.argsort(away, kind="stable")[:MOST_DRIVEN])
     places = np.vstack([pending.driven_m[near], *pending.planned_m])
@@ -83,12 +83,12 @@ def counts_others(problem: Problem) -> bool:
 
 
 def shares_places(problem: Problem) -> bool:
-    """Return whether a measurement or probe changes the value of positions nearby."""
+    """Return whether measurements or probes change the value of positions nearby."""
     return any(term.is_measured or term.steers == "connection" for term in problem.terms)
 
 
 def structure_of(problem: Problem) -> Structure:
-    """Return how the objective value of a path couples its positions."""
+    """Return how the objective couples the positions of a path (Hessian sparsity)."""
     found = {term.structure for term in problem.terms}
     if "full" in found:
         return "full"
@@ -98,8 +98,8 @@ def structure_of(problem: Problem) -> Structure:
 def bends_guesses(problem: Problem, *, steered: bool = True) -> bool:
     """Return whether the search adds a fan of paths in all directions to the lattice paths.
 
-    A fan serves terms that couple the positions of a path, unless they propose their own paths: to
-    probed positions, or along the path that the robot is `steered` along.
+    A fan is used for terms that couple the positions of a path, unless these terms propose paths
+    themselves: to probed positions, or along the path that the robot is `steered` along.
     """
     return any(
         term.structure == "full" and not term.probes_end and not (steered and term.steers)
@@ -108,14 +108,14 @@ def bends_guesses(problem: Problem, *, steered: bool = True) -> bool:
 
 
 def target_model(problem: Problem) -> TargetModel:
-    """Return the constant-velocity model with isotropic white acceleration; requires a target."""
+    """Return the target's constant-velocity model with isotropic white acceleration noise."""
     deviation = problem.targets[0].acceleration_std_m_s2
     return TargetModel(problem.planner.step_s, deviation**2 * np.eye(2))
 
 
 @dataclass(frozen=True, eq=False)
 class Aim:
-    """External inputs of one plan's objective."""
+    """External inputs of one plan's objective, such as the expected target track."""
 
     # (N, 2) expected target position at the end of each step; None without a target
     target_m: NDArray[np.float64] | None = None
@@ -132,7 +132,7 @@ class Aim:
 Made = TypeVar("Made")
 
 if TYPE_CHECKING:
-    # Type checkers do not accept a cached property for a property of a protocol.
+    # Type checkers reject a cached property for a protocol's property.
     cached_property = property
 else:
     from functools import cached_property
@@ -140,12 +140,12 @@ else:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class StepContext(VerifierContext):
-    """All inputs on which the objective value of a path depends."""
+    """Step context: all inputs on which the objective value of a path depends."""
 
     # (N, 2) expected target position at the end of each step; None without a target
     target_m: NDArray[np.float64] | None = None
     region: Region  # Region of the map, for terms that average over it
-    # The steering path; None if no term steers or nothing to steer to is reachable
+    # Steering path; None if no term steers or no steering position is reachable
     steering: SteeringPath | None = None
     # (4, 4) J_{t|t} of the station's filter; None without a target
     information: NDArray[np.float64] | None = None
@@ -191,7 +191,7 @@ class StepContext(VerifierContext):
         return target_model(self.problem)
 
     def power(self, places_m: NDArray[np.float64]) -> Prediction:
-        """Return the search's power prediction at `places_m` (n, 2), cached by position.
+        """Return the power predicted for searches at `places_m` (n, 2), cached by position.
 
         With many measurements the prediction is approximate and depends slightly on the positions
         that are predicted together; released plans are evaluated separately.
@@ -210,13 +210,13 @@ class StepContext(VerifierContext):
         return Prediction(both[:, 0], both[:, 1])
 
     def predicted(self, places_m: NDArray[np.float64]) -> Prediction:
-        """Return :meth:`power` with unknown multipath everywhere, as solvers model it."""
+        """Return :meth:`power` with multipath treated as unknown everywhere, as in solvers."""
         if any(len(known.rows) for known in self.law.known(places_m)):
             return self.law.predicted(places_m, search_power)
         return self.power(places_m)
 
     def soon(self, places_m: NDArray[np.float64]) -> None:
-        """Schedule `places_m` (n, 2) for joint prediction with the next new positions (faster)."""
+        """Schedule `places_m` (n, 2) for prediction together with the next new positions."""
         for place in np.asarray(places_m, dtype=np.float64):
             if place.tobytes() not in self._power:
                 self._soon[place.tobytes()] = place
@@ -261,21 +261,21 @@ class StepContext(VerifierContext):
     def probing(self) -> MeasuringRule:
         """Return the rule that decides which positions are probed for connection.
 
-        The robot's position is excluded unless the last step was connected.
+        The robot's current position is excluded unless the last step was connected.
         """
         return self._probing if self.history.steps else self._untried(self.position_m[None])
 
     @cached_property
     def _probing(self) -> MeasuringRule:
-        """Rule of :attr:`probing` in which the start of a run is not known to be disconnected."""
+        """Rule of :attr:`probing`, except that the start of a run may be connected."""
         lost = self.history.outage_steps > 0
         return self._untried(self.position_m[None] if lost else np.zeros((0, 2)))
 
     def _untried(self, here_m: NDArray[np.float64]) -> MeasuringRule:
-        """Return the rule that excludes positions near lost packets and near `here_m` (k, 2).
+        """Return the rule that excludes probes near lost packets and near `here_m` (k, 2).
 
-        Lost packets are measurements below the threshold, and earlier failures that were not
-        measured because a measurement with connection was close by.
+        Lost packets are measurements below the threshold, and earlier failures without a
+        measurement, because a connected measurement was close by.
         """
         known = [
             np.vstack([own.positions_m[own.power_dbm < threshold], here_m])
@@ -298,8 +298,8 @@ class StepContext(VerifierContext):
     ) -> NDArray[np.float64]:
         """Return the probabilities of connection (...) of probes at positions (..., 2).
 
-        Known connections have probability one. Other positions that a robot would not probe have
-        probability zero, and the rest their `predicted` probability (...).
+        The probability is one at known connections and zero at other positions that a robot would
+        not probe. Elsewhere it is `predicted` (...).
         """
         flat = places_m.reshape(-1, 2)
         found = np.where(self._probing.is_open(flat), predicted.reshape(-1), 0.0)
@@ -315,7 +315,7 @@ class StepContext(VerifierContext):
 
     @property
     def _connected_here_m(self) -> NDArray[np.float64]:
-        """The robot's position if its last packet arrived, (1, 2); otherwise empty, (0, 2)."""
+        """Robot's position (1, 2) if its last packet arrived; otherwise empty, (0, 2)."""
         arrived = self.history.steps > 0 and self.history.outage_steps == 0
         return self.position_m[None] if arrived else np.zeros((0, 2))
 

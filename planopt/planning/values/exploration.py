@@ -1,7 +1,7 @@
-"""Steering paths, region of the map, and positions at which a measurement still has a value.
+"""Steering paths, region of the map, and positions that are worth measuring.
 
-If there is no such position, a stationary robot is done, otherwise stalled. The set depends only on
-the lattice of the search, so that the check of a saved run uses the same positions.
+If no such position is left, a stationary robot has completed its task; otherwise it has stalled.
+The positions depend only on the search lattice, so a check of a saved run uses the same ones.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from planopt.world.clearance import (
 from planopt.world.lattice import MOVES, Lattice, moves_from, node_positions
 
 if TYPE_CHECKING:
-    # Type checkers do not accept a cached property for a property of a protocol.
+    # Type checkers reject a cached property for a protocol's property.
     cached_property = property
 else:
     from functools import cached_property
@@ -44,7 +44,7 @@ else:
 
 @dataclass(frozen=True, eq=False)
 class SteeringPath:
-    """Path from a robot's position to its steering target."""
+    """Path from a robot's position to the position that it is steered to."""
 
     # (m, 2), m at least 2: the robot's position, the turns, and the end
     turns_m: NDArray[np.float64]
@@ -52,8 +52,8 @@ class SteeringPath:
     clearance_m: float  # Minimum distance to obstacles
     # (ny, nx) length of the shortest path to the end from each node of the lattice, if known
     lattice_m: NDArray[np.float64] | None = None
-    # Whether a position may advance at most to the end of its nearest leg: the path also avoids
-    # coverage holes, across which later turns may be visible
+    # Whether a position heads at most for the end of its nearest leg, because the path also avoids
+    # coverage holes, across which later turns are visible
     in_order: bool = False
 
     @property
@@ -68,10 +68,10 @@ class SteeringPath:
         return np.concatenate([np.cumsum(legs[::-1])[::-1], [0.0]])
 
     def next_turns(self, places_m: NDArray[np.float64]) -> NDArray[np.intp]:
-        """Return the index of the turn that each position (n, 2) heads for directly.
+        """Return the index of the turn that each position (n, 2) heads for next.
 
-        It is the last of the first consecutive visible turns; positions that see no turn return to
-        the start of the path.
+        From the first visible turn on, it is the last one before a hidden turn. Positions that see
+        no turn return to the start of the path.
         """
         found = np.zeros(len(places_m), dtype=np.intp)
         left = np.arange(len(places_m))
@@ -128,7 +128,7 @@ def steering_path(
     turns_m: NDArray[np.float64],
     lattice_m: NDArray[np.float64] | None = None,
 ) -> SteeringPath:
-    """Return the path through `turns_m` (m, 2) along which a problem's terms steer."""
+    """Return the steering path through `turns_m` (m, 2)."""
     in_order = any(term.steers == "goal" for term in problem.terms)
     return SteeringPath(turns_m, index, problem.constraints.clearance_m, lattice_m, in_order)
 
@@ -140,8 +140,8 @@ NEAR_PLACES = 900
 """Approximate number of cells in the part of the workspace that a plan can change."""
 
 ROOM_STEPS = 5.0
-"""Margin around the reachable positions in longest steps: measurements inform about positions
-around them."""
+"""Margin around the reachable positions in longest steps, since measurements also reduce variances
+nearby."""
 
 
 def workspace_region(problem: Problem) -> Region:
@@ -156,7 +156,7 @@ def workspace_region(problem: Problem) -> Region:
 def region_near(problem: Problem, whole: Region, position_m: NDArray[np.float64]) -> Region:
     """Return the workspace with a fine grid near `position_m` (2,), where a plan changes the map.
 
-    The coarse grid alone would strongly overrate plans through its nodes.
+    The coarse grid alone would strongly overestimate the value of plans through its nodes.
     """
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     reach = problem.step_length_m * (problem.planner.horizon + ROOM_STEPS)
@@ -176,7 +176,7 @@ def region_near(problem: Problem, whole: Region, position_m: NDArray[np.float64]
 
 
 def region_along(problem: Problem, region: Region, path_m: NDArray[np.float64]) -> Region:
-    """Return the part of `region` that paths near `path_m` (N, 2) can change; weights unchanged."""
+    """Return the part of `region` that paths near `path_m` (N, 2) can change, same weights."""
     away = np.linalg.norm(region.grid_m[:, None] - path_m, axis=2).min(axis=1)
     near = away <= ROOM_STEPS * problem.step_length_m
     return Region(region.grid_m[near], region.weight[near]) if near.any() else region
@@ -188,7 +188,7 @@ def _coarse_m(problem: Problem) -> float:
 
 
 def _centres(bounds_m: tuple[float, float, float, float], cell_m: float) -> NDArray[np.float64]:
-    """Return the centres of cells of about this size, in row-major order; (n, 2)."""
+    """Return the centres of cells of about size `cell_m` in bounds, row by row; (n, 2)."""
     x_min, y_min, x_max, y_max = bounds_m
     x, y = (
         low + (high - low) * (np.arange(count) + 0.5) / count
@@ -199,7 +199,7 @@ def _centres(bounds_m: tuple[float, float, float, float], cell_m: float) -> NDAr
 
 
 FINER = 4
-"""Subdivision of the lattice spacing for intermediate positions, used if all nodes are measured."""
+"""Subdivision of the lattice spacing, for intermediate positions once all nodes are measured."""
 
 
 def explores(term: Term) -> bool:
@@ -219,7 +219,7 @@ def left_to_learn(
     here_m: NDArray[np.float64],  # (2,) position of the robot
     posteriors: Sequence[ChannelPosterior],
 ) -> NDArray[np.float64]:
-    """Return reachable positions at which a measurement has a value; (k, 2).
+    """Return the reachable positions (k, 2) that are worth measuring.
 
     They are lattice nodes, or intermediate positions if all nodes are measured. If all terms have a
     variance threshold, they are the positions of the workspace grid above the threshold.
@@ -250,7 +250,7 @@ def left_to_learn(
 def reachable_nodes(
     problem: Problem, index: ObstacleIndex, lattice: Lattice, here_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Return the mask of nodes reachable by lattice moves from a position (2,); (ny, nx)."""
+    """Return a mask (ny, nx) of nodes reachable by lattice moves from a position (2,)."""
     found = np.zeros(lattice.shape, dtype=np.bool_)
     reach = problem.step_length_m - STEP_PAD_M
     rows, columns, clear = moves_from(
@@ -278,7 +278,7 @@ def _joined(
     nodes_m: NDArray[np.float64],
     places_m: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the positions (n, 2) with a collision-free segment from their nearest node."""
+    """Return those of positions (n, 2) with a collision-free segment from their nearest node."""
     places = places_m[inside_bounds(problem.workspace, places_m)]
     if not len(places) or not len(nodes_m):
         return places[:0]

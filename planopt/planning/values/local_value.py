@@ -1,4 +1,4 @@
-"""Local model of the objective around an initial guess, with exact derivatives at bounded cost.
+"""Local model of the objective around an initial guess, with exact derivatives.
 
 The channel model uses the measurements nearest to the guess; non-smooth points are smoothed. The
 solver's path is then evaluated by :mod:`planopt.planning.values.objective_value` and verified.
@@ -41,7 +41,7 @@ JOINT_NEIGHBOURS = 128
 def local_value(
     context: StepContext, path_m: NDArray[np.float64], rows: RuleRows | None = None
 ) -> EvaluatePath:
-    """Return the local value near a guess (N, 2), with the margins and sum that `rows` bound."""
+    """Return the local model near a guess (N, 2): value, and margins or sum for `rows`."""
     problem = context.problem
     structure = structure_of(problem)
 
@@ -57,7 +57,7 @@ def local_value(
     rule = None
     if any(term.is_measured for term in problem.terms):
         rule = context.near_measuring
-    # Each position keeps the turn visible from its initial value: small moves keep it visible.
+    # Each position keeps its turn, which remains visible after small moves.
     steering = context.steering
     ahead = None if steering is None else steering.next_turns(path_m)
     probed = None
@@ -90,7 +90,7 @@ def local_value(
 
     evaluated = remembering(evaluate)
     if any(is_own(term) for term in problem.terms):
-        # Evaluate before CasADi does, because its callbacks lose Python exceptions.
+        # A first evaluation outside CasADi, whose callbacks lose Python exceptions.
         evaluated(path_m)
     return evaluated
 
@@ -100,7 +100,7 @@ def stage_predictor(
     path_m: NDArray[np.float64],
     neighbours: int,
 ) -> StagePredictor | ServingStages:
-    """Return the stage predictor near a path (N, 2), for one station or several."""
+    """Return the power predictor of all stages near a path (N, 2), for one station or several."""
     first, *others = law.posteriors
     if others:
         return ServingStages(law.posteriors, law.thresholds_dbm, law.combined, path_m, neighbours)
@@ -108,7 +108,7 @@ def stage_predictor(
 
 
 def _total(chance: Derivatives, weight: NDArray[np.float64]) -> PathValue:
-    """Return the weighted sum of the stages' probabilities."""
+    """Return the weighted sum of the stages' connection probabilities, with derivatives."""
     return PathValue(
         float(weight @ chance.value),
         weight[:, None] * chance.gradient,
@@ -135,7 +135,7 @@ def _joint_channels(
 
 
 def _derivatives(term: Term, near: NearPath) -> Part:
-    """Return value and derivatives of one path by a term, possibly user-defined."""
+    """Return a term's value and derivatives for one path; the term may be user-defined."""
     with calling(term, "derivatives", key="objective.terms"):
         part = term.derivatives(near)
     if not isinstance(cast("object", part), PathDerivatives | Derivatives):
@@ -175,7 +175,7 @@ def _weighted(weight: float, part: Part) -> Part:
 
 
 def _sum(parts: list[Part], stages: int, structure: Structure) -> PathValue:
-    """Return the sum of all parts, with its Hessian in the form of `structure`."""
+    """Return the sum of the terms' values, with its Hessian in the form of `structure`."""
     stagewise = structure == "stagewise"
     if stagewise and len(parts) == 1:
         return PathValue(float(np.sum(parts[0].value)), parts[0].gradient, parts[0].hessian)

@@ -1,8 +1,8 @@
-"""Objective of a path: the weighted sum of its terms from all measurements, or the cost to a goal.
+"""Objective value of a path: the weighted sum of terms, or the cost to a goal.
 
-Plans are compared by this value, and results report it. Solvers use the differentiable local
-approximation in :mod:`planopt.planning.values.local_value`. Violations of the connectivity rule and
-their slack are penalised in addition.
+Plans are compared by this value, which uses all measurements, and results report it. Solvers use
+the differentiable local approximation in :mod:`planopt.planning.values.local_value`. Slack of the
+connectivity rule, and violations beyond the slack, are penalised in addition.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ class ObjectiveValue:
         return float(sum(self.by_term(path_m))) - slack_cost(self.context, path_m)
 
     def by_term(self, path_m: NDArray[np.float64]) -> tuple[float, ...]:
-        """Return the contribution of each term of the objective, its weight included."""
+        """Return the contribution of each term of the objective, including its weight."""
         return tuple(self._contributed(number, path_m) for number in range(len(self._terms)))
 
     def of_each(self, paths_m: Sequence[NDArray[np.float64]]) -> list[float]:
-        """Return the objective value of several paths, predicted jointly."""
+        """Return the objective values of several paths, with joint predictions."""
         for path in paths_m:
             self.context.soon(path)
         total = np.zeros(len(paths_m))
@@ -93,7 +93,7 @@ def probe_values(
 
 @contextmanager
 def _named(at: StepContext, number: int) -> Generator[None]:
-    """Add the term's name to errors."""
+    """Add the name of term `number` to its errors."""
     try:
         yield
     except InputError as error:
@@ -103,7 +103,7 @@ def _named(at: StepContext, number: int) -> Generator[None]:
 
 
 SHARE_IN_DB = 100.0
-"""Cost in dB of a rule over a whole plan that is violated entirely."""
+"""Cost in dB of a relative shortfall of one, for a rule over a whole plan."""
 
 
 def slack_cost(at: StepContext, path_m: NDArray[np.float64]) -> float:
@@ -137,7 +137,7 @@ def rule_missing(at: StepContext, path_m: NDArray[np.float64]) -> float:
 
 
 def _missed_db(at: StepContext, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the violation of the bound at each constrained step; (N,)."""
+    """Return the shortfall of p_min in dB at each constrained step; (N,)."""
     power, problem = at.power(path_m), at.problem
     margins = margins_asked_db(problem, power)
     missed = margins < -MARGIN_TOLERANCE_DB
@@ -146,13 +146,13 @@ def _missed_db(at: StepContext, path_m: NDArray[np.float64]) -> NDArray[np.float
 
 
 def rule_result(at: StepContext, path_m: NDArray[np.float64]) -> RuleResult:
-    """Return the verifier's result of a path (N, 2) for a rule over the whole plan."""
+    """Return the verifier's result for a path (N, 2) by a rule over the whole plan."""
     places_m = np.vstack([at.position_m, path_m])
     return whole_plan_result(PathCase(at, places_m, at.power(path_m)))
 
 
 BRAKING_PLACES = 9
-"""Number of positions on the braking path at which the outage price is evaluated."""
+"""Number of positions on the braking path at which outage is evaluated."""
 
 
 @dataclass(frozen=True)
@@ -161,18 +161,16 @@ class ReachCost:
 
     problem: Problem  # Problem with a goal
     position_m: NDArray[np.float64]  # (2,) position of the robot
-    # Predicted power at positions (n, 2), which decides where a path violates the bound
+    # Maps positions (n, 2) to predicted power, for p_min and outage
     power: Callable[[NDArray[np.float64]], Prediction]
-    # Function from a path's end (2,) to the pivot of the remaining route; None if no cost-to-go is
-    # charged
+    # Maps a path's end (2,) to the pivot of the remaining route; None without a cost-to-go
     ahead: Callable[[NDArray[np.float64]], Pivot] | None = None
-    # Whether outage is priced; False for a robot that has wandered and takes the shortest
-    # path
+    # Whether outage is priced; False for a robot that takes the shortest path after wandering
     priced: bool = True
 
     @property
     def outage_price(self) -> float:
-        """Return the price of a metre out of contact."""
+        """Return the price of a metre out of contact; zero if outage is not priced."""
         return self.problem.reach.outage_price if self.priced else 0.0
 
     @property
@@ -212,7 +210,7 @@ class ReachCost:
         return cost + self.rate_s_m * (pivot.metre_cost * to_pivot + pivot.cost_m)
 
     def pivot_of(self, path_m: NDArray[np.float64], drive: Drive | None = None) -> Pivot | None:
-        """Return the pivot used in the cost-to-go of a path (N, 2)."""
+        """Return the pivot for the cost-to-go of a path (N, 2)."""
         end = path_m[-1] if drive is None else resting_places_m(drive)[-1]
         return None if self.ahead is None else self.ahead(end)
 
@@ -223,7 +221,7 @@ class ReachCost:
         return self.problem.stations[0].threshold_dbm - slack_db
 
     def _charged_m(self, places_m: NDArray[np.float64]) -> float:
-        """Return the length of a path (N + 1, 2) to which the outage price applies, in metres."""
+        """Return the length out of contact of a path (N + 1, 2), in metres."""
         lengths = np.linalg.norm(np.diff(places_m, axis=0), axis=1)
         return charged_length_m(lengths, self._outage_share(places_m))
 
@@ -239,9 +237,9 @@ class ReachCost:
         return 1.0 + self.outage_price * self._outage_share(places)
 
     def outage_charges(self, path_m: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
-        """Return the charged fraction of a metre at the robot, and along a path (N, 2).
+        """Return the penalised fraction of a metre at the robot, and along a path (N, 2).
 
-        The second value, (N,), assumes that connection is impossible.
+        The second value, (N,), is the fraction if connection were impossible.
         """
         below = self._is_below(self.power(path_m))
         certain = outage_share(np.zeros(len(path_m)), below, self._everywhere)

@@ -1,8 +1,8 @@
-"""Connectivity rule for planners: rows of the programme, search guides, and the shortfall.
+"""Connectivity rule for planners: constraint rows, search guides, and the shortfall.
 
-All derive from :meth:`planopt.planning.proof.rule.Rule.achieved`. A rule that holds steps bounds
-each of them by p_min. Any other rule becomes one row, the tangent of the achieved value: a weighted
-sum of the probabilities.
+All derive from :meth:`planopt.planning.proof.rule.Rule.achieved`. A rule on single steps constrains
+each of them by p_min. Any other rule becomes one row, a weighted sum of the probabilities: the
+tangent of the achieved value.
 """
 
 from __future__ import annotations
@@ -28,33 +28,33 @@ from planopt.planning.values.objective_value import rule_result
 from planopt.problems.problem import Problem
 
 UNASKED = 0.5
-"""Level of an unconstrained step."""
+"""Probability level that stands for an unconstrained step."""
 
 LEAST_LEVEL = 1e-3
-"""Minimum distance of single steps' levels from 0 and 1."""
+"""Minimum distance of a step's probability level from 0 and 1."""
 
 LEVEL_HALVINGS = 20
-"""Number of bisections for the common level of all steps."""
+"""Number of bisections for the common probability level of all steps."""
 
 
 @dataclass(frozen=True, eq=False)
 class RuleRows:
-    """Rows of the connectivity rule for a path of N steps."""
+    """Constraint rows of the connectivity rule for a path of N steps."""
 
     threshold_dbm: float  # Power threshold of connection
     level: NDArray[np.float64]  # (N,) required probability of each step
-    bounded: NDArray[np.bool_]  # (N,) whether the step is bounded
+    bounded: NDArray[np.bool_]  # (N,) whether the step is constrained
     # (N,) weights of the probabilities in the sum; None if no sum is bounded
     weight: NDArray[np.float64] | None = None
     total: float = 0.0  # Lower bound of the sum
 
     @property
     def quantile(self) -> NDArray[np.float64]:
-        """Return the normal quantile z_p of each step's level; (N,)."""
+        """Return the normal quantile z_p of each step's required probability; (N,)."""
         return np.array([bound_quantile(level) for level in self.level.tolist()])
 
     def margins_db(self, power: Prediction) -> NDArray[np.float64]:
-        """Return the margin of each step at its own level; infinite for unconstrained steps."""
+        """Return each step's margin in dB at its required probability; inf if unconstrained."""
         margins = power.mean_db - self.quantile * power.deviation_db - self.threshold_dbm
         return np.where(self.bounded, margins, np.inf)
 
@@ -84,17 +84,17 @@ class RuleRows:
 
 
 def has_sum_row(problem: Problem) -> bool:
-    """Return whether a sum over the steps is bounded."""
+    """Return whether the rule constrains a sum over the steps."""
     return not problem.constraints.rule.kind.holds_steps
 
 
 def has_step_rows(problem: Problem) -> bool:
-    """Return whether single steps are bounded."""
+    """Return whether the rule constrains single steps."""
     return problem.constraints.asks_connection and not has_sum_row(problem)
 
 
 def rule_rows(context: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
-    """Return the rows for a refinement of `path_m` (N, 2)."""
+    """Return the constraint rows for a refinement of `path_m` (N, 2)."""
     problem, history = context.problem, context.history
     legs = np.linalg.norm(np.diff(np.vstack([context.position_m, path_m]), axis=0), axis=1)
     rule, p_min, count = rule_of(problem, legs), problem.constraints.p_min, len(path_m)
@@ -117,15 +117,15 @@ def rule_rows(context: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
 
 
 LARGEST_FACTOR = 4.0
-"""Maximum factor by which the shortfall from certain connection is scaled."""
+"""Maximum factor on the value's shortfall from its maximum."""
 
 
 def scaled_value(
     rule: Rule, context: StepContext, achieved: float, count: int, result: RuleResult
 ) -> float:
-    """Return the value whose shortfall matches the allowed risk (equation 5.7).
+    """Return the required value that corresponds to the allowed risk (equation 5.7).
 
-    The shortfall from certain connection is scaled by the ratio of allowed to verified risk.
+    The value's shortfall from that of certain connection is scaled by allowed over verified risk.
     """
     most = float(rule.valued(np.ones(count), context.history))
     factor = (1.0 - result.asked) / max(1.0 - result.achieved, 1e-12)
@@ -133,13 +133,13 @@ def scaled_value(
 
 
 AIMED_SHARE = 0.98
-"""Fraction of the difference to the allowed risk at which the secant aims."""
+"""Fraction of the way to the allowed risk that the secant step aims for."""
 
 USED_SHARE = 0.9
-"""A row that uses at least this fraction of its shortfall is active in the solver."""
+"""Fraction of its allowed shortfall from which a row counts as active in the solver."""
 
 USED_UP_SHARE = 0.97
-"""Risk is not reallocated if at least this fraction of it is used."""
+"""Fraction of the allowed risk from which risk is not reallocated."""
 
 
 def rows_again(
@@ -149,7 +149,7 @@ def rows_again(
     earlier: list[tuple[float, RuleResult]],
     result: RuleResult,
 ) -> RuleRows | None:
-    """Return rows corrected by a path's (N, 2) verified result; None if the risk is used up.
+    """Return rows corrected by the verified result of a path (N, 2); None if risk is used up.
 
     The correction is the secant between the last feasible and the last infeasible path, or half of
     it if two successive paths are on the same side. The path is appended to `earlier`.
@@ -180,9 +180,9 @@ def rows_again(
 
 
 def step_rows(context: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
-    """Return rows that bound only single steps, about a path (N, 2).
+    """Return rows that constrain only single steps, near a path (N, 2).
 
-    A bound on a sum becomes one bound per step; the path's surplus or deficit is spread evenly.
+    A constraint on a sum becomes one per step; the path's surplus or deficit is spread evenly.
     """
     rows = rule_rows(context, path_m)
     if rows.weight is None:
@@ -198,17 +198,17 @@ def step_rows(context: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
 
 @dataclass(frozen=True, eq=False)
 class Guide:
-    """Required steps, level and credits that guide a search."""
+    """Guide of a lattice search: constrained steps, their level, and credits for connection."""
 
-    level: float  # Required probability of the bounded steps
-    bounded: NDArray[np.bool_]  # (N,) mask of the bounded steps
+    level: float  # Required probability of the constrained steps
+    bounded: NDArray[np.bool_]  # (N,) mask of the constrained steps
     # (N,) reward of a connection at each step relative to the largest reward of a step; multiplied
     # by its probability
     credit: NDArray[np.float64]
 
 
 GuidedSearch = Callable[[Guide], list[NDArray[np.float64]]]
-"""Function from a guide to the best paths (N, 2), best first."""
+"""Function that maps a guide to the best paths (N, 2), best first."""
 
 IsKept = Callable[[NDArray[np.float64]], bool]
 """Function that returns whether a path (N, 2) satisfies the rule."""
@@ -220,7 +220,7 @@ CREDIT_HALVINGS = 5
 """Number of bisections of the credit on a logarithmic scale."""
 
 PATTERNS = 4
-"""Number of patterns of held steps that are searched."""
+"""Maximum number of patterns of constrained steps that are searched."""
 
 
 def find_guided(
@@ -238,10 +238,10 @@ def find_guided(
     found = search(none)
     if not found or is_kept(found[0]):
         return found
-    # If steps were independent, the common level at each step would satisfy the rule.
+    # For independent steps, the common level at each step satisfies the rule.
     level = common_level(rule, problem.constraints.p_min, history, count)
     found += search(Guide(level, np.ones(count, dtype=np.bool_), no_credit))
-    # Bisect for the smallest sufficient credit, a Lagrange multiplier.
+    # Bisection finds the smallest sufficient credit, a Lagrange multiplier.
     _, weight = rule.slopes(np.full(count, UNASKED), history)
     weight = weight / max(float(weight.max()), 1e-9)
     low, high = LOWEST_CREDIT, HIGHEST_CREDIT
@@ -269,7 +269,7 @@ def common_level(rule: Rule, p_min: float, history: History, count: int) -> floa
 
 
 def _held_patterns(rule: Rule, context: StepContext, count: int) -> list[NDArray[np.bool_]]:
-    """Return sufficient masks (N,) of held steps: as late as possible, earlier, and all."""
+    """Return sufficient masks (N,) of constrained steps: as late as possible, earlier, and all."""
     history, asks = context.history, context.problem.constraints.asks_connection
     every = np.ones(count, dtype=np.bool_)
     latest = rule.held(every, history)
@@ -285,10 +285,10 @@ def _held_patterns(rule: Rule, context: StepContext, count: int) -> list[NDArray
 
 
 def missing(at: StepContext, legs_m: NDArray[np.float64], power: Prediction) -> NDArray[np.float64]:
-    """Return the shortfall of each path, 0 if it satisfies the rule; (c,).
+    """Return the shortfall (c,) of each path, 0 if it satisfies the rule.
 
-    The unit is dB, summed over steps, for rules on each step, and otherwise the number of connected
-    steps that are lacking.
+    For rules on each step, the unit is dB, summed over steps; otherwise it is the number of missing
+    connected steps.
     """
     # Shapes: legs_m (c, N).
     constraints, history = at.problem.constraints, at.history
@@ -305,14 +305,14 @@ def missing(at: StepContext, legs_m: NDArray[np.float64], power: Prediction) -> 
 
 
 def _value_of_step(rule: Rule, at: StepContext, shape: tuple[int, ...]) -> NDArray[np.float64]:
-    """Return the mean gain per connected step of paths with steps (c, N); ``(c,)``."""
+    """Return the mean increase (c,) of the rule's value per connected step of paths (c, N)."""
     history = at.history
     gained = rule.valued(np.ones(shape), history) - rule.valued(np.zeros(shape), history)
     return np.maximum(gained / shape[1], 1e-9)
 
 
 def missing_slope(at: StepContext, batch: LocalPaths) -> Pull:
-    """Return the derivatives of :func:`missing` by the powers; zero for lengths of outages."""
+    """Return the derivatives of :func:`missing` w.r.t. the powers; zero for outage lengths."""
     problem, history, power = at.problem, at.history, batch.power
     rule, threshold = rule_of(problem), problem.stations[0].threshold_dbm
     if rule.by_step:

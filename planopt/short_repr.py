@@ -1,4 +1,4 @@
-"""Short representations of data with arrays, for ``print`` and interactive prompts.
+"""Short text representations of objects with arrays, for ``print`` and interactive prompts.
 
 A dataclass with array fields sets ``__repr__ = short_repr``. Arrays are shown by shape and range,
 long tuples by their length; omitted parts are shown as ``...``.
@@ -54,7 +54,7 @@ def _fields_of(thing: object) -> str:
 
 
 def _short(value: Any) -> str:
-    """Return a short text of one value."""
+    """Return a short text representation of one value."""
     if isinstance(value, np.ndarray):
         return _short_array(cast("NDArray[Any]", value))
     if isinstance(value, Enum):

@@ -1,7 +1,7 @@
-"""Interface of robot dynamics for planners and verifier, and simulated drives.
+"""Interface of robot dynamics for planners and verifier, and simulated trajectories.
 
-States and inputs are tuples of components. NumPy scalars, NumPy arrays of any shape and CasADi
-expressions therefore share one formula. Inputs are constant over a step.
+States and inputs are tuples of components, so one formula serves NumPy scalars, NumPy arrays of any
+shape and CasADi expressions. Inputs are constant over a step.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Disc:
 
     limit: int  # Index of the constraint among the limits
     names: tuple[str, str]  # Names of the two components, of the next state or the input
-    radius: float  # Largest length of the pair
+    radius: float  # Largest magnitude of the pair
 
 
 class Dynamics(Protocol):
@@ -54,7 +54,7 @@ class Dynamics(Protocol):
 
     @property
     def discs(self) -> tuple[Disc, ...]:
-        """Limits that are disc constraints."""
+        """Disc constraints among the limits."""
         ...
 
     def step(self, state: Components, control: Components, step_s: float) -> Components:
@@ -68,22 +68,22 @@ class Dynamics(Protocol):
     def control_points(
         self, state: Components, control: Components, step_s: float
     ) -> tuple[tuple[Any, Any], ...]:
-        """Return points whose convex hull with both ends contains the path of a step."""
+        """Return points whose convex hull, with both ends of a step, contains its path."""
         ...
 
     def hull_pad_m(self, step_s: float) -> float:
-        """Return the largest distance between the path of a step and that hull, in metres."""
+        """Return the largest distance of a step's path from the hull of :meth:`control_points`."""
         ...
 
     def timed_pad_m(self, step_s: float) -> float:
-        """Return the largest distance of the path from the Bezier curve of the points.
+        """Return the largest distance of a step's path from its Bezier curve at equal times.
 
-        The comparison is at equal times; the distance adds to :meth:`hull_pad_m`.
+        The curve is that of :meth:`control_points`; the distance adds to :meth:`hull_pad_m`.
         """
         ...
 
     def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
-        """Return points whose hull with the position contains the braking path from a state."""
+        """Return points whose convex hull, with the position, contains the braking path."""
         ...
 
     def stop_curve(self, state: Floats, step_s: float) -> Curve | None:
@@ -91,7 +91,7 @@ class Dynamics(Protocol):
         ...
 
     def stop_rows(self, state: Components, step_s: float) -> Components:
-        """Return expressions that must be 0 for the robot to be able to stop; () if none."""
+        """Return expressions that are 0 if the robot can stop from a state; () if it always can."""
         ...
 
     def stop_steps(self, state: Floats, step_s: float) -> int:
@@ -107,7 +107,7 @@ class Dynamics(Protocol):
         ...
 
     def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
-        """Return the approximate time to turn towards a position, smooth, and 0 at the position."""
+        """Return a smooth estimate of the time to turn towards a position; 0 at the position."""
         ...
 
     def braking(self, state: Floats, step_s: float, steps: int) -> Floats:
@@ -121,14 +121,14 @@ class Dynamics(Protocol):
     def straight(self, state: Floats, end_m: Floats, step_s: float) -> Floats | None:
         """Return inputs (k, m) of a straight drive from rest to rest at `end_m`; None if unknown.
 
-        Braking after any of them ends on the line, short of `end_m`.
+        Braking after any of these steps ends on the line, short of `end_m`.
         """
         ...
 
     def may_reach(self, state: Floats, places_m: Floats, duration_s: float, slack_m: float) -> Mask:
-        """Return which positions (n, 2) may be within `slack_m` of the robot after a duration.
+        """Return a mask of positions (n, 2) that may be within `slack_m` after a duration.
 
-        Obstacles and the largest speed are ignored. A reachable position is never False.
+        Obstacles and the speed limit are ignored. A reachable position is never False.
         """
         ...
 
@@ -141,12 +141,12 @@ class Dynamics(Protocol):
         ...
 
     def unit_m(self, step_s: float) -> tuple[float, ...]:
-        """Return the displacement in metres per unit of each state component over about a step."""
+        """Return the displacement in metres that a unit of each state component causes per step."""
         ...
 
 
 class BaseDynamics:
-    """Default dynamics: interval limits, exact hulls, and a robot that stops at once."""
+    """Base class with defaults: interval limits, exact hulls, and a robot that stops at once."""
 
     @property
     def discs(self) -> tuple[Disc, ...]:
@@ -154,23 +154,23 @@ class BaseDynamics:
         return ()
 
     def hull_pad_m(self, step_s: float) -> float:
-        """Return 0: the hull contains the path."""
+        """Return 0, as the hull contains the path."""
         return 0.0
 
     def timed_pad_m(self, step_s: float) -> float:
-        """Return 0: the path equals the hull's curve at all times."""
+        """Return 0, as the path equals the Bezier curve at all times."""
         return 0.0
 
     def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
-        """Return no points: the robot stops at once."""
+        """Return no points, as the robot stops at once."""
         return ()
 
     def stop_curve(self, state: Floats, step_s: float) -> Curve | None:
-        """Return None: the robot stops at once."""
+        """Return None, as the robot stops at once."""
         return None
 
     def stop_rows(self, state: Components, step_s: float) -> Components:
-        """Return no expressions: the robot can stop from any state."""
+        """Return no expressions, as the robot can stop from any state."""
         return ()
 
     def stop_steps(self, state: Floats, step_s: float) -> int:
@@ -186,7 +186,7 @@ class BaseDynamics:
         return state[0], state[1]
 
     def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
-        """Return 0: the robot is holonomic, or its turning is unknown."""
+        """Return 0, as the robot is holonomic or its turning is unknown."""
         return 0.0
 
     def braking(self, state: Floats, step_s: float, steps: int) -> Floats:
@@ -194,13 +194,13 @@ class BaseDynamics:
         return np.zeros((steps, 2))
 
     def may_reach(self, state: Floats, places_m: Floats, duration_s: float, slack_m: float) -> Mask:
-        """Return True for every position: only the largest speed limits the reachable set."""
+        """Return True for every position, as only the speed limits the reachable set."""
         return np.ones(len(places_m), dtype=np.bool_)
 
 
 @runtime_checkable
 class RestsByInput(Protocol):
-    """Dynamics with input bounds and an input that keeps the robot at rest."""
+    """Protocol of dynamics with input bounds and an input that keeps the robot at rest."""
 
     rest_input: tuple[float, ...]
     input_bounds: tuple[tuple[float, float], ...]
@@ -211,7 +211,7 @@ class RestsByInput(Protocol):
 
 
 class PurePursuit:
-    """Pure-pursuit look-ahead along a path, with monotone progress."""
+    """Pure pursuit of a path: look-ahead points and speeds, with monotone progress."""
 
     def __init__(self, path_m: Floats) -> None:
         lengths = np.linalg.norm(np.diff(path_m, axis=0), axis=1)
@@ -233,9 +233,9 @@ class PurePursuit:
         return target, float(self._along_m[-1] - self._at_m)
 
     def speed_m_s(self, acceleration_m_s2: float, swing_m: float) -> float:
-        """Return the largest speed that allows the turns ahead and a stop at the end."""
+        """Return the largest speed that permits the turns ahead and a stop at the end."""
         turn = np.append(self._turn, np.inf)[-len(self._corner_m) :]
-        # A turn takes turn v / a seconds, in which it drives twice `swing_m`.
+        # A turn takes turn v / a seconds, in which the robot drives twice `swing_m`.
         square = 2.0 * acceleration_m_s2 * swing_m / np.maximum(turn, 1e-9)
         left = self._corner_m - self._at_m
         square = square + 2.0 * acceleration_m_s2 * np.maximum(left, 0.0)
@@ -274,7 +274,7 @@ class Drive:
 
 
 def rolled_out(dynamics: Dynamics, state: Floats, inputs: Floats, step_s: float) -> Drive:
-    """Simulate the drive from `state` (s,) under `inputs` (N, m)."""
+    """Return the simulated drive from `state` (s,) under `inputs` (N, m)."""
     states = [np.asarray(state, dtype=np.float64)]
     for control in inputs:
         states.append(state_after(dynamics, states[-1], control, step_s))
@@ -298,9 +298,9 @@ def state_after(dynamics: Dynamics, state: Floats, control: Floats, step_s: floa
 
 
 def dynamics_defect_m(positions_m: Floats, start_m: Floats, step_length_m: float) -> float:
-    """Return the largest violation of the single integrator over a path (n + 1, 2), in metres.
+    """Return the largest violation of single-integrator motion by a path (n + 1, 2), in metres.
 
-    The path must begin at the robot, and the speed limits the length of each step.
+    The path must begin at `start_m`, and no step may be longer than `step_length_m`.
     """
     lengths = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
     jump = float(np.linalg.norm(positions_m[0] - start_m))

@@ -1,7 +1,7 @@
 """Built-in dynamics of problem files: single integrator, double integrator and unicycle.
 
-Each step is integrated exactly. The formulas are free of branches. They are therefore
-differentiable everywhere, including zero, and accept NumPy arrays and CasADi expressions.
+Each step is integrated exactly. The formulas have no branches, so they are differentiable
+everywhere, including zero, and accept NumPy arrays and CasADi expressions.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ STOPPED_M_S = 1e-9
 """Speed in m/s up to which a robot counts as stationary."""
 
 BRAKING_SHARE = 0.8
-"""Share of the maximum acceleration used to slow down for turns and for the end of a path."""
+"""Share of the maximum acceleration that slows a robot down for turns and the end of a path."""
 
 ROUNDED_SHARE = 1e-3
 """Smoothing width of the speed near rest, as a share of the largest speed, and of the distance near
@@ -30,10 +30,10 @@ SWING_SHARE = 0.25
 """Maximum tracking error at the turns of a path, as a share of the longest step."""
 
 PIECE_TURN_RAD = math.pi / 4.0
-"""Maximum turn per arc; steps are cut into arcs to keep their convex hulls narrow."""
+"""Maximum turn per arc; steps are divided into arcs with narrow convex hulls."""
 
 HALVINGS = 3
-"""Number of halvings of z in sin(z)/z, down to z / 8, before the series is used."""
+"""Number of halvings of z in sin(z)/z, down to z / 8, at which the series is evaluated."""
 
 
 @dataclass(frozen=True)
@@ -70,11 +70,11 @@ class SingleIntegrator(BaseDynamics):
     def control_points(
         self, state: Components, control: Components, step_s: float
     ) -> tuple[tuple[Any, Any], ...]:
-        """Return no points: the two ends already span the straight step."""
+        """Return no points, as the two ends span the straight step."""
         return ()
 
     def following(self, state: Floats, path_m: Floats, step_s: float) -> Floats:
-        """Return the velocities that drive the path exactly."""
+        """Return the velocities that follow the path exactly."""
         return np.diff(np.vstack([state, path_m]), axis=0) / step_s
 
     def straight(self, state: Floats, end_m: Floats, step_s: float) -> Floats:
@@ -154,8 +154,8 @@ class DoubleIntegrator(BaseDynamics):
 
     def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
         """Return a point straight ahead, at or beyond the rest position of braking."""
-        # Braking takes n steps of deceleration v / (n h) <= a_max, and n h v / 2 metres, which is
-        # at most v (v / a_max + h) / 2.
+        # Braking takes n steps of deceleration v / (n h) <= a_max. Its length n h v / 2 is at most
+        # v (v / a_max + h) / 2.
         x, y, vx, vy = state
         # |v| is not differentiable at rest; (v^2 / v_max + v_max) / 2 is an upper bound.
         square = (vx * vx + vy * vy) / self.speed_max_m_s**2
@@ -190,7 +190,7 @@ class DoubleIntegrator(BaseDynamics):
         return x + ahead_s * vx, y + ahead_s * vy
 
     def braking(self, state: Floats, step_s: float, steps: int) -> Floats:
-        """Return a constant deceleration straight ahead, over the fewest possible steps."""
+        """Return inputs of constant deceleration over the fewest possible steps, then zero."""
         inputs = np.zeros((steps, 2))
         needed = self.stop_steps(state, step_s)
         if needed:
@@ -198,7 +198,7 @@ class DoubleIntegrator(BaseDynamics):
         return inputs
 
     def following(self, state: Floats, path_m: Floats, step_s: float) -> Floats:
-        """Follow the path by pure pursuit, slowing down for turns and the end."""
+        """Return inputs that follow the path by pure pursuit, slower at turns and the end."""
         pursuit = PurePursuit(np.vstack([state[:2], path_m]))
         lookahead_m = self.speed_max_m_s * step_s
         deceleration = BRAKING_SHARE * self.acceleration_max_m_s2
@@ -222,7 +222,7 @@ class DoubleIntegrator(BaseDynamics):
         return inputs
 
     def straight(self, state: Floats, end_m: Floats, step_s: float) -> Floats:
-        """Accelerate at a for n steps, then decelerate for n steps, over a (n h)^2 metres."""
+        """Return inputs of n steps of acceleration a and n of deceleration, a (n h)^2 metres."""
         offset = end_m - state[:2]
         length = float(np.hypot(*offset))
         by_speed = length / (self.speed_max_m_s * step_s)
@@ -232,7 +232,7 @@ class DoubleIntegrator(BaseDynamics):
         return np.repeat([control, -control], half, axis=0)
 
     def may_reach(self, state: Floats, places_m: Floats, duration_s: float, slack_m: float) -> Mask:
-        """Return which positions lie within a_max t^2 / 2 of the position after coasting."""
+        """Return a mask of positions within a_max t^2 / 2 of the position after coasting."""
         offset = places_m - (state[:2] + duration_s * state[2:])
         radius = 0.5 * self.acceleration_max_m_s2 * duration_s**2
         return np.hypot(offset[:, 0], offset[:, 1]) <= radius + slack_m
@@ -305,7 +305,7 @@ class Unicycle(BaseDynamics):
     def control_points(
         self, state: Components, control: Components, step_s: float
     ) -> tuple[tuple[Any, Any], ...]:
-        """Return the tangent intersection of each piece of the arc, and the joints of pieces."""
+        """Return the tangents' intersection of each piece of the arc, and the joints of pieces."""
         pieces = self._pieces(step_s)
         piece_s = step_s / pieces
         speed, rate = control
@@ -348,7 +348,7 @@ class Unicycle(BaseDynamics):
         return 0.5 * half_turn_s * (distance - ahead) / (distance + circle_m)
 
     def following(self, state: Floats, path_m: Floats, step_s: float) -> Floats:
-        """Follow the path by pure pursuit; turn on the spot if the target is not ahead."""
+        """Return inputs that follow the path by pure pursuit, with turns on the spot."""
         pursuit = PurePursuit(np.vstack([state[:2], path_m]))
         here = tuple(state)
         inputs = np.zeros((len(path_m), 2))
@@ -377,7 +377,7 @@ class Unicycle(BaseDynamics):
         return speed, speed * curvature
 
     def straight(self, state: Floats, end_m: Floats, step_s: float) -> Floats:
-        """Turn on the spot, then drive straight ahead."""
+        """Return inputs of a turn on the spot, then of a straight drive."""
         offset = end_m - state[:2]
         bearing = math.atan2(offset[1], offset[0]) - float(state[2])
         angle = math.remainder(bearing, 2.0 * math.pi)
@@ -390,9 +390,9 @@ class Unicycle(BaseDynamics):
         return inputs
 
     def may_reach(self, state: Floats, places_m: Floats, duration_s: float, slack_m: float) -> Mask:
-        """Return which positions are within the lateral range of the turn rate."""
-        # The lateral range is v (1 - cos w t) / w up to a quarter turn. Until then, a robot that
-        # cannot reverse reaches nothing behind it.
+        """Return a mask of positions that the limited turn rate allows to reach."""
+        # Up to a quarter turn, the lateral range is v (1 - cos w t) / w, and a robot that cannot
+        # reverse reaches no position behind it.
         rate = self.turn_rate_max_rad_s
         turning_s = min(duration_s, 0.5 * math.pi / rate)
         speed = max(self.speed_max_m_s, -self.speed_min_m_s)
@@ -425,12 +425,12 @@ class Unicycle(BaseDynamics):
 
 
 def sine(angle: Any) -> Any:
-    """Return the sine of an angle in rad."""
+    """Return the sine of an angle in rad, a number, array or expression."""
     return angle.sin() if hasattr(angle, "sin") else np.sin(angle)
 
 
 def cosine(angle: Any) -> Any:
-    """Return the cosine of an angle in rad."""
+    """Return the cosine of an angle in rad, a number, array or expression."""
     return angle.cos() if hasattr(angle, "cos") else np.cos(angle)
 
 

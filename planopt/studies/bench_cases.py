@@ -1,4 +1,4 @@
-"""Cases of the regression suite, their rows, computed by the problems' tasks, and their folder.
+"""Cases of the regression suite, and the folder of their result rows.
 
 A folder has a manifest and one file per row. The manifest ``bench.json`` identifies program and
 problems. A folder made by another program or with changed problems is rejected because its rows
@@ -47,24 +47,24 @@ PLAN, RUN = "plan", "run"
 """Kinds of cases: one plan from the start, or a closed loop."""
 
 States = tuple[tuple[tuple[float, ...], ...], ...]
-"""States, by step and robot."""
+"""States of the robots at each step."""
 
 HORIZONS = (5, 20)
-"""Horizons in steps of plans, in addition to the problem's own."""
+"""Planning horizons in steps, used in addition to the problem's own."""
 
 OBJECTIVE_SHARE = 0.01
-"""Relative difference above which one objective counts as worse than another."""
+"""Relative difference above which an objective counts as worse."""
 
 PLANNED, NO_PLAN, ERROR = "planned", "no_plan", "error"
-"""Outcomes of cases."""
+"""Outcomes of cases: a plan, a proof that no plan exists, or an error."""
 
 
 @dataclass(frozen=True, order=True)
 class Question:
-    """A planning task that several planners solve, so that their answers can be compared."""
+    """Planning task to which the answers of several planners are compared."""
 
     problem: str  # Name in the library, or path of a problem file
-    kind: str  # plan or run
+    kind: str  # ``plan`` or ``run``
     cost_to_go: str  # Empty if there is no goal
     horizon: int  # Planning horizon in steps
     seed: int  # Random seed
@@ -77,7 +77,7 @@ class Question:
 
 @dataclass(frozen=True, order=True)
 class Case:
-    """A question and the planner that answers it."""
+    """Benchmark case: a question and the planner that answers it."""
 
     question: Question
     planner: str
@@ -97,7 +97,7 @@ def library_cases(
     seeds: Iterable[int] = range(3),
     run_seeds: Iterable[int] = range(1),
 ) -> list[Case]:
-    """Return every valid combination, ordered by problem and then by seed."""
+    """Return the cases of all valid combinations, ordered by problem and then by seed."""
     loaded = {name: load(name) for name in (library_names() if problems is None else problems)}
     chosen = {
         (name, kind): task_of(problem).planners(problem, kind)
@@ -123,7 +123,7 @@ def library_cases(
             costs = task.compared_costs_to_go(problem)
         for horizon in ahead if task.plans_ahead else ():
             task.overridden(problem, horizon=horizon)
-        # Designs have no random numbers.
+        # Designs use no random numbers.
         planned = each[:1] if task.simulate is None else each
         for seed in sorted({*each, *driven}):
             for kind, seeds_of_kind, settings in (
@@ -152,7 +152,7 @@ def library_names(tasks: Collection[str] | None = None) -> list[str]:
 
 
 def problem_of(case: Case) -> AnyProblem:
-    """Load the problem of a case and apply its settings."""
+    """Return the problem of a case with the case's settings."""
     question = case.question
     problem = load(question.problem)
     if case.planner == problem.task:
@@ -167,7 +167,7 @@ def problem_of(case: Case) -> AnyProblem:
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """Result of a benchmark case: sums over robots, and the worst robot's distances."""
+    """Result of a benchmark case: values summed over robots, distances of the worst robot."""
 
     problem: str
     kind: str
@@ -175,7 +175,7 @@ class Answer:
     horizon: int
     seed: int
     planner: str
-    sense: str  # max or min: whether the objective is maximised or minimised
+    sense: str  # ``max`` or ``min``: direction of the objective
     # Objective of a plan, or the mean over the plans of a run
     objective: float | None = None
     verdict: str = Verdict.NONE.value  # Verdict reported by the planner; for a run the worst
@@ -217,7 +217,7 @@ class Row(Answer):
 
 
 def start_of(case: Case) -> Any:
-    """Return the data that all cases of one problem and seed share, or the reason for no plan."""
+    """Return the data shared by all cases of a problem and seed, or the reason for no plan."""
     return shared_data((problem_of(case), case.question.seed))
 
 
@@ -235,7 +235,7 @@ def key_of(case: Case) -> dict[str, Any]:
 
 @one_blas_thread()
 def answer(case: Case, shared: Any) -> Row:
-    """Solve a case by the task of its problem; every error becomes a row."""
+    """Return the row of a case, solved by its problem's task; every error becomes a row."""
     problem, question = problem_of(case), case.question
     task = task_of(problem)
     no_path = "" if question.kind == RUN else Termination.NO_PATH.value
@@ -258,7 +258,7 @@ def answer(case: Case, shared: Any) -> Row:
 MANIFEST, ROWS, TABLE = "bench.json", "rows", "rows.csv"
 
 STUDY = Study(kind=Row, prepare=start_of, work=answer, key=key_of)
-"""Functions that compute the rows."""
+"""Study that computes the rows of all cases."""
 
 
 @dataclass(frozen=True)
@@ -304,7 +304,7 @@ def answers(
     record: FinishedRuns | None = None,
     on_row: Callable[[Row], None] | None = None,
 ) -> list[Row]:
-    """Solve cases and return their rows in order; one belief serves each problem and seed."""
+    """Return the rows of cases in order; cases of one problem and seed share a belief."""
     groups = [
         list(group)
         for _, group in groupby(cases, lambda case: (case.question.problem, case.question.seed))
@@ -325,7 +325,7 @@ def run_into(
     workers: int = 1,
     on_row: Callable[[Row], None] | None = None,
 ) -> list[Row]:
-    """Solve cases and store their rows in a folder; rows that are already there are reused."""
+    """Return the rows of cases, stored in a folder; rows already in the folder are reused."""
     now = manifest_of(list(dict.fromkeys(case.question.problem for case in cases)))
     if (folder / MANIFEST).exists():
         before = read_manifest(folder)
@@ -338,7 +338,7 @@ def run_into(
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """Read the manifest of a folder."""
+    """Return the manifest of a folder."""
     file = folder / MANIFEST
     try:
         return decoded(Manifest, json.loads(read_text(file)))
@@ -355,7 +355,7 @@ def read_rows(folder: Path) -> list[Row]:
 
 
 def _is_possible(row: Row) -> bool:
-    """Return whether every number of a row is valid."""
+    """Return whether every number of a row has a valid value."""
     least_zero = (row.iterations, row.solve_s, row.wall_s, row.cpu_s, row.steps)
     counts = all(count >= 0 for count in row.rungs.values())
     known = (row.objective, row.kkt_residual, row.min_clearance_m, row.min_connectivity)
@@ -364,7 +364,7 @@ def _is_possible(row: Row) -> bool:
 
 
 def rows_csv(rows: Sequence[Row]) -> str:
-    """Return rows as a CSV table; lists and tables are JSON in their cells."""
+    """Return rows as a CSV table; cells contain lists and tables as JSON."""
     text = io.StringIO()
     names = [part.name for part in fields(Row) if part.name != "states"]
     table = csv.writer(text, lineterminator="\n")

@@ -41,13 +41,13 @@ DIGITS = 9
 """Significant digits of stored objectives."""
 
 FAST_SEED = 0
-"""Seed of the fast subset."""
+"""Random seed of the cases in the fast subset."""
 
 FAST_PLANNERS = ("auto", "scp", "lattice")
-"""Planners of the fast subset."""
+"""Planners whose plans are in the fast subset."""
 
 FAST_CPU_S = 3.0
-"""Maximum CPU time in seconds of other cases of the fast subset when they were stored."""
+"""Maximum stored CPU time, in seconds, of other cases in the fast subset."""
 
 _ABOUT = (
     "Best known results of the solver regression suite, one a line: planopt bench report DIR "
@@ -59,19 +59,19 @@ _ABOUT = (
 class Reference(Answer):
     """Best known result of a planner for a case."""
 
-    made_by: str  # Program that produced it
+    made_by: str  # Program that produced the result
 
 
 References = Mapping[Case, Reference]
 
 
 def references_file() -> Path:
-    """Return the path of the library's references."""
+    """Return the file of the library's references."""
     return library_folder() / "references.json"
 
 
 def read_references(file: Path | None = None) -> dict[Case, Reference]:
-    """Read references from a file, by default the library's."""
+    """Return the references in a file, by default the library's."""
     path = references_file() if file is None else file
     try:
         listed = json.loads(read_text(path))["references"]
@@ -117,7 +117,7 @@ def reference_of(row: Row, made_by: str) -> Reference:
 def frozen(
     known: References, rows: Iterable[Row], made_by: str
 ) -> tuple[dict[Case, Reference], list[str]]:
-    """Return references updated by rows, and a list of the changes; failed rows are skipped."""
+    """Return references updated by rows, and a list of changes; failed rows are skipped."""
     references = dict(known)
     changes: list[str] = []
     for row in rows:
@@ -145,7 +145,7 @@ def worse_share(objective: float, best: float, sense: str) -> float:
 
 
 def best_known(references: References, rows: Iterable[Row] = ()) -> dict[Question, float]:
-    """Return the best objective of each question among verified answers not rejected by a check."""
+    """Return the best objective of each question among verified answers that passed the check."""
     best: dict[Question, float] = {}
     accepted = [one for one in rows if one.accepted is not False]
     for one in (*references.values(), *accepted):
@@ -159,7 +159,7 @@ def best_known(references: References, rows: Iterable[Row] = ()) -> dict[Questio
 
 
 def regressions(row: Row, reference: Reference) -> list[str]:
-    """Return the respects in which a row is worse than its reference, as text."""
+    """Return descriptions of the respects in which a row is worse than its reference."""
     found: list[str] = []
     order = [verdict.value for verdict in Verdict]
     if row.outcome != reference.outcome:
@@ -200,8 +200,8 @@ def fast_cases(
 ) -> tuple[list[Case], list[str]]:
     """Return the cases of the fast subset, and a list of missing references.
 
-    The subset covers plans of `FAST_PLANNERS`, and quick runs, designs and deployments, without
-    changes of the problems.
+    The subset contains plans of `FAST_PLANNERS`, and quick runs, designs and deployments, of
+    unchanged problems.
     """
     cases: list[Case] = []
     missing: list[str] = []
@@ -235,7 +235,7 @@ def fast_cases(
 def assessed(
     rows: Sequence[Row], references: References, on_unknown: Callable[[Row], str]
 ) -> tuple[list[str], list[str]]:
-    """Return all regressions and all improvements of rows, as text."""
+    """Return descriptions of all regressions and of all improvements of rows."""
     worse: list[str] = []
     better: list[str] = []
     for row in rows:
@@ -249,7 +249,7 @@ def assessed(
 
 
 SHIFT_S = 0.01
-"""Shift of the geometric mean of times; differences far below it are negligible."""
+"""Shift of the geometric mean of times in seconds; differences far below it are negligible."""
 
 LIMIT_S = 10.0
 """Time in seconds per step that is assigned to unsolved cases."""
@@ -267,10 +267,10 @@ class Score:
     success_rate: float  # Share of solved cases (:func:`is_solved`)
     # Share of correct claims (:func:`claims`, :func:`is_wrong`); None if the planner claims nothing
     correct_rate: float | None
-    verified_rate: float  # Share of cases with the verdict verified
+    verified_rate: float  # Share of cases with verdict ``verified``
     rejected: int  # Number of verified plans that the check rejects
     errors: int  # Number of cases that ended with an error
-    fallback_share: float  # Share of released plans from a fallback other than plan
+    fallback_share: float  # Share of released plans from a fallback other than ``plan``
     # Relative excess of objectives over the best known; None if none is known
     median_excess: float | None
     largest_excess: float | None
@@ -292,7 +292,7 @@ def excess(row: Row, best: Mapping[Question, float]) -> float | None:
 def is_solved(row: Row, best: Mapping[Question, float]) -> bool:
     """Return whether an answer is verified, accepted and near the best known objective.
 
-    The answer "no plan" is correct if no plan is known.
+    The answer "no plan" is correct unless a plan is known.
     """
     if row.outcome == NO_PLAN:
         return row.question not in best
@@ -309,7 +309,7 @@ def claims(row: Row) -> bool:
 
 
 def is_wrong(row: Row, best: Mapping[Question, float]) -> bool:
-    """Return whether a claim is false: rejected, far from the best, or no plan where one exists."""
+    """Return whether a claim is false: rejected, far from the best, or "no plan" despite a plan."""
     if row.outcome == NO_PLAN:
         return row.question in best
     if row.verdict == Verdict.VERIFIED.value and row.accepted is False:
@@ -362,7 +362,7 @@ def shifted_geometric_mean(times_s: NDArray[np.float64], shift_s: float) -> floa
 
 @dataclass(frozen=True, eq=False)
 class Profile:
-    """Performance profile (Dolan and More, 2002)."""
+    """Performance profile of planners' times (Dolan and More, 2002)."""
 
     planners: tuple[str, ...]  # Names of the planners
     ratios: NDArray[np.float64]  # (k,) sorted ratios to the best time of a question, at least 1
@@ -371,7 +371,7 @@ class Profile:
 
 
 def time_profile(rows: Sequence[Row], best: Mapping[Question, float]) -> Profile:
-    """Return the profile of the times of solved cases over the questions."""
+    """Return the performance profile of the planners' times of solved cases."""
     planners = tuple(dict.fromkeys(row.planner for row in rows))
     questions = {question: n for n, question in enumerate(dict.fromkeys(r.question for r in rows))}
     times_s = np.full((len(questions), len(planners)), np.nan)
@@ -386,7 +386,7 @@ def time_profile(rows: Sequence[Row], best: Mapping[Question, float]) -> Profile
 def performance_profile(
     times_s: NDArray[np.float64],  # (q, s)
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return ratios (k,) and the share of questions solved by each solver within them (s, k)."""
+    """Return ratios (k,), and each solver's share of questions solved within them (s, k)."""
     finite = np.where(np.isfinite(times_s), times_s, np.inf)
     fastest = finite.min(axis=1, keepdims=True) if finite.size else finite[:, :1]
     some = np.isfinite(fastest)

@@ -1,4 +1,4 @@
-"""Closed-loop comparison of horizons, planners and other settings on common random seeds."""
+"""Closed-loop comparison of horizons, planners and other settings on common seeds."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from planopt.studies.study import (
 )
 
 Item = tuple[AnyProblem, int]
-"""A problem with the settings of a run, and its seed."""
+"""Problem with the settings of a run, and seed of the run."""
 
 
 def compare(
@@ -52,7 +52,7 @@ def compare(
     on_run: Callable[[RunSummary], None] | None = None,
     finished: Path | str | None = None,
 ) -> Comparison:
-    """Simulate every setting of every problem on every seed, and tabulate the runs.
+    """Simulate every setting of every problem on every seed; return the runs and a table.
 
     Parameters
     ----------
@@ -63,9 +63,9 @@ def compare(
         Values to compare; None keeps the problems' own. By default, problems with a goal are
         compared with both costs-to-go; others have none.
     sweep
-        Values of any further keys of the problem files, by dotted key such as ``constraints.p_min``
-        or ``robots[*].speed_max_m_s``. All combinations of settings are run. A single problem
-        without any setting is compared as specified in its table ``compare``.
+        Values of other problem file keys, by dotted key such as ``constraints.p_min`` or
+        ``robots[*].speed_max_m_s``. All combinations of settings are run. A single problem without
+        any setting is compared as specified in its table ``compare``.
     seeds
         Random seeds, or their number (0, 1, ...). Defaults to those of the table ``compare`` if it
         is used, else 30, or 1 for designs. Every setting uses the same seeds. Ratios and
@@ -85,13 +85,13 @@ def compare(
     Returns
     -------
     Comparison
-        Runs and table.
+        Runs, and table of their metrics.
 
     Raises
     ------
     InputError
-        There is nothing to compare, a seed is negative, repeated or no whole number, a value or
-        backend is unknown, or a run with parts from Python cannot be stored.
+        No settings to compare; a seed is negative, repeated or not an integer; a value or backend
+        is unknown; or a run with parts from Python cannot be stored.
     NoPlanError
         No run has a plan, for instance because obstacles cut off every goal.
 
@@ -127,7 +127,7 @@ def compare(
         variant = variants[number]
         for setting, (run, was_finished) in enumerate(runs):
             resumed += was_finished
-            # The stored run lacks the name and the changed keys of this study.
+            # Stored runs contain neither the problem's name nor the changed keys of this study.
             done = replace(run, problem=variant.problem.name, sweep=variant.sweep)
             driven[number, setting, seed] = done
             if on_run is not None:
@@ -151,7 +151,7 @@ def compare(
 
 
 def _drive(item: Item, shared: Any) -> RunSummary:
-    """Simulate one setting and summarise the run."""
+    """Return the summary of a simulated run of one setting."""
     problem, seed = item
     task = task_of(problem)
     try:
@@ -173,12 +173,12 @@ OWN_OPTIONS = {
     "planner.name": "planners",
     "objective.cost_to_go": "costs_to_go",
 }
-"""Keys with an argument of their own; a sweep may contain them instead."""
+"""Keys that have their own argument, which a sweep may replace."""
 
 
 @dataclass(frozen=True)
 class Variant:
-    """A problem with the changes of a sweep, and its settings."""
+    """Problem with the changes of a sweep, and the settings to run."""
 
     problem: AnyProblem
     sweep: Mapping[str, Any]
@@ -196,12 +196,12 @@ class Lists:
 
 
 def settings_of(problems: Sequence[AnyProblem], lists: Lists) -> list[AnyProblem]:
-    """Return every setting that :func:`planopt.compare` runs on each seed, with the same errors."""
+    """Return the settings that :func:`planopt.compare` runs on each seed; raise the same errors."""
     return [each for variant in variants_of(problems, lists) for each in variant.settings]
 
 
 def own_settings(problems: Sequence[AnyProblem], lists: Lists) -> ComparisonSettings | None:
-    """Return the table ``compare`` of a single problem if there are no lists, or None."""
+    """Return the table ``compare`` of a single problem; None if `lists` has values."""
     if len(problems) > 1 or lists != Lists():
         return None
     return getattr(problems[0], "compare", None)
@@ -224,7 +224,7 @@ def several(values: object) -> Sequence[Any] | None:
 
 
 def swept_values(sweep: object) -> Mapping[str, Sequence[Any]] | None:
-    """Return the swept values of each key."""
+    """Return the swept values of each key as sequences."""
     if sweep is None:
         return None
     if not isinstance(sweep, Mapping):

@@ -61,15 +61,15 @@ class Comparison:
     Attributes
     ----------
     problem
-        The first problem; each run has its changes.
+        First problem; each run stores its changed keys.
     runs
         Runs, ordered by setting and then by seed.
     rows
-        The table.
+        Table of metrics by setting.
     wall_s
         Wall time of the comparison.
     resumed
-        Number of runs that an earlier comparison had finished.
+        Number of runs reused from an earlier comparison.
     others
         Further problems.
     """
@@ -119,12 +119,12 @@ class Comparison:
             write_text(new / COMPARISON_FILE, strict_text(data))
 
     def plot(self) -> Figure:
-        """Draw mean and interval of every metric by setting; no window is opened."""
-        # Accessed by name because the package of figures depends on this one.
+        """Return a figure of every metric's mean and interval by setting; no window is opened."""
+        # Imported by name because the package of figures depends on this one.
         return import_module("planopt.report").draw_comparison(self)
 
     def _repr_html_(self) -> str:
-        """Return the picture and key figures for notebooks."""
+        """Return an HTML view for notebooks: figure and key numbers."""
         figures = [
             ("settings", len(self.settings)),
             ("runs", len(self.runs)),
@@ -147,7 +147,7 @@ class Comparison:
 
     @property
     def exit_code(self) -> int:
-        """Return 0 if all runs completed the task, 3 if a step is unverified, 4 if a run failed."""
+        """Return 0 if all runs completed, 3 if a step is not verified, 4 if a run failed."""
         return max(run.exit_code for run in self.runs)
 
     @property
@@ -157,12 +157,12 @@ class Comparison:
 
     @property
     def reliability(self) -> tuple[ReliabilityBin, ...]:
-        """Return predicted and true connection rates over all steps, runs and settings."""
+        """Return bins of predicted against true connection over all steps, runs and settings."""
         return runs_reliability(self.runs)
 
 
 def save_no_comparison(problem: Problem | TaskProblem, message: str, folder: Path) -> None:
-    """Save a result without a plan, in place of the previous one."""
+    """Save the result that there is no plan, in place of the previous comparison."""
     tables = task_of(problem).tables(problem)
     data = {**no_comparison_json(problem.name, message), "problem_file": tables}
     with replaced_results(folder, COMPARISON) as new:
@@ -170,7 +170,7 @@ def save_no_comparison(problem: Problem | TaskProblem, message: str, folder: Pat
 
 
 def load_comparison(path: Path) -> Comparison | None:
-    """Read a saved comparison; return None if the folder or file contains another result."""
+    """Return a saved comparison; None if the folder or file contains another kind of result."""
     folder = path.parent if path.name == COMPARISON_FILE else path
     others = (folder / name for name in (PLAN_FILE, RUN_FILE))
     named = path.name == COMPARISON_FILE
@@ -182,7 +182,7 @@ def load_comparison(path: Path) -> Comparison | None:
 def comparison_reasons(path: Path) -> list[str] | None:
     """Return differences between a saved comparison and tables recomputed from its runs.
 
-    A digest covers the runs. None if the folder or file contains another result.
+    The runs are compared by a digest. None if the folder or file contains another kind of result.
     """
     comparison = load_comparison(path)
     if comparison is None:
@@ -213,7 +213,7 @@ def _load_comparison(folder: Path) -> Comparison:
         ]
         wall_s, resumed = float(data["wall_s"]), int(data["resumed"])
         file = folder / RUNS_FILE
-        # Comparisons saved by early versions have no traces.
+        # Comparisons saved by early versions contain no traces.
         records = map(json.loads, read_text(file).splitlines())
         lines: list[dict[str, Any]] = [{"traces": {}, **record} for record in records]
         runs = tuple(decoded(RunSummary, line) for line in lines)

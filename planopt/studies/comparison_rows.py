@@ -1,4 +1,4 @@
-"""Settings and table of a comparison: means and paired differences with intervals."""
+"""Table of a comparison: means and paired differences of metrics, with intervals."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from planopt.problems.planner_kinds import OWN
 CONFIDENCE = 0.95
 
 SettingKey = tuple[str, str, str | None, str, int]
-"""Problem, sweep as text, cost-to-go, planner and horizon."""
+"""Key of a setting: problem, sweep as text, cost-to-go, planner and horizon."""
 
 
 @dataclass(frozen=True)
 class Row:
-    """One metric of one setting over all seeds; None where there is no value.
+    """Statistics of one metric of one setting over all seeds; None for missing values.
 
-    The reference is the first setting of the problem. From five seeds on there are 95 % Student
+    The reference is the problem's first setting. With at least five seeds, there are 95 % Student
     intervals, clipped to the metric's range.
     """
 
@@ -34,8 +34,8 @@ class Row:
     cost_to_go: str | None
     seeds: int  # Number of runs
     stalled: int  # Number of runs that did not complete their task
-    metric: str  # goal_time_s, true_connected_share, ...
-    mean: float | None  # Over the `count` runs for which the metric exists
+    metric: str  # Such as ``goal_time_s``
+    mean: float | None  # Mean over the `count` runs for which the metric exists
     ci_low: float | None
     ci_high: float | None
     count: int
@@ -51,19 +51,19 @@ class Row:
     ratio_low: float | None = None  # Interval of the paired ratio, computed on logarithms
     ratio_high: float | None = None
     problem: str = ""
-    sweep: Mapping[str, Any] = field(default_factory=dict[str, Any])  # Changed keys, values
+    sweep: Mapping[str, Any] = field(default_factory=dict[str, Any])  # Values of changed keys
 
 
 @dataclass(frozen=True)
 class Setting:
-    """One setting of a comparison."""
+    """Setting of a comparison, with its runs and rows."""
 
     runs: Sequence[RunSummary]  # Ordered by seed
     rows: Mapping[str, Row]  # By metric
 
     @property
     def one(self) -> RunSummary:
-        """Return the first run, which represents the setting."""
+        """Return the first run, which describes the setting."""
         return self.runs[0]
 
     @property
@@ -73,7 +73,7 @@ class Setting:
 
 
 def settings_of_runs(runs: Sequence[RunSummary], rows: Sequence[Row]) -> list[Setting]:
-    """Group runs and rows by setting; a setting whose runs have no metrics has no rows."""
+    """Return runs and rows grouped by setting; settings without metrics have no rows."""
     found: dict[SettingKey, dict[str, Row]] = {setting_of(run): {} for run in runs}
     for row in rows:
         found[setting_of(row)][row.metric] = row
@@ -167,7 +167,7 @@ def log_ratios(values: NDArray[np.float64], others: NDArray[np.float64]) -> NDAr
 
 
 def runs_reliability(runs: Sequence[RunSummary]) -> tuple[ReliabilityBin, ...]:
-    """Tabulate predicted against true connection over the steps of runs, grouped by seed."""
+    """Return bins of predicted against true connection over all steps of runs, grouped by seed."""
     seeds = [np.full(len(run.connectivity), run.seed, dtype=np.intp) for run in runs]
     return reliability(
         np.concatenate([run.connectivity for run in runs]),
@@ -177,7 +177,7 @@ def runs_reliability(runs: Sequence[RunSummary]) -> tuple[ReliabilityBin, ...]:
 
 
 def runs_by_setting(runs: Sequence[RunSummary]) -> list[list[RunSummary]]:
-    """Group runs by setting, in order of first occurrence."""
+    """Return the runs grouped by setting, in order of first occurrence."""
     found: dict[SettingKey, list[RunSummary]] = {}
     for run in runs:
         found.setdefault(setting_of(run), []).append(run)
@@ -190,7 +190,7 @@ def setting_of(one: RunSummary | Row) -> SettingKey:
 
 
 def has_horizon(one: RunSummary | Row) -> bool:
-    """Return False for planners that optimise the whole run regardless of the horizon."""
+    """Return whether the planner has a horizon; False if it optimises the whole run."""
     kind = OWN.get(one.planner)
     return kind is None or not kind.foresees
 
@@ -208,7 +208,7 @@ def sweep_words(
 def setting_words(
     one: RunSummary | Row, names: Mapping[str, str], *, several_problems: bool
 ) -> str:
-    """Return a setting as text; parameters as in :func:`sweep_words`."""
+    """Return a setting as text; arguments as for :func:`sweep_words`."""
     own = {
         "objective.cost_to_go": one.cost_to_go and f"{one.cost_to_go} cost-to-go",
         "planner.name": f"planner {one.planner}",

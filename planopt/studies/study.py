@@ -1,4 +1,4 @@
-"""Parallel execution of studies, with one file per finished run so that they can be resumed.
+"""Parallel execution of studies, which can be resumed from one file per finished run.
 
 The file name of a run is a digest of everything that determines its result: the problem with the
 content of its files, the seed, and the program. The process that simulates a run writes its file.
@@ -47,10 +47,10 @@ from planopt.problems.problem import Problem
 from planopt.problems.tasks import TaskProblem, task_of
 
 UNDECIDING = ("report", "compare")
-"""Tables that do not affect a run."""
+"""Tables of a problem file that do not affect a run."""
 
 LIBRARIES = ("casadi", "clarabel", "numpy", "scipy", "shapely")
-"""Packages whose version may change a result."""
+"""Packages whose version may affect a result."""
 
 Value = TypeVar("Value")
 
@@ -59,9 +59,9 @@ AnyProblem = Problem | TaskProblem
 
 @dataclass(frozen=True)
 class FinishedRuns:
-    """Folder of finished runs."""
+    """Folder of finished runs, one file each."""
 
-    folder: Path  # Created when the first run is stored
+    folder: Path  # Created with the first stored run
 
     def find(self, key: Mapping[str, Any], kind: type[Value]) -> Value | None:
         """Return the result stored under `key`; None if it is missing or damaged."""
@@ -101,7 +101,7 @@ def _read_record(file: Path, kind: type[Value]) -> tuple[Any, Value] | None:
 
 
 def shared_data(item: tuple[AnyProblem, int]) -> Any:
-    """Return the data common to all settings of a problem and seed, or the reason for no plan."""
+    """Return the data shared by all settings of a problem and seed, or the reason for no plan."""
     problem, seed = item
     try:
         return task_of(problem).shared(problem, seed)
@@ -110,7 +110,7 @@ def shared_data(item: tuple[AnyProblem, int]) -> Any:
 
 
 def run_key(problem: AnyProblem, seed: int) -> dict[str, Any]:
-    """Return everything that determines a run: problem, seed and program."""
+    """Return the key of a run, which determines its result: problem, seed and program."""
     tables = task_of(problem).tables(problem)
     return {"problem": _deciding(tables), "seed": seed, "program": dict(program())}
 
@@ -139,7 +139,7 @@ def _with_contents(value: Any, name: str = "") -> Any:
 
 @cache
 def program() -> tuple[tuple[str, str], ...]:
-    """Return package versions and a digest of the source, since a checkout keeps its version."""
+    """Return package versions and a digest of the source, which changes without a new version."""
     package = Path(__file__).parents[1]
     source = b"".join(path.read_bytes() for path in sorted(package.rglob("*.py")))
     return (
@@ -175,13 +175,13 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True)
 class Study(Generic[Item, Shared, Result]):
-    """Functions that compute the items of a study; they must be picklable."""
+    """Picklable functions that compute the items of a study."""
 
     kind: type[Result]  # Type of a result, as :mod:`planopt.files.typed_json` decodes it
     # Computes the data common to a group, from its first unfinished item
     prepare: Callable[[Item], Shared]
     work: Callable[[Item, Shared], Result]  # Computes an item's result
-    key: Callable[[Item], Mapping[str, Any]]  # Everything that determines an item's result, as JSON
+    key: Callable[[Item], Mapping[str, Any]]  # JSON data that determine an item's result
 
 
 def run_study(
@@ -192,9 +192,9 @@ def run_study(
     backend: str = "loky",
     record: FinishedRuns | None = None,
 ) -> Iterator[list[tuple[Result, bool]]]:
-    """Compute all items; yield the results of each group, in order, as soon as it is finished.
+    """Yield the results of each group of items, in order, as soon as the group is finished.
 
-    Each result comes with whether it was read from the record.
+    Each result has a flag that says whether it was read from the record.
     """
     if workers < 1:
         raise InputError(
@@ -219,7 +219,7 @@ def _recorded(
     *,
     elsewhere: bool,
 ) -> Generator[list[tuple[Result, bool]]]:
-    """Yield results, store those from machines with other folders, remove partial files."""
+    """Yield results, store those computed on other machines, and finally remove partial files."""
     record.tidy()
     try:
         for group, found in zip(groups, results, strict=True):
@@ -244,7 +244,7 @@ def _on_joblib(
 def _on_loky(
     work: Callable[..., Any], jobs: Sequence[tuple[Any, ...]], workers: int
 ) -> Iterator[Any]:
-    # The watch starts with the process because an idle worker would survive for minutes.
+    # Workers watch their parent from the beginning, since idle ones would survive for minutes.
     watch = {"initializer": _end_with_parent, "initargs": (os.getpid(),)}
     return _on_joblib(work, jobs, workers, backend="loky", **watch)
 
@@ -266,11 +266,11 @@ def _on_dask(
 def _on_ray(
     work: Callable[..., Any], jobs: Sequence[tuple[Any, ...]], workers: int
 ) -> Generator[Any]:
-    """Yield results from Ray's own tasks; its joblib backend returns them only all at once."""
+    """Yield results of Ray tasks one by one, which Ray's joblib backend cannot do."""
     # Usage statistics are disabled unless the user enables them.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     ray = cast("Any", import_module("ray"))
-    # Workers must find the same modules, which may contain registered terms.
+    # Workers must find the user's modules, which may register terms.
     found = {"env_vars": {"PYTHONPATH": os.pathsep.join(sys.path)}}
     local = (
         {}
@@ -282,7 +282,7 @@ def _on_ray(
     handler = signal.getsignal(signal.SIGTERM)
     with nullcontext() if running else ray.init(**local, **quiet):
         if threading.current_thread() is threading.main_thread():
-            # Ray replaces the handler that ends a comparison cleanly.
+            # Ray replaces the signal handler that ends a comparison cleanly.
             signal.signal(signal.SIGTERM, handler)
         task = ray.remote(num_cpus=1)(work)
         for result in [task.remote(*job) for job in jobs]:
@@ -297,7 +297,7 @@ BACKENDS: Mapping[str, Callable[..., Iterator[Any]]] = {
     "dask": _on_dask,
     "ray": _on_ray,
 }
-"""Backends by name: this machine, or a cluster managed by the package of that name."""
+"""Backends by name: ``loky`` for this machine, others for the package that manages a cluster."""
 
 PACKAGES = {"dask": "distributed", "ray": "ray"}
 """Package that a backend requires in addition to joblib."""
@@ -328,7 +328,7 @@ def _group_results(
     rules: Sequence[type[Any]],
     parent: int,
 ) -> list[tuple[Result, bool]]:
-    """Compute the unfinished items of a group."""
+    """Return the results of a group; unfinished items are computed."""
     if os.getpid() != parent:
         for kind in planners:
             register_planner(kind)

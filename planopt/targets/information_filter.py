@@ -1,7 +1,7 @@
-"""Target motion model, and the station's information filter with lost packets.
+"""Target motion model, and the information filter of the base station with lost packets.
 
-In information form, a lost packet is a missing term, and no prior knowledge is a zero matrix. The
-prediction inverts neither J, which may be singular, nor B Theta B', which always is.
+In information form, a lost packet is a missing term, and the matrix without prior knowledge is
+zero. The prediction inverts neither J, which may be singular, nor B Theta B', which always is.
 """
 
 from __future__ import annotations
@@ -67,11 +67,11 @@ def simulate_target(
     steps: int,
     generator: np.random.Generator,
 ) -> NDArray[np.float64]:
-    """Simulate states x_0 .. x_steps of one target; ``(steps + 1, 4)``."""
+    """Return simulated states x_0 .. x_steps of one target; ``(steps + 1, 4)``."""
     state = require_state(start)
     if steps < 0:
         raise InputError(f"is {steps!r}, should be a number of steps of at least 0", key="steps")
-    # No Cholesky factor: Theta is singular for acceleration along a line.
+    # For acceleration along a line, Theta is singular and has no Cholesky factor.
     variances, axes = np.linalg.eigh(model.acceleration_covariance_m2_s4)
     spread = model.noise_gain @ (axes * np.sqrt(np.maximum(variances, 0.0)))
     pushes = generator.standard_normal((steps, 2)) @ spread.T
@@ -86,7 +86,7 @@ def simulate_target(
 def predict_target(
     model: TargetModel, mean: NDArray[np.float64], covariance: NDArray[np.float64], steps: int
 ) -> TargetPrediction:
-    """Predict `steps` >= 1 steps ahead by A^k x_hat and P+ = A P A' + B Theta B'."""
+    """Return the prediction over `steps` >= 1 steps: A^k x_hat and P+ = A P A' + B Theta B'."""
     # Shapes: mean (4,); covariance (4, 4).
     state, spread = require_state(mean), require_covariance(covariance, 4, "covariance")
     if steps < 1:
@@ -131,7 +131,7 @@ def require_covariance(matrix: NDArray[np.float64], size: int, key: str) -> NDAr
 
 @dataclass(frozen=True, eq=False)
 class InformationState:
-    """Estimate in information form (equation 4.9)."""
+    """Target estimate in information form (equation 4.9)."""
 
     vector: NDArray[np.float64]  # (4,) chi = J x_hat
     matrix: NDArray[np.float64]  # (4, 4) J = P^-1; zero without prior knowledge
@@ -157,7 +157,7 @@ def information_state(
 
 
 def predict(model: TargetModel, state: InformationState) -> InformationState:
-    """Predict chi_{t+1|t} and J_{t+1|t}, one step ahead without measurements.
+    """Return the prediction chi_{t+1|t} and J_{t+1|t} one step ahead.
 
     chi_{t+1|t} = J_{t+1|t} A J^-1 chi = (I - K B') A^-T chi, K as in :func:`predicted_information`.
     """
@@ -192,7 +192,7 @@ def update(
     noise_covariance_m2: NDArray[np.float64],  # (n, 2, 2) Lambda_i
     delivered: NDArray[np.bool_],  # (n,) lambda_i
 ) -> InformationState:
-    """Add each delivered packet: chi += H' Lambda^-1 z and J += H' Lambda^-1 H."""
+    """Return the update by delivered packets: chi += H' Lambda^-1 z and J += H' Lambda^-1 H."""
     count = len(delivered)
     if measured_m.shape != (count, 2) or noise_covariance_m2.shape != (count, 2, 2):
         raise InputError(

@@ -1,4 +1,4 @@
-"""Smoothed lengths and thresholds for solvers, exact outside a given width.
+"""Smooth approximations of lengths and thresholds for solvers, exact outside a width.
 
 ``|x|`` has no derivative at 0. Within `width` of 0 it is replaced by the even quartic polynomial
 that matches its value, slope and curvature at `width`. The replacement exceeds ``|x|`` by at most
@@ -23,14 +23,14 @@ class Derivatives:
 
     @staticmethod
     def of(rows: NDArray[np.float64]) -> Derivatives:
-        """Return derivatives that share the memory of `rows` (..., 6); see :attr:`rows`."""
+        """Return derivatives stored in `rows` (..., 6), without a copy; see :attr:`rows`."""
         found = Derivatives(rows[..., 0], rows[..., 1:3], rows[..., 3:])
         object.__setattr__(found, "_rows", rows)
         return found
 
     @property
     def rows(self) -> NDArray[np.float64]:
-        """``(..., 6)`` value, x, y, xx, xy, yy, for linear operations on all six."""
+        """``(..., 6)`` value and derivatives x, y, xx, xy, yy in one array."""
         rows: NDArray[np.float64] | None = getattr(self, "_rows", None)
         if rows is None:
             return np.concatenate([self.value[..., None], self.gradient, self.hessian], axis=-1)
@@ -49,7 +49,7 @@ def radial(
     slope: NDArray[np.float64],
     bend: NDArray[np.float64],
 ) -> Derivatives:
-    """Return f(|x|) with derivatives w.r.t. x at offsets (..., 2)."""
+    """Return a radial function f(|x|) with derivatives w.r.t. x at offsets (..., 2)."""
     # Shapes: value f, slope f' / r, bend (f'' - f' / r) / r^2, all (...).
     rows = np.empty((*value.shape, 6))
     rows[..., 0] = value
@@ -76,7 +76,7 @@ def add_products(
 def rounded_positive_part(
     x: NDArray[np.float64], width: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return max{0, x} with two derivatives, smoothed for ``|x| < width``.
+    """Return max{0, x}, smoothed for ``|x| < width``, and its first and second derivatives.
 
     The result exceeds max{0, x} by at most 3/16 of `width`. Shapes are those of `x`.
     """

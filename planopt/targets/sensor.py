@@ -1,7 +1,7 @@
 """Sensor model of a robot: measurement noise as a function of the distance to the target.
 
-[GM11] specifies ``tr Phi^-1 = 1 / g(r)`` but not Phi. Here Phi = 2 g I_2, which satisfies this
-trace: the noise is isotropic, and g is half the variance per axis.
+[GM11] specifies ``tr Phi^-1 = 1 / g(r)`` but not Phi. Here Phi = 2 g I_2, which has this trace: the
+noise is isotropic, and g is half the variance per axis.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ class Sensor:
     """Sensor with noise ``g(r) = varpi (r - r_s)^2 + nu`` at distance r (equation 4.8)."""
 
     growth: float  # varpi > 0: growth of the noise away from the sweet spot, m^2 per m^2
-    least_noise_m2: float  # nu > 0: g at the sweet spot
+    least_noise_m2: float  # nu > 0: g at the sweet spot r_s
     sweet_spot_m: float  # r_s >= 0: distance to the target with the least noise
 
     def __post_init__(self) -> None:
@@ -57,7 +57,7 @@ def sensing_information(
 def noise_covariance_m2(
     sensor: Sensor, positions_m: NDArray[np.float64], target_m: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return Lambda = Phi(q, p) = 2 g I_2; ``(..., 2, 2)``."""
+    """Return the noise covariance Lambda = Phi(q, p) = 2 g I_2; ``(..., 2, 2)``."""
     information = sensing_information(sensor, positions_m, target_m)
     return (2.0 / information)[..., None, None] * np.eye(2)
 
@@ -68,7 +68,7 @@ def sense(
     target_m: NDArray[np.float64],  # (2,) position of the target
     generator: np.random.Generator,
 ) -> NDArray[np.float64]:
-    """Draw one measured target position per robot, z = p + noise of covariance Phi(q, p)."""
+    """Return a drawn target measurement per robot, z = p + noise of covariance Phi(q, p)."""
     deviation = np.sqrt(2.0 / sensing_information(sensor, positions_m, target_m))
     return target_m + deviation[:, None] * generator.standard_normal(positions_m.shape)
 
@@ -76,11 +76,11 @@ def sense(
 def sensing_derivatives(
     sensor: Sensor, positions_m: NDArray[np.float64], target_m: NDArray[np.float64]
 ) -> Derivatives:
-    """Return 1 / g with gradient and Hessian w.r.t. q.
+    """Return the information 1 / g of a packet with gradient and Hessian w.r.t. q.
 
     The result is exact at distances of at least `CUSP_SHARE` r_s from the target. At smaller
-    distances, the value and its derivatives use the smoothed distance of
-    :mod:`planopt.targets.rounding`; g is then too small by at most 3/4 `CUSP_SHARE` varpi r_s^2.
+    distances it uses the smoothed distance of :mod:`planopt.targets.rounding`; g is then too small
+    by at most 3/4 `CUSP_SHARE` varpi r_s^2.
     """
     offset = positions_m - target_m
     sweet = sensor.sweet_spot_m

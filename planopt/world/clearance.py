@@ -1,4 +1,4 @@
-"""Exact distances to obstacles, on which the verifier relies.
+"""Exact distances to obstacles, used by the verifier.
 
 GEOS computes distances to the exact footprints, which may be non-convex and have holes. This module
 is independent of plans and solvers. Obstacles are forbidden, but a hole (a courtyard) is free.
@@ -18,7 +18,7 @@ from planopt.world.workspace import Obstacle, Workspace
 
 @dataclass(frozen=True)
 class ObstacleIndex:
-    """Obstacles with a spatial index over them."""
+    """Obstacles with a spatial index."""
 
     obstacles: tuple[Obstacle, ...]  # Obstacles of the workspace
     polygons: NDArray[np.object_]  # (k,) polygons, for vectorised calls
@@ -26,7 +26,7 @@ class ObstacleIndex:
 
 
 def index_obstacles(workspace: Workspace) -> ObstacleIndex:
-    """Build the spatial index of the obstacles of `workspace`."""
+    """Return the obstacles of a workspace with a spatial index."""
     polygons = np.array([obstacle.polygon for obstacle in workspace.obstacles], dtype=np.object_)
     return ObstacleIndex(workspace.obstacles, polygons, shapely.STRtree(polygons))
 
@@ -44,12 +44,12 @@ def segment_lines(starts_m: Floats, ends_m: Floats) -> NDArray[np.object_]:
 
 def distances_m(shapes: NDArray[np.object_], polygons: NDArray[np.object_]) -> Floats:
     """Return the distances between two arrays of geometries (n,), 0 if they touch; (n,)."""
-    # Shapely types the keyword arguments of this one as unknown.
+    # Shapely declares no types for the keyword arguments of this function.
     return shapely.distance(shapes, polygons)  # pyright: ignore[reportUnknownMemberType]
 
 
 def is_clear(distance_m: Floats, required_m: float, tolerance_m: float = 0.0) -> Mask:
-    """Return which distances from obstacles (n,) are sufficient; (n,)."""
+    """Return a mask of obstacle distances (n,) that satisfy the required clearance."""
     # A distance of 0 means contact or intersection: a collision even if `required_m` is 0.
     return (distance_m > 0.0) & (distance_m >= required_m - tolerance_m)
 
@@ -79,7 +79,7 @@ def segments_clear(
     required_m: float,
     tolerance_m: float = 0.0,
 ) -> Mask:
-    """Return which straight segments keep a clearance, without computing distances."""
+    """Return a mask of the segments that keep the clearance; no distances are computed."""
     # The result equals `is_clear` of `segment_clearance_m`.
     clear = np.asarray(np.isfinite(starts_m + ends_m).all(axis=1))
     rows = np.flatnonzero(clear)
@@ -93,7 +93,7 @@ def segments_clear(
 
 
 def inside_bounds(workspace: Workspace, positions_m: Floats) -> Mask:
-    """Return which positions (n, 2) are within the closed bounds; (n,)."""
+    """Return a mask of positions (n, 2) within the workspace bounds, boundary included."""
     x_min, y_min, x_max, y_max = workspace.bounds_m
     x, y = positions_m[:, 0], positions_m[:, 1]
     return (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
@@ -118,7 +118,7 @@ def _nearest_m(index: ObstacleIndex, shapes: NDArray[np.object_]) -> Floats:
 
 
 def _spread(values: Floats, where: Mask) -> Floats:
-    """Scatter `values` to the true entries of `where` (n,), NaN elsewhere; (n,)."""
+    """Return `values` placed at the true entries of `where` (n,), with NaN elsewhere."""
     spread = np.full(where.shape, np.nan)
     spread[where] = values
     return spread

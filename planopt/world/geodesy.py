@@ -1,8 +1,8 @@
 """Positions in degrees (WGS 84) and metres east and north of an origin.
 
 Positions on the ellipsoid are projected orthogonally onto the tangent plane at the origin
-(``+proj=ortho +ellps=WGS84`` of PROJ). A distance d from the origin comes out too short by
-d^3 / (6 R^2), R the earth's radius: 4 mm at 10 km, 4 m at 100 km.
+(``+proj=ortho +ellps=WGS84`` of PROJ). A projected distance d from the origin is too short by
+d^3 / (6 R^2), with R the earth's radius: 4 mm at 10 km, 4 m at 100 km.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ EQUATOR_RADIUS_M = 6_378_137.0
 FLATTENING = 1.0 / 298.257223563
 
 FARTHEST_M = 100_000.0
-"""Maximum distance from the origin."""
+"""Maximum distance from the origin, in metres."""
 
 INVERSE_STEPS = 6
-"""Newton steps of the inverse projection; four reach rounding at `FARTHEST_M`."""
+"""Newton steps of the inverse projection; four suffice for rounding accuracy at `FARTHEST_M`."""
 
 Origin = tuple[float, float]
-"""Latitude and longitude in degrees of the position (0, 0)."""
+"""Latitude and longitude of the origin (0, 0), in degrees."""
 
 
 def parse_origin(text: str, key: str = "--origin") -> Origin:
-    """Parse ``LAT,LON`` in degrees."""
+    """Return the origin in a text ``LAT,LON`` in degrees."""
     try:
         latitude, longitude = (float(part) for part in text.split(","))
     except ValueError:
@@ -39,7 +39,7 @@ def parse_origin(text: str, key: str = "--origin") -> Origin:
 
 
 def require_origin(origin_deg: Origin, key: str, shown: object = None) -> Origin:
-    """Return a valid origin, or raise an InputError; a pole has no east."""
+    """Return a validated origin, or raise an InputError, for instance at a pole."""
     latitude, longitude = origin_deg
     if not (abs(latitude) < LARGEST_LATITUDE_DEG and abs(longitude) <= LARGEST_LONGITUDE_DEG):
         raise InputError(
@@ -51,7 +51,7 @@ def require_origin(origin_deg: Origin, key: str, shown: object = None) -> Origin
 
 
 def east_north_m(longitude_deg: Floats, latitude_deg: Floats, origin_deg: Origin) -> Floats:
-    """Project positions onto the tangent plane at the origin; NaN beyond `FARTHEST_M`."""
+    """Return positions projected onto the tangent plane at the origin; NaN beyond `FARTHEST_M`."""
     # Shapes: longitude_deg, latitude_deg (n,); returns (n, 2).
     axes = _axes(origin_deg)
     away = _geocentric_m(np.radians(longitude_deg), np.radians(latitude_deg))
@@ -70,7 +70,7 @@ def longitude_latitude_deg(positions_m: Floats, origin_deg: Origin) -> Floats:
     start = _geocentric_m(*np.radians(origin_deg)[::-1])
     for _ in range(INVERSE_STEPS):
         error = positions_m - (_geocentric_m(longitude, latitude) - start) @ axes.T
-        # Unit vectors east and north at the estimate, seen in the plane
+        # Unit vectors east and north at the estimate, projected onto the plane
         east = np.stack([-np.sin(longitude), np.cos(longitude), np.zeros_like(longitude)], axis=-1)
         north = np.stack(
             [
@@ -105,7 +105,7 @@ def _axes(origin_deg: Origin) -> Floats:
 
 
 def _radii_m(latitude: Floats | np.float64) -> tuple[Floats | np.float64, Floats | np.float64]:
-    """Return the radii of curvature across the meridian and along it."""
+    """Return the radii of curvature across and along the meridian."""
     squared_eccentricity = FLATTENING * (2.0 - FLATTENING)
     root = np.sqrt(1.0 - squared_eccentricity * np.sin(latitude) ** 2)
     across = EQUATOR_RADIUS_M / root

@@ -1,10 +1,10 @@
 """Lattice of the global search: free nodes, moves between them, and shortest paths.
 
 The spacing is step / sqrt(5), so that the longest of the 21 moves, a knight's move, is a full step.
-Nodes and moves keep the clearance by the verifier's exact distances. The distance to an obstacle is
-Lipschitz with constant 1. A segment of length l whose ends are at distances d_a and d_b from an
-obstacle is therefore at least ``(d_a + d_b - l) / 2`` away from it. GEOS computes distances only
-for segments that this bound does not decide.
+Nodes and moves keep the clearance according to the verifier's exact distances. The distance to an
+obstacle is Lipschitz continuous with constant 1. A segment of length l whose ends are at distances
+d_a and d_b from an obstacle is therefore at least ``(d_a + d_b - l) / 2`` away from it. GEOS
+computes distances only for segments that this bound does not decide.
 """
 
 from __future__ import annotations
@@ -41,10 +41,10 @@ MOVES.flags.writeable = False
 
 
 MAX_NODES = 10_000_000
-"""Maximum number of nodes, whose 21 moves take 210 MB; more suggests wrong step or bounds."""
+"""Maximum number of nodes, whose moves take 210 MB. More nodes suggest a wrong step or bounds."""
 
 REACH_TOLERANCE_M = 1e-9
-"""Tolerance in metres for nodes at exactly the reach."""
+"""Tolerance in metres for nodes at exactly `reach_m`."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Lattice:
 def build_lattice(
     workspace: Workspace, anchor_m: Floats, step_m: float, clearance_m: float
 ) -> Lattice:
-    """Build the lattice through `anchor_m` (2,) inside the bounds."""
+    """Return the lattice inside the workspace bounds with a node at `anchor_m` (2,)."""
     spacing = step_m / LONGEST_MOVE
     x_0, nx = _axis(workspace, anchor_m, spacing, 0)
     y_0, ny = _axis(workspace, anchor_m, spacing, 1)
@@ -103,7 +103,7 @@ def moves_from(
     reach_m: float,
     clearance_m: float,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Mask]:
-    """Return the nodes (iy, ix) within `reach_m`, and which straight paths to them are free."""
+    """Return the nodes (iy, ix) within `reach_m`, and a mask of collision-free paths to them."""
     ny, nx = lattice.shape
     place = (position_m - lattice.origin_m) / lattice.spacing_m
     reach = (reach_m + REACH_TOLERANCE_M) / lattice.spacing_m
@@ -125,7 +125,7 @@ def moves_from(
 def _axis(
     workspace: Workspace, anchor_m: Floats, spacing_m: float, dimension: int
 ) -> tuple[float, int]:
-    """Return the first coordinate and the node count strictly inside the bounds."""
+    """Return the first coordinate and the number of nodes along an axis, inside the bounds."""
     low, high = workspace.bounds_m[dimension], workspace.bounds_m[dimension + 2]
     anchor = float(anchor_m[dimension])
     first = math.floor((low - anchor) / spacing_m) + 1
@@ -155,7 +155,7 @@ def open_moves(
     near: NearPairs,
     clearance_m: float,
 ) -> Mask:
-    """Return which moves of each node end on a node and keep the clearance."""
+    """Return a mask of the moves from each node that end at a node and keep the clearance."""
     result = np.zeros((len(MOVES), *free.shape), dtype=np.bool_)
     result[0] = free
     places = positions_m.reshape(-1, 2)
@@ -200,8 +200,8 @@ def _unsure(
     obstacles: int,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return start node and obstacle of the moves that the Lipschitz bound does not decide."""
-    # A move is undecided only if both ends are among the pairs. An end outside the pairs is farther
-    # away than clearance plus move length, and the other end keeps the clearance.
+    # A move is undecided only if both ends are among the pairs, because an end outside the pairs is
+    # farther away than clearance plus move length.
     from_open = np.flatnonzero(moves[near.node])
     start = near.node[from_open]
     length = np.hypot(*(places_m[start + stride] - places_m[start]).T)
@@ -242,13 +242,13 @@ class CostToGo:
 
 
 def build_road_map(lattice: Lattice) -> RoadMap:
-    """Number the free nodes and tabulate the free moves between them."""
+    """Return the graph of a lattice's free nodes and the collision-free moves between them."""
     rows, columns = np.nonzero(lattice.free)
     count = len(rows)
     number = np.full(lattice.shape, -1, dtype=np.intp)
     number[rows, columns] = np.arange(count)
     moves = np.asarray(MOVES)
-    # A blocked move leads to the dummy node `count`, which has infinite cost.
+    # Blocked moves lead to the dummy node `count` of infinite cost.
     targets = np.full((count, len(moves)), count, dtype=np.intp)
     sources = np.full((count, len(moves)), count, dtype=np.intp)
     for k, (dx, dy) in enumerate(moves):

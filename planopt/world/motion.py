@@ -1,8 +1,8 @@
 """Curves and motions of robots: clearance from obstacles, and separation of two motions in time.
 
-A curve is the path of one step, a motion that of several steps. Time within a step is a share of it
-from 0 to 1. A curve has a bound ``|p''| <= c`` on its second derivative. Between two times d
-apart, the position is therefore within ``c d^2 / 8`` of uniform motion on the chord.
+A curve is the path of one step; a motion consists of several steps. Time within a step runs from 0
+to 1. The second derivative of a curve has a bound ``|p''| <= c``. Between two times d apart, the
+position is therefore within ``c d^2 / 8`` of uniform motion along the chord.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ WHOLE_STEP = np.array([0.0, 1.0])
 
 
 class TimedCurve(Protocol):
-    """Path of one step as a function of time."""
+    """Protocol of the path of one step as a function of time."""
 
     @property
     def breaks(self) -> Floats:
@@ -36,7 +36,7 @@ class TimedCurve(Protocol):
 
     @property
     def within_m(self) -> float:
-        """Largest distance of the robot from :meth:`at`."""
+        """Largest distance of the robot from its position by :meth:`at`."""
         ...
 
     def at(self, share: Floats) -> Floats:
@@ -49,7 +49,7 @@ SAG_M = 5e-7
 
 
 class Curve(Protocol):
-    """Path of one step as a point set."""
+    """Protocol of the path of one step as a set of points."""
 
     def points_m(self) -> tuple[Floats, float]:
         """Return a polyline (k, 2), and the largest distance of the curve from it."""
@@ -61,12 +61,12 @@ class Curve(Protocol):
 
 
 class StepCurve(Curve, TimedCurve, Protocol):
-    """Path of one step of a robot, both as a point set and as a function of time."""
+    """Protocol of the path of one step, both as a set of points and as a function of time."""
 
 
 @dataclass(frozen=True, eq=False)
 class PointCurve:
-    """Polyline curve with a bound on the robot's distance from it."""
+    """Polyline with a bound on the robot's distance from it."""
 
     # (k, 2) points, k >= 1; evenly spaced in time for a timed curve
     places_m: Floats
@@ -122,13 +122,13 @@ class Parabola:
         return self.at(np.linspace(0.0, 1.0, count + 1)), bend / (4.0 * count * count)
 
     def clearance_m(self, index: ObstacleIndex) -> float:
-        """Return a lower bound of the clearance, tight to a micrometre."""
+        """Return a lower bound of the clearance, with an error of at most a micrometre."""
         places, within = self.points_m()
         return max(0.0, _polyline_m(index, places) - within)
 
 
 def even_motion(ends_m: Floats) -> Parabola:
-    """Return uniform motion along the segment between two positions (2, 2)."""
+    """Return the uniform motion between two positions (2, 2) as a curve."""
     return Parabola(ends_m[0], ends_m[1] - ends_m[0], np.zeros(2))
 
 
@@ -151,7 +151,7 @@ class Arc:
 
     @property
     def curving_m(self) -> float:
-        """Magnitude of the second derivative, which points to the centre."""
+        """Magnitude of the second derivative (centripetal acceleration)."""
         return abs(self.length_m * self.turn_rad)
 
     def points_m(self) -> tuple[Floats, float]:
@@ -227,7 +227,7 @@ def arc_segment_distances_m(
     first = math.atan2(start_m[1] - centre[1], start_m[0] - centre[0])
 
     def on_arc(angles: Floats) -> Mask:
-        """Return whether the arc covers these directions from its centre."""
+        """Return a mask of directions from the centre that the arc covers."""
         gone = (angles - first) if turn_rad > 0.0 else (first - angles)
         return np.mod(gone, 2.0 * math.pi) <= abs(turn_rad)
 
@@ -253,7 +253,7 @@ def arc_segment_distances_m(
     inside = (t >= 0.0) & (t <= 1.0)
     best = np.minimum.reduce([foot(start_m)[1], foot(end)[1], radial(from_m), radial(to_m)])
     best = np.where(inside, np.minimum(best, radial(feet)), best)
-    # Crossings lie half a chord to either side of the feet.
+    # Crossings lie half a chord on either side of the feet.
     apart = ((feet - centre) ** 2).sum(axis=1)
     half = np.sqrt(np.maximum(radius * radius - apart, 0.0) / square)
     for side in (-half, half):
@@ -284,7 +284,7 @@ class TimedMotion:
         return self.curves[step] if self.curves else even_motion(self.places_m[step : step + 2])
 
     def lasting(self, steps: int) -> TimedMotion:
-        """Return the motion cut or extended to `steps` steps, at rest after its end."""
+        """Return the motion truncated or extended by rest to `steps` steps."""
         places = self.places_m[np.minimum(np.arange(steps + 1), self.steps)]
         return TimedMotion(places, tuple(map(self.curve, range(steps))) if self.curves else ())
 
@@ -313,8 +313,8 @@ def closest_approach_m(
     first_starts_m: Floats, first_ends_m: Floats, second_starts_m: Floats, second_ends_m: Floats
 ) -> Floats:
     """Return the minimum distance of two points in uniform straight motion over the same time."""
-    # Relative to the second point, the first moves straight from r to r + d. It is nearest at time
-    # ``t = clip(-r . d / d . d, 0, 1)``, at distance ``|r + t d|``.
+    # Relative to the second point, the first moves straight from r to r + d. The minimum distance
+    # is ``|r + t d|`` at time ``t = clip(-r . d / d . d, 0, 1)``.
     # Shapes: first_starts_m, first_ends_m, second_starts_m, second_ends_m (..., 2).
     return np.asarray(
         np.linalg.norm(
@@ -338,15 +338,15 @@ def nearest_to_origin_m(starts_m: Floats, ends_m: Floats) -> Floats:
 
 
 CLOSE_M = 1e-7
-"""Tolerance in metres of computed minimum distances: a tenth of the verifier's. A smaller one would
-be expensive for motions at a constant distance."""
+"""Tolerance of computed minimum distances in metres, a tenth of the verifier's. A smaller tolerance
+is expensive for motions at a constant distance."""
 
 CLOSE_SHARE = 1e-9
-"""Relative tolerance as a share of the curvature bound, for curves of kilometres."""
+"""Tolerance of minimum distances as a share of the curvature bound, for curves of kilometres."""
 
 
 def curve_distance_m(first: TimedCurve, second: TimedCurve, at_most_m: float = math.inf) -> float:
-    """Return a lower bound of two curves' distance at equal times, tight to `CLOSE_M`."""
+    """Return a lower bound of the distance of two curves at equal times, tight to `CLOSE_M`."""
     unknown = first.within_m + second.within_m
     curving = first.curving_m + second.curving_m
     if not math.isfinite(curving + unknown):
@@ -384,7 +384,7 @@ def chord_distances_m(first: TimedMotion, second: TimedMotion) -> Floats:
 
 
 def least_gap(first: TimedMotion, second: TimedMotion, taken_m: Floats) -> tuple[float, int]:
-    """Return the minimum of distance minus `taken_m` (n,) over n steps, and its step."""
+    """Return the minimum over n steps of distance minus `taken_m` (n,), and its step."""
     # Steps are evaluated in the order of their lower bounds.
     steps = len(taken_m)
     one, other = first.lasting(steps), second.lasting(steps)

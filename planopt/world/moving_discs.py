@@ -1,9 +1,9 @@
 """Discs that move straight during each step: predicted moving obstacles and other robots.
 
 A disc grows with the uncertainty of its prediction. The error of the predicted centre after t
-seconds is ``e_0 + a t^2 / 2``, with e_0 and a independent, Gaussian and isotropic. During a step
-the error is interpolated linearly between its values at both ends, so it stays within a disc if
-both values do. An error of standard deviation sigma per axis exceeds ``sigma sqrt(-2 log q)`` with
+seconds is ``e_0 + a t^2 / 2``, with independent isotropic Gaussian e_0 and a. During a step, the
+error is interpolated linearly between its values at both ends, so it stays within a disc that
+contains both. An error with standard deviation sigma per axis exceeds ``sigma sqrt(-2 log q)`` with
 probability q (Rayleigh distribution). With q = (1 - P) / 2 at both ends, the centre stays within
 the larger radius during the whole step with probability at least P.
 """
@@ -22,16 +22,16 @@ from planopt.world.workspace import MovingObstacle
 
 @dataclass(frozen=True, eq=False)
 class MovingDiscs:
-    """Predicted positions of m discs over the next T steps, planned and braking."""
+    """Predicted motion of m discs over the next T steps, braking steps included."""
 
     names: tuple[str, ...]  # Names in messages
-    centres_m: Floats  # (m, T + 1, 2) centres now and after each step
+    centres_m: Floats  # (m, T + 1, 2) now and after each step
     radius_m: Floats  # (m, T) during each step
     least_m: Floats  # (m,) required distance of a robot from the disc
     is_robot: Mask  # (m,) True for other robots, which are points
     # (m,) curves of the T steps of each disc; empty if straight at constant speed
     curves: tuple[tuple[TimedCurve, ...], ...] = ()
-    bulges_m: Floats = field(init=False)  # (m, T) bound on the deviation from that
+    bulges_m: Floats = field(init=False)  # (m, T) distance from straight uniform motion
 
     def __post_init__(self) -> None:
         bulges = [self.motion(number).bulges_m for number in range(len(self))]
@@ -43,7 +43,7 @@ class MovingDiscs:
 
     @property
     def apart_m(self) -> Floats:
-        """Required distance ``(m, T)`` of a robot from each centre, for straight motion."""
+        """Required distance ``(m, T)`` of a robot from each centre in each step."""
         return self.radius_m + self.least_m[:, None] + self.bulges_m
 
     @property
@@ -68,7 +68,7 @@ NOTHING_MOVES = MovingDiscs(
 
 
 def joined_discs(first: MovingDiscs, second: MovingDiscs) -> MovingDiscs:
-    """Concatenate two sets of discs over the same number of steps."""
+    """Return the union of two sets of discs over the same number of steps."""
     if not len(first) or not len(second):
         return first if len(first) else second
     curves = [discs.curves or ((),) * len(discs) for discs in (first, second)]
@@ -83,7 +83,7 @@ def joined_discs(first: MovingDiscs, second: MovingDiscs) -> MovingDiscs:
 
 
 def passing_gaps_m(discs: MovingDiscs, step: int, starts_m: Floats, ends_m: Floats) -> Floats:
-    """Return the separation margin of segments, driven in one step, to each disc; (m, ...)."""
+    """Return the margins (m, ...) of straight motions during `step` to the required distance."""
     # Shapes: starts_m, ends_m (..., 2).
     shape = (len(discs), *([1] * (starts_m.ndim - 1)), 2)
     before = discs.centres_m[:, step].reshape(shape)
@@ -94,13 +94,13 @@ def passing_gaps_m(discs: MovingDiscs, step: int, starts_m: Floats, ends_m: Floa
 
 def path_distances_m(discs: MovingDiscs, path_m: Floats) -> Floats:
     """Return the distance of a path (N + 1, 2) to each centre during each step; ``(m, N)``."""
-    # Both are assumed to move straight at constant speed within a step.
+    # Path and centres are assumed to move straight at constant speed within a step.
     centres = discs.centres_m[:, : len(path_m)]
     return closest_approach_m(path_m[:-1], path_m[1:], centres[:, :-1], centres[:, 1:])
 
 
 def paths_gap_m(discs: MovingDiscs, paths_m: Floats) -> Floats:
-    """Return the smallest margin along each of c paths; infinite without discs."""
+    """Return the smallest separation margin along each of c paths; infinite without discs."""
     # Shapes: paths_m (c, N + 1, 2).
     if not len(discs):
         return np.full(len(paths_m), np.inf)
@@ -127,7 +127,7 @@ def centres_at(obstacle: MovingObstacle, times_s: Floats) -> Floats:
 
 
 def growth_m(obstacle: MovingObstacle, ahead_s: Floats) -> Floats:
-    """Return the growth of the radius for steps that end `ahead_s` (n,) from now; (n,)."""
+    """Return the growth (n,) of the radius due to uncertainty, for steps that end in `ahead_s`."""
     deviation = np.hypot(obstacle.position_std_m, 0.5 * obstacle.acceleration_std_m_s2 * ahead_s**2)
     return deviation * math.sqrt(-2.0 * math.log((1.0 - obstacle.probability) / 2.0))
 
@@ -140,8 +140,8 @@ def predicted_discs(
     clearance_m: float,
 ) -> MovingDiscs:
     """Return the predicted discs of moving obstacles over the next steps."""
-    # A disc moves straight during a step. If its path turns within a step, its radius grows by the
-    # distance of the turn from the straight line, so that it covers the actual disc.
+    # Discs move straight during a step. If the path turns within a step, the radius grows by the
+    # distance of the turn from the straight line, so that the disc covers the obstacle.
     times = now_s + step_s * np.arange(steps + 1, dtype=np.float64)
     centres = np.array([centres_at(obstacle, times) for obstacle in obstacles])
     radius = np.array(
@@ -160,7 +160,7 @@ def predicted_discs(
 
 
 def _turn_m(obstacle: MovingObstacle, times_s: Floats) -> Floats:
-    """Return the largest distance of the centre from the straight line of each step; (n - 1,)."""
+    """Return the largest distance of the centre from a straight line, in each step; (n - 1,)."""
     # Both are linear between turns, so the distance is largest at a turn.
     known = np.asarray(obstacle.times_s)
     turns = known[(known > times_s[0]) & (known < times_s[-1])]

@@ -5,14 +5,13 @@ Three masks are written as PGM images with YAML files for ``map_server``:
 ``keepout``
     Occupied where the probability is below a limit (mode ``trinary``): the planner never enters.
 ``weighted``
-    100 (1 - P), at most `HEAVIEST` (mode ``scale``): the planner prefers contact and forbids
-    nothing. The value 100 would be an obstacle.
+    100 (1 - P), at most `HEAVIEST` (mode ``scale``): the planner prefers contact, but may enter
+    every cell. The value 100 would be an obstacle.
 ``contact``
-    100 where the probability reaches p_min (mode ``trinary``), for the binary filter: contact is
-    predicted.
+    100 where the probability reaches p_min (mode ``trinary``): the binary filter predicts contact.
 
-Cells outside a mask are not filtered. ``nav2_filters.yaml`` has the parameters of the servers and
-of the costmap filters, and ``nav2_filters.launch.py`` starts the servers.
+Cells outside a mask are not filtered. ``nav2_filters.yaml`` contains the parameters of the servers
+and of the costmap filters; ``nav2_filters.launch.py`` starts the servers.
 """
 
 from __future__ import annotations
@@ -37,16 +36,16 @@ NAV2_FILES = (
     PARAMETERS,
     LAUNCH,
 )
-"""Files of the masks."""
+"""Names of all files that belong to the masks."""
 
 FREE, OCCUPIED = 254, 0
-"""Grey values of cells that are not and that are filtered."""
+"""Grey values of free and of occupied cells."""
 
 HEAVIEST = 99
-"""Largest value of the weighted mask."""
+"""Largest value of the mask ``weighted``."""
 
 KEEPOUT, BINARY = 0, 3
-"""Types of filters in CostmapFilterInfo."""
+"""Filter types in CostmapFilterInfo messages."""
 
 UNEQUAL_SIDES = 1e-6
 """Relative difference of the sides of a cell above which it is not square."""
@@ -54,10 +53,10 @@ UNEQUAL_SIDES = 1e-6
 
 @dataclass(frozen=True)
 class MaskLimits:
-    """Limits of the probability of connection."""
+    """Limits of the probability of connection for masks."""
 
-    keepout_below: float = 0.1  # The robot must not enter cells below it
-    contact_from: float = 0.9  # Contact is predicted in cells from it on
+    keepout_below: float = 0.1  # Cells with a smaller probability are forbidden
+    contact_from: float = 0.9  # Minimum probability of predicted contact
 
     def __post_init__(self) -> None:
         for key, value in vars(self).items():
@@ -67,7 +66,7 @@ class MaskLimits:
 
 
 def mask_values(probability: Floats, limits: MaskLimits) -> dict[str, NDArray[Any]]:
-    """Return the values of each mask from 0 to 100, as Nav2 reads them; ``(ny, nx)``."""
+    """Return the values of each mask, from 0 to 100, as Nav2 reads them; ``(ny, nx)``."""
     weight = np.clip(np.rint(100.0 * (1.0 - probability)), 0, HEAVIEST).astype(np.int8)
     keepout = np.where(probability < limits.keepout_below, 100, 0).astype(np.int8)
     contact = np.where(probability >= limits.contact_from, 100, 0).astype(np.int8)
@@ -100,7 +99,7 @@ def write_masks(folder: Path, probability: Raster, limits: MaskLimits, frame: st
 
 
 def _write_image(path: Path, grey: NDArray[np.uint8]) -> None:
-    """Write a binary PGM; its first row has the largest y."""
+    """Write a binary PGM image, whose first row has the largest y."""
     rows, columns = grey.shape
     content = b"P5\n%d %d\n255\n" % (columns, rows) + np.ascontiguousarray(grey[::-1]).tobytes()
     write_whole(path, lambda temporary: temporary.write_bytes(content))
@@ -109,7 +108,7 @@ def _write_image(path: Path, grey: NDArray[np.uint8]) -> None:
 def _map_table(
     image: str, side_m: float, origin_m: tuple[float, float], *, is_scaled: bool
 ) -> dict[str, Any]:
-    """Return the keys of a map's YAML file; a scaled mask uses the whole range of grey values."""
+    """Return the YAML keys of a map; a scaled mask uses the whole range of grey values."""
     free, occupied = (0.0, 1.0) if is_scaled else (0.25, 0.65)
     return {
         "image": image,
@@ -123,7 +122,7 @@ def _map_table(
 
 
 def _parameters(frame: str) -> dict[str, Any]:
-    """Return the parameters of the mask servers, of their filter infos and of the costmap."""
+    """Return the parameters of the mask servers, their filter infos and the costmap."""
     tables: dict[str, Any] = {}
     for name in MASKS:
         tables[f"{name}_mask_server"] = _node(

@@ -2,18 +2,18 @@
 
 ROS: ``image``, ``resolution`` (metres per pixel), ``origin`` ([x, y, yaw] of the lower left
 corner), ``occupied_thresh``, ``free_thresh``, ``negate`` (default 0) and ``mode`` (default trinary)
-have the meaning of ``map_server`` and Nav2. The occupancy of a pixel is its darkness from 0 to 1,
-or its brightness with ``negate``. A cell is occupied above ``occupied_thresh``, free below
+have the same meaning as for ``map_server`` and Nav2. The occupancy of a pixel is its darkness from
+0 to 1 or, with ``negate``, its brightness. A cell is occupied above ``occupied_thresh``, free below
 ``free_thresh`` and unknown in between, also in mode ``scale``. In mode ``raw`` the pixel value is
 the occupancy in per cent; values above 100 are unknown. Pixels that are not opaque are unknown.
 
 CSV: a row of names ``resolution_m,origin_x_m,origin_y_m,occupied_from``, a row of their values,
-then the rows of the map from the largest y down. Cells of at least ``occupied_from`` are occupied,
+then the rows of the map, largest y first. Cells of at least ``occupied_from`` are occupied,
 negative and empty cells are unknown, and all others are free.
 
 Cells that share an edge form one obstacle within a tile of `TILE_CELLS` x `TILE_CELLS` cells.
-Otherwise the walls of a whole building would be one polygon with thousands of corners, which slows
-every distance query. Obstacles touch along tile sides, and cells at corners; no robot fits between.
+Without tiles, the walls of a whole building would be one polygon with thousands of corners, which
+slows every distance query. Obstacles that touch along a tile side or at a corner leave no gap.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ from planopt.short_repr import short_repr
 from planopt.world.workspace import Obstacle
 
 UnknownCells = Literal["occupied", "free"]
-"""Treatment of unknown cells."""
+"""Treatment of unknown cells: like occupied or like free ones."""
 
 MOST_CELLS = 16_000_000
 """Maximum number of cells in a grid: 200 x 200 m at 5 cm."""
@@ -66,7 +66,7 @@ class OccupancyGrid:
     origin_m
         ``(x, y)`` of the corner of cell [0, 0] with the smallest coordinates.
     grey_free_cells
-        Number of free cells whose pixels have grey 205, the value ROS uses for unknown cells.
+        Number of free cells with grey value 205, which ROS writes for unknown cells.
     """
 
     occupied: Mask
@@ -111,7 +111,7 @@ class OccupancyGrid:
 def grid_obstacles(
     grid: OccupancyGrid, name: str, unknown: UnknownCells = "occupied"
 ) -> tuple[Obstacle, ...]:
-    """Return the obstacles of a grid, which cover exactly the cells closed to robots."""
+    """Return obstacles that cover exactly the cells of a grid that are closed to robots."""
     closed = grid.occupied | grid.unknown if unknown == "occupied" else grid.occupied
     if not closed.any():
         return ()
@@ -133,9 +133,9 @@ class _Edges:
 
 
 def _edges(closed: Mask) -> _Edges:
-    """Return all edges of the outlines."""
+    """Return all outline edges of the connected components of closed cells."""
     # If two closed cells touch at a corner only, the outline continues along the other cell if both
-    # belong to one component, else along its own cell. No outline therefore touches itself.
+    # belong to one component, else along its own cell. No outline thus touches itself.
     labels = _components(closed)
     around = np.pad(labels, 1)
     columns = closed.shape[1] + 1
@@ -179,7 +179,7 @@ def _edges(closed: Mask) -> _Edges:
 
 
 def _found(key: Indices, by_key: Indices, wanted: Indices) -> Indices:
-    """Return the index of each wanted key in `key`; -1 if it is absent."""
+    """Return the index of each wanted key in `key`; -1 for absent keys."""
     at = by_key[np.minimum(np.searchsorted(key, wanted, sorter=by_key), key.size - 1)]
     return np.where(key[at] == wanted, at, -1)
 
@@ -197,7 +197,7 @@ def _components(closed: Mask) -> Indices:
 
 
 def _spread(size: int) -> Indices:
-    """Return the new indices of `size` lines with an empty line between tiles."""
+    """Return new indices of `size` rows or columns, with an empty one between tiles."""
     line = np.arange(size, dtype=np.intp)
     return line + line // TILE_CELLS
 
@@ -255,11 +255,11 @@ FEWER_CELLS = "crop the map to the area of interest, or use larger cells"
 CSV_HEADER = ("resolution_m", "origin_x_m", "origin_y_m", "occupied_from")
 
 IMAGES = {".pgm": "PPM", ".png": "PNG"}
-"""Pillow names of image formats by file extension."""
+"""Pillow's names of image formats, by file extension."""
 
 BYTE_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA")
 DEEP_MODES = ("I", "I;16", "I;16B", "I;16L")
-"""Pillow modes of 8-bit (above) and 16-bit pixels."""
+"""Pillow modes of 16-bit pixels; `BYTE_MODES` have 8-bit pixels."""
 
 NO_TURN_RAD = 1e-9
 
@@ -273,7 +273,7 @@ def is_grid(path: Path | str | None) -> bool:
 
 
 def read_grid(path: Path) -> OccupancyGrid:
-    """Read an occupancy grid with the reader for its file extension."""
+    """Return the occupancy grid in a file, read according to its extension."""
     try:
         return GRID_READERS[path.suffix.lower()](path)
     except InputError as error:
@@ -281,7 +281,7 @@ def read_grid(path: Path) -> OccupancyGrid:
 
 
 def _read_ros_map(path: Path) -> OccupancyGrid:
-    """Read a ROS map."""
+    """Return the occupancy grid of a ROS map (YAML file and image)."""
     table = _yaml_table(path)
     resolution, (x, y) = _placed(_number(table, "resolution"), *_origin(table))
     negate = _one_of(table, "negate", ("0", "1")) == "1"
@@ -320,7 +320,7 @@ def _read_ros_map(path: Path) -> OccupancyGrid:
 
 
 def _read_csv_grid(path: Path) -> OccupancyGrid:
-    """Read a CSV grid."""
+    """Return the occupancy grid in a CSV file."""
     rows = csv_rows(path)
     nothing: tuple[int, list[str]] = (1, [])
     header, values = ([cell.strip() for cell in next(rows, nothing)[1]] for _ in range(2))
@@ -361,7 +361,7 @@ GRID_READERS: dict[str, Callable[[Path], OccupancyGrid]] = {
 
 
 def _yaml_table(path: Path) -> dict[str, object]:
-    """Return the top-level table of a YAML file; scalars stay text, aliases are rejected."""
+    """Return the top-level table of a YAML file. Scalars remain text; aliases are rejected."""
     import yaml
 
     text = read_text(path, LARGEST_YAML_BYTES)
@@ -407,7 +407,7 @@ def _shown(value: object) -> str:
 
 
 def _one_of(table: dict[str, object], key: str, allowed: tuple[str, ...]) -> str:
-    """Return the allowed word at `key`; the first one if the key is missing."""
+    """Return the word at `key`, which must be allowed; by default, the first allowed word."""
     value = table.get(key, allowed[0])
     word = {"true": "1", "false": "0"}.get(str(value).lower(), value)
     if not isinstance(word, str) or word not in allowed:
@@ -488,7 +488,7 @@ def _shades(path: Path, raw: bool) -> tuple[Floats, Mask]:
 
 
 def _require_cells(count: int) -> None:
-    """Reject a grid with too many cells or none."""
+    """Raise an InputError for a grid with too many cells or none."""
     if not 0 < count <= MOST_CELLS:
         raise InputError(
             f"has {count:,} cells, should have 1 to {MOST_CELLS:,}", remedy=FEWER_CELLS
@@ -496,7 +496,7 @@ def _require_cells(count: int) -> None:
 
 
 def _cell(text: str, row: int, key: str) -> float:
-    """Parse a cell of a CSV file; empty cells are NaN."""
+    """Return the number in a cell of a CSV file; NaN for an empty cell."""
     try:
         value = float(text) if text.strip() else math.nan
     except ValueError:

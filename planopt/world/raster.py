@@ -1,4 +1,4 @@
-"""Maps on a regular grid with nearest-cell lookup."""
+"""Maps of values on a regular grid, looked up at the nearest cell."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from planopt.keys import LARGEST_COORDINATE_M
 from planopt.short_repr import short_repr
 
 UNEVEN_CELLS = 1e-3
-"""Tolerance of the grid spacing, in cells: files may store coordinates as float32."""
+"""Tolerance of the grid spacing, in cells, since files may store coordinates as float32."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Raster:
 
 
 def checked_raster(x: Floats, y: Floats, values: Floats, variable: str) -> Raster:
-    """Validate axes and values and return their raster."""
+    """Return the raster of axes and values after validation."""
     # Minus infinity, the decibel value of zero, becomes NaN.
     for name, axis in (("x", x), ("y", y)):
         if axis.ndim != 1 or axis.size < 2:

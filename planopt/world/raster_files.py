@@ -1,13 +1,13 @@
 # pyright: basic
 """Raster files by extension: CSV, npz, Sionna RT radio maps, NetCDF and GeoTIFF.
 
-CSV has a row per cell with its centre ``x_m, y_m`` and a column per variable. NetCDF has variables
-on ``y, x``. Files are written as NetCDF-3, which SciPy and all other readers support; reading
-NetCDF-4 needs the extra h5netcdf. GeoTIFF needs the extra rasterio and has a band per variable with
-the northernmost row first. Its coordinates are metres in a local plane; reference systems in
-degrees are rejected. Sionna RT radio maps are saved by
-``savez(file, path_gain=map.path_gain.numpy(), cell_centers=map.cell_centers.numpy())``: gains are
-linear, and zero means that no path was found.
+CSV files have a row per cell with its centre ``x_m, y_m`` and a column per variable. NetCDF files
+have variables on dimensions ``y, x``. They are written as NetCDF-3, which SciPy and all other
+readers support; reading NetCDF-4 needs the extra h5netcdf. GeoTIFF needs the extra rasterio and has
+a band per variable with the northernmost row first. Its coordinates are metres in a local plane;
+reference systems in degrees are rejected. Sionna RT radio maps are saved by
+``savez(file, path_gain=map.path_gain.numpy(), cell_centers=map.cell_centers.numpy())``. Their gains
+are linear, and zero means that no path was found.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ HDF5_SIGNATURE = b"\x89HDF"
 NETCDF_AXES = ("y", "x")
 
 BYTES_PER_READ = 1000
-"""Upper bound of the memory that SciPy's reader uses per read of a header."""
+"""Upper bound, in bytes, of the memory that SciPy's reader uses per read of a header."""
 
 
 def write_netcdf(path: Path, rasters: Mapping[str, Raster]) -> None:
@@ -58,7 +58,7 @@ def write_netcdf(path: Path, rasters: Mapping[str, Raster]) -> None:
 
 
 def read_netcdf(path: Path, variable: str) -> Raster:
-    """Read one variable on dimensions ``y, x`` with coordinates; y may be descending."""
+    """Return one variable of a NetCDF file, on dimensions ``y, x`` with coordinates."""
     content = read_bytes(path)
     read = _read_hdf5 if content.startswith(HDF5_SIGNATURE) else _read_classic
     with foreign_reader(path, "a NetCDF file"):
@@ -79,9 +79,9 @@ _Read = tuple[list[Floats], Mapping[str, Any]]
 
 
 class _BoundedBytes(io.BytesIO):
-    """In-memory file with a limit on the total number of bytes read."""
+    """In-memory file that limits the total number of bytes read."""
 
-    # In a damaged header, variables may overlap, each as large as the file.
+    # In a damaged file, variables may overlap, each as large as the file.
 
     def __init__(self, content: bytes) -> None:
         super().__init__(content)
@@ -100,7 +100,7 @@ def _read_classic(path: Path, content: bytes, variable: str) -> _Read:
     from scipy.io import netcdf_file
 
     class Reader(netcdf_file):
-        """Reader without a destructor: attributes of a file may overwrite its methods."""
+        """Reader without a destructor, because attributes of a file may overwrite its methods."""
 
         def __del__(self) -> None: ...
 
@@ -133,7 +133,7 @@ def _read_hdf5(path: Path, content: bytes, variable: str) -> _Read:
             if item.external or item.is_virtual:
                 raise InputError("is stored in another file, which is not followed", key=name)
             require_array_size(path, name, *(item.shape or ()))
-            # HDF5 decompresses whole chunks.
+            # HDF5 decompresses whole chunks at once.
             require_array_size(path, name, *(item.chunks or ()))
         with h5netcdf.File(opened, "r") as file:
             held = file.variables
@@ -146,7 +146,7 @@ def _read_hdf5(path: Path, content: bytes, variable: str) -> _Read:
 
 
 def _require_map(held: Mapping[str, tuple[str, ...]], variable: str) -> None:
-    """Reject a file without the variable on dimensions y, x."""
+    """Raise an InputError for a file without the variable on dimensions y, x."""
     for name in (*NETCDF_AXES, variable):
         if name not in held:
             raise InputError(
@@ -180,7 +180,7 @@ SIGNATURES = (b"II*\0", b"MM\0*", b"II+\0", b"MM\0+")
 
 
 def import_rasterio(path: Path) -> ModuleType:
-    """Import rasterio; raise an error that names the extra if it is not installed."""
+    """Return the module rasterio; raise an InputError that names the extra if it is missing."""
     try:
         import rasterio
     except ImportError as error:
@@ -218,7 +218,7 @@ def write_geotiff(path: Path, rasters: Mapping[str, Raster]) -> None:
 
 
 def read_geotiff(path: Path, variable: str) -> Raster:
-    """Read the band described as `variable`, or the only band if it has no description."""
+    """Return the band described as `variable`, or the only band if it has no description."""
     # The file is read from memory, without sidecar files and only as GeoTIFF. GDAL's virtual
     # formats could otherwise open further files.
     rasterio = import_rasterio(path)
@@ -286,12 +286,12 @@ def write_csv(path: Path, rasters: Mapping[str, Raster]) -> None:
 
 
 def read_csv(path: Path, variable: str) -> Raster:
-    """Read one variable from CSV rows in any order; empty cells and ``nan`` are missing."""
+    """Return one variable of a CSV file with rows in any order; empty or ``nan`` is missing."""
     rows = csv_rows(path)
     nothing: tuple[int, list[str]] = (1, [])
     header = [name.strip() for name in next(rows, nothing)[1]]
     where = [_column(header, name) for name in (*AXES, variable)]
-    # An array needs a third of the memory of lists of floats.
+    # An array takes a third of the memory of lists of floats.
     numbers = array("d")
     for line, cells in rows:
         numbers.extend(_number(cells, at, line, header[at]) for at in where)
@@ -350,7 +350,7 @@ def _number(cells: list[str], at: int, row: int, name: str) -> float:
 
 
 QUANTITIES = "quantities"
-"""Npz entry with name, quantity and unit of each variable, as text (k, 3)."""
+"""Name of the npz entry with name, quantity and unit of each variable, as text (k, 3)."""
 
 
 def write_npz(path: Path, rasters: Mapping[str, Raster]) -> None:
@@ -364,7 +364,7 @@ def write_npz(path: Path, rasters: Mapping[str, Raster]) -> None:
 
 
 def read_npz_raster(path: Path, variable: str) -> Raster:
-    """Read one variable of an ``npz`` file, or of a Sionna RT map with cell centres."""
+    """Return one variable of an ``npz`` file, or of a Sionna RT map with cell centres."""
     if CENTRES in npz_names(path):
         return read_sionna_map(path, variable)
     x, y, values = npz_arrays(path, ("x", "y", variable))
@@ -399,11 +399,11 @@ def npz_arrays(path: Path, names: tuple[str, ...]) -> list[Floats]:
 CENTRES = "cell_centers"
 
 TURNED_M = 1e-2
-"""Tolerance in metres for centres off their row or column: Sionna RT uses float32."""
+"""Tolerance in metres for cell centres off their row or column, as Sionna RT uses float32."""
 
 
 def read_sionna_map(path: Path, variable: str) -> Raster:
-    """Read a linear quantity of a planar Sionna RT radio map, converted to dB."""
+    """Return a linear quantity of a planar Sionna RT radio map, converted to dB."""
     name, index = _name_and_index(variable)
     gain, centres = npz_arrays(path, (name, CENTRES))
     if gain.ndim == 3:
@@ -450,7 +450,7 @@ def read_sionna_map(path: Path, variable: str) -> Raster:
 
 
 def _name_and_index(variable: str) -> tuple[str, int | None]:
-    """Split ``path_gain[2]`` into name and index; the index is None if absent."""
+    """Return name and index of a text such as ``path_gain[2]``; without an index, None."""
     match = re.fullmatch(r"(.+)\[(\d{1,6})\]", variable)
     return (variable, None) if match is None else (match[1], int(match[2]))
 
@@ -462,7 +462,7 @@ READERS: dict[str, Callable[[Path, str], Raster]] = {
     ".tif": read_geotiff,
     ".tiff": read_geotiff,
 }
-"""Readers by file extension."""
+"""Readers of raster files by file extension."""
 
 WRITERS: dict[str, Callable[[Path, Mapping[str, Raster]], None]] = {
     ".csv": write_csv,
@@ -471,11 +471,11 @@ WRITERS: dict[str, Callable[[Path, Mapping[str, Raster]], None]] = {
     ".tif": write_geotiff,
     ".tiff": write_geotiff,
 }
-"""Writers by file extension."""
+"""Writers of raster files by file extension."""
 
 
 def read_raster(path: Path, variable: str) -> Raster:
-    """Read one variable of a raster file."""
+    """Return one variable of a raster file."""
     reader = READERS[raster_ending(path)]
     try:
         return reader(path, variable)
@@ -491,7 +491,7 @@ def write_rasters(path: Path, rasters: Mapping[str, Raster]) -> None:
 
 
 def check_raster_output(path: Path) -> None:
-    """Raise the error of :func:`write_rasters` for this path before any computation."""
+    """Raise the error that :func:`write_rasters` would raise for a path."""
     if WRITERS[raster_ending(path)] is write_geotiff:
         import_rasterio(path)
 

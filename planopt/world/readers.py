@@ -23,8 +23,8 @@ DEEPEST = 32
 """Maximum nesting depth of geometries, which protects the stack of recursive parsers."""
 
 SURELY_DEGREES = 20.0
-"""Ratio of distance from the origin to extent above which coordinates within 180 and 90 are taken
-for degrees: in metres the map would be tiny and far from its origin."""
+"""Ratio of distance from the origin to extent above which coordinates within 180 and 90 count as
+degrees. In metres, such a map would be tiny and far from its origin."""
 
 _GEOJSON = "give GeoJSON of Polygon or MultiPolygon features, or buildings with an exterior"
 
@@ -34,7 +34,7 @@ _Part = TypeVar("_Part")
 
 
 def read_obstacles(path: Path, unknown: UnknownCells = "occupied") -> tuple[Obstacle, ...]:
-    """Read the obstacles of a file with the reader for its extension."""
+    """Return the obstacles in a file, read according to its extension."""
     ending = path.suffix.lower()
     try:
         if is_grid(path):
@@ -53,7 +53,7 @@ def read_obstacles(path: Path, unknown: UnknownCells = "occupied") -> tuple[Obst
 
 
 def obstacle_from_wkt(name: str, text: str) -> Obstacle:
-    """Create an obstacle from a WKT polygon in metres."""
+    """Return the obstacle of a WKT polygon in metres."""
     obstacles = list(obstacles_of_geometry(name, _parsed_wkt(name, text)))
     if len(obstacles) != 1:
         raise InputError(
@@ -97,7 +97,7 @@ def _tolerant_wkt(text: str) -> shapely.Geometry | None:
 
 
 def _parsed_wkt(name: str, text: str) -> shapely.Geometry:
-    """Return the geometry of a WKT text, or raise an error with the reason."""
+    """Return the geometry of a WKT text; raise an InputError with the reason if it is invalid."""
     geometry = _tolerant_wkt(text)
     if geometry is not None:
         return geometry
@@ -185,7 +185,7 @@ def _building(name: str, value: Any) -> Obstacle:
 
 
 def _require_metres(table: dict[str, object], obstacles: list[Obstacle]) -> None:
-    """Reject GeoJSON in degrees, the unit of RFC 7946."""
+    """Raise an InputError for GeoJSON in degrees, the unit of RFC 7946."""
     if not obstacles:
         return
     named = DEGREES.search(json.dumps(table.get("crs")))
@@ -215,7 +215,7 @@ def _feature_name(feature: dict[str, Any], otherwise: str) -> str:
 
 
 def _named_parts(name: str, parts: list[_Part]) -> Iterator[tuple[str, _Part]]:
-    """Yield names and parts; a single part keeps `name`, several are numbered."""
+    """Yield each part with a name: `name` for a single part, numbered names for several."""
     for number, part in enumerate(parts, start=1):
         yield (name if len(parts) == 1 else f"{name} part {number}"), part
 

@@ -1,19 +1,19 @@
 """Separating lines: linear collision constraints on path segments, for the solver.
 
-A line is computed from the initial guess and imposed on both ends of a segment. It keeps the whole
-segment on one side of a convex piece of an obstacle. The verifier uses the exact footprints.
+A line is computed from the initial guess and imposed on both ends of a segment. It separates the
+whole segment from a convex piece of an obstacle. The verifier uses the exact footprints.
 
-Relative to the centre of a moving disc, the robot moves straight during a step. The normal n points
-from the centre to the nearest point of the initial guess. It gives two linear constraints::
+Relative to the centre of a moving disc, the robot moves straight during a step. With the normal n
+from the centre towards the nearest point of the initial guess, two linear constraints are imposed::
 
     n . (q_{k-1} - c_{k-1}) >= R,    n . (q_k - c_k) >= R
 
-If both hold, the distance is at least R during the whole step.
+They imply a distance of at least R during the whole step.
 
-Braking after the last step depends on its end state. On the initial guess, the braking path has a
-margin ``g = min_t n . (p(t) - c(t)) - R`` to a disc, with n the normal at the closest approach. If
-neither the last position nor the rest position moves by more than g towards the disc, no position
-in between does.
+Braking after the last step depends on the step's end state. On the initial guess, the braking path
+has a margin ``g = min_t n . (p(t) - c(t)) - R`` to a disc, with n the normal at the closest
+approach. If refinement moves the last position and the rest position by at most g towards the disc,
+it moves no position in between by more.
 """
 
 from __future__ import annotations
@@ -36,11 +36,11 @@ Vertex = tuple[float, float]
 Edge = tuple[Vertex, Vertex]
 
 FLAT_M = 1e-9
-"""Tolerance in metres for convexity: depth of a vertex inside its neighbours' chord."""
+"""Convexity tolerance in metres: depth of a vertex inside the chord of its neighbours."""
 
 
 def convex_pieces(polygon: shapely.Polygon) -> tuple[Floats, ...]:
-    """Decompose `polygon` exactly into convex polygons."""
+    """Return convex polygons that together equal `polygon`."""
     # Constrained Delaunay triangles are merged across common edges, longest first, while the result
     # stays convex (Hertel and Mehlhorn 1983: at most four times the minimum number of pieces). No
     # vertices are added, so pieces share whole edges.
@@ -84,7 +84,7 @@ def _corners(ring: list[Vertex]) -> Floats:
 
 
 def _merged(triangles: list[list[Vertex]]) -> list[list[Vertex]]:
-    """Merge a conforming triangulation greedily into convex rings, longest edges first."""
+    """Return convex rings, merged greedily from a triangulation, longest edges first."""
     pieces = dict(enumerate(triangles))
     owner: dict[Edge, int] = {
         edge: number for number, ring in pieces.items() for edge in _edges(ring)
@@ -113,12 +113,12 @@ def _starting_at(ring: list[Vertex], vertex: Vertex) -> list[Vertex]:
 
 
 EMPTY_OFFSET_M = -1.0
-"""Offset of empty slots: with a zero normal, ``0 . q - (-1) >= 0`` always holds."""
+"""Offset of empty slots. With their zero normals, ``0 . q - (-1) >= 0`` always holds."""
 
 
 @dataclass(frozen=True)
 class PackedPieces:
-    """Convex pieces of all obstacles as padded arrays."""
+    """Convex pieces of all obstacles, stored in padded arrays."""
 
     # (k, v, 2) corners, counter-clockwise, padded by repeating the last one
     vertices_m: Floats
@@ -133,7 +133,7 @@ class PackedPieces:
 
 @dataclass(frozen=True)
 class SeparatingLines:
-    """Up to c separating lines for each of s segments, nearest piece first."""
+    """Up to c separating lines for each of s segments, nearest pieces first."""
 
     # Both ends q of the segment satisfy ``normal . q - offset >= gap``; every corner v of the piece
     # satisfies ``normal . v <= offset``.
@@ -171,7 +171,7 @@ def _columns(lines: SeparatingLines) -> list[NDArray[Any]]:
 
 
 def joined_lines(first: SeparatingLines, second: SeparatingLines) -> SeparatingLines:
-    """Concatenate two tables of lines of the same segments."""
+    """Return two tables of lines of the same segments as one table."""
     columns = zip(_columns(first), _columns(second), strict=True)
     return SeparatingLines(*(np.concatenate(pair, axis=1) for pair in columns))
 
@@ -186,7 +186,7 @@ def split_lines(lines: SeparatingLines, count: int) -> tuple[SeparatingLines, Se
 
 
 def pack_pieces(workspace: Workspace) -> PackedPieces:
-    """Decompose all obstacles into convex pieces and pack them into arrays."""
+    """Return the convex pieces of all obstacles, packed into arrays."""
     cut = [convex_pieces(obstacle.polygon) for obstacle in workspace.obstacles]
     rings = [ring for pieces in cut for ring in pieces]
     corners = np.array([len(ring) for ring in rings], dtype=np.int64)
@@ -212,7 +212,7 @@ def pack_pieces(workspace: Workspace) -> PackedPieces:
 def separating_lines(
     pieces: PackedPieces, starts_m: Floats, ends_m: Floats, count: int, reach_m: float
 ) -> SeparatingLines:
-    """Return the separating lines of each segment from its nearest pieces."""
+    """Return the lines that separate each segment from its nearest pieces."""
     # Shapes: starts_m, ends_m (s, 2).
     segment, piece = _candidates(pieces, starts_m, ends_m, reach_m)
     normals, offsets, gaps = _best_lines(pieces, starts_m[segment], ends_m[segment], piece)
@@ -233,7 +233,7 @@ def lines_for(
     ends_m: Floats,
     piece_ids: NDArray[np.int64],  # (s, c)
 ) -> SeparatingLines:
-    """Return the separating lines of each segment from the pieces `piece_ids`."""
+    """Return the lines that separate each segment from the pieces `piece_ids`."""
     # Shapes: starts_m, ends_m (s, 2).
     slots = np.nonzero(piece_ids >= 0)
     piece = piece_ids[slots]
@@ -285,7 +285,7 @@ def _best_lines(
     # edge of the piece, a normal of the segment, or, if two vertices are nearest, the direction to
     # a segment end from its nearest corner.
     width = int(pieces.corners[piece].max(initial=1))
-    # Coordinates relative to the segment's start keep their digits even near 3e6.
+    # Coordinates relative to the segment's start avoid loss of digits near 3e6.
     corner = pieces.vertices_m[piece, :width] - starts_m[:, None]
     edge_normal = pieces.normals[piece, :width]
     along = ends_m - starts_m
@@ -323,7 +323,7 @@ def _row_of(table: Floats, column: NDArray[np.int64]) -> Floats:
 
 
 TOUCHING_M = 1e-9
-"""Distance in metres below which the line of a disc is parallel to the segment."""
+"""Distance in metres below which the line for a disc is parallel to the segment."""
 
 
 def moving_lines(
@@ -335,9 +335,9 @@ def moving_lines(
     needed: Mask | None = None,  # (m, N)
     pad_m: float = 0.0,
 ) -> SeparatingLines:
-    """Return the separating lines of each segment from its nearest discs."""
-    # Like obstacle lines, they are tangent to the disc, and the clearance is added later. A disc
-    # with a different required distance is enlarged or shrunk by the difference.
+    """Return the lines that separate each segment from its nearest moving discs."""
+    # Like lines of obstacles, they touch the disc, and the clearance is added later. A disc with
+    # another required distance is enlarged or shrunk by the difference.
     steps = len(path_m) - 1
     lines = empty_lines(steps, count)
     relative = path_m - discs.centres_m[:, : len(path_m)]
@@ -366,7 +366,7 @@ def moving_lines(
 
 
 FAR_M = 1e4
-"""Start offset in metres that deactivates a line at the start of a step."""
+"""Offset in metres that makes a line ineffective at the start of a step."""
 
 
 def tail_lines(
@@ -378,7 +378,7 @@ def tail_lines(
     count: int,
     reach_m: float,
 ) -> tuple[SeparatingLines, SeparatingLines]:
-    """Return the lines of the last planned position (N segments) and of the rest position."""
+    """Return lines for the last planned position (N segments) and for the rest position."""
     last, still = empty_lines(planned, count), empty_lines(1, count)
     whole = motion.lasting(discs.steps)
     own, bulges = whole.places_m[planned:], whole.bulges_m[planned:]

@@ -1,8 +1,8 @@
-"""Shortest paths around obstacles, which consist of straight segments between corners.
+"""Shortest paths around obstacles, made of straight segments between corners.
 
-:func:`shortest_paths` searches from one position by a lazily built visibility graph, for robots and
-pursuers among many obstacles. :class:`FreeArea` holds the distances between all corners of an area,
-for the many agents of a network.
+:func:`shortest_paths` searches from one position in a lazily built visibility graph, for robots and
+pursuers among many obstacles. :class:`FreeArea` stores the distances between all corners of an
+area, for the many agents of a network.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from planopt.arrays import Floats, Indices, Mask
 from planopt.world.clearance import ObstacleIndex, clearance_m, segment_lines
 
 INNER_SHARE = 0.98
-"""Share of the clearance by which obstacles are inflated for lower bounds: the relative error of
-GEOS is up to a hundredth."""
+"""Share of the clearance by which obstacles are inflated for lower bounds. The relative error of GEOS
+is up to a hundredth."""
 
 QUARTER_SEGMENTS = 2
 """Number of segments per quarter circle around a corner, for drivable paths."""
 
 ROUND_SHARE = 1.0 / math.cos(0.25 * math.pi / QUARTER_SEGMENTS)
-"""Ratio of the radii of segment ends and midpoints; the midpoints keep the clearance."""
+"""Ratio of the radii of segment ends and midpoints. The midpoints are at the clearance."""
 
 MAX_CORNERS = 600
-"""Maximum number of corners; beyond it, straight-line distances serve as lower bounds."""
+"""Maximum number of corners. For more corners, straight-line distances serve as lower bounds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +57,7 @@ def shortest_paths(
     radius_m: float,
     inner: bool,
 ) -> ShortestPaths:
-    """Find the shortest paths from `start_m` (2,) that keep `clearance`, up to `radius_m`."""
+    """Return the shortest paths from `start_m` (2,) with a clearance, up to length `radius_m`."""
     # With `inner`, obstacles are inflated slightly less and their corners are bevelled. Lengths are
     # then lower bounds, and every reachable position is found.
     nothing = ShortestPaths(
@@ -75,7 +75,7 @@ def shortest_paths(
     own = float(clearance_m(index, start_m[None])[0])
     if not len(near) or own == 0.0:
         return nothing
-    # A start closer than the clearance lowers the clearance, so that its paths stay open.
+    # A start closer than the clearance reduces the clearance, so that paths from it exist.
     by = min(clearance, own) * INNER_SHARE if inner else min(clearance * ROUND_SHARE, own)
     closed = grown(index.polygons[near], by, inner)
     low, high = np.array(bounds_m[:2]), np.array(bounds_m[2:])
@@ -95,7 +95,7 @@ def shortest_paths(
     tree = shapely.STRtree(closed)
     length, before = _lengths_to_corners(tree, start_m, corners, radius_m)
     order = np.argsort(length, kind="stable")[: int((length <= radius_m).sum())]
-    # The previous corner is nearer and therefore also in `order`.
+    # The previous corner is nearer and thus also in `order`.
     place = np.full(len(corners) + 1, -1, dtype=np.intp)
     place[order] = np.arange(len(order))
     return ShortestPaths(
@@ -104,7 +104,7 @@ def shortest_paths(
 
 
 def is_near_joined(paths: ShortestPaths, places_m: Floats, within_m: float) -> Mask:
-    """Return which positions (n, 2) are within `within_m` of the connected free space; (n,)."""
+    """Return a mask of positions (n, 2) within `within_m` of the start's part of free space."""
     if paths.joined is None:
         return np.ones(len(places_m), dtype=np.bool_)
     points = shapely.points(places_m)
@@ -112,12 +112,12 @@ def is_near_joined(paths: ShortestPaths, places_m: Floats, within_m: float) -> M
 
 
 def path_lengths_m(paths: ShortestPaths, places_m: Floats) -> Floats:
-    """Return path lengths to positions (n, 2), infinite beyond the radius; ``(n,)``."""
+    """Return shortest path lengths to positions (n, 2), infinite beyond the radius; ``(n,)``."""
     return _last_turns(paths, places_m)[0]
 
 
 def turns_m(paths: ShortestPaths, place_m: Floats) -> Floats | None:
-    """Return the turns (k, 2) of the path to `place_m`, the last point; None without a path."""
+    """Return the turns of the path to `place_m` and its end; (k, 2); None without a path."""
     length, last = _last_turns(paths, place_m[None])
     if not np.isfinite(length[0]):
         return None
@@ -129,7 +129,7 @@ def turns_m(paths: ShortestPaths, place_m: Floats) -> Floats | None:
 
 
 def _last_turns(paths: ShortestPaths, places_m: Floats) -> tuple[Floats, Indices]:
-    """Return the path length to each position (n, 2) and its last corner, -1 if none."""
+    """Return the path length to each position (n, 2), and the path's last corner or -1."""
     length, last = np.full(len(places_m), np.inf), np.full(len(places_m), -1, dtype=np.intp)
     open_ = np.flatnonzero(is_near_joined(paths, places_m, 0.0))
     for corner in range(-1, len(paths.corners_m)):
@@ -146,7 +146,7 @@ def _last_turns(paths: ShortestPaths, places_m: Floats) -> tuple[Floats, Indices
 
 
 def grown(polygons: NDArray[np.object_], by_m: float, inner: bool) -> NDArray[np.object_]:
-    """Return polygons (n,) inflated by `by_m`; with `inner`, nowhere by more than that."""
+    """Return polygons (n,) inflated by `by_m`; with `inner`, by at most this much."""
     if by_m <= 0.0:
         return polygons
     if inner:
@@ -178,7 +178,7 @@ def corners_m(polygons: NDArray[np.object_], free: bool = False) -> Floats:
 def _lengths_to_corners(
     closed: shapely.STRtree, start_m: Floats, corners_m: Floats, radius_m: float
 ) -> tuple[Floats, Indices]:
-    """Return path lengths and previous corners, by Dijkstra's algorithm on a lazy graph."""
+    """Return path lengths to corners and their previous corners, on a lazily built graph."""
     length = np.full(len(corners_m), np.inf)
     before = np.full(len(corners_m), -1, dtype=np.intp)
     left = np.ones(len(corners_m), dtype=np.bool_)
@@ -197,7 +197,7 @@ def _lengths_to_corners(
 
 
 def _sees(closed: shapely.STRtree, place_m: Floats, others_m: Floats) -> Mask:
-    """Return which segments from `place_m` to others (n, 2) avoid inflated obstacles; (n,)."""
+    """Return a mask of segments from `place_m` to `others_m` (n, 2) that avoid obstacles."""
     free = np.ones(len(others_m), dtype=np.bool_)
     if len(others_m) and len(closed.geometries):
         lines = segment_lines(np.broadcast_to(place_m, others_m.shape), others_m)
@@ -212,46 +212,46 @@ def _away(places_m: Floats, place_m: Floats) -> Floats:
 
 
 SLACK = 1e-9
-"""Rounding tolerance of positions outside an area, as a share of its extent; lines of sight get
-twice as much."""
+"""Rounding tolerance of positions outside an area, as a share of its extent. Lines of sight have twice
+this tolerance."""
 
 
 @dataclass(frozen=True, eq=False)
 class FreeArea:
-    """Area with the shortest paths between all its corners; :func:`free_area` builds it."""
+    """Area with the shortest paths between all its corners, created by :func:`free_area`."""
 
     polygon: shapely.Polygon  # Allowed positions
     slack_m: float  # Distance outside up to which a position still counts as on the boundary
-    # Boundary moved outward by more than `slack_m`; a line between two allowed positions leaves the
-    # area if it intersects this boundary
+    # Boundary moved outward by more than `slack_m`. A line between two allowed positions leaves the
+    # area if it intersects this boundary.
     border: shapely.Geometry
     corners_m: Floats  # (c, 2) corners at which shortest paths may turn
     between_m: Floats  # (c, c) shortest distances between them
 
     def allows(self, places_m: Floats) -> Mask:
-        """Return whether positions (k, 2) are in the area; (k,)."""
+        """Return a mask of positions (k, 2) in the area; (k,)."""
         points = shapely.points(places_m)
         return np.asarray(shapely.dwithin(self.polygon, points, self.slack_m), dtype=np.bool_)
 
     def nearest(self, places_m: Floats) -> Floats:
-        """Project positions (k, 2) onto the area."""
+        """Return the points of the area nearest to positions (k, 2)."""
         moved, out = np.array(places_m, dtype=np.float64), ~self.allows(places_m)
         moved[out] = nearest_places(self.polygon, moved[out])
         return moved
 
     def sees(self, starts_m: Floats, ends_m: Floats) -> Mask:
-        """Return whether the lines between allowed positions (k, 2) stay in the area; (k,)."""
+        """Return a mask of lines between allowed positions (k, 2) that stay in the area; (k,)."""
         lines = segment_lines(starts_m, ends_m)
         return ~np.asarray(shapely.intersects(self.border, lines), dtype=np.bool_)
 
     def sees_each(self, places_m: Floats, others_m: Floats) -> Mask:
-        """Return the visibility (k, l) between allowed positions (k, 2) and (l, 2)."""
+        """Return a mask (k, l) of mutually visible allowed positions (k, 2) and (l, 2)."""
         count, other = len(places_m), len(others_m)
         starts, ends = np.repeat(places_m, other, axis=0), np.tile(others_m, (count, 1))
         return self.sees(starts, ends).reshape(count, other)
 
     def to_corners_m(self, starts_m: Floats) -> tuple[Floats, Indices]:
-        """Return lengths (n, c) of shortest paths from positions to corners, and first corners."""
+        """Return shortest path lengths (n, c) from positions to corners, and the first corners."""
         # Lengths are infinite for a position that sees no corner.
         away = np.linalg.norm(starts_m[:, None] - self.corners_m, axis=2)
         away[~self.sees_each(starts_m, self.corners_m)] = np.inf
@@ -261,7 +261,7 @@ class FreeArea:
         for row, own in enumerate(away):
             through = own[:, None] + self.between_m
             length[row] = through.min(axis=0)
-            # A path that starts at a corner is directed toward the next one.
+            # A path that starts at a corner heads for the next one.
             at = own <= self.slack_m
             if at.any() and not at.all():
                 through[at] += self.slack_m
@@ -269,7 +269,7 @@ class FreeArea:
         return length, first
 
     def last_legs_m(self, ends_m: Floats, sees: Mask) -> Floats:
-        """Return distances (k, c) from ends to corners; infinite for corners out of sight."""
+        """Return distances (k, c) from ends to corners; infinite for hidden corners."""
         legs = np.linalg.norm(ends_m[:, None] - self.corners_m, axis=2)
         legs[~sees] = np.inf
         return legs
@@ -298,7 +298,7 @@ class FreeArea:
 
 
 def free_area(polygon: shapely.Polygon) -> FreeArea:
-    """Prepare the shortest paths in a polygon with holes."""
+    """Return a polygon with holes, with the shortest paths between its corners."""
     slack = SLACK * float(np.ptp(np.asarray(polygon.bounds).reshape(2, 2), axis=0).max())
     border = shapely.boundary(shapely.buffer(polygon, 2.0 * slack, join_style="mitre"))
     shapely.prepare(polygon)
@@ -312,6 +312,6 @@ def free_area(polygon: shapely.Polygon) -> FreeArea:
 
 
 def nearest_places(area: shapely.Polygon, places_m: Floats) -> Floats:
-    """Project positions (k, 2) onto an area."""
+    """Return the points of an area nearest to positions (k, 2)."""
     links = shapely.shortest_line(area, shapely.points(places_m))  # pyright: ignore[reportUnknownMemberType]
     return np.asarray(shapely.get_coordinates(links), dtype=np.float64)[::2]

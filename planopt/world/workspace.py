@@ -1,7 +1,6 @@
 """Workspace: a rectangle with obstacles, whose footprints are validated on input.
 
-Self-intersecting polygons are rejected, because distance computations would silently return wrong
-results.
+Self-intersecting polygons are rejected, because distances to them would silently be wrong.
 """
 
 from __future__ import annotations
@@ -141,7 +140,7 @@ class MovingObstacle(Part):
 
     @classmethod
     def of_keys(cls, table: Any) -> dict[str, Any]:
-        """Return the fields from a table; start_m becomes a single position."""
+        """Return the fields from a table; `start_m` becomes a track of one position."""
         values = super().of_keys(table) | {
             "times_s": tuple(table.times_s or [0.0]),
             "positions_m": tuple(table.positions_m or [table.start_m]),
@@ -220,18 +219,18 @@ class Workspace:
         for name, value in given.items():
             object.__setattr__(self, name, value)
         if timed is None and self.timed:
-            # `obstacles` holds all of them; those that appear later are left out for now.
+            # `timed` keeps those that appear later; `obstacles` leaves them out for now.
             object.__setattr__(self, "obstacles", self.known_at(0.0))
 
     @property
     def lasting(self) -> tuple[Obstacle, ...]:
-        """Permanent obstacles."""
+        """Obstacles that neither appear nor disappear."""
         timed = {id(one) for one in self.timed}
         return tuple(one for one in self.obstacles if id(one) not in timed)
 
     def known_at(self, time_s: float) -> tuple[Obstacle, ...]:
         """Return the obstacles present at `time_s`, permanent ones first."""
-        # Times are sums of steps with rounding errors.
+        # Times are sums of steps and have rounding errors.
         later_s = time_s + 1e-9 * max(1.0, abs(time_s))
         there = [one for one in self.timed if one.known_from_s <= later_s < one.until_s]
         return (*self.lasting, *there)
@@ -241,25 +240,25 @@ LONGEST_NAME = 200
 """Maximum length of an obstacle's name, which messages, tables and figures repeat."""
 
 MEETING_SEGMENTS = 50
-"""Maximum mean number of segments that meet a segment of an outline. Beyond it, repair would take
-time and memory quadratic in the number of corners."""
+"""Maximum mean number of segments that intersect a segment of an outline. Repairs beyond it take time
+and memory quadratic in the number of corners."""
 
 SAMPLED_SEGMENTS = 200
 
 SAME_AREA = 1e-9
-"""Relative tolerance within which a repair keeps the area."""
+"""Relative tolerance within which a repair must preserve the area."""
 
 _Ring = list[tuple[float, float]]
 
 
 def footprint(name: str, exterior: object, holes: Iterable[object] = ()) -> Obstacle:
-    """Validate the rings of a footprint and return its obstacle."""
+    """Return the obstacle with a footprint's rings after their validation."""
     check_name(name)
     shell = _ring(name, exterior)
     polygon = shapely.Polygon(shell, [_ring(name, hole) for hole in holes])
     if polygon.is_valid and polygon.area > 0:
         return Obstacle(name, polygon)
-    # Repair spikes and touching rings: without parts of zero area, the polygon is unambiguous.
+    # Repair of spikes and touching rings: without parts of zero area, the polygon is unambiguous.
     repaired = (
         shapely.make_valid(polygon, method="structure", keep_collapsed=False)
         if _is_nearly_simple(polygon)
@@ -281,7 +280,7 @@ def footprint(name: str, exterior: object, holes: Iterable[object] = ()) -> Obst
 
 
 def check_name(name: str) -> None:
-    """Reject an obstacle name that is too long or not printable text."""
+    """Raise an InputError for an obstacle name that is too long or not printable text."""
     if not isinstance(cast("object", name), str):
         raise InputError(
             f"is {name!r}, should be text",
@@ -302,7 +301,7 @@ def check_name(name: str) -> None:
 
 
 def _is_nearly_simple(polygon: shapely.Polygon) -> bool:
-    """Return whether few outline segments meet others, estimated from a sample."""
+    """Return whether few outline segments intersect others, estimated from a sample."""
     corners = shapely.get_coordinates(polygon)
     segments = [shapely.LineString(ends) for ends in pairwise(corners)]
     sampled = segments[:: max(1, len(segments) // SAMPLED_SEGMENTS)]
@@ -311,7 +310,7 @@ def _is_nearly_simple(polygon: shapely.Polygon) -> bool:
 
 
 def _ring(name: str, ring: object) -> _Ring:
-    """Return the corners (x, y) of a ring; heights are dropped."""
+    """Return the corners (x, y) of a ring; heights are ignored."""
     if isinstance(ring, (str, bytes)) or not isinstance(ring, Iterable):
         raise InputError(
             f"{name}: a ring should be a list of corners (x, y), but is {ring!r}",
@@ -341,7 +340,7 @@ def _corner(name: str, corner: object) -> tuple[float, float]:
             f"{name}: corner {corner!r} is not a pair of numbers", remedy="give [x, y] in metres"
         )
     x, y = (cast("float", value) for value in values[:2])
-    # Compared before conversion, because a JSON integer may overflow a float.
+    # The comparison precedes conversion, because a JSON integer may overflow a float.
     if not (abs(x) <= LARGEST_COORDINATE_M and abs(y) <= LARGEST_COORDINATE_M):
         raise InputError(
             f"{name}: the corner ({x}, {y}) is out of range",
@@ -355,7 +354,7 @@ LONGEST_MOVE = math.sqrt(5.0)
 
 
 def node_estimate(workspace: Workspace, step_m: float) -> float:
-    """Estimate the number of lattice nodes within the bounds for steps of `step_m`."""
+    """Return an estimate of the number of lattice nodes within the bounds for steps `step_m`."""
     x_min, y_min, x_max, y_max = workspace.bounds_m
     spacing = step_m / LONGEST_MOVE
     return (x_max - x_min) / spacing * ((y_max - y_min) / spacing)

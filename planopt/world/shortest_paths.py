@@ -20,8 +20,8 @@ from planopt.arrays import Floats, Indices, Mask
 from planopt.world.clearance import ObstacleIndex, clearance_m, segment_lines
 
 INNER_SHARE = 0.98
-"""Share of the clearance by which obstacles are inflated for lower bounds. The relative error of GEOS
-is up to a hundredth."""
+"""Share of the clearance by which obstacles are inflated for lower bounds. The relative error of
+GEOS is up to a hundredth."""
 
 QUARTER_SEGMENTS = 2
 """Number of segments per quarter circle around a corner, for drivable paths."""
@@ -212,8 +212,8 @@ def _away(places_m: Floats, place_m: Floats) -> Floats:
 
 
 SLACK = 1e-9
-"""Rounding tolerance of positions outside an area, as a share of its extent. Lines of sight have twice
-this tolerance."""
+"""Rounding tolerance of positions outside an area, as a share of its extent. Lines of sight have
+twice this tolerance."""
 
 
 @dataclass(frozen=True, eq=False)

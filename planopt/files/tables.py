@@ -123,7 +123,7 @@ def read_rows(path: Path, header: Sequence[str]) -> Iterable[tuple[int, list[str
         )
     for line, cells in enumerate(rows[1:], start=2):
         if len(cells) != len(header):
-            message = f"{len(cells)} cells where {len(header)} should be"
+            message = f"the row has {len(cells)} cells, but the header has {len(header)}"
             raise InputError(message, file=path, row=line, remedy=REMEDY)
         yield line, cells
 

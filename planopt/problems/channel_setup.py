@@ -91,8 +91,8 @@ def _law_keys(law: Any) -> Any:
 
 
 COUNT_WORDS = (
-    "Number of first measurements, taken from the truth at seeded free places; 0 where fit.given "
-    "has path loss too, or in saved results, of first measurements that were given in Python."
+    "Number of initial measurements, drawn from the ground truth at random free positions; 0 only "
+    "if fit.given contains the path loss, or if the initial measurements come from Python."
 )
 Shadowing = Annotated[float, Field(ge=0, le=100, description="xi, deviation of shadowing in dB.")]
 Decorrelation = Annotated[

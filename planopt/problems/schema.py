@@ -245,8 +245,9 @@ def _terms_fault(tables: ProblemFile) -> str | None:
         )
     tracked = any(term.sensor is not None for term in terms)
     if tracked != bool(tables.targets):
-        lacks = "add a [[targets]]" if tracked else "add an objective.terms of kind tracking"
-        return f"a term of kind tracking and an entry of targets go together: {lacks}"
+        if tracked:
+            return "a term of kind tracking needs a target: add a table [[targets]]"
+        return "targets needs a term that tracks: add an objective.terms of kind tracking"
     return _same_name("robots", tables.robots) or _dynamics_fault(tables)
 
 

@@ -285,7 +285,7 @@ def _obstacles(source: Any, name: str) -> Iterator[Obstacle]:
             yield from _obstacles(entry, name if len(entries) == 1 else f"{name} {number}")
     else:
         raise InputError(
-            f"{name}: a {type(source).__name__} is not a polygon",
+            f"{name}: an object of type {type(source).__name__} is not a polygon",
             key="world.obstacles",
             remedy="give a file, polygons, a GeoDataFrame, corners (n, 2) or an OccupancyGrid",
         )

@@ -51,7 +51,7 @@ TIMES = Constraints(p_min=0.5, rule=ConnectivityRule("each_step", (0.3,)))
         partial(with_overrides, replace(load("outdoor_track"), constraints=TIMES)),
         partial(
             with_overrides,
-            robot(load("outdoor_track"), dynamics=Unicycle(1.0, 0.6)),
+            robot(load("outdoor_track"), speed_max_m_s=1.0, dynamics=Unicycle(1.0, 0.6)),
             planner="random",
         ),
         # An error of the problem itself is not attributed to the override.

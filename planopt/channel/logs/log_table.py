@@ -65,7 +65,7 @@ class Cell:
             remedy = "write a number such as -61.5"
             raise self.error(f"{cell!r} is not a number", remedy) from None
         if not math.isfinite(number):
-            remedy = "remove the row, or mark it censored at the receiver's floor"
+            remedy = "give a finite number, or remove the row"
             raise self.error(f"{cell!r} is not a finite number", remedy)
         return number
 

@@ -73,7 +73,7 @@ class GoalTerm(SteeredTerm):
     """
 
     kind: ClassVar[str] = "goal"
-    summary: ClassVar[str] = "Come to a goal, while other terms count as well."
+    summary: ClassVar[str] = "Progress to a goal, next to other terms."
 
     @property
     def steers(self) -> Steers | None:
@@ -89,7 +89,7 @@ class MotionEnergyTerm(Term):
     power_w: Annotated[float, Field(ge=0, le=1e9, description="k2 in W while moving.")] = 0.0
 
     kind: ClassVar[str] = "motion_energy"
-    summary: ClassVar[str] = "Spare energy."
+    summary: ClassVar[str] = "Energy of motion, a cost."
     task: ClassVar[str | None] = None
 
     @property

@@ -311,7 +311,10 @@ class CasadiTerm(Term):
     weight: Annotated[
         float,
         Field(
-            default=1.0, ge=-1e9, le=1e9, description="In the sum of terms; negative for a cost."
+            default=1.0,
+            ge=-1e9,
+            le=1e9,
+            description="Weight in the sum of terms; negative for a cost.",
         ),
     ] = field(default=1.0, kw_only=True)
     steps: Annotated[int, Field(ge=1, description="The horizon that the expression is for.")]
@@ -323,7 +326,7 @@ class CasadiTerm(Term):
 
     not_keys: ClassVar[frozenset[str]] = frozenset({"function"})
     kind: ClassVar[str] = "casadi"
-    summary: ClassVar[str] = "A value of one's own, made large."
+    summary: ClassVar[str] = "User-defined expression to maximise."
 
     @property
     def left_out(self) -> frozenset[str]:

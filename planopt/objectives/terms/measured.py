@@ -150,7 +150,7 @@ class LearningTerm(MeasuredTerm):
     ] = "D"
 
     kind: ClassVar[str] = "path_loss_learning"
-    summary: ClassVar[str] = "Learn the path loss."
+    summary: ClassVar[str] = "Information on the path loss."
     task: ClassVar[str | None] = "learn"
 
     def gain(self, at: TermContext, posterior: ChannelPosterior) -> Gain:
@@ -196,21 +196,22 @@ class MappingTerm(MeasuredTerm):
     form: Annotated[
         MappingForm,
         Field(
-            description="two_layer (steer to the most uncertain place), path (uncertainty of the "
-            "places along the path, near ones preferred), information (in nats), or "
-            "average (variance over the workspace)."
+            description="two_layer (drive to the most uncertain position), path (uncertainty along "
+            "the path, near positions preferred), information (in nats), or average (variance "
+            "over the workspace)."
         ),
     ] = "information"
     variance_threshold_db2: Annotated[
-        Nonnegative, Field(description="Variances up to this count as none, sigma_TH^2 in dB^2.")
+        Nonnegative,
+        Field(description="Variance in dB^2 below which a position counts as known (sigma_TH^2)."),
     ] = 0.0
     closeness_per_m: Annotated[
         Nonnegative,
-        Field(description="zeta of exp(-zeta d), in 1/m: how much near places are preferred."),
+        Field(description="Preference for near positions: zeta in 1/m of the factor exp(-zeta d)."),
     ] = 0.0
 
     kind: ClassVar[str] = "mapping"
-    summary: ClassVar[str] = "Map the channel."
+    summary: ClassVar[str] = "Information on the channel over the workspace."
     task: ClassVar[str | None] = "map"
 
     @classmethod

@@ -27,7 +27,8 @@ if TYPE_CHECKING:
     from planopt.objectives.terms.context import NearPath, Nodes, Part, Paths, TermContext
 
 Weight = Annotated[
-    float, Field(default=1.0, ge=0, le=1e9, description="In the sum of terms.", title="Weight")
+    float,
+    Field(default=1.0, ge=0, le=1e9, description="Weight in the sum of terms.", title="Weight"),
 ]
 
 Structure = Literal["stagewise", "chain", "full"]
@@ -65,7 +66,7 @@ class Term:
 
     kind: ClassVar[str]
     """Name of the term in problem files."""
-    summary: ClassVar[str] = "A term of one's own."
+    summary: ClassVar[str] = "User-defined term."
     """One-sentence description in the schema."""
     task: ClassVar[str | None] = "custom"
     """Task of a problem whose first term is of this kind; None if there is no such task."""

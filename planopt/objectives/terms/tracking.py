@@ -97,7 +97,7 @@ class TrackingTerm(Term):
     ] = 1.0
 
     kind: ClassVar[str] = "tracking"
-    summary: ClassVar[str] = "Track a target over a lossy link."
+    summary: ClassVar[str] = "Information on a target over a lossy link."
     task: ClassVar[str | None] = "track"
 
     def __post_init__(self) -> None:

@@ -265,13 +265,13 @@ class UntilConnectedTerm(Term):
         Field(
             ge=0,
             le=1e6,
-            description="Metres that the search is expected to go on for where the place that the "
-            "robot is steered to is not connected; by default estimated from what is believed.",
+            description="Expected length in metres of the search that remains if the end of the "
+            "path is not connected; default: estimated from the posterior.",
         ),
     ] = None
 
     kind: ClassVar[str] = "until_connected"
-    summary: ClassVar[str] = "Regain contact after a short distance."
+    summary: ClassVar[str] = "Expected distance until connected, a cost."
     task: ClassVar[str | None] = "connect"
 
     @property

@@ -235,7 +235,7 @@ def saved_from(file: Path, data: Mapping[str, Any]) -> Saved:
         robots = [robot.name for robot in problem.robots]
         for number, one in enumerate(blocked):
             if one.robot not in robots:
-                message = f"{one.robot!r} is no robot of it"
+                message = f"{one.robot!r} is not a robot of the run"
                 raise _damaged(file, f"blocked[{number}].robot", message)
     if len(made) != len(problem.robots):
         message = f"{len(made)} robots, the problem has {len(problem.robots)}"

@@ -55,6 +55,9 @@ RUN_SHIFT = 0.35
 ROOM = 0.35
 """Margin above and below the single runs, relative to their range."""
 
+EDGE = 0.05
+"""Margin beyond zero and the largest possible value, relative to the range of the runs."""
+
 WHOLE_RUN = "whole run"
 """Tick label of planners that optimise the whole run regardless of the horizon."""
 
@@ -209,8 +212,11 @@ def _draw_metric(panel: Panel, layout: Layout, metric: str) -> None:
     dress(panel, title, layout.label, metric_label(metric))
     if known and min(known) < max(known):
         # Intervals over few runs are much wider than the range of the runs.
-        room = ROOM * (max(known) - min(known))
-        panel.set_ylim(min(known) - room, max(known) + room)
+        least, most = min(known), max(known)
+        room = ROOM * (most - least)
+        end = EDGE * (most - least)
+        low = max(least - room, -end) if least >= 0.0 else least - room
+        panel.set_ylim(low, min(most + room, name.most + end))
 
 
 def _draw_mean(panel: Panel, slot: Slot, value: float, low: float, high: float) -> Artist:

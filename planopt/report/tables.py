@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -26,6 +27,7 @@ class MetricName:
     unit: str  # "1" for numbers without unit
     scale: float = 1.0  # Factor from the value to the unit
     digits: int | None = 1  # Decimal places in tables; None for four significant digits
+    most: float = math.inf  # Largest possible value, in the unit
 
     def shown(self, value: float, sign: str = "") -> str:
         """Return a value in the unit as text."""
@@ -45,16 +47,18 @@ METRIC_NAMES = {
     "realised_cost_m": MetricName("realised cost", "m"),
     "clairvoyant_cost_m": MetricName("clairvoyant cost", "m"),
     "cost_ratio": MetricName("cost ratio to the clairvoyant", "1", digits=3),
-    "true_connected_share": MetricName("steps connected", "%", 100.0),
+    "true_connected_share": MetricName("steps connected", "%", 100.0, most=100.0),
     "longest_outage_m": MetricName("longest outage", "m"),
     "longest_outage_s": MetricName("longest outage", "s"),
-    "stated_times_connected": MetricName("connected at the stated times", "%", 100.0),
-    "least_connected_share": MetricName("connected, least of all robots", "%", 100.0),
+    "stated_times_connected": MetricName("connected at the stated times", "%", 100.0, most=100.0),
+    "least_connected_share": MetricName("connected, least of all robots", "%", 100.0, most=100.0),
     "data_mbit": MetricName("delivered data", "Mbit", digits=2),
-    "predicted_min_connectivity": MetricName("lowest predicted P(connected)", "1", digits=3),
+    "predicted_min_connectivity": MetricName(
+        "lowest predicted P(connected)", "1", digits=3, most=1.0
+    ),
     "time_averaged_trace_p": MetricName("mean tr P over time", "m2", digits=3),
     "trace_p": MetricName("tr P", "m2", digits=3),
-    "target_lost": MetricName("target lost", "%", 100.0),
+    "target_lost": MetricName("target lost", "%", 100.0, most=100.0),
     "final_trace_p": MetricName("final tr P", "m2", digits=3),
     "time_averaged_normalised_trace_p": MetricName("mean tr P / initial tr P", "1", digits=4),
     "final_normalised_trace_p": MetricName("final tr P / initial tr P", "1", digits=4),
@@ -62,7 +66,7 @@ METRIC_NAMES = {
     "time_averaged_det_p": MetricName("mean det P over time", "m4", digits=4),
     "nees": MetricName("NEES of the station", "1", digits=2),
     "nis": MetricName("NIS of the robots", "1", digits=2),
-    "delivered": MetricName("packets delivered", "%", 100.0),
+    "delivered": MetricName("packets delivered", "%", 100.0, most=100.0),
     "mean_squared_error_db2": MetricName("mean squared error", "dB2", digits=2),
     "rms_db": MetricName("RMS error", "dB", digits=2),
     "rms_without_multipath_db": MetricName("RMS error without multipath", "dB", digits=2),

@@ -81,7 +81,7 @@ def listed(names: Iterable[str]) -> str:
 
 
 def _cut(text: str, most: int) -> str:
-    """Return `text`, shortened in the middle if it is longer than `most`."""
+    """Return `text`, shortened in the middle if it has more than `most` characters."""
     if len(text) <= most:
         return text
     kept = most // 2
@@ -93,11 +93,11 @@ _PREDICATE = re.compile(
     "|begins?|ends?|returned|reads|lacks|leaves?|covers?|divides?|crosses|visits|makes?|sets|lets"
     "|keeps?|differ|applies|refers|belongs) "
 )
-"""Pattern of messages that begin with a verb; their subject is the key or the file."""
+"""Pattern of messages that begin with a verb, which need the key or file as subject."""
 
 
 def _sentence(where: list[str], message: str) -> str:
-    """Return location and message; the last part of the location is the subject of a bare verb."""
+    """Return location and message as text; the location supplies a message's missing subject."""
     if where and _PREDICATE.match(message):
         *before, subject = where
         words = f"{subject} {message}"
@@ -152,7 +152,7 @@ class InputError(PlanoptError):
         )
 
     def under(self, key: str) -> InputError:
-        """Return the error with its key in the table or entry `key`."""
+        """Return the error with `key`, the name of a table or entry, in front of its own key."""
         below = f"{key}.{self.key}" if self.key else key
         return InputError(self.message, file=self.file, key=below, row=self.row, remedy=self.remedy)
 

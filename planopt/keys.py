@@ -1,4 +1,4 @@
-"""Declared keys: frozen dataclasses whose annotations declare the keys of a table.
+"""Parts and tables of problem files: dataclasses whose annotations declare the keys.
 
 Type, range and meaning of a key are declared once, at the field of the dataclass and in the
 docstring below it. The table of a problem file, its JSON schema, the documentation and the error
@@ -69,7 +69,7 @@ KeyPath = tuple[str | int, ...]
 
 @runtime_checkable
 class OpenTables(Protocol):
-    """Alternative tables of a key that are registered at run time."""
+    """Protocol of alternative tables for one key that are registered at run time."""
 
     def tables(self) -> Sequence[type[BaseModel]]:
         """Return the models of the alternatives."""
@@ -137,7 +137,7 @@ def input_error(
 
 @contextlib.contextmanager
 def located(model: type[BaseModel], file: Path | None, table: str | None = None) -> Generator[None]:
-    """Convert validation errors of `model` into errors that name the key and the file."""
+    """Convert validation errors of `model` into InputErrors that name the key and the file."""
     try:
         yield
     except ValidationError as error:
@@ -149,7 +149,7 @@ def located(model: type[BaseModel], file: Path | None, table: str | None = None)
 
 
 def key_text(path: KeyPath) -> str | None:
-    """Return ``robots[0].start_m`` for ``("robots", 0, "start_m")``; None for the empty path."""
+    """Return a key path as text, such as ``robots[0].start_m``; None for the empty path."""
     text = "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in path)
     return text.removeprefix(".") or None
 
@@ -197,7 +197,7 @@ def _allowed(fault: ErrorDetails, field: FieldInfo | None) -> str:
 
 
 def _bounds_of(field: FieldInfo) -> dict[str, float]:
-    """Return the bounds of a key under pydantic's names."""
+    """Return the lower and upper limits of a key by pydantic's names, such as ``ge``."""
     return {
         name: float(getattr(bound, name))
         for bound in field.metadata
@@ -208,7 +208,7 @@ def _bounds_of(field: FieldInfo) -> dict[str, float]:
 
 _BEYOND = {"gt": "above", "ge": "of at least", "lt": "below", "le": "of at most"}
 _LIMITS = {"greater_than": "gt", "greater_than_equal": "ge", "less_than": "lt"}
-"""Names of limits by pydantic's error type; any other type is ``le``."""
+"""Names of limits by pydantic's error type; other types are ``le``."""
 
 
 def _within(fault: ErrorDetails, field: FieldInfo) -> str:
@@ -362,11 +362,11 @@ Of = TypeVar("Of", bound="Part")
 
 
 class Documented(type):
-    """Metaclass of parts that adds the fields to their documentation."""
+    """Metaclass of parts that appends their fields to the class docstring."""
 
     @property
     def __doc__(cls) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Return the docstring with a section on the fields and their meanings."""
+        """Return the class docstring with a section on the fields and their meanings."""
         text = inspect.cleandoc(cls.__dict__.get("__doc__") or "")
         words, _, examples = text.partition("\n\nExamples\n")
         rows = [
@@ -431,14 +431,14 @@ class Part(metaclass=Documented):
 
     @classmethod
     def tables(cls) -> Sequence[type[BaseModel]]:
-        """Return the part's table, for messages."""
+        """Return the model of the part's table, for messages."""
         return (table_of(cls),)
 
     @classmethod
     def __get_pydantic_core_schema__(
         cls, source: object, handler: GetCoreSchemaHandler
     ) -> CoreSchema:
-        """Return a schema that accepts a part or reads its table."""
+        """Return a schema that accepts the part itself or its table."""
         return ReadAs(table_of(cls), cls.of_table, cls).__get_pydantic_core_schema__(
             source, handler
         )
@@ -466,7 +466,7 @@ class ReadAs:
     def __get_pydantic_core_schema__(
         self, source: object, handler: GetCoreSchemaHandler
     ) -> CoreSchema:
-        """Return a schema that accepts an object or reads its table."""
+        """Return a schema that accepts the object itself or its table."""
         return core_schema.with_info_wrap_validator_function(
             self._read, handler.generate_schema(self._table)
         )
@@ -489,7 +489,7 @@ def fault_of(words: str) -> PydanticCustomError:
 
 @lru_cache(maxsize=128)
 def table_of(data: type[Any]) -> type[BaseModel]:
-    """Return the table whose keys are the fields of a dataclass."""
+    """Return the table model whose keys are the fields of a dataclass."""
     hints = get_type_hints(data, include_extras=True)
     words = inspect.cleandoc(data.__dict__.get("__doc__") or "").partition("\n")[0]
     keys: dict[str, Any] = {}

@@ -61,7 +61,7 @@ def _listed_names(stub: str) -> dict[str, str]:
 
 
 def _is_import(frame: FrameType) -> bool:
-    """Return whether a frame executes ``from package import name``."""
+    """Return whether a stack frame executes ``from package import name``."""
     import opcode  # Only errors need it, so imports stay fast
 
     return opcode.opname[frame.f_code.co_code[frame.f_lasti]] == "IMPORT_FROM"

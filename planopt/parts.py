@@ -82,7 +82,7 @@ class Registry:
         return {point.name: point for point in entry_points(group=self.group)} if self.group else {}
 
     def names(self) -> tuple[str, ...]:
-        """Return all names, the built-in ones first."""
+        """Return the names of all parts, the built-in ones first."""
         return tuple(dict.fromkeys([*self.own, *self.registered, *self.installed]))
 
     def add(self, name: object, part: Any, key: str = "kind") -> None:
@@ -117,7 +117,7 @@ def class_name(part: object) -> str:
 
 
 def is_own(part: object) -> bool:
-    """Return whether a part is user-defined."""
+    """Return whether a part's class is defined outside planopt."""
     return not class_name(part).startswith("planopt.")
 
 
@@ -156,7 +156,7 @@ def returned(
     key: str | None = None,
     unbounded: bool = False,
 ) -> NDArray[np.float64]:
-    """Return the result of a part's method as a numeric array, after checking its shape."""
+    """Return the result of a part's method as a numeric array of the required shape."""
     import numpy as np  # imported late because the command line uses this module without numerics
 
     try:

@@ -36,10 +36,10 @@ class Bound:
     value
         Bound in the unit of the objective; None if none is proven.
     cost
-        Objective of the solution that is compared with the bound, with the outage integrated along
-        plan and route (equation 6.13).
+        Objective of the solution to compare with the bound, with the outage integrated along plan
+        and route (equation 6.13).
     method
-        Name of the method, with its size; None if there is no bound.
+        Name of the method, with the size of its problem; None if there is no bound.
     reason
         Reason why there is no bound; empty if there is one.
     relaxed
@@ -76,7 +76,7 @@ class Bound:
 
 
 def total_bound(bounds: Sequence[Bound], sense: Literal["min", "max"]) -> Bound:
-    """Return the sum of the robots' bounds; without a value if one robot has none."""
+    """Return the bound on the sum of objectives; its value is None if one robot has no bound."""
     cost = sum(bound.cost for bound in bounds)
     if len(bounds) == 1:
         return bounds[0]

@@ -36,7 +36,7 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class AffineBound:
-    """Upper bounds ``value + slope . (x - centre)`` over discs; (n,) and (n, 2)."""
+    """Affine upper bounds ``value + slope . (x - centre)`` over n discs."""
 
     value: Array
     slope: Array
@@ -106,7 +106,7 @@ class PowerModel:
 
 
 def _largest_bend(low: Array, high: Array) -> Array:
-    """Return the largest ``-x exp(-x^2 / 2) / sqrt(2 pi)``, which is Phi'', over [low, high]."""
+    """Return the maximum of Phi''(x) = ``-x exp(-x^2 / 2) / sqrt(2 pi)`` over [low, high]."""
     at = np.minimum(np.maximum(low, -1.0), high)
     return np.maximum(-at * np.exp(-0.5 * at**2) / np.sqrt(2.0 * np.pi), 0.0)
 
@@ -130,7 +130,7 @@ class PowerEnclosure:
         self._sides = self._root @ solved[:, 1:].T  # (2, kappa)
 
     def over(self, centre_m: Array, radius_m: Array) -> PowerModel:
-        """Enclose mean and variance over discs about centres (n, 2) with radii (n,)."""
+        """Return ranges of mean and variance over discs about centres (n, 2) with radii (n,)."""
         parts = [
             self._block(centre_m[k : k + DISCS_AT_ONCE], radius_m[k : k + DISCS_AT_ONCE])
             for k in range(0, len(centre_m), DISCS_AT_ONCE)
@@ -230,13 +230,13 @@ def _trend(
 
 
 def _weighted(weight: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Return the range of the sums of weight times [low, high] over measurements; (n,) each."""
+    """Return lower and upper bounds (n,) of weighted sums of intervals over measurements."""
     one, other = weight * low, weight * high
     return np.minimum(one, other).sum(axis=0), np.maximum(one, other).sum(axis=0)
 
 
 def _scaled(factor: float, low: Array, high: Array) -> tuple[Array, Array]:
-    """Return the range of factor times [low, high]."""
+    """Return the interval [low, high] times a factor of either sign."""
     return (factor * low, factor * high) if factor >= 0.0 else (factor * high, factor * low)
 
 

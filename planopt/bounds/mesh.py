@@ -45,7 +45,7 @@ class Mesh:
     )
 
     def triangles(self) -> NDArray[np.intp]:
-        """Return ascending node triples (t, 3), after splitting borders until all are sides."""
+        """Return triangles (t, 3) as ascending node numbers, after splitting borders into sides."""
         corners = np.empty((0, 3), dtype=np.intp)
         for _ in range(MAX_SPLITS):
             corners = np.sort(np.asarray(Delaunay(self.nodes_m).simplices, dtype=np.intp), axis=1)
@@ -57,7 +57,7 @@ class Mesh:
         return corners
 
     def split(self, chosen: NDArray[np.bool_]) -> None:
-        """Halve the chosen border segments."""
+        """Halve the border segments that the mask `chosen` selects."""
         ends = self.borders[chosen]
         middle = len(self.nodes_m) + np.arange(len(ends))
         self.nodes_m = np.vstack([self.nodes_m, self.nodes_m[ends].mean(axis=1)])
@@ -65,7 +65,7 @@ class Mesh:
         self.borders = np.vstack([self.borders[~chosen], *halves])
 
     def refine(self, chosen: NDArray[np.intp]) -> int:
-        """Halve the sides of the chosen triangles (k, 3); return the number of new nodes."""
+        """Halve the sides of triangles `chosen` (k, 3); return the number of new nodes."""
         sides = np.unique(sides_of(chosen), axis=0)
         keys = sides @ (len(self.nodes_m), 1)
         borders = np.sort(self.borders, axis=1) @ (len(self.nodes_m), 1)

@@ -17,7 +17,7 @@ from planopt.problems.problem import Problem
 from planopt.robots.models import DoubleIntegrator, SingleIntegrator, Unicycle
 
 LEAST_FADING_DB = 0.05
-"""Smallest standard deviation of multipath fading for which probabilities are enclosed."""
+"""Minimum standard deviation of multipath fading for which probabilities can be bounded."""
 
 SAG_SHARE = 1.001
 """Factor on the sag of a step (distance from its chord), for the verifier's input tolerance."""
@@ -74,7 +74,7 @@ def longest_sag_m(problem: Problem) -> float | None:
 
 
 def route_problem(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> RouteProblem:
-    """Return the route problem of the first robot of a problem."""
+    """Return the route problem that bounds the objective of a problem's first robot."""
     reach, constraints = problem.reach, problem.constraints
     slack_db = constraints.rule.slack_max_db or 0.0
     # A geodesic cost-to-go does not penalise outage beyond the horizon.

@@ -54,7 +54,7 @@ CORRIDOR_SHARE = 1.15
 """Ratio of the longest path through the corridor to the shortest path."""
 
 FLOW_WEIGHT = 0.005
-"""Expected relative gain of halving a triangle whose cost is certified exactly."""
+"""Expected relative gain of refining a triangle whose certified cost is exact."""
 
 SCORE_SHARE = 0.95
 """Share of the total expected gain that the refined triangles make up."""
@@ -218,7 +218,7 @@ class BlockedAreas:
 
 
 def blocked_areas(problem: RouteProblem) -> BlockedAreas:
-    """Return the areas that no route enters."""
+    """Return the areas that no route of a route problem enters."""
     by_m = problem.clearance_m
     if by_m > 0.0:
         # GEOS grows polygons by up to a hundredth too much. Contact is a collision in any case.
@@ -271,7 +271,7 @@ def _corridor(
 
 
 def _largest(nodes_m: Array, corners: NDArray[np.intp], room: int) -> NDArray[np.intp]:
-    """Return the largest of these triangles, as many as `room` new triangles permit; (k, 3)."""
+    """Return the largest of triangles `corners`, as many as `room` new triangles permit; (k, 3)."""
     area = np.abs(doubled_areas(nodes_m, corners))
     return corners[np.argsort(-area)[: max(1, room // 3)]]
 
@@ -282,7 +282,7 @@ def _known_costs(
     mesh: Mesh,
     corners: NDArray[np.intp],
 ) -> tuple[Array, Array]:
-    """Return :func:`metre_costs` of triangles (t, 3), computed once for each triangle."""
+    """Return :func:`metre_costs` of triangles (t, 3), cached for each triangle."""
     keys = [tuple(row) for row in corners.tolist()]
     new = [k for k, key in enumerate(keys) if key not in mesh.known]
     if new:
@@ -298,7 +298,7 @@ def metre_costs(
 ) -> tuple[Array, Array]:
     """Return certified costs per metre at corners (t, 3) of triangles, and costs at centres (t,).
 
-    The cost anywhere in a triangle (t, 3, 2) is at least the interpolated corner costs.
+    The cost at any point of a triangle is at least the linear interpolation of the corner costs.
     """
     count = len(corners_m)
     if problem.price == 0.0:
@@ -383,7 +383,7 @@ def _best_potential(
 def _certified_value(
     potential: Potential, is_open: NDArray[np.bool_], cost: Array, at_goal: NDArray[np.bool_]
 ) -> float:
-    """Return the bound that a potential proves with costs (t, 3) at the corners; 0 if none."""
+    """Return the bound that a potential proves for corner costs (t, 3); 0 if it proves none."""
     unknown, *slopes = _slopes(potential.nodes_m, potential.corners)
     values = np.concatenate([potential.at_nodes, potential.at_sides])[unknown[is_open]]
     with np.errstate(all="ignore"):

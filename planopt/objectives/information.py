@@ -36,7 +36,7 @@ from planopt.targets.rounding import rounded_length, rounded_positive_part
 
 
 class Gain(Protocol):
-    """Gain of measurements along paths; zero without measurements."""
+    """Base class of gains by measurements along paths; a gain is zero without measurements."""
 
     def value(self, moments: Moments) -> Floats:
         """Return the gain of each path, ``(...)``."""
@@ -53,7 +53,7 @@ class Gain(Protocol):
 
 @dataclass(frozen=True)
 class Information:
-    """Mutual information of measurements and the channel, or the path loss alone, in nats."""
+    """Mutual information of measurements and the channel (or its path loss alone), in nats."""
 
     # Channel: 1/2 log det (S + B M B') minus that of the noise (equation 4.5), monotone submodular.
     # Path loss: minus 1/2 log det S instead, which gives 1/2 log (det M_t / det M_{t+h}).
@@ -77,7 +77,7 @@ class Information:
         return self.factor * np.log(diagonal / less).sum(axis=-1)
 
     def pull(self, moments: Moments) -> Pull:
-        """Return the adjoints w.r.t. the moments: half the inverse of C, minus the noise part."""
+        """Return the information gain's adjoints w.r.t. the moments, from half the inverse of C."""
         found = _by_universal(moments, 0.5 * self.factor * moments.inverse)
         if self.about == "path loss":
             known = np.asarray(np.linalg.inv(moments.covariance), dtype=np.float64)
@@ -117,12 +117,12 @@ class VarianceRemoved:
         return np.trace(np.linalg.solve(covariance, gathered), axis1=-2, axis2=-1)
 
     def _parts(self, moments: Moments) -> tuple[Floats, NDArray[np.floating]]:
-        """Return the covariance C and the matrix Y."""
+        """Return covariance C and matrix Y of the trace tr(Y' C^-1 Y)."""
         covariance = moments.universal if self.universal else moments.covariance
         return covariance, moments.across if self.loading is None else moments.trend @ self.loading
 
     def pull(self, moments: Moments) -> Pull:
-        """Return the adjoints: for X = C^-1 Y, -X X' w.r.t. C and 2 X w.r.t. Y."""
+        """Return the trace's adjoints: -X X' w.r.t. C and 2 X w.r.t. Y, with X = C^-1 Y."""
         covariance, rows = self._parts(moments)
         precision = moments.inverse if self.universal else np.linalg.inv(covariance)
         x = precision.astype(rows.dtype) @ rows
@@ -165,7 +165,7 @@ value of a step by at most 3/16 of that width."""
 
 @dataclass(frozen=True)
 class PathUncertainty:
-    """Sum of max{0, L_ii^2 - sigma_TH^2} psi(l_i) in dB^2 (equation 4.4)."""
+    """Sum of excess variances, max{0, L_ii^2 - sigma_TH^2} psi(l_i), in dB^2 (equation 4.4)."""
 
     # L_ii^2 is the variance at q_i given measurements at the earlier positions of the path, l_i is
     # the path length up to q_i, and psi(l) = exp(-zeta l).
@@ -180,7 +180,7 @@ class PathUncertainty:
         return (excess * near).sum(axis=-1)
 
     def _parts(self, moments: Moments) -> tuple[Floats, Floats]:
-        """Return the excess of L_ii^2 over the threshold, and psi(l_i); both ``(..., N)``."""
+        """Return excesses of variances L_ii^2 over the threshold, and weights; (..., N) each."""
         places = moments.positions_m
         start = np.broadcast_to(self.start_m, (*places.shape[:-2], 1, 2))
         legs = np.linalg.norm(np.diff(np.concatenate([start, places], axis=-2), axis=-2), axis=-1)
@@ -193,7 +193,7 @@ class PathUncertainty:
         return np.maximum(variance - moments.blind_db2 - gate**2 * fall, 0.0), near
 
     def pull(self, moments: Moments) -> Pull:
-        """Return the adjoints, from d L_ii^2 = L_ii^2 n_i' dC n_i with n_i row i of L^-1."""
+        """Return the sum's adjoints, from d L_ii^2 = L_ii^2 n_i' dC n_i with n_i row i of L^-1."""
         excess, near = self._parts(moments)
         rows = np.asarray(np.linalg.inv(moments.factor), dtype=np.float64)
         counts = np.where(excess > 0.0, near, 0.0)
@@ -208,7 +208,7 @@ class PathUncertainty:
         return found.plus(pull_of_lengths(start, moments.positions_m, -self.decay_per_m * after))
 
     def derivatives(self, path: LocalPath) -> PathDerivatives:
-        """Return the sum for one path with derivatives; threshold and step lengths are smoothed."""
+        """Return the sum for one path with derivatives; threshold and lengths are smoothed."""
         batch, gates, parameters = path.universal, path.gates, path.channel.parameters
         lower = covariance_factor(batch.value)
         left = solve_lower(lower, np.eye(len(lower)))
@@ -251,14 +251,14 @@ class PathUncertainty:
 
 
 def map_criterion(posterior: ChannelPosterior, region: Region) -> Floats:
-    """Return G = sum_g w_g varphi(g) varphi(g)'; tr(G M) is theta's part of the map variance."""
-    # (2, 2). varphi(g) uses the current posterior, without the path's own measurements.
+    """Return G (2, 2) such that tr(G M) is the map variance due to path-loss uncertainty M."""
+    # G = sum_g w_g varphi(g) varphi(g)', with varphi(g) from the posterior before the path.
     trend = kriging_terms(posterior, region.grid_m).trend
     return trend.T @ (region.weight[:, None] * trend)
 
 
 def require_estimated_path_loss(posterior: ChannelPosterior) -> None:
-    """Reject a posterior with known path loss: no path yields information on it."""
+    """Raise an InputError for known path loss, on which no path yields information."""
     if posterior.theta_known:
         raise InputError(
             "the path loss is known, so that no measurement gives information about it",
@@ -274,13 +274,13 @@ def square_root(matrix: Floats) -> Floats:
 
 
 def _by_universal(moments: Moments, by_universal: Floats) -> Pull:
-    """Return the adjoints of S and B from symmetric ones of S + B M B' (..., N, N)."""
+    """Return the adjoints of S and B from symmetric adjoints of S + B M B' (..., N, N)."""
     by_trend = 2.0 * (by_universal @ (moments.trend @ moments.theta_covariance))
     return Pull(by_covariance=by_universal, by_trend=by_trend)
 
 
 def _half_log_determinant(batch: CovarianceDerivatives) -> PathDerivatives:
-    """Return 1/2 log det C with derivatives w.r.t. the coordinates."""
+    """Return 1/2 log det of a covariance C with derivatives w.r.t. the path's coordinates."""
     factor = covariance_factor(batch.value)
     weight, own = inverse(factor), batch.owner
     pulled = batch.first @ weight
@@ -292,7 +292,7 @@ def _half_log_determinant(batch: CovarianceDerivatives) -> PathDerivatives:
 
 
 def _half_log_noise(path: LocalPath) -> PathDerivatives:
-    """Return 1/2 log det of the gated noise, kappa + g^2 (omega^2 - kappa) per measurement."""
+    """Return 1/2 log det of the noise, whose variances are kappa + g^2 (omega^2 - kappa)."""
     noise, gates = path.channel.parameters.multipath_std_db**2, path.gates
     if gates is None:
         count = 2 * path.steps
@@ -310,7 +310,7 @@ def _half_log_noise(path: LocalPath) -> PathDerivatives:
 def _bent_variances(
     batch: CovarianceDerivatives, left: Floats, along: Floats, weight: Floats
 ) -> Floats:
-    """Return the Hessian sum_i w_i / L_ii^2 d^2 L_ii^2 for weights w; ``(2 h, 2 h)``."""
+    """Return the Hessian sum_i w_i / L_ii^2 d^2 L_ii^2 of Cholesky pivots; ``(2 h, 2 h)``."""
     # L_ii^2 is the minimum of y' S y over y with y_i = 1 and y_k = 0 for k > i. The minimiser is
     # L_ii n_i, with n_i row i of N = L^-1 = `left`. The first derivative is L_ii^2 n_i' dS n_i, the
     # second L_ii^2 (n_i' d^2 S n_i - 2 sum_{k<i} (N dS n_i)_k (N dS' n_i)_k). For coordinate p of

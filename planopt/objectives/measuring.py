@@ -1,4 +1,4 @@
-"""Measuring positions of a path.
+"""Rule for the positions of a path at which a robot measures.
 
 A robot measures at the end of a step, unless an earlier measurement is closer than the spacing:
 multipath is known there already, and another reading adds no information. The same holds between
@@ -54,7 +54,7 @@ class MeasuringRule:
 
     @staticmethod
     def of(posteriors: Sequence[ChannelPosterior], spacing_m: float) -> MeasuringRule:
-        """Return the rule for the measurements of each station."""
+        """Return the rule for the earlier measurements of each station and a spacing."""
         known: list[NDArray[np.float64]] = []
         for posterior in posteriors:
             places = posterior.measurements.positions_m
@@ -64,11 +64,11 @@ class MeasuringRule:
 
     @property
     def open_m(self) -> float:
-        """Distance from which gates are fully open."""
+        """Distance to other measurements, in metres, from which a gate is fully open."""
         return OPEN_SPACINGS * self.spacing_m
 
     def near(self, paths_m: NDArray[np.float64], beyond_m: float = 0.0) -> MeasuringRule:
-        """Return a rule with fewer measurements, equal within `beyond_m` of `paths_m` (..., 2)."""
+        """Return an equivalent rule for positions within `beyond_m` of `paths_m` (..., 2)."""
         places = paths_m.reshape(-1, 2)
         if not len(places) or sum(map(len, self.known_m)) <= FEW_KNOWN:
             return self
@@ -165,9 +165,9 @@ class MeasuringRule:
 
 @dataclass(frozen=True, eq=False)
 class Gates:
-    """Smooth gates of paths with derivatives w.r.t. positions.
+    """Smooth gates of paths (amplitudes of measurements from 0 to 1), with derivatives.
 
-    They are twice differentiable except where two positions start to close at the same time.
+    Gates are twice differentiable except where two positions start to close them simultaneously.
     """
 
     value: NDArray[np.float64]  # (c, N) amplitude of the channel in each measurement, in [0, 1]
@@ -215,7 +215,7 @@ class Gates:
 
 
 def _log_gate(squared_m2: NDArray[np.float64], rule: MeasuringRule) -> NDArray[np.float64]:
-    """Return log s with two derivatives w.r.t. the squared distance; ``(3, ...)``.
+    """Return the log of a gate s and two derivatives w.r.t. squared distance; ``(3, ...)``.
 
     s = u^3 (10 - 15 u + 6 u^2) rises from 0 (closed) to 1 (fully open) with two continuous
     derivatives. If s = 0, log s is minus infinity and the derivatives are set to 0, like those of
@@ -237,7 +237,7 @@ def _log_gate(squared_m2: NDArray[np.float64], rule: MeasuringRule) -> NDArray[n
 
 
 def _squared_between_m2(paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return squared distances to earlier positions of each path, else inf; ``(c, N, N)``."""
+    """Return squared distances between a path's positions and its earlier ones; ``(c, N, N)``."""
     steps = paths_m.shape[1]
     x, y = paths_m[..., 0], paths_m[..., 1]
     found = (x[:, :, None] - x[:, None]) ** 2

@@ -65,13 +65,13 @@ class Region:
 
 
 def blind_variance_db2(parameters: ChannelParameters) -> float:
-    """Return kappa, the variance of an uninformative measurement."""
+    """Return kappa in dB^2, the variance of an uninformative measurement."""
     return parameters.shadow_std_db**2 + parameters.multipath_std_db**2
 
 
 @dataclass(frozen=True, eq=False)
 class Moments:
-    """Moments of gated measurements along one path or many paths (leading axis c)."""
+    """Covariances and regressors of gated measurements along one path or c paths (leading axis)."""
 
     parameters: ChannelParameters
     positions_m: Floats  # (..., N, 2)
@@ -89,12 +89,12 @@ class Moments:
 
     @cached_property
     def gated_part(self) -> Floats:
-        """Matrix S - kappa I, which gates scale from both sides; ``(..., N, N)``."""
+        """Matrix S - kappa I, which is multiplied by the gates on both sides; ``(..., N, N)``."""
         return self.whole_covariance - self.blind_db2 * np.eye(self.whole_covariance.shape[-1])
 
     @cached_property
     def covariance(self) -> Floats:
-        """Covariance S_g for known theta, ``(..., N, N)``."""
+        """Covariance S_g of gated measurements for known path loss theta; ``(..., N, N)``."""
         if self.gate is None:
             return self.whole_covariance
         both = self.gate[..., :, None] * self.gate[..., None, :]
@@ -102,17 +102,17 @@ class Moments:
 
     @cached_property
     def trend(self) -> Floats:
-        """Gated regressors B_g, ``(..., N, 2)``."""
+        """Path-loss regressors B_g of gated measurements; ``(..., N, 2)``."""
         return self.whole_trend if self.gate is None else self.gate[..., None] * self.whole_trend
 
     @cached_property
     def universal(self) -> Floats:
-        """Covariance S_g + B_g M B_g' for uncertain theta; ``(..., N, N)``."""
+        """Covariance S_g + B_g M B_g' of measurements for uncertain theta; ``(..., N, N)``."""
         return self.covariance + self.trend @ self.theta_covariance @ self.trend.swapaxes(-1, -2)
 
     @cached_property
     def factor(self) -> Floats:
-        """Cholesky factors of :attr:`universal`; L_ii^2 is the variance given q_1 .. q_i-1."""
+        """Cholesky factors of :attr:`universal`; L_ii^2 is variance i given q_1 .. q_i-1."""
         return covariance_factor(self.universal)
 
     @cached_property
@@ -122,7 +122,7 @@ class Moments:
 
     @cached_property
     def noise_db2(self) -> Floats:
-        """Noise variance of each gated measurement, ``(..., N)``."""
+        """Noise variance of each gated measurement; ``(..., N)``."""
         noise = np.full(self.positions_m.shape[:-1], self.parameters.multipath_std_db**2)
         if self.gate is None:
             return noise
@@ -130,14 +130,14 @@ class Moments:
 
     @cached_property
     def whole_across(self) -> NDArray[np.floating]:
-        """Weighted covariances with the map without gates, ``(..., N, g)``."""
+        """Weighted covariances of ungated measurements with map positions; ``(..., N, g)``."""
         if self.map_covariance is None:
             raise AssertionError("the spatial average needs a map")
         return self.map_covariance()
 
     @cached_property
     def across(self) -> NDArray[np.floating]:
-        """Weighted covariances with the map, ``(..., N, g)``."""
+        """Weighted covariances of measurements with map positions; ``(..., N, g)``."""
         across = self.whole_across
         return across if self.gate is None else self.gate.astype(across.dtype)[..., None] * across
 
@@ -184,7 +184,7 @@ class KnownPlaces:
 
 
 def known_places(posterior: ChannelPosterior, grid_m: Floats) -> KnownPlaces:
-    """Precompute the terms of `grid_m` (g, 2) for a factored posterior; O(kappa g)."""
+    """Return precomputed terms of map positions `grid_m` (g, 2) for a posterior; O(kappa g)."""
     parameters = posterior.parameters
     phi = posterior.covariance_with_db2(grid_m)
     solved = unwhiten(posterior.factor, posterior.whitened_regressors)
@@ -215,7 +215,7 @@ def posterior_moments(
     region: Region | None = None,  # Region of the averaged map
     known: KnownPlaces | None = None,  # Precomputed terms of the region for this posterior
 ) -> Moments:
-    """Return the moments of measurements along one path by the exact posterior; O(kappa^2 N)."""
+    """Return the moments of measurements along a path by the exact posterior; O(kappa^2 N)."""
     places = require_places(path_m)
     near = factored_near(posterior, places)
     terms = joint_terms(near, places)
@@ -242,7 +242,7 @@ def posterior_moments(
 
 @dataclass(frozen=True, eq=False)
 class Pull:
-    """Adjoints: derivatives of one scalar per path w.r.t. its inputs; None means zero."""
+    """Adjoints: derivatives of one scalar per path w.r.t. the path's moments; None means zero."""
 
     by_position: Floats | None = None  # (c, N, 2) w.r.t. positions, all else fixed
     by_covariance: Floats | None = None  # (c, N, N) w.r.t. S, symmetric
@@ -348,7 +348,7 @@ class LocalPaths:
 
     @cached_property
     def _across(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-        """Distances to map positions, kernel ``(c N, g)`` and covariance c ``(c, N, g)``."""
+        """Distances to map positions, kernel values ``(c N, g)``, covariances ``(c, N, g)``."""
         # The weighted covariance c of equation 4.6 is for uncertain theta.
         channel, grid = self.channel, self._map
         distance, kernel = _single_kernel(
@@ -411,7 +411,7 @@ class LocalPaths:
         distance_m: NDArray[np.float32],
         kernel: NDArray[np.float32],
     ) -> Floats:
-        """Return the gradient via the covariances (c N, m) with `others_m`; ``(c, N, 2)``."""
+        """Return the gradient via covariances (c N, m) with positions `others_m`; ``(c, N, 2)``."""
         # d k = -k / (beta r) (q - other), with r at least the cusp rounding. Overwrites
         # `by_kernel`.
         beta = self.channel.parameters.decorrelation_m
@@ -439,7 +439,7 @@ def _single_kernel(
     parameters: ChannelParameters,
     added_m2: Floats | None = None,  # (m,) added to the squared distances
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return the distances between `a` and `b` and their shadowing covariances; both ``(n, m)``."""
+    """Return distances and shadowing covariances of positions `a` and `b`; both ``(n, m)``."""
     # Offsets from the mean of `a` are rounded to float32, so coordinates near 3e6 keep their
     # digits.
     middle = a.mean(axis=0)

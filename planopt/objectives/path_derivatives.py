@@ -36,7 +36,7 @@ class PathDerivatives:
     hessian: Floats  # (2 h, 2 h) symmetric
 
     def plus(self, other: PathDerivatives, weight: float = 1.0) -> PathDerivatives:
-        """Return this objective plus `weight` times `other`."""
+        """Return the sum of this objective and `weight` times `other`."""
         return PathDerivatives(
             self.value + weight * other.value,
             self.gradient + weight * other.gradient,
@@ -46,7 +46,7 @@ class PathDerivatives:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Matrix (h, r) with derivatives, whose row i depends on position i only, such as B."""
+    """Matrix (h, r) with derivatives, whose row i depends only on position i of a path."""
 
     value: Floats  # (h, r)
     first: Floats  # (2 h, r) w.r.t. the position's own coordinates
@@ -54,13 +54,13 @@ class Rows:
     second: Floats
 
     def times(self, matrix: Floats) -> Rows:
-        """Return each row times `matrix` (r, s), or elementwise times a vector (r,)."""
+        """Return the rows times `matrix` (r, s), or elementwise times a vector (r,)."""
         if matrix.ndim == 1:
             return Rows(self.value * matrix, self.first * matrix, self.second * matrix)
         return Rows(self.value @ matrix, self.first @ matrix, self.second @ matrix)
 
     def gated(self, gates: Gates | None) -> Rows:
-        """Return the rows times the gates; without gates, the rows unchanged."""
+        """Return the rows multiplied by gates; without gates, return them unchanged."""
         if gates is None:
             return self
         gate, steps = gates.value[0], len(self.value)
@@ -100,7 +100,7 @@ class CovarianceDerivatives:
         return found
 
     def gated(self, gates: Gates | None, blind_db2: float) -> CovarianceDerivatives:
-        """Return the gated covariance S_g with derivatives; without gates, S unchanged."""
+        """Return the covariance S_g of gated measurements; without gates, S unchanged."""
         if gates is None:
             return self
         gate, steps = gates.value[0], len(self.value)
@@ -156,7 +156,7 @@ class LocalPath:
 
     @cached_property
     def plain_trend(self) -> Rows:
-        """Regressors B without gates."""
+        """Path-loss regressors B of ungated measurements."""
         parameters, phi = self.channel.parameters, self._phi
         loss = rounded_log_distance(self.path_m, parameters.station)
         # b = (1, gamma) - trend' phi.
@@ -168,7 +168,7 @@ class LocalPath:
 
     @cached_property
     def _known(self) -> CovarianceDerivatives:
-        """Covariance S without gates, for known theta."""
+        """Covariance S of ungated measurements, for known theta."""
         channel, steps, phi = self.channel, self.steps, self._phi
         parameters, own = channel.parameters, np.arange(self.steps)
         solved = phi[:, :3].reshape(3 * steps, -1) @ channel.precision
@@ -190,7 +190,7 @@ class LocalPath:
 
     @cached_property
     def plain_universal(self) -> CovarianceDerivatives:
-        """Covariance S + B M B' without gates."""
+        """Covariance S + B M B' of ungated measurements, for uncertain theta."""
         known, trend, spread = self._known, self.plain_trend, self.channel.theta_covariance
         pulled = spread @ trend.value.T
         mixed = known.mixed + trend.first @ spread @ trend.first.T
@@ -203,22 +203,22 @@ class LocalPath:
 
     @cached_property
     def covariance(self) -> CovarianceDerivatives:
-        """Covariance S_g for known theta."""
+        """Covariance S_g of gated measurements, for known path loss theta."""
         return self._known.gated(self.gates, self.blind_db2)
 
     @cached_property
     def universal(self) -> CovarianceDerivatives:
-        """Covariance S_g + B_g M B_g' for uncertain theta."""
+        """Covariance S_g + B_g M B_g' of gated measurements, for uncertain theta."""
         return self.plain_universal.gated(self.gates, self.blind_db2)
 
     @cached_property
     def trend(self) -> Rows:
-        """Gated regressors B_g."""
+        """Path-loss regressors B_g of gated measurements."""
         return self.plain_trend.gated(self.gates)
 
     @cached_property
     def across(self) -> Rows:
-        """Covariances with map positions for uncertain theta, times the roots of map weights."""
+        """Covariances of measurements with map positions, times square roots of map weights."""
         channel, grid, steps = self.channel, self._grid, self.steps
         if grid is None:
             raise AssertionError("the spatial average needs a map")
@@ -263,7 +263,7 @@ def add_own_blocks(hessian: Floats, own: Floats) -> None:
 
 
 def by_positions(found: PathDerivatives, gates: Gates | None) -> PathDerivatives:
-    """Substitute the gates' own derivatives in a gradient (3 h,) and a Hessian (3 h, 3 h)."""
+    """Return derivatives w.r.t. positions alone, from those w.r.t. positions and gates."""
     if gates is None:
         return found
     steps = len(found.gradient) // 3
@@ -286,7 +286,7 @@ def by_stages(
     hessian: Floats,  # (h, c, h, c)
     inputs: Sequence[Derivatives],
 ) -> PathDerivatives:
-    """Apply the chain rule to a value that depends on c position-dependent inputs per stage."""
+    """Return derivatives w.r.t. positions of a value that depends on c inputs per stage."""
     steps = len(gradient)
     slopes = np.stack([each.gradient for each in inputs], axis=1)
     bent = np.stack([each.hessian for each in inputs], axis=1)
@@ -300,7 +300,7 @@ def by_lengths(
     lengths: Derivatives,  # (h,) step lengths with derivatives w.r.t. offsets
     gradient: Floats,  # (h,) gradient w.r.t. lengths
 ) -> tuple[Floats, Floats]:
-    """Return sum_k gradient_k d length_k (2 h,) and sum_k gradient_k d^2 length_k (2 h, 2 h)."""
+    """Return gradient (2 h,) and Hessian part (2 h, 2 h) of a function of step lengths."""
     count = len(gradient)
     slope = gradient[:, None] * lengths.gradient
     slope[:-1] -= slope[1:].copy()

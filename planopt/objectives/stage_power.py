@@ -37,7 +37,7 @@ def rounded_kernel(
     parameters: ChannelParameters,
     added_m2: Floats | float = 0.0,  # (...) added to the squared distances
 ) -> Derivatives:
-    """Return xi^2 exp(-r / beta), r = sqrt(|offset|^2 + added + eps^2), with derivatives."""
+    """Return xi^2 exp(-r / beta), r = sqrt(|offset|^2 + added + eps^2), and derivatives."""
     rows = np.empty((6, *offset_m.shape[:-1]))
     soft_m2 = softened_m2(added_m2, parameters)
     fill_rounded_kernel(rows, offset_m[..., 0], offset_m[..., 1], parameters, soft_m2)
@@ -46,7 +46,7 @@ def rounded_kernel(
 
 
 def softened_m2(added_m2: Floats | float, parameters: ChannelParameters) -> Floats | float:
-    """Return the term that the smoothed kernel adds to squared distances."""
+    """Return the term in m^2 that the smoothed kernel adds to squared distances."""
     return added_m2 + (CUSP_ROUNDING * parameters.decorrelation_m) ** 2
 
 
@@ -128,7 +128,7 @@ class StagePredictor:
         self._soft_m2 = softened_m2(model.added_m2, model.parameters)
 
     def __call__(self, positions_m: Floats) -> StagePower:
-        """Return mean and standard deviation of stage k at ``positions_m[k]``, (n, 2)."""
+        """Return mean and standard deviation of the power at positions (n, 2), one per stage."""
         f, parameters = self._f, self._model.parameters
         fill_rounded_kernel(
             self._kernel,
@@ -177,7 +177,7 @@ class ServingStages:
         self._scale_db = law(about).deviation_db
 
     def __call__(self, positions_m: Floats) -> StagePower:
-        """Return mean and standard deviation of the serving power at ``positions_m[k]``."""
+        """Return mean and standard deviation of the serving power at positions (n, 2)."""
         powers = [predict(positions_m) for predict in self._stations]
         return serving_derivatives(powers, self._thresholds_dbm, self._scale_db)
 
@@ -207,7 +207,7 @@ def serving_derivatives(
 
 
 def scores_of(mean: Derivatives, deviation: Derivatives, threshold_dbm: float) -> Derivatives:
-    """Return z = (mu - Upsilon_TH) / sigma of every stage with gradient and Hessian."""
+    """Return the scores z = (mu - Upsilon_TH) / sigma of all stages with gradient and Hessian."""
     by_sigma = 1.0 / np.maximum(deviation.value, LEAST_DEVIATION_DB)
     z = (mean.value - threshold_dbm) * by_sigma
     rows = mean.rows - z[:, None] * deviation.rows
@@ -220,7 +220,7 @@ def scores_of(mean: Derivatives, deviation: Derivatives, threshold_dbm: float) -
 def connectivity_derivatives(
     mean_db: Derivatives, deviation_db: Derivatives, threshold_dbm: float
 ) -> Derivatives:
-    """Return P = Q((Upsilon_TH - mu) / sigma) with gradient and Hessian by position."""
+    """Return P(connected) = Q((Upsilon_TH - mu) / sigma) with gradient and Hessian."""
     # dP = n(z) dz and d2P = n(z) (d2z - z dz dz'), n the standard normal density.
     rows = scores_of(mean_db, deviation_db, threshold_dbm).rows
     z = rows[:, 0].copy()

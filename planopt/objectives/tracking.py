@@ -56,7 +56,7 @@ class Tracking:
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """Target measurements of one robot over the last M steps that the station lacks."""
+    """Measurements of the target by one robot in the last M steps, which the station lacks."""
 
     # (4, 4) J of the station M steps ago, before the first unsent measurement
     information: NDArray[np.float64]
@@ -83,9 +83,9 @@ class FilteredTracking:
         require_covariance(self.information, 4, "information")
 
     def extended(self, beyond: int) -> FilteredTracking:
-        """Return the settings with `beyond` more steps of weight one and constant target velocity.
+        """Return the problem with `beyond` more steps of weight one and constant target velocity.
 
-        Settings of a single step define no velocity and are returned unchanged.
+        A problem of a single step defines no velocity and is returned unchanged.
         """
         target = self.tracking.target_m
         if not beyond or len(target) == 1:
@@ -96,12 +96,12 @@ class FilteredTracking:
         return replace(self, tracking=tracking)
 
     def weighted(self, weight: NDArray[np.float64]) -> FilteredTracking:
-        """Return the settings with these step weights."""
+        """Return the tracking problem with other step weights."""
         return replace(self, tracking=replace(self.tracking, weight=weight))
 
 
 def left(received: NDArray[np.float64], settings: FilteredTracking) -> NDArray[np.float64]:
-    """Return sum_k w_k f(P_k), f the criterion of the position covariance; ``(...)``.
+    """Return the weighted sum over steps of a criterion of the target's position covariance.
 
     The filter runs in place, because searches evaluate hundreds of paths over all steps.
     """
@@ -118,7 +118,7 @@ def left(received: NDArray[np.float64], settings: FilteredTracking) -> NDArray[n
 
 
 def criterion_of(variance_m2: NDArray[np.float64], criterion: Criterion) -> NDArray[np.float64]:
-    """Return the trace, determinant or norm of a I_2, with a the variance per axis; ``(...)``."""
+    """Return the trace, determinant or norm of an isotropic covariance, from variances (...)."""
     if criterion == "determinant":
         return np.square(variance_m2)
     return variance_m2 if criterion == "norm" else 2.0 * variance_m2
@@ -134,39 +134,39 @@ class Axis:
 
     @classmethod
     def of(cls, settings: FilteredTracking) -> Axis:
-        """Return the filter of the station's covariance and process noise, averaged over axes."""
+        """Return the filter whose covariance and process noise are the station's axis means."""
         model = settings.model
         start = _axis(covariance_of(settings.information))
         return cls(start, model.step_s, _axis(model.process_covariance))
 
     def predict(self, now: NDArray[np.float64]) -> None:
-        """Predict (a, b, c) ``(3, ...)`` one step ahead, in place."""
+        """Predict covariances ``(3, ...)`` one step ahead, in place."""
         e = self.step_s
         now[0] += (2.0 * e) * now[1] + (e * e) * now[2] + self.noise[0]
         now[1] += e * now[2] + self.noise[1]
         now[2] += self.noise[2]
 
     def update(self, now: NDArray[np.float64], information: NDArray[np.float64]) -> None:
-        """Update (a, b, c) ``(3, ...)`` with packets of `information` (...), in place."""
+        """Update covariances ``(3, ...)`` with packets of `information` (...), in place."""
         divisor = 1.0 + now[0] * information
         now[2] -= now[1] * now[1] * information / divisor
         now[:2] /= divisor
 
 
 def _axis(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (a, b, c) of a position-velocity covariance (4, 4), averaged over the axes."""
+    """Return (3,) entries of the covariance of one axis, averaged from a covariance (4, 4)."""
     blocks = covariance.reshape(2, 2, 2, 2).trace(axis1=1, axis2=3) / 2.0
     return np.array([blocks[0, 0], blocks[0, 1], blocks[1, 1]])
 
 
 RECOURSE_STEPS = 20
-"""Steps beyond the horizon over which a probe is valued."""
+"""Number of steps beyond the horizon over which the effect of a probe is evaluated."""
 
 STAYED_STEPS = 10
 """Maximum number of steps that a plan assumes a stationary robot or a successful probe to stay."""
 
 MOST_CONNECTED = 80
-"""Maximum number of known connected positions used as retreats, those of best sensing first."""
+"""Maximum number of known connected positions that are alternatives to a path's end."""
 
 WHOLE_STEPS = 1e-9
 """Tolerance, as a share of a step, when distances are rounded up to whole steps."""
@@ -175,7 +175,7 @@ DISCOUNT = 0.8
 """Discount factor per step if packets contain estimates."""
 
 STEPS_OF_ESTIMATES = 10
-"""Steps beyond the horizon over which a probe is valued if packets contain estimates."""
+"""Number of such steps if packets contain estimates."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,9 +191,9 @@ class Retreats:
     def nearest_connected(
         self, stops_m: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the nearest other known connected position (c, 2) and its distance in steps.
+        """Return the known connected positions (c, 2) nearest to stops, and distances in steps.
 
-        If there is none, return the stop itself at infinite distance.
+        A stop itself does not count. If there is none, return the stop at infinite distance.
         """
         if not self.connected:
             return stops_m, np.full(len(stops_m), np.inf)
@@ -205,7 +205,7 @@ class Retreats:
         return np.where(np.isfinite(steps)[:, None], places[nearest], stops_m), steps
 
     def best(self, stops_m: NDArray[np.float64], arrivals: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Return the largest information among the retreats reachable by each step; ``(c, k)``."""
+        """Return the largest packet information of the positions reachable by each step; (c, k)."""
         # Shapes: stops_m (c, 2); arrivals (c,).
         found = np.zeros((len(stops_m), self.information.shape[1]))
         away = np.linalg.norm(stops_m[:, None] - self.places_m, axis=2)
@@ -223,7 +223,7 @@ def retreats_of(
     settings: FilteredTracking,
     longest_m: float,
 ) -> Retreats:
-    """Return the known connected positions and the expected target positions as retreats."""
+    """Return alternatives to a path's end: known connected and expected target positions."""
     tracking = settings.tracking
     target = tracking.target_m
     certain = sensing_information(tracking.sensor, connected_m[:, None], target)
@@ -266,7 +266,7 @@ def last_arrivals(paths_m: NDArray[np.float64]) -> NDArray[np.intp]:
 
 
 def stayed_steps(paths_m: NDArray[np.float64]) -> int:
-    """Return M of equation 4.21, the number of steps robots stay at path ends (c, N, 2)."""
+    """Return the number of steps that robots stay at path ends (M in equation 4.21)."""
     return min(paths_m.shape[1], STAYED_STEPS)
 
 
@@ -276,11 +276,11 @@ def at_ends(
     retreats: Retreats,
     settings: FilteredTracking,
 ) -> NDArray[np.float64]:
-    """Return information after a successful and a failed probe, s_k and e_k (equation 4.21).
+    """Return the information per step after a successful and a failed probe (equation 4.21).
 
     Shape (2, c, k). After a successful probe the robot stays during the first `STAYED_STEPS` steps.
-    A path that ends with its first step probes nothing. Without both rules a robot at rest would
-    score like one that moves, because in the model it may leave at any step.
+    A path that ends with its first step probes nothing. Without these two rules, a robot at rest
+    would score like one that moves, because in the model it may leave at any step.
     """
     tracking, stops = settings.tracking, paths_m[:, -1]
     staying = sensing_information(tracking.sensor, stops[:, None], tracking.target_m)
@@ -290,7 +290,7 @@ def at_ends(
 
 
 def discounted(settings: FilteredTracking) -> FilteredTracking:
-    """Return the settings with the weight of step k = 1, 2, .. multiplied by DISCOUNT^(k - 1)."""
+    """Return the problem with the weight of step k = 1, 2, .. multiplied by DISCOUNT^(k - 1)."""
     weight = settings.tracking.weight
     return settings.weighted(weight * DISCOUNT ** np.arange(len(weight)))
 
@@ -302,7 +302,7 @@ def delayed_costs(
     others: NDArray[np.float64],
     settings: FilteredTracking,
 ) -> NDArray[np.float64]:
-    """Return the :func:`recourse_costs` of packets with estimates (equation 4.23); ``(c,)``."""
+    """Return :func:`recourse_costs` if packets contain estimates (equation 4.23); ``(c,)``."""
     held, tracking = settings.held, settings.tracking
     if held is None:
         raise AssertionError("packets have measurements")
@@ -369,7 +369,7 @@ def _variance_on_path(
     others: NDArray[np.float64],  # (k,) information of the others' packets
     settings: FilteredTracking,
 ) -> NDArray[np.float64]:
-    """Return (a, b, c) of the station's filter after each step of each path; ``(3, N, c)``."""
+    """Return the station's covariance entries after each step of each path; ``(3, N, c)``."""
     held = settings.held
     if held is None:
         raise AssertionError("packets have measurements")

@@ -30,12 +30,12 @@ from planopt.robots.dynamics import Drive, rolled_out
 from planopt.world.clearance import ObstacleIndex
 
 SEARCH_SHARE, SOLVE_SHARE, PROOF_SHARE = 0.3, 0.4, 0.1
-"""Fractions of a budget: end of searches, limit of one solve, and reserve for verification."""
+"""Fractions of the time budget: end of searches, limit of one solve, reserve for verification."""
 
 
 @dataclass(frozen=True)
 class Budget:
-    """Deadlines of a plan by :func:`time.perf_counter`; infinite without a limit."""
+    """Deadlines for the computation of a plan, by :func:`time.perf_counter`."""
 
     ends_s: float = math.inf  # Last start of a refinement
     search_ends_s: float = math.inf  # Deadline of searches, which return their best result
@@ -43,7 +43,7 @@ class Budget:
 
     @property
     def spent(self) -> bool:
-        """Return whether it is too late for another refinement."""
+        """Return whether the deadline to start another refinement has passed."""
         return perf_counter() >= self.ends_s
 
     @property
@@ -53,7 +53,7 @@ class Budget:
 
     @property
     def proven(self) -> bool:
-        """Return whether it is too late to verify another candidate."""
+        """Return whether the deadline to start another verification has passed."""
         return perf_counter() >= self.proof_ends_s
 
 
@@ -126,7 +126,7 @@ class Candidate:
 
     @property
     def avoidable(self) -> tuple[int, ...]:
-        """Return the steps that violate a chance constraint which a reachable position meets."""
+        """Return the steps that violate p_min although a reachable position satisfies it."""
         if self.certificate is None:
             return ()
         # The margins are empty without a reachability search.
@@ -140,16 +140,16 @@ class Candidate:
 
 
 class PathValue(Protocol):
-    """Objective of a path (N, 2), and of the drive along it for a robot with dynamics."""
+    """Protocol of objective functions of a path (N, 2), or of a drive for a robot with dynamics."""
 
     def __call__(self, path_m: NDArray[np.float64], drive: Drive | None = None) -> float:
-        """Return the objective."""
+        """Return the objective value of a path and the drive along it."""
         ...
 
 
 @dataclass(frozen=True)
 class Scorer:
-    """Evaluation and verification of the candidates of one step."""
+    """Evaluation and verification of the candidate paths of one step."""
 
     context: VerifierContext
     objective: PathValue
@@ -158,12 +158,12 @@ class Scorer:
 
     @property
     def problem(self) -> Problem:
-        """Problem of the step."""
+        """Problem with the robot that plans."""
         return self.context.problem
 
     @property
     def index(self) -> ObstacleIndex:
-        """Index of the obstacles."""
+        """Spatial index of the obstacles."""
         return self.context.index
 
     @property
@@ -194,11 +194,11 @@ class Scorer:
 
     @property
     def sense(self) -> float:
-        """Return 1 for maximisation, -1 for minimisation."""
+        """Return 1 if the objective is maximised, -1 if it is minimised."""
         return 1.0 if self.problem.sense == "max" else -1.0
 
     def score(self, candidate: Candidate) -> float:
-        """Return the objective value, negated if it is minimised."""
+        """Return a candidate's objective value, negated if it is minimised."""
         return self.sense * candidate.objective
 
     def assessed(self, candidate: Candidate) -> Candidate:
@@ -208,9 +208,9 @@ class Scorer:
         return replace(candidate, found=found)
 
     def standing(self, horizon: int) -> Candidate:
-        """Return a stationary candidate; if unsound, the reservation or a path out of an obstacle.
+        """Return a candidate that waits; if that is unsafe, another that stays clear of others.
 
-        The plans of all other robots avoid the reservation.
+        The alternatives are the reservation, which other robots avoid, or a path out of obstacles.
         """
         place = np.tile(self.position_m, (horizon, 1))
         found = self.assessed(self.candidate(place, Rung.STOP, Termination.NO_PATH))
@@ -250,7 +250,7 @@ class Scorer:
 
 
 def released(scorer: Scorer, path_m: NDArray[np.float64], begun_s: float) -> Plan:
-    """Return the plan of an unrefined path, or a stationary plan if the path is unsound.
+    """Return the plan of an unrefined path, or a stationary plan if the path is unsafe.
 
     Parameters
     ----------
@@ -301,7 +301,7 @@ def verified_of(candidates: Sequence[Candidate]) -> list[Candidate]:
 def best_of(
     scorer: Scorer, candidates: Sequence[Candidate], warm: Plan | None, least: float = -math.inf
 ) -> Candidate:
-    """Return the best verified candidate, otherwise the safest fallback.
+    """Return the best verified candidate, or a fallback if no candidate is verified.
 
     An unverified candidate is released only if its value is at least `least`.
     """
@@ -330,7 +330,7 @@ def with_effort(chosen: Candidate, candidates: Sequence[Candidate]) -> Candidate
 
 
 def without_guess(scorer: Scorer, warm: Plan | None) -> Candidate:
-    """Return the remainder of the previous verified plan, verified again; otherwise a stop."""
+    """Return a fallback: the remainder of the last verified plan, verified again, or a stop."""
     problem = scorer.problem
     if not problem.robots[0].moves_freely:
         return _driven_without_guess(scorer, warm)
@@ -373,5 +373,5 @@ def braked(scorer: Scorer) -> Drive:
 def drive_candidate(
     scorer: Scorer, drive: Drive, rung: Rung, termination: Termination
 ) -> Candidate:
-    """Return a driven trajectory as a candidate, not yet verified."""
+    """Return the trajectory of a robot with dynamics as a candidate, not yet verified."""
     return scorer.candidate(drive.positions_m[1:], rung, termination, drive)

@@ -1,4 +1,4 @@
-"""Findings on a plan: certificate, rule result and coverage holes, with their descriptions."""
+"""Findings of the verifier on a plan: certificate, rule result, coverage holes, descriptions."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Hole:
 
     @property
     def words(self) -> str:
-        """Return the location and length of the hole."""
+        """Return text on the location and length of the hole."""
         x, y = self.from_m
         return (
             f"{self.length_m:.0f} m from ({x:.1f}, {y:.1f}) m on, "
@@ -137,7 +137,7 @@ def holes_in_words(problem: Problem, holes: Sequence[Hole], verb: str = "crosses
 
 
 def goal_in_words(problem: Problem, holes: Sequence[Hole]) -> list[str]:
-    """Return a line saying that the goal is out of contact; no lines if it is not."""
+    """Return a line if the goal itself is in a coverage hole; otherwise no lines."""
     if not holes or not holes[-1].to_end:
         return []
     x, y = problem.goal_m
@@ -156,7 +156,7 @@ class RuleResult:
     connectivity
         Name of the rule.
     achieved, asked
-        Achieved value and its bound: a lower bound, or an upper bound for ``outage``.
+        Achieved value, and the required minimum (for ``outage``, the allowed maximum).
     unit
         ``probability``, ``m``, ``s``, ``Mbit`` or ``steps``.
     method
@@ -175,18 +175,18 @@ class RuleResult:
 
     @property
     def missing(self) -> float:
-        """Return the shortfall in the rule's unit; negative if the bound is satisfied."""
+        """Return the shortfall in the rule's unit; negative if the rule is satisfied."""
         short = self.asked - self.achieved
         return -short if rule_kind(self.connectivity).greatest else short
 
     @property
     def is_missed(self) -> bool:
-        """Return whether the bound is violated by more than rounding."""
+        """Return whether the rule is violated by more than rounding errors."""
         return self.missing > RULE_TOLERANCE * max(1.0, abs(self.asked))
 
     @property
     def words(self) -> str:
-        """Return a one-line description."""
+        """Return a one-line description of achieved and required value."""
         unit = "" if self.unit == "probability" else f" {self.unit}"
         return (
             f"connectivity ({self.connectivity.replace('_', ' ')}): {self.achieved:.4g}{unit}, "
@@ -211,12 +211,12 @@ class Certificate:
     posterior
         ``exact`` or ``neighbours:192``.
     relaxed_steps, relaxation_db
-        Steps (1 is the first) that violate the bound, and the shortfall of each in dB.
+        Steps (1 is the first) that violate p_min, and the shortfall of each in dB.
     best_margin_db
         For each of these steps, the best margin (dB) of all positions reachable by then: a negative
-        margin proves that the bound could not be met.
+        margin proves that p_min could not be satisfied.
     path_cost_m, best_cost_m
-        If a plan to a goal violates the bound: its cost in metres at the outage price, including
+        If a plan to a goal violates p_min: its cost in metres at the outage price, including
         cost-to-go, and the cost of the cheapest path that the verifier finds; otherwise None.
         Infinite if the verifier's grid has no path.
     step_cost_m, step_excess_m
@@ -289,7 +289,7 @@ def plan_message(certificate: Certificate, positions_m: NDArray[np.float64]) -> 
 
 
 def _ranges(steps: Sequence[int]) -> str:
-    """Return step numbers as text, consecutive ones as a range."""
+    """Return step numbers as text, with ranges of consecutive steps."""
     first = [step for step in steps if step - 1 not in steps]
     last = [step for step in steps if step + 1 not in steps]
     ranges = [f"{a}" if a == b else f"{a} to {b}" for a, b in zip(first, last, strict=True)]
@@ -311,7 +311,7 @@ class Excused:
 
     @property
     def words(self) -> str:
-        """Return a phrase with the step, its shortfall and the reason why it is accepted."""
+        """Return text on the step, its shortfall and the reason why it is excused."""
         why = "nothing excuses it"
         if self.excuse == "price":
             why = (
@@ -326,7 +326,7 @@ class Excused:
 
 
 def excused_steps(proofs: Sequence[Certificate]) -> list[Excused]:
-    """Return the steps that violate p_min: any step of a single plan, first steps of several."""
+    """Return the excused steps: any step of a single plan, or the first step of each plan."""
     if len(proofs) == 1:
         return [_excused(proofs[0], k, step) for k, step in enumerate(proofs[0].relaxed_steps)]
     return [
@@ -348,7 +348,7 @@ def excused_in_words(steps: Sequence[Excused]) -> list[str]:
 
 
 def _excused(proof: Certificate, number: int, step: int) -> Excused:
-    """Return the excused shortfall with index `number` in the certificate, numbered `step`."""
+    """Return the excused step at index `number` of a certificate, renumbered `step`."""
     missed_db = proof.relaxation_db[number]
     if proof.excess_m is not None:
         return Excused(step, missed_db, "price", proof.path_cost_m, proof.best_cost_m)
@@ -407,7 +407,7 @@ def _known(values: Iterable[float | None]) -> list[float]:
 
 
 def worst_of_robots(certificates: Mapping[str, Certificate]) -> Certificate:
-    """Return a certificate with the robots' worst values at each step; reasons name the robot."""
+    """Return the worst values over robots as a certificate; its reasons name the robot."""
     each = tuple(certificates.values())
     if len(each) == 1:
         return each[0]

@@ -49,7 +49,7 @@ class Relaxation:
     robot: str
 
     def __str__(self) -> str:
-        """Return a one-sentence description."""
+        """Return a sentence that describes the relaxation."""
         key = self.constraint
         if self.value is not None:
             key += f" = {_shown(self.value, self.unit)}"
@@ -98,7 +98,7 @@ class Crossing:
 
     @property
     def at_goal(self) -> bool:
-        """Return whether the goal itself violates the bound."""
+        """Return whether the goal itself violates p_min."""
         return bool(self.holes) and self.holes[-1].to_end
 
     @property
@@ -151,7 +151,7 @@ def _shown(value: float, unit: str) -> str:
 
 
 def _ranges(stages: tuple[int, ...]) -> str:
-    """Format steps as ``1-3, 5``."""
+    """Return step numbers as text such as ``1-3, 5``."""
     parts: list[list[int]] = []
     for stage in stages:
         if parts and stage == parts[-1][-1] + 1:

@@ -32,7 +32,7 @@ ROUNDS = 5
 
 
 class FollowingPlanner:
-    """Planner that follows a given path for the whole run."""
+    """Planner that follows a precomputed path for the whole run."""
 
     def __init__(self, path_m: NDArray[np.float64]) -> None:
         self._path_m = path_m

@@ -31,11 +31,11 @@ LENGTH_ROUNDING_SHARE = 0.01
 
 
 class SteeredPath(Protocol):
-    """Route that a robot is steered along."""
+    """Protocol of the route along which a robot is steered beyond its horizon."""
 
     @property
     def turns_m(self) -> Floats:
-        """``(m, 2)`` start, turns and end of the route."""
+        """``(m, 2)`` start, turns and end of the steering route."""
         ...
 
     @property
@@ -45,12 +45,12 @@ class SteeredPath(Protocol):
 
     @property
     def rest_m(self) -> Floats:
-        """``(m,)`` remaining length from each turn."""
+        """``(m,)`` remaining route length from each turn."""
         ...
 
     @property
     def lattice_m(self) -> Floats | None:
-        """``(ny, nx)`` shortest path length from each node to the end; None if unknown."""
+        """``(ny, nx)`` shortest path length from each lattice node to the end; None if unknown."""
         ...
 
     def next_turns(self, places_m: Floats) -> Indices:
@@ -96,7 +96,7 @@ class TermContext(Protocol):
 
     @property
     def anticipated(self) -> tuple[ChannelPosterior, ...]:
-        """Channel posteriors after the other robots' planned measurements."""
+        """Channel posterior of each station after the other robots' planned measurements."""
         ...
 
     @property
@@ -121,7 +121,7 @@ class TermContext(Protocol):
 
     @property
     def held(self) -> Held | None:
-        """Unsent target measurements of the robot; None if packets contain no estimates."""
+        """Target measurements of the robot that the station lacks, if packets carry estimates."""
         ...
 
     @property
@@ -136,12 +136,12 @@ class TermContext(Protocol):
 
     @property
     def region(self) -> Region:
-        """Region to be mapped."""
+        """Region of the channel map to be learnt, as weighted grid positions."""
         ...
 
     @property
     def near_region(self) -> Region:
-        """Region to be mapped, refined where a plan can change the map."""
+        """Region of the channel map, with a finer grid where a plan can change the map."""
         ...
 
     @property
@@ -151,7 +151,7 @@ class TermContext(Protocol):
 
     @property
     def near_measuring(self) -> MeasuringRule:
-        """Measuring rule restricted to positions that a plan can reach."""
+        """Measuring rule for positions that a plan can reach, which is faster to evaluate."""
         ...
 
     @property
@@ -166,7 +166,7 @@ class TermContext(Protocol):
 
     @property
     def workspace_diagonal_m(self) -> float:
-        """Length of the diagonal of the bounds."""
+        """Length of the diagonal of the workspace bounds."""
         ...
 
     @property
@@ -175,7 +175,7 @@ class TermContext(Protocol):
         ...
 
     def power(self, places_m: Floats) -> Prediction:
-        """Return the serving power at positions (n, 2), known where measured, else predicted."""
+        """Return the serving power at positions (n, 2): measured if known, otherwise predicted."""
         ...
 
     def predicted(self, places_m: Floats) -> Prediction:
@@ -183,7 +183,7 @@ class TermContext(Protocol):
         ...
 
     def combined(self, powers: Sequence[Prediction]) -> Prediction:
-        """Combine the powers of the stations into the serving power."""
+        """Return the serving power that results from the powers of all stations."""
         ...
 
     def chance(self, place_m: Floats) -> float:
@@ -245,7 +245,7 @@ def legs_m(at: TermContext, paths_m: Floats) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class NearPath:
-    """Path that a solver evaluates, close to its initial guess."""
+    """Path near an initial guess, with the local models that a solver evaluates."""
 
     at: TermContext
     places_m: Floats  # (N, 2) positions after each step
@@ -267,7 +267,7 @@ class NearPath:
 
     @cached_property
     def measured(self) -> list[LocalPath]:
-        """Moments of measurements of each anticipated channel along the path."""
+        """Moments of measurements along the path, for each station's anticipated channel."""
         return [
             LocalPath(channel, self.places_m, self.gates, grid)
             for channel, grid in self.anticipated
@@ -299,7 +299,7 @@ class NodeChannel(Protocol):
 
 
 class Nodes(Protocol):
-    """Predictions at the nodes of a lattice."""
+    """Channel predictions of all stations at the nodes of a lattice."""
 
     @property
     def grid_m(self) -> Floats:
@@ -308,7 +308,7 @@ class Nodes(Protocol):
 
     @property
     def stations(self) -> Sequence[NodeChannel]:
-        """Predictions of each station at the nodes."""
+        """Channel predictions of each station at the lattice nodes."""
         ...
 
     @property

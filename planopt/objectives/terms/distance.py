@@ -18,11 +18,11 @@ from planopt.targets.rounding import Derivatives, rounded_length
 
 @dataclass(frozen=True)
 class SteeredTerm(Term):
-    """Base class of terms that sum the progress of a path's positions in metres."""
+    """Base class of terms that sum the progress of a path's positions along a route, in metres."""
 
     @property
     def structure(self) -> Structure:
-        """Return ``stagewise``: the value is a sum over steps."""
+        """Return ``stagewise``, as the value is a sum over steps."""
         return "stagewise"
 
     def value(self, at: TermContext, path_m: Floats) -> float:
@@ -30,7 +30,7 @@ class SteeredTerm(Term):
         return 0.0 if at.steering is None else float(at.steering.gained_m(path_m))
 
     def values(self, paths: Paths) -> Floats:
-        """Return the values of many paths."""
+        """Return the progress of many paths, each summed over its positions."""
         if paths.at.steering is None:
             return np.zeros(paths.shape[0])
         return paths.at.steering.gained_m(paths.paths_m)
@@ -77,7 +77,7 @@ class GoalTerm(SteeredTerm):
 
     @property
     def steers(self) -> Steers | None:
-        """Return ``goal``: the robot is steered to its goal."""
+        """Return ``goal``, as the robot is steered to its goal."""
         return "goal"
 
 
@@ -94,7 +94,7 @@ class MotionEnergyTerm(Term):
 
     @property
     def structure(self) -> Structure:
-        """Return ``chain``: each step couples its two end positions."""
+        """Return ``chain``, as each step couples its two end positions."""
         return "chain"
 
     def value(self, at: TermContext, path_m: Floats) -> float:
@@ -107,14 +107,14 @@ class MotionEnergyTerm(Term):
         return -self._spent_j(paths.legs_m, paths.at.standstill_m, paths.at.step_s).sum(axis=1)
 
     def derivatives(self, path: NearPath) -> PathDerivatives:
-        """Return minus the energy with derivatives. The k2 part is left out as nearly constant."""
+        """Return minus the energy of motion per metre, with derivatives."""
         offsets = np.diff(np.vstack([path.at.position_m, path.places_m]), axis=0)
         lengths = rounded_length(offsets, path.rounding_m)
         each = np.full(len(offsets), -self.per_metre_j_m)
         return PathDerivatives(float(each @ lengths.value), *by_lengths(lengths, each))
 
     def slope(self, paths: Paths, number: int) -> Pull:
-        """Return the adjoints of minus the energy (without k2) w.r.t. positions."""
+        """Return the adjoints of minus the energy per metre w.r.t. positions."""
         by_length = np.full(paths.shape, -self.per_metre_j_m)
         return pull_of_lengths(paths.at.position_m, paths.paths_m, by_length)
 

@@ -37,7 +37,7 @@ from planopt.plain_values import make_plain
 from planopt.targets.rounding import Derivatives
 
 WIDTHS = {"positions_m": 2, "mean_db": 1, "deviation_db": 1, "connectivity": 1, "target_m": 2}
-"""Number of columns of each input with one row per step."""
+"""Number of columns of each input that has one row per step."""
 
 START = "start_m"
 """Name of the input (1, 2) with the robot's position."""
@@ -46,7 +46,7 @@ LONGEST_LINE = 200
 """Maximum number of characters in a line of a program; it bounds the nesting."""
 
 MOST_LINES = 100_000
-"""Maximum of program lines times steps, since derivatives of a line cost more with more steps."""
+"""Maximum of program lines times steps, which limits the cost of derivatives."""
 
 CHANNELS: tuple[str, ...] = ("positions_m", "mean_db", "deviation_db", "connectivity")
 """Inputs that depend on the position at a step."""
@@ -92,7 +92,7 @@ TEXTS = {
         if name != "if_else" and not name.startswith("logic")
     },
 }
-"""Text template of each CasADi instruction."""
+"""Text template of each CasADi instruction in a program."""
 
 
 @dataclass(frozen=True)
@@ -164,7 +164,7 @@ def expression_values(program: str, steps: int, inputs: Mapping[str, Floats]) ->
 def expression_derivatives(
     program: str, steps: int, inputs: dict[str, Derivatives], known: dict[str, Floats]
 ) -> PathDerivatives:
-    """Return the value of one path with derivatives w.r.t. its positions."""
+    """Return the expression's value for one path, with derivatives w.r.t. its positions."""
     columns = [inputs[name] for name in ("x", "y", *CHANNELS[1:])]
     shapes = _shapes(steps)
     values = dict(zip(CHANNELS[1:], (each.value for each in columns[2:]), strict=True))
@@ -197,7 +197,7 @@ def _mapped(program: str, steps: int, count: int) -> Any:
 
 @lru_cache(maxsize=64)
 def _differentiated(program: str, steps: int) -> Any:
-    """Return the CasADi function for value, gradient and Hessian w.r.t. `CHANNELS`."""
+    """Return a CasADi function for value, gradient and Hessian w.r.t. the inputs `CHANNELS`."""
     symbols = {name: ca.SX.sym(name, *shape) for name, shape in _shapes(steps).items()}
     value = _parsed(program, symbols, steps)
     # Step-major order: all channels of one step are adjacent.
@@ -283,7 +283,7 @@ def _value(expression: Any, symbols: dict[str, Any], remedy: str) -> Any:
 
 
 def _line(function: Any, k: int, names: list[str], steps: int) -> str:
-    """Return the program line of instruction k of an SX function."""
+    """Return the line of program text for instruction k of a CasADi SX function."""
     code = function.instruction_id(k)
     reads, writes = function.instruction_input(k), function.instruction_output(k)
     if code == ca.OP_OUTPUT:
@@ -330,15 +330,15 @@ class CasadiTerm(Term):
 
     @property
     def left_out(self) -> frozenset[str]:
-        """Fields to omit from a saved table."""
+        """Return the fields to omit from a saved table."""
         return self.not_keys
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return the fields without the function, which need not pickle."""
+        """Return the fields without the Python function, which pickle may not support."""
         return {**vars(self), "function": None}
 
     def at_horizon(self, steps: int) -> CasadiTerm:
-        """Return the term with its program written for another horizon, if it has a function."""
+        """Return the term with a program for another horizon, if its function is known."""
         if self.function is None or steps == self.steps:
             return self
         return replace(self, steps=steps, program=program_of(self.function, steps))
@@ -372,7 +372,7 @@ class CasadiTerm(Term):
             )
 
     def known(self, at: TermContext, steps: int) -> dict[str, Floats]:
-        """Return the inputs that do not depend on the path: start, and target if any."""
+        """Return the expression's inputs that do not depend on the path: start and target."""
         if self.steps != steps:
             raise InputError(
                 f"contains an expression for {self.steps} steps, but the plan has {steps}",
@@ -405,7 +405,7 @@ class CasadiTerm(Term):
         return value
 
     def values(self, paths: Paths) -> Floats:
-        """Return the values for many paths; non-finite values become -inf."""
+        """Return the expression's values for many paths; -inf replaces non-finite values."""
         count, steps = paths.shape
         inputs = {"positions_m": paths.paths_m} | {
             name: np.broadcast_to(values, (count, *values.shape))
@@ -421,7 +421,7 @@ class CasadiTerm(Term):
         return np.where(np.isfinite(found), found, -np.inf)
 
     def derivatives(self, path: NearPath) -> PathDerivatives:
-        """Return the value with derivatives from CasADi and the chain rule."""
+        """Return the expression's value with derivatives by CasADi and the chain rule."""
         places, power = path.places_m, path.stage_power
         straight = np.zeros((len(places), 3))
         own = {
@@ -441,9 +441,9 @@ def casadi_term(expression: Any, horizon: int, weight: float = 1.0) -> CasadiTer
     """Return a term that maximises an expression of the path and the predicted channel.
 
     The expression is stored as text. Problems, plans and runs that use it are therefore saved,
-    checked and sent to other processes like any other. Overrides of the horizon, such as those of
-    :func:`planopt.compare`, write the text of a function again; a problem from a file keeps its
-    horizon.
+    checked and sent to other processes like any other. If the horizon is overridden, for instance
+    by :func:`planopt.compare`, the text is generated again from a function; a problem from a file
+    keeps its horizon.
 
     Parameters
     ----------
@@ -500,7 +500,7 @@ class OwnTerm(Term):
         return _written(self, paths.shape[1]).values(paths)
 
     def derivatives(self, path: NearPath) -> PathDerivatives:
-        """Return the value with derivatives from CasADi."""
+        """Return the expression's value with derivatives by CasADi."""
         return _written(self, len(path.places_m)).derivatives(path)
 
 

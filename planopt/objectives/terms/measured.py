@@ -30,7 +30,7 @@ from planopt.objectives.terms.term import Steers, Structure, Term, TermSetting
 
 @dataclass(frozen=True)
 class MeasuredTerm(Term):
-    """Base class of terms that sum measurement gains over independent stations."""
+    """Base class of terms that reward measurements, summed over independent stations."""
 
     @property
     def is_measured(self) -> bool:
@@ -38,7 +38,7 @@ class MeasuredTerm(Term):
         return True
 
     def gain(self, at: TermContext, posterior: ChannelPosterior) -> Gain:
-        """Return the gain model of one station's measurements."""
+        """Return the model that computes the gain by measurements of one station."""
         raise self._without("gain")
 
     def node_gain(self, station: NodeChannel, posterior: ChannelPosterior) -> Floats:
@@ -46,12 +46,12 @@ class MeasuredTerm(Term):
         raise self._without("node_gain")
 
     def _gain(self, at: TermContext, number: int) -> Gain:
-        """Return the gain model of station `number`, cached for the step."""
+        """Return the gain model of station `number`, cached for the planning step."""
         posterior = at.anticipated[number]
         return at.once((MeasuredTerm, self, number), lambda: self.gain(at, posterior))
 
     def value(self, at: TermContext, path_m: Floats) -> float:
-        """Return the gain of measurements along one path, by the exact posterior."""
+        """Return the gain by measurements along one path, from the exact posterior."""
         taken = at.measuring.takes(path_m)
         if not taken.any():
             return 0.0
@@ -69,7 +69,7 @@ class MeasuredTerm(Term):
         return total
 
     def values(self, paths: Paths) -> Floats:
-        """Return the gains of many paths, by local channels."""
+        """Return the gains by measurements along many paths, from local channel models."""
         each = [self._gain(paths.at, k).value(moments) for k, moments in enumerate(paths.moments)]
         return np.sum(each, axis=0)
 
@@ -154,7 +154,7 @@ class LearningTerm(MeasuredTerm):
     task: ClassVar[str | None] = "learn"
 
     def gain(self, at: TermContext, posterior: ChannelPosterior) -> Gain:
-        """Return the gain model of the criterion (equations 4.1 and 4.2)."""
+        """Return the gain model for the term's criterion (equations 4.1 and 4.2)."""
         if self.criterion == "T":
             return VarianceRemoved(np.eye(2), universal=False)
         require_estimated_path_loss(posterior)
@@ -166,7 +166,7 @@ class LearningTerm(MeasuredTerm):
         return VarianceRemoved(spread @ square_root(map_criterion(posterior, at.region)))
 
     def node_gain(self, station: NodeChannel, posterior: ChannelPosterior) -> Floats:
-        """Return each node's gain: the trace for criterion T, else the information gain of D."""
+        """Return each node's gain: for criterion T the trace, otherwise the gain of D in nats."""
         trend, covariance = station.trend, posterior.theta_covariance
         spread = np.einsum("yxi,ij,yxj->yx", trend, covariance, trend)
         latent = np.maximum(station.deviation_db**2 - spread, 1e-12)
@@ -216,7 +216,7 @@ class MappingTerm(MeasuredTerm):
 
     @classmethod
     def table_fault(cls, given: frozenset[str], term: Term) -> str | None:
-        """Reject threshold and closeness for forms that do not use them."""
+        """Return why threshold or closeness conflict with the form; None without a conflict."""
         for key in FORM_KEYS:
             if key in given & term.left_out:
                 return f'has {key}, which goes only with form = "path" and "two_layer"'
@@ -234,7 +234,7 @@ class MappingTerm(MeasuredTerm):
 
     @property
     def is_measured(self) -> bool:
-        """Return whether the form rewards measurements; the two-layer form rewards distances."""
+        """Return whether the form rewards measurements, rather than distances (two-layer form)."""
         return self.form != "two_layer"
 
     @property
@@ -253,7 +253,7 @@ class MappingTerm(MeasuredTerm):
         return "variance" if self.form == "two_layer" else None
 
     def check(self, setting: TermSetting) -> None:
-        """Reject the two-layer form with several stations."""
+        """Raise an InputError for the two-layer form with several stations."""
         if self.form == "two_layer" and setting.stations > 1:
             raise InputError(
                 'is "two_layer", which supports only one station, but the problem has '
@@ -264,7 +264,7 @@ class MappingTerm(MeasuredTerm):
             )
 
     def gain(self, at: TermContext, posterior: ChannelPosterior) -> Gain:
-        """Return the gain model of the form (equations 4.4 to 4.6)."""
+        """Return the gain model for the term's form (equations 4.4 to 4.6)."""
         if self.form == "path":
             x, y = (float(each) for each in at.position_m)
             return PathUncertainty((x, y), self.variance_threshold_db2, self.closeness_per_m)
@@ -287,7 +287,7 @@ class MappingTerm(MeasuredTerm):
         return DISTANCE.value(at, path_m) if self.form == "two_layer" else super().value(at, path_m)
 
     def values(self, paths: Paths) -> Floats:
-        """Return the values of many paths."""
+        """Return the gains of many paths, or their progress in metres."""
         return DISTANCE.values(paths) if self.form == "two_layer" else super().values(paths)
 
     def derivatives(self, path: NearPath) -> Part:

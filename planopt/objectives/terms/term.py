@@ -36,8 +36,8 @@ Structure = Literal["stagewise", "chain", "full"]
 dense."""
 
 Steers = Literal["variance", "connection", "goal"]
-"""Steering point of a robot: the position of largest variance, a position to probe for connection,
-or its goal."""
+"""Kind of position that a robot is steered to: the one of largest variance, one to probe for
+connection, or the goal."""
 
 
 @dataclass(frozen=True)
@@ -69,21 +69,21 @@ class Term:
     summary: ClassVar[str] = "User-defined term."
     """One-sentence description in the schema."""
     task: ClassVar[str | None] = "custom"
-    """Task of a problem whose first term is of this kind; None if there is no such task."""
+    """Task of a problem whose first term has this kind; None if the kind implies no task."""
 
     def __init_subclass__(cls) -> None:
-        """Register a subclass that has a kind."""
+        """Register a subclass that defines a kind."""
         super().__init_subclass__()
         if "kind" in cls.__dict__:
             register(cls)
 
     def at_horizon(self, steps: int) -> Term:
-        """Return the term for plans of another number of steps."""
+        """Return the term adapted to plans of `steps` steps."""
         return self
 
     @classmethod
     def table_fault(cls, given: frozenset[str], term: Term) -> str | None:
-        """Return why the keys `given` conflict with the rest of the table, or None."""
+        """Return why the keys `given` conflict with the other keys; None without a conflict."""
         return None
 
     @property
@@ -102,7 +102,7 @@ class Term:
 
     @property
     def probes_end(self) -> bool:
-        """Return whether the end of a path is probed, so that :meth:`probe_values` is defined.
+        """Return whether the term probes the end of a path and thus defines :meth:`probe_values`.
 
         Values with a probe are not smooth functions of the path's end.
         """
@@ -110,7 +110,7 @@ class Term:
 
     @property
     def is_measured(self) -> bool:
-        """Return whether the value is the information gain of measurements along the path."""
+        """Return whether the value is a gain by measurements along the path."""
         return False
 
     @property
@@ -143,7 +143,7 @@ class Term:
         """
 
     def _without(self, method: str) -> InputError:
-        """Return the error for a class that lacks `method`."""
+        """Return the InputError for a class that lacks `method`."""
         return InputError(
             f"{class_name(self)} does not define the method {method}",
             remedy="define it, or derive the class from planopt.extend.OwnTerm and define "
@@ -151,7 +151,7 @@ class Term:
         )
 
     def value(self, at: TermContext, path_m: Floats) -> float:
-        """Return the value of one path (N, 2), based on all measurements; it is reported."""
+        """Return the term's value of one path (N, 2), from all measurements, as reported."""
         raise self._without("value")
 
     def values(self, paths: Paths) -> Floats:
@@ -166,7 +166,7 @@ class Term:
         raise self._without("probe_values")
 
     def derivatives(self, path: NearPath) -> Part:
-        """Return the value of a solver's path with its derivatives."""
+        """Return the term's value of one path with derivatives, for solvers."""
         raise self._without("derivatives")
 
     def slope(self, paths: Paths, number: int) -> Pull:
@@ -203,7 +203,7 @@ _kinds: dict[str, type[Term]] = {}
 
 
 def register(term: type[Term]) -> None:
-    """Register the kind of a term for problem files."""
+    """Register a term class by its kind, for problem files."""
     kind = require_name(term.kind, f"the term {class_name(term)}")
     known = _kinds.get(kind)
     if known is not None and class_name(known) != class_name(term):
@@ -215,7 +215,7 @@ def register(term: type[Term]) -> None:
 
 
 def require_kind(term: Term, key: str) -> None:
-    """Reject a term whose class cannot be saved in a problem file."""
+    """Raise an InputError for a term whose class cannot be saved in a problem file."""
     made = type(term)
     if not hasattr(made, "kind"):
         raise InputError(

@@ -38,7 +38,7 @@ dynamics. A longer additive plan relies on uncertain packets sent close to the t
 TrackingForm = Literal["auto", "additive", "recourse"]
 
 LONGEST_ADDITIVE_OF_ESTIMATES = 1
-"""The limit for packets with estimates, which ``additive`` rewards like single measurements."""
+"""Limit like `LONGEST_ADDITIVE` if packets contain estimates, which ``additive`` undervalues."""
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ class TrackingTerm(Term):
 
     @property
     def probes_end(self) -> bool:
-        """Return whether the end of a path is probed."""
+        """Return whether the form probes the end of a path for connection."""
         return self.form == "recourse"
 
     @property
@@ -129,7 +129,7 @@ class TrackingTerm(Term):
         return Sensor(self.noise_curvature, self.noise_floor_m2, self.sweet_spot_m)
 
     def check(self, setting: TermSetting) -> None:
-        """Require a criterion that the form supports, and a positive step weight."""
+        """Raise an InputError for a criterion that the form does not support, or zero weights."""
         if self.criterion != "trace" and self.form == "additive":
             raise InputError(
                 f'is {self.criterion!r}, which form = "additive" does not support',
@@ -144,7 +144,7 @@ class TrackingTerm(Term):
             )
 
     def settings(self, at: TermContext) -> Tracking:
-        """Return the tracking problem of one step."""
+        """Return the tracking problem of one planning step."""
         target = at.target_m
         if target is None:
             raise AssertionError("a tracking term needs a target")
@@ -178,7 +178,7 @@ class TrackingTerm(Term):
     def probe_values(
         self, at: TermContext, paths_m: NDArray[np.float64], chance: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the ``recourse`` values for predicted probabilities of connection (c, N)."""
+        """Return the values of paths with recourse, for connection probabilities (c, N)."""
         settings, retreats, others, idle = at.once(
             (TrackingTerm, "probes", self), lambda: self._probing(at)
         )
@@ -188,7 +188,7 @@ class TrackingTerm(Term):
     def _probing(
         self, at: TermContext
     ) -> tuple[FilteredTracking, Retreats, NDArray[np.float64], float]:
-        """Return filter, retreats, information of others' packets, and cost without own packets."""
+        """Return data for recourse: filter, retreats, others' information, cost without packets."""
         own = self._filtered(at)
         target_m = own.tracking.target_m
         places = np.vstack([target_m, *at.others_m])
@@ -204,7 +204,7 @@ class TrackingTerm(Term):
         return own, retreats, others, float(left(0.5 * others, own))
 
     def _filtered(self, at: TermContext) -> FilteredTracking:
-        """Return the station's filter settings over the horizon and the steps beyond."""
+        """Return the tracking problem and the station's filter, beyond the horizon as well."""
         if at.information is None:
             raise AssertionError("this form of tracking needs the station's filter")
         settings = self.settings(at)
@@ -218,7 +218,7 @@ class TrackingTerm(Term):
         return found if at.held is None else discounted(found)
 
     def values(self, paths: Paths) -> NDArray[np.float64]:
-        """Return the values of many paths."""
+        """Return the information or covariance reduction by many paths."""
         if self.probes_end:
             return self.probe_values(paths.at, paths.paths_m, paths.chance)
         settings = self.settings(paths.at)

@@ -42,7 +42,7 @@ WAITING = 0.1
 be free, and the robot would postpone its first step forever."""
 
 NOT_PROBED_DB = 1e3
-"""Offset in dB that puts positions without a probe far below the threshold."""
+"""Offset in dB by which positions without a probe are assumed below the threshold."""
 
 LEAST_CHANCE = 1e-12
 """Minimum probability of connection of a probed position."""
@@ -74,7 +74,7 @@ def charged_distance_m(
     settings: Search,
     probed: Mask | None = None,  # (h,) True where the robot probes; None: all
 ) -> float:
-    """Return E[D] + beyond_m P(not connected at q_1 .. q_h), by the exact posteriors."""
+    """Return E[D] + beyond_m P(never connected) of a path, D the distance until connected."""
     # E[D] alone favours a stationary robot, so leg lengths are those of `counted_legs_m`.
     # Stations are independent, so their outage probabilities multiply.
     places = require_places(path_m)
@@ -99,7 +99,7 @@ def charged_distances_m(
     legs_m: Floats,  # (c, h) counted lengths of the steps
     beyond_m: Floats | float,
 ) -> Floats:
-    """Return the cost of :func:`charged_distance_m` for c paths of h positions; ``(c,)``."""
+    """Return :func:`charged_distance_m` of c paths of h positions, by local channels; ``(c,)``."""
     failing = np.ones_like(legs_m)
     for above_db, covariance_db2 in stations:
         failing *= filtered_failing(above_db, covariance_db2)
@@ -111,7 +111,7 @@ def charged_distances_m(
 
 
 def filtered_failing(above_db: Floats, covariance_db2: Floats) -> Floats:
-    """Return P(no connection up to each position) of c paths (equation 4.15); ``(c, h)``."""
+    """Return P(not connected so far) at each position of c paths (equation 4.15); ``(c, h)``."""
     # Shapes: above_db (c, h); covariance_db2 (c, h, h).
     mean, covariance = above_db.copy(), covariance_db2.copy()
     below = np.empty_like(mean)
@@ -131,7 +131,7 @@ def filtered_failing(above_db: Floats, covariance_db2: Floats) -> Floats:
 
 
 def search_length_m(distance_m: Floats, chance: Floats, decorrelation_m: float) -> Floats:
-    """Return the expected length of a search by its first probe, R = D + L (1 - P) / P."""
+    """Return expected search lengths R = D + L (1 - P) / P for alternative first probes."""
     # The first probe costs the path length D to its position. Each further probe is nearby, equally
     # likely to succeed, and costs L, `PROBE_SHARE` of the decorrelation distance.
     # Shapes: distance_m, chance (k,).
@@ -153,7 +153,7 @@ class PassageProgramme:
 
 @cache
 def passage_programme(steps: int, stations: int = 1) -> PassageProgramme:
-    """Build the functions for a path of h = `steps` positions; cached per number of steps."""
+    """Return the functions for a path of h = `steps` positions, cached by number of steps."""
     import casadi as ca
 
     size = steps * (steps + 1)
@@ -174,7 +174,7 @@ def passage_programme(steps: int, stations: int = 1) -> PassageProgramme:
 
 
 def _failing(z: Any, steps: int) -> list[Any]:
-    """Return P(no connection to one station up to each position) from mean and covariance."""
+    """Return symbolic P(not connected so far) at each position, for one station."""
     import casadi as ca
 
     mean = [z[k] for k in range(steps)]
@@ -204,7 +204,7 @@ def charged_distance_derivatives(
     beyond: Derivatives | None = None,  # Cost of ending unconnected at the last position
     probed: Mask | None = None,  # (h,)
 ) -> PathDerivatives:
-    """Return :func:`charged_distance_m` by local channels and filtering, with derivatives."""
+    """Return :func:`charged_distance_m` with derivatives, by local channels and filtering."""
     stations = [LocalPath(channel, path_m) for channel in channels]
     steps = len(path_m)
     legs = rounded_length(np.diff(np.vstack([settings.start_m, path_m]), axis=0), width_m)
@@ -276,11 +276,11 @@ class UntilConnectedTerm(Term):
 
     @property
     def steers(self) -> Steers | None:
-        """Return ``connection``: the robot is steered to a position to probe."""
+        """Return ``connection``, as the robot is steered to a position to probe."""
         return "connection"
 
     def search(self, at: TermContext) -> Search:
-        """Return the search settings; the robot's current position is not a probe."""
+        """Return the settings of the search for connection at the current step."""
         x, y = at.position_m
         return Search(
             (float(x), float(y)),
@@ -290,7 +290,7 @@ class UntilConnectedTerm(Term):
         )
 
     def _after_try_m(self, at: TermContext) -> float:
-        """Return the expected search length beyond the end of the steered path, in metres."""
+        """Return the expected search length beyond the probe at the end of the steering path."""
         # It is R - D of `search_length_m`. It depends on that path only, so it can be recomputed
         # from a saved plan.
         steered = at.steering
@@ -303,7 +303,7 @@ class UntilConnectedTerm(Term):
         return max(min(float(after[0]), most_m), 0.0)
 
     def search_length_m(self, at: TermContext, length_m: Floats, chance: Floats) -> Floats:
-        """Return the expected search lengths for first probes at these distances; ``(k,)``."""
+        """Return expected search lengths (k,) for first probes at distances `length_m` (k,)."""
         # The length is R of the module's `search_length_m`, or D + (1 - P) `beyond_m`.
         if self.beyond_m is not None:
             return length_m + (1.0 - chance) * self.beyond_m
@@ -325,7 +325,7 @@ class UntilConnectedTerm(Term):
         return -at.once((UntilConnectedTerm, "charged", self, path_m.tobytes()), charged_m)
 
     def values(self, paths: Paths) -> Floats:
-        """Return the values of many paths, by recursive filtering."""
+        """Return minus the expected distances until connected of many paths."""
         settings = self.search(paths.at)
         missing_db = np.where(paths.at.probing.takes(paths.paths_m), 0.0, NOT_PROBED_DB)
         powers = [
@@ -357,11 +357,11 @@ class UntilConnectedTerm(Term):
     def stage_reward(
         self, at: TermContext, places_m: Floats, stage: int | Indices, chance: Floats
     ) -> Floats:
-        """Return the expected distance saved by each position as the only probe."""
+        """Return the expected distance saved by a probe at each position."""
         return self.search(at).beyond_m * chance
 
     def largest_stage_reward(self, at: TermContext) -> float:
-        """Return the distance saved by certain connection."""
+        """Return an upper bound of the distance that one probe saves."""
         return self.search(at).beyond_m
 
 

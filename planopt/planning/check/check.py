@@ -98,7 +98,7 @@ class CheckResult:
 
     @property
     def certificate(self) -> Certificate | None:
-        """Return a plan's certificate, or a run's worst one with the steps that violate p_min."""
+        """Return the certificate of a plan, or the worst values of a run."""
         if len(self.certificates) <= 1:
             return self.certificates[0] if self.certificates else None
         return _worst(self.certificates)
@@ -106,7 +106,7 @@ class CheckResult:
 
 @one_blas_thread()
 def check_motion(file: Path, data: Mapping[str, Any]) -> CheckResult:
-    """Check a saved plan or run whose JSON object is already loaded."""
+    """Return the result of checking a saved plan or run, from its loaded JSON object."""
     saved = saved_from(file, data)
     name = saved.file.name
     remarks = library_remarks(name, saved.problem, saved.record.seed)
@@ -154,7 +154,7 @@ def _objections(saved: Saved, result: Solution | Run) -> list[str]:
 
 
 def _different(saved: Saved, found: Contents) -> list[str]:
-    """Return the differences between all saved files and those of the replay."""
+    """Return the differences between the saved files and those of the replay."""
     # The problem is excluded because library_remarks compares it.
     data = {**found.data, DIGEST: digest(saved.data), "problem_file": saved.data["problem_file"]}
     reasons = in_words(found.name, differences(saved.data, data))
@@ -181,7 +181,7 @@ def _no_plan_reasons(saved: Saved) -> list[str]:
 
 
 def _worst(certificates: Sequence[Certificate]) -> Certificate:
-    """Return the worst values over a run's certificates."""
+    """Return a certificate with the worst values over a run."""
     missed = [
         (step, certificate)
         for step, certificate in enumerate(certificates, start=1)
@@ -198,7 +198,7 @@ def _worst(certificates: Sequence[Certificate]) -> Certificate:
 
 @one_blas_thread()
 def load_motion_result(file: Path, data: Mapping[str, Any]) -> Solution | Run:
-    """Load a saved plan or run, as :func:`planopt.load_result` does."""
+    """Return a saved plan or run, as :func:`planopt.load_result` does."""
     saved = saved_from(file, data)
     if isinstance(saved.record, NoPlanRecord):
         raise NoPlanError(saved.record.message)

@@ -65,7 +65,7 @@ def initial_belief(problem: Problem, first: Sequence[Measurements], saved: Saved
 
 
 def _with_parameters(belief: Belief, saved: SavedBelief) -> Belief:
-    """Return a belief conditioned on the saved parameters."""
+    """Return the belief conditioned on the saved channel parameters."""
     learnt = belief.posterior
     if saved.parameters == learnt.parameters:
         return belief
@@ -92,7 +92,7 @@ def belief_reasons(saved: SavedBelief, found: Arrays, seed: int) -> list[str]:
 
 
 def _comparable(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """Return arrays as lists; convert EP sites to natural parameters, which converge."""
+    """Return arrays as lists, with EP sites as natural parameters, which are comparable."""
     lists: dict[str, Any] = {name: array.tolist() for name, array in arrays.items()}
     for name, variance in arrays.items():
         values = arrays.get(name.removesuffix(NOISE) + VALUES)
@@ -194,7 +194,7 @@ def _taken(own: SavedBelief, step: int, place_m: NDArray[np.float64]) -> Measure
 
 
 def _planning(saved: Saved) -> Planning:
-    """Return a planning function that releases the saved trajectories, each verified again."""
+    """Return a planning function that yields the saved trajectories, each verified again."""
     by_robot = saved.plans
 
     def made(problem: Problem, states: Sequence[NDArray[np.float64]]) -> PlanStep:
@@ -275,7 +275,7 @@ def _verified_again(
     saved: SavedPlan,
     robots: int,
 ) -> Plan:
-    """Return a saved plan with all quantities recomputed from its trajectory."""
+    """Return a saved plan with all results recomputed from its trajectory."""
     problem, record, drive, path_m = context.problem, saved.record, saved.drive, saved.path_m.copy()
     path_m[0] = context.state[:2]
     if drive is not None:

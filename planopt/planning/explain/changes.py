@@ -94,7 +94,7 @@ class Key:
         return max(value, self.limit) if down else min(value, self.limit)
 
     def changed(self, problem: Problem, value: float) -> Problem:
-        """Return a problem with the key set to another value."""
+        """Return the problem with this key set to another value."""
         table, name = self.name.split(".")
         if table == "planner":
             return replace(problem, planner=replace(problem.planner, step_s=value))
@@ -119,7 +119,7 @@ class Key:
         *,
         verified: bool = True,
     ) -> Relaxation:
-        """Return an entry that proposes `relaxed_value`; None removes an obstacle or a bound."""
+        """Return an entry that proposes `relaxed_value`; None removes an obstacle or a limit."""
         value = None if math.isnan(self.value) else self.value
         return Relaxation(
             self.name, self.unit, value, stages, shortfall, unit, relaxed_value, verified, robot
@@ -128,7 +128,7 @@ class Key:
 
 @dataclass(frozen=True)
 class Trials:
-    """Solver of changed problems within the time limit of an explanation."""
+    """Trial solves of changed problems within the time limit of an explanation."""
 
     # Returns the explained robot's plan in a changed problem; None without a plan
     solve: Callable[[Problem], Plan | None]
@@ -136,11 +136,11 @@ class Trials:
 
     @property
     def are_over(self) -> bool:
-        """Return whether the time limit is reached."""
+        """Return whether the time limit of the explanation is reached."""
         return process_time() >= self.ends_s
 
     def plan(self, changed: Problem) -> Plan | None:
-        """Return the plan of a changed problem."""
+        """Return the explained robot's plan in a changed problem; None if there is none."""
         return None if self.are_over else self.solve(changed)
 
     def is_verified(self, changed: Problem) -> bool:
@@ -149,7 +149,7 @@ class Trials:
         return plan is not None and plan.verdict is Verdict.VERIFIED
 
     def first(self, problem: Problem, key: Key, least: float) -> float | None:
-        """Return the first value near the estimate `least` for which a verified plan is found."""
+        """Return the first value of a key, near the estimate `least`, that yields a verified plan."""
         values = dict.fromkeys(key.loosened(factor * least) for factor in EXTRA)
         return next((v for v in values if self.is_verified(key.changed(problem, v))), None)
 
@@ -198,7 +198,7 @@ def connection_keys(problem: Problem) -> list[Key]:
 
 
 def violated_keys(problem: Problem, missed: Missed) -> list[Key]:
-    """Return the keys that define a violated requirement."""
+    """Return the problem's keys that define the violated requirement `missed`."""
     if missed == "separation":
         return [constraint_key(problem, "separation_m", "m", 0.0)]
     if missed == "moving":
@@ -227,7 +227,7 @@ SLACK_PRICE = 1e5
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """One robot's plan from the start of a run."""
+    """Plan to be explained: one robot's plan from the start of a run, with its belief."""
 
     problem: Problem  # Problem with all robots
     number: int  # Number of the robot
@@ -253,12 +253,12 @@ class Fault:
 
     @classmethod
     def at(cls, missed: Missed, steps: NDArray[np.bool_], shortfall: float, unit: str) -> Fault:
-        """Return the fault at the steps of a mask (N,)."""
+        """Return the violation at the steps that a mask (N,) marks."""
         return cls(missed, tuple((np.flatnonzero(steps) + 1).tolist()), shortfall, unit)
 
 
 def _met_nowhere(case: Case) -> bool:
-    """Return whether all counted steps violate a p_min that applies per step without slack."""
+    """Return whether all counted steps violate a p_min per step without slack."""
     rule = case.problem.constraints.rule
     steps = len(case.plan.positions_m) - 1
     missed = case.plan.certificate.relaxed_steps
@@ -267,7 +267,7 @@ def _met_nowhere(case: Case) -> bool:
 
 
 def _connection(case: Case) -> Fault | None:
-    """Return the violation of the connectivity rule."""
+    """Return the violation of the connectivity rule; None if it is satisfied or excused."""
     problem, certificate = case.own, case.plan.certificate
     rule, result = problem.constraints.rule, certificate.rule
     if not rule.by_step:
@@ -325,7 +325,7 @@ def _best_score(
     posteriors: Sequence[ChannelPosterior],
     score: Callable[[Prediction], NDArray[np.float64]],
 ) -> float:
-    """Return the largest score that a counted step attains at a reachable position.
+    """Return the largest connectivity score that a counted step attains at a reachable position.
 
     If steps may violate p_min at a price, the whole workspace counts as reachable.
     """
@@ -348,7 +348,7 @@ def _best_score(
 
 
 def explain_violated(case: Case, trials: Trials) -> tuple[Relaxation, ...]:
-    """Return changes, each of which alone would satisfy all constraints."""
+    """Return changes of keys, each of which alone would satisfy all constraints of a plan."""
     found: dict[str, Relaxation] = {}
     problem, connection = case.problem, _connection(case)
     for fault in (*([] if connection is None else [connection]), *_distances(case)):
@@ -372,7 +372,7 @@ def explain_violated(case: Case, trials: Trials) -> tuple[Relaxation, ...]:
 
 
 def _elastic(case: Case, trials: Trials) -> list[Case]:
-    """Return cases replanned with priced slack, which minimises violation of the rule."""
+    """Return the case replanned with priced slack, which minimises the rule's violation, if any."""
     problem, rule = case.problem, case.problem.constraints.rule
     if problem.task == "reach" or (rule.by_step and rule.slack_max_db is None):
         return []
@@ -408,7 +408,7 @@ def _lacking(fault: Fault, key: Key, cases: list[Case]) -> float:
 
 
 def _is_kept(case: Case, key: Key, amount: float) -> bool:
-    """Return whether the plan's path satisfies the rule with a loosened key."""
+    """Return whether the existing path satisfies the rule with a key loosened by `amount`."""
     changed = key.changed(case.problem, key.loosened(amount))
     problem, plan = problem_of_robot(changed, case.number), case.plan
     rule = problem.constraints.rule

@@ -50,13 +50,13 @@ from planopt.world.lattice import RoadMap, lattice_paths, route_from
 
 @one_blas_thread()
 def explain(result: Solution | Problem, seed: int = 0) -> Explanation:
-    """Return changes that would give every robot a verified plan, and why holes are crossed.
+    """Return changes that would give every robot a verified plan, and reasons for crossed holes.
 
     If every plan is verified, no change is needed, and ``print(explain(...))`` says so.
 
     Each change suffices by itself and belongs to one robot. The problem is solved again with each
-    proposed value, for a few seconds in total. For a verified plan that crosses coverage holes on
-    its path to a goal, these are listed with the length of the path that stays connected.
+    proposed value, for a few seconds in total. If a verified plan to a goal crosses coverage holes,
+    these are listed with the length of the path that stays connected.
 
     Parameters
     ----------
@@ -173,13 +173,13 @@ def _explain_robot(problem: Problem, belief: Belief, ends_s: float) -> tuple[Rel
 
 
 CONNECTION_PRICE = 1e4
-"""Price per metre out of contact at which connection dominates length."""
+"""Price of a metre out of contact that makes connection more important than path length."""
 
 
 def crossings(
     problem: Problem, plans: Sequence[Plan], posteriors: Sequence[ChannelPosterior]
 ) -> tuple[Crossing, ...]:
-    """Return the holes that verified plans to goals cross, with the reasons, for each robot."""
+    """Return the coverage holes that verified plans to goals cross, with reasons, by robot."""
     found = [
         explain_crossing(problem_of_robot(problem, number), posteriors, plan)
         for number, plan in enumerate(plans)
@@ -191,7 +191,7 @@ def crossings(
 def explain_crossing(
     problem: Problem, posteriors: Sequence[ChannelPosterior], plan: Plan
 ) -> Crossing | None:
-    """Return the holes on a robot's path to its goal, with the reason; None without holes."""
+    """Return the coverage holes on a robot's path to its goal, with reasons; None without any."""
     if not plan.holes:
         return None
     scene = build_scene(problem)
@@ -249,7 +249,7 @@ SHORTER, STEPS_TESTED = 0.9, 20
 
 
 def is_open(problem: Problem) -> bool:
-    """Return whether obstacles leave the problem's first robot a path to its goal."""
+    """Return whether the problem's first robot has a path to its goal around obstacles."""
     try:
         build_scene(problem)
     except NoPlanError:
@@ -258,9 +258,9 @@ def is_open(problem: Problem) -> bool:
 
 
 def explain_no_path(problem: Problem, trials: Trials, joined: bool) -> tuple[Relaxation, ...]:
-    """Return changes, each of which alone would open a path to the goal.
+    """Return changes, each of which alone would open a path around obstacles to the goal.
 
-    If free space joins start and goal (`joined`), the lattice is merely too coarse.
+    If free space connects start and goal (`joined`), only the lattice is too coarse.
     """
     if joined:
         clearance_m = problem.constraints.clearance_m
@@ -273,7 +273,7 @@ def explain_no_path(problem: Problem, trials: Trials, joined: bool) -> tuple[Rel
 def widest_clearance_m(
     problem: Problem, is_over: Callable[[], bool] = lambda: False
 ) -> float | None:
-    """Return the largest clearance below the problem's that leaves a path; None if none does."""
+    """Return the largest clearance that leaves a path to the goal; None if none does."""
     if not is_joined(problem, 0.0):
         return None
     clearance_m = problem.constraints.clearance_m

@@ -91,7 +91,7 @@ KNOWN = _Stored("known_before_step", lambda _: (), (None,), "iu")
 
 @dataclass(frozen=True, eq=False)
 class SavedBelief:
-    """Belief as read from its file."""
+    """Belief about one station's channel, as read from its file."""
 
     file: Path  # The file
     parameters: ChannelParameters  # Parameters fitted to the initial measurements
@@ -104,7 +104,7 @@ class SavedBelief:
 
     @property
     def stations(self) -> tuple[SavedBelief, ...]:
-        """Return the beliefs of all stations, in order."""
+        """Return the beliefs about all stations, in the problem's order."""
         return (self, *self.further)
 
 
@@ -123,12 +123,12 @@ def write(path: Path, arrays: Arrays) -> None:
 
 
 def belief_of_plan(belief: Belief) -> Arrays:
-    """Return the arrays of the belief that a plan is based on."""
+    """Return the arrays to save for the belief that a plan is based on."""
     return _of_stations(belief, lambda _own, _first: np.zeros(0, dtype=np.int64))
 
 
 def beliefs_of_run(run: Run) -> list[Arrays]:
-    """Return the arrays of each robot's belief, with the measurement counts before each step."""
+    """Return the arrays to save for each robot's belief after a run."""
     tracks = [one.log.positions_m for one in run.runs]
     shared = run.problem.channel.share_measurements
     return [
@@ -175,7 +175,7 @@ def belief_arrays(belief: Belief, known_before_step: NDArray[np.int64]) -> Array
 
 
 def read_belief(path: Path, stations: int = 1) -> SavedBelief:
-    """Read the belief about `stations` stations."""
+    """Return the saved belief about `stations` stations."""
     try:
         arrays = read_npz(path)
     except InputError as error:
@@ -191,7 +191,7 @@ def read_belief(path: Path, stations: int = 1) -> SavedBelief:
 
 
 def _read_station(path: Path, prefix: str, arrays: Arrays) -> SavedBelief:
-    """Return the saved belief of one station."""
+    """Return the saved belief about one station, after validation."""
 
     def fault(name: str, message: str) -> InputError:
         return InputError(message, file=path, key=prefix + name, remedy=REMEDY)
@@ -246,7 +246,7 @@ KINDS = {
 
 
 def bound_arrays(plans: Sequence[Plan]) -> Arrays:
-    """Return the arrays of the plans' potentials; their names contain the robot's number."""
+    """Return the arrays to save for the potentials that certify the bounds of plans."""
     return {
         f"{number}_{name}": getattr(plan.bound.certificate, name)
         for number, plan in enumerate(plans)
@@ -256,7 +256,7 @@ def bound_arrays(plans: Sequence[Plan]) -> Arrays:
 
 
 def read_potentials(path: Path, count: int) -> tuple[Potential | None, ...]:
-    """Return the potential of each of `count` robots; None for those without."""
+    """Return the saved potential of each of `count` robots; None for robots without one."""
     if not path.is_file():
         return (None,) * count
     arrays = read_npz(path)

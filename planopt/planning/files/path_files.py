@@ -38,7 +38,7 @@ WAYPOINT, RELATIVE_ALTITUDE, PX4 = 16, 3, 12
 
 @dataclass(frozen=True, eq=False)
 class RobotPath:
-    """Path of a robot to export."""
+    """Path of a robot for export: times, positions and probabilities of connection."""
 
     robot: str
     t_s: NDArray[np.float64]  # (n,)
@@ -170,7 +170,7 @@ DEGREE_COLUMNS = (
 
 
 def csv_text(path: RobotPath) -> str:
-    """Return a path as CSV, with degrees if the origin is known."""
+    """Return a path as CSV text, with degrees if the origin is known."""
     x, y = path.positions_m.T
     values = {
         "t_s": path.t_s,
@@ -196,7 +196,7 @@ WRITERS: dict[str, Callable[[RobotPath], str]] = {
 
 
 def path_of_result(result: Result, robot: int | str = 0) -> RobotPath:
-    """Return the path of a robot: the plan of a solution, the driven path of a run."""
+    """Return a robot's path: the plan of a solution, or the driven path of a run."""
     names = [each.name for each in result.problem.robots]
     number = names.index(robot) if robot in names else robot
     if not isinstance(number, int) or not 0 <= number < len(names):
@@ -223,7 +223,7 @@ def path_of_result(result: Result, robot: int | str = 0) -> RobotPath:
 def save_path(
     path: RobotPath, file: Path, origin_deg: Origin | None = None, altitude_m: float = 0.0
 ) -> None:
-    """Write a path with the writer for the file's extension."""
+    """Write a robot's path to a file in the format of its extension."""
     write = WRITERS.get(file.suffix.lower())
     if write is None:
         raise InputError(

@@ -56,7 +56,7 @@ class Record(BaseModel):
 
     @classmethod
     def read(cls, data: Mapping[str, Any], file: Path) -> Self:
-        """Return the validated content of a file."""
+        """Return the record in a file's JSON data, after validation."""
         try:
             return cls.model_validate(data)
         except ValidationError as error:
@@ -64,7 +64,7 @@ class Record(BaseModel):
 
 
 class Places(Record):
-    """Positions along a path."""
+    """JSON object of positions along a path."""
 
     x_m: list[Number] = Field(default=[], max_length=10**6)
     y_m: list[Number] = Field(default=[], max_length=10**6)
@@ -82,5 +82,5 @@ class Places(Record):
 
 
 def xy(positions_m: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
-    """Return positions (n, 2) as JSON keys."""
+    """Return positions (n, 2) as JSON data with separate keys for x and y."""
     return {"x_m": positions_m[:, 0], "y_m": positions_m[:, 1]}

@@ -55,7 +55,7 @@ class PivotRecord(Record):
 
     @property
     def pivot(self) -> Pivot:
-        """Return the waypoint as the planner's type."""
+        """Return the terminal waypoint as a `Pivot`."""
         return Pivot(np.array([self.x_m, self.y_m]), self.cost_m, self.metre_cost)
 
 
@@ -94,7 +94,7 @@ class HoleRecord(Record):
 
     @property
     def hole(self) -> Hole:
-        """Return the hole as the planner's type."""
+        """Return the coverage hole as a `Hole`."""
         from_m, to_m = zip(self.x_m, self.y_m, strict=True)
         return Hole(from_m, to_m, self.length_m, self.min_connectivity, self.to_end)
 
@@ -107,7 +107,7 @@ class BlockedRecord(Places):
 
     @property
     def way(self) -> BlockedWay:
-        """Return the path as the planner's type."""
+        """Return the path as a `BlockedWay`."""
         return BlockedWay(self.robot, self.positions_m, tuple(each.hole for each in self.holes))
 
 
@@ -153,7 +153,7 @@ class Residual(Record):
 
 
 def _of_bound(name: str, missing: object = OMITTED) -> Source:
-    """Return a source for a key with attribute `name` of the proven bound."""
+    """Return a `Source` that reads an attribute of the proven bound; `missing` without one."""
     return Source(lambda of: missing if of.bound is None else getattr(of.bound, name))
 
 
@@ -214,7 +214,7 @@ def _written(record: type[Trajectory], problem: Problem, plan: Plan, aim: Aim) -
 
 
 class Asked(NamedTuple):
-    """JSON keys that identify a problem: its content and random seed."""
+    """JSON keys of a problem and its random seed."""
 
     problem: Problem
     seed: int
@@ -235,7 +235,7 @@ def _total(name: str) -> Source:
 
 
 def _worst(name: str) -> Source:
-    """Return a source for a key that holds the worst label `name` of all plans."""
+    """Return a `Source` that reads the worst value of a label over all plans."""
 
     def worst(solution: Solution) -> StrEnum:
         labels: list[StrEnum] = [getattr(plan, name) for plan in solution.plans]
@@ -303,7 +303,7 @@ class NoPlanRecord(Record):
 
 
 def solution_json(solution: Solution) -> dict[str, Any]:
-    """Return the JSON object of ``solve``."""
+    """Return the JSON object that ``planopt solve`` prints for a solution."""
     entries = solution.explanation
     return PlanRecord.written(
         solution,
@@ -323,7 +323,7 @@ def no_plan_json(
     explanation: Iterable[Relaxation] = (),
     blocked: Iterable[BlockedWay] = (),
 ) -> dict[str, Any]:
-    """Return the JSON object of ``solve`` if it is proven, by `message`, that no plan exists."""
+    """Return the JSON object of ``planopt solve`` if it is proven that no plan exists."""
     return {
         **dict.fromkeys(PlanRecord.model_fields),
         **Question.written(Asked(problem, seed)),
@@ -431,7 +431,7 @@ class RobotRunRecord(Record):
 
 
 def run_json(run: Run) -> dict[str, Any]:
-    """Return the JSON object of ``simulate``."""
+    """Return the JSON object that ``planopt simulate`` prints for a run."""
 
     def robot(one: RobotRun, plans: Iterable[Plan]) -> dict[str, Any]:
         excused = excused_steps([plan.certificate for plan in plans])
@@ -462,7 +462,7 @@ def released_plans_json(run: Run) -> list[dict[str, Any]]:
 
 
 def no_run_json(problem: Problem, seed: int, message: str) -> dict[str, Any]:
-    """Return the JSON object of ``simulate`` for a problem that is proven to have no plan."""
+    """Return the JSON object of ``planopt simulate`` if it is proven that no plan exists."""
     names = [name for name in RunRecord.model_fields if name not in ("plans", "blocked")]
     return {
         **dict.fromkeys(names),
@@ -483,7 +483,7 @@ def reliability_json(bins: Iterable[ReliabilityBin]) -> list[dict[str, Any]]:
 
 
 def summary_json(summary: RunSummary) -> dict[str, Any]:
-    """Return the summary of a run as JSON."""
+    """Return the summary of a run as JSON data."""
     return SummaryRecord.written(summary)
 
 

@@ -132,7 +132,7 @@ def drive_names(dynamics: Dynamics) -> tuple[str, ...]:
 
 
 def drive_table(drive: Drive | None) -> dict[str, NDArray[np.float64]]:
-    """Return states and inputs as columns (N + 1,); the first row has no input."""
+    """Return states and inputs of a drive as columns (N + 1,); the first row has no input."""
     if drive is None:
         return {}
     inputs = np.vstack([np.full((1, drive.inputs.shape[1]), np.nan), drive.inputs])
@@ -198,7 +198,7 @@ def _log_of_plan(plan: Plan) -> StepLog:
 
 
 def _steps(result: Solution | Run) -> tuple[Sequence[Column], Data]:
-    """Return columns and data of ``steps.csv``; a robot without a state leaves its column empty."""
+    """Return columns and data of ``steps.csv``, empty where a robot lacks a state or input."""
     columns, parts = step_columns(result.problem), list[Data]()
     for name, log, drive in _robots(result):
         rows = len(log.t_s)

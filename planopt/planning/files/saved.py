@@ -86,7 +86,7 @@ def belief_files(problem: Problem) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Contents:
-    """Content of all files of a result, except for digest and problem."""
+    """Contents of all files of a result, before digest and problem are added."""
 
     name: str  # Name of the JSON file
     data: dict[str, Any]
@@ -109,7 +109,7 @@ def contents(result: Solution | Run) -> Contents:
 
 
 def save_result(result: Solution | Run, folder: Path) -> None:
-    """Save a result; it replaces the plan or run in the folder, including figures."""
+    """Save a result in a folder, in place of an earlier plan or run including its figures."""
     files = contents(result)
     with replaced_results(folder, PLAN_OR_RUN) as new:
         for name, arrays in files.beliefs.items():
@@ -121,7 +121,7 @@ def save_result(result: Solution | Run, folder: Path) -> None:
 
 
 def save_no_plan(data: dict[str, Any], problem: Problem, folder: Path, name: str) -> None:
-    """Save a result without plan as `PLAN_FILE` or `RUN_FILE`, in place of the previous one."""
+    """Save the JSON object of a result without a plan, in place of an earlier plan or run."""
     with replaced_results(folder, PLAN_OR_RUN) as new:
         write_result({"format": FORMAT, **data}, problem, new / name)
 
@@ -134,7 +134,7 @@ def write_result(data: dict[str, Any], problem: Problem, path: Path) -> None:
 
 @dataclass(frozen=True, eq=False)
 class SavedPlan:
-    """One robot's plan as read from a file."""
+    """Plan of one robot as read from a file."""
 
     record: RobotPlan | ReleasedPlan  # Data known only to the planner
     path_m: NDArray[np.float64]  # (N + 1, 2)
@@ -144,7 +144,7 @@ class SavedPlan:
 
     @property
     def pivot(self) -> Pivot | None:
-        """Return the terminal waypoint."""
+        """Return the saved terminal waypoint; None without one."""
         return None if self.record.pivot is None else self.record.pivot.pivot
 
     def aim(self, watched: Aim) -> Aim:
@@ -160,7 +160,7 @@ class SavedPlan:
 
 @dataclass(frozen=True, eq=False)
 class Saved:
-    """A saved plan or run, read but not verified."""
+    """Saved plan or run, as read from its files but not verified."""
 
     file: Path  # The JSON file
     data: Mapping[str, Any]  # Content of the JSON file
@@ -172,7 +172,7 @@ class Saved:
     blocked: tuple[BlockedWay, ...] = ()
 
     def explanation(self, plans: Sequence[Plan]) -> tuple[Relaxation | Crossing, ...]:
-        """Return the explanation of a plan; crossings get the holes of the verified `plans`."""
+        """Return the saved explanation, with the coverage holes of the verified `plans`."""
         if not isinstance(self.record, PlanRecord):
             return ()
         holes = {plan.robot: plan.holes for plan in plans if plan.verdict is Verdict.VERIFIED}
@@ -193,7 +193,7 @@ class Saved:
 
 
 def read_saved(path: Path) -> Saved:
-    """Read a saved plan or run.
+    """Return a saved plan or run, as read from its files.
 
     Invalid content raises an InputError. Only a replay verifies the plans.
     """
@@ -289,7 +289,7 @@ def _json_file(path: Path) -> Path:
 
 
 def _read_json(file: Path) -> Mapping[str, Any]:
-    """Return a JSON object without duplicate keys, since readers differ in the one they use."""
+    """Return the JSON object in a file; duplicate keys raise an InputError."""
 
     def once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         table = dict(pairs)

@@ -48,7 +48,7 @@ def build_roads(problem: Problem, anchor_m: NDArray[np.float64]) -> RoadMap:
 
 
 def node_at(road_map: RoadMap, place_m: NDArray[np.float64]) -> int:
-    """Return the index of the node nearest to `place_m` (2,); negative if that node is blocked."""
+    """Return the number of the node nearest to `place_m` (2,); negative if the node is blocked."""
     row, column = nearest_node(road_map.lattice, place_m)
     return int(road_map.number[row, column])
 
@@ -70,7 +70,7 @@ def nodes_in_reach(
 
 
 def is_joined(problem: Problem, clearance_m: float, without: Obstacle | None = None) -> bool:
-    """Return whether free space with this clearance contains a path from start to goal."""
+    """Return whether a path from start to goal with a clearance exists in continuous space."""
     polygons = [each.polygon for each in problem.workspace.obstacles if each is not without]
     covered = shapely.union_all(shapely.buffer(polygons, clearance_m))
     free = shapely.box(*problem.workspace.bounds_m).difference(covered)
@@ -84,7 +84,7 @@ def is_joined(problem: Problem, clearance_m: float, without: Obstacle | None = N
 
 
 def obstacles_met(problem: Problem, index: ObstacleIndex, path_m: NDArray[np.float64]) -> list[str]:
-    """Return a reason for every position and segment of a path (n, 2) that violates clearance."""
+    """Return a message for each position and segment of a path (n, 2) that violates clearance."""
     reasons: list[str] = []
     inside: set[int] = set()
     for step, place in enumerate(path_m):
@@ -117,11 +117,11 @@ NEARER_M = 1e-9
 def leaving_path(
     problem: Problem, index: ObstacleIndex, moving: MovingDiscs, position_m: NDArray[np.float64]
 ) -> NDArray[np.float64] | None:
-    """Return a path (N, 2) that leaves violated clearances, bounds or separations in one step.
+    """Return a path (N, 2) whose first step leaves violated clearances, bounds or separations.
 
-    After drift or in front of a new obstacle, a robot may have no sound plan. Of the moves that
-    reduce no distance, the one with the least violation at its end, then the shortest, is chosen;
-    it may cross obstacles that contain the robot. None if nothing is violated or improved.
+    After drift or next to a new obstacle, a robot may have no safe plan. Of the moves that reduce
+    no distance, the one with the least violation at its end, then the shortest, is chosen; it may
+    cross obstacles that contain the robot. None if no constraint is violated or no move helps.
     """
     # Shapes: position_m (2,).
     horizon = problem.planner.horizon
@@ -161,9 +161,9 @@ def leaving_path(
 def _inside_m(
     index: ObstacleIndex, places_m: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], ObstacleIndex]:
-    """Return depths of positions (n, 2) in the obstacles around the first, and the other obstacles.
+    """Return the depth of each position (n, 2) in an obstacle group, and the other obstacles.
 
-    Obstacles that intersect those around the first position are included in the former.
+    The group contains the obstacles around the first position and all that intersect them.
     """
     points = np.asarray(shapely.points(places_m), np.object_)
     about = index.tree.query(points[0], predicate="within")
@@ -180,7 +180,7 @@ def _inside_m(
 
 
 def _too_near_m(moving: MovingDiscs, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the separation shortfall of paths (c, N + 1, 2) after the first step; (c,)."""
+    """Return the shortfall (c,) of separation from moving discs after the first step of paths."""
     if not len(moving):
         return np.zeros(len(paths_m))
     places = int(paths_m.shape[1])
@@ -197,7 +197,7 @@ MOST_DRAWS = 10_000
 
 
 def with_drawn_starts(problem: Problem, seed: int) -> Problem:
-    """Return the problem with random start positions of robots and target drawn."""
+    """Return the problem with drawn start positions, where starts are random."""
     spread = any(robot.start_spread_m > 0.0 for robot in problem.robots)
     moved = any(target.start_distance_m is not None for target in problem.targets)
     if not spread and not moved:
@@ -285,7 +285,7 @@ def _is_free(
 def free_target_path(
     problem: Problem, draw_path: Callable[[], NDArray[np.float64]]
 ) -> NDArray[np.float64]:
-    """Return drawn states (n + 1, 4) of a target, in free space if required."""
+    """Return a target's states (n + 1, 4), drawn again until its path is free, if required."""
     if not problem.targets[0].stays_free:
         return draw_path()
     index = index_obstacles(problem.workspace)

@@ -37,7 +37,7 @@ from planopt.targets.rounding import Derivatives
 
 @dataclass(frozen=True, eq=False)
 class GoalRefinement:
-    """Refinement of one step's initial guesses to a goal, in the order of the fallbacks."""
+    """Refinement of initial guesses for one step to a goal, in the order of the fallbacks."""
 
     nlp: PathNlp
     scene: Scene
@@ -50,9 +50,9 @@ class GoalRefinement:
     budget: Budget
 
     def attempts(self, shifted_m: NDArray[np.float64] | None) -> Iterator[Candidate]:
-        """Yield candidates with the verifier's findings, from the best guess first.
+        """Yield verified or rejected candidates, those from the best guess first.
 
-        If the shifted last plan arrives sooner than the lattice path, it is the better guess.
+        If the shifted last plan costs less than the lattice path, it is the best guess.
         """
         start_m = self.start.path_m
         starts = [(start_m, Rung.RELAXED)]
@@ -79,7 +79,7 @@ class GoalRefinement:
                 yield candidate
 
     def _drawn_on(self, shifted_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the shifted last plan, extended by a step towards the terminal waypoint."""
+        """Return the shifted last plan, whose last step moves towards the terminal waypoint."""
         problem, before = self.scorer.problem, shifted_m[-1]
         to_pivot = self.ahead.leading(before).position_m - before
         away, longest = float(np.linalg.norm(to_pivot)), problem.step_length_m - STEP_PAD_M
@@ -89,7 +89,7 @@ class GoalRefinement:
         return np.vstack([shifted_m[:-1], before + to_pivot * min(1.0, longest / away)])
 
     def _sooner(self, candidate: Candidate) -> Candidate | None:
-        """Return a candidate that arrives in fewer steps; None if its path is too long for that."""
+        """Return a candidate that drives the same path in fewer steps; None if there is none."""
         problem = self.scorer.problem
         path = np.vstack([self.scorer.position_m, candidate.path_m])
         away = np.linalg.norm(path - np.asarray(problem.goal_m), axis=1)
@@ -162,7 +162,7 @@ class GoalRefinement:
         rung: Rung,
         begun_s: float,
     ) -> Candidate:
-        """Return the refined path of a task, verified; `bound` constrains the rows of the task."""
+        """Return the candidate that refines a task under constraint bounds `bound`, verified."""
         point = polish_path(self.nlp, replace(task, bound=bound))
         solve_s = perf_counter() - begun_s
         candidate = candidate_of(self.scorer, point, rung, self.lattice_objective, solve_s)
@@ -172,7 +172,7 @@ class GoalRefinement:
         return replace(assessed, rung=Rung.PLAN) if met_after_all else assessed
 
     def _task(self, path_m: NDArray[np.float64], rows: RuleRows) -> PathTask:
-        """Return the optimisation problem that refines a guess."""
+        """Return the optimisation problem that refines a guess `path_m`."""
         scorer, cost = self.scorer, self.cost
         problem, pivot = scorer.problem, self.ahead.leading(path_m[-1])
         ends = np.vstack([scorer.position_m, path_m])
@@ -213,7 +213,7 @@ class GoalRefinement:
     def _margins_about(
         self, path_m: NDArray[np.float64], rows: RuleRows
     ) -> Callable[[NDArray[np.float64]], tuple[Derivatives, Derivatives]]:
-        """Return a function for margins and scores, from the measurements nearest to each stage."""
+        """Return a function that maps a path to margins and scores, from nearby measurements."""
         law, neighbours = self.scorer.context.law, self.scorer.problem.planner.neighbours
         predict_stages, quantile = stage_predictor(law, path_m, neighbours), rows.quantile
 

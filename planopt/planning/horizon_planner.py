@@ -61,7 +61,7 @@ def driven_starts(
 
 
 def last_drive(problem: Problem, warm: Plan | None) -> Drive | None:
-    """Return the remainder of a verified previous plan, then braking; None if there is none."""
+    """Return the remainder of the previous plan, then braking; None without a verified plan."""
     shifted = shifted_drive(problem, warm)
     if shifted is None or warm is None or warm.verdict is not Verdict.VERIFIED:
         return None
@@ -88,7 +88,7 @@ SETTLED_SHARE = 3e-3
 
 
 class FallbackCascade:
-    """Selection of a candidate from guesses and fallbacks; caches the refinement solvers."""
+    """Selection of a candidate from guesses and fallbacks; it caches the refinement solvers."""
 
     def __init__(self, problem: Problem, ground: Ground) -> None:
         self._problem = problem
@@ -157,7 +157,7 @@ class FallbackCascade:
         return best_of(scorer, candidates, warm)
 
     def _is_settled(self, starts: list[Guess], number: int, verified: list[Candidate]) -> bool:
-        """Return whether guess `number` needs no refinement, given the verified candidates."""
+        """Return whether guess `number` cannot be expected to yield a better verified candidate."""
         if self._driven:
             return False
         if number >= min(self._followed, len(starts)):
@@ -199,7 +199,7 @@ class FallbackCascade:
         verified: list[Candidate],
         budget: Budget,
     ) -> list[Candidate]:
-        """Return a refinement of the best candidate, with its nearest measurements and lines."""
+        """Return refinements of the best candidate, with measurements and lines near its path."""
         if self.refinement is None:
             return []
         best = max(verified, key=scorer.score)
@@ -237,9 +237,9 @@ class HorizonPlanner:
         return scorer.plan_from(chosen, wall_s=perf_counter() - begun)
 
     def _exit_path(self, context: StepContext, starts: list[Guess]) -> NDArray[np.float64] | None:
-        """Return the path (N, 2) to the nearest unmeasured position if no guess measures anything.
+        """Return a path (N, 2) to an unmeasured position if no guess yields measurements.
 
-        None if no term uses measurements, or if no unmeasured position is left.
+        Otherwise None, also if no term uses measurements or no unmeasured position is left.
         """
         terms = self.problem.terms
         if not any(term.is_measured for term in terms) or not all(

@@ -64,7 +64,7 @@ class TeamSeeds:
 
 
 def team_seeds(problem: Problem, seed: int) -> TeamSeeds:
-    """Return the random streams that belong to a seed."""
+    """Return the random streams of a team for a random seed."""
     target, planners = np.random.SeedSequence(seed, spawn_key=(1,)).spawn(2)
     return TeamSeeds(
         np.random.default_rng(target),
@@ -93,7 +93,7 @@ class InitialData:
 def draw_initial_data(
     problem: Problem, seed: int, measurements: Sequence[Measurements] | None = None
 ) -> InitialData:
-    """Draw the ground truth, and the initial measurements unless they are supplied."""
+    """Return drawn ground truth and initial measurements, unless `measurements` are supplied."""
     if not isinstance(cast("object", seed), int | np.integer) or seed < 0:
         raise InputError(
             f"is {seed!r}, should be a whole number of at least 0",
@@ -324,7 +324,7 @@ def measurements_by_station(
 
 
 def learn(problem: Problem, measurements: Measurements, station: int = 0) -> Belief:
-    """Return the belief of one station's channel, fitted to measurements."""
+    """Return the belief about one station's channel, fitted to measurements."""
     site = problem.stations[station].site
     if problem.channel.given is not None:
         fit, posterior = _given(problem, problem.channel.given, measurements, station)
@@ -337,7 +337,7 @@ def learn(problem: Problem, measurements: Measurements, station: int = 0) -> Bel
 def _given(
     problem: Problem, known: GivenParameters, measurements: Measurements, station: int
 ) -> tuple[ChannelFit, ChannelPosterior]:
-    """Return the posterior for known parameters; unknown path loss is estimated."""
+    """Return fit and posterior of a channel with known parameters; path loss may be estimated."""
     radio = problem.stations[station]
     path_loss_known = known.k_pl_db is not None
     parameters = ChannelParameters(
@@ -373,7 +373,7 @@ def _given(
 
 
 def learn_stations(problem: Problem, measurements: Sequence[Measurements]) -> Belief:
-    """Return the belief of every station's channel, each fitted to its own measurements."""
+    """Return the belief about all stations' channels, each fitted to its own measurements."""
     beliefs = [learn(problem, own, station) for station, own in enumerate(measurements)]
     return replace(beliefs[0], further=tuple(beliefs[1:]))
 
@@ -387,7 +387,7 @@ def initial_belief(problem: Problem, seed: int = 0) -> Belief:
 
 @dataclass(frozen=True)
 class Prepared:
-    """Ground truth of each station and initial belief for one seed."""
+    """Data shared by all runs of a seed: ground truth of each station, and initial belief."""
 
     truths: tuple[Truth, ...]  # Empty if the problem has none
     belief: Belief

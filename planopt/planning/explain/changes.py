@@ -149,7 +149,7 @@ class Trials:
         return plan is not None and plan.verdict is Verdict.VERIFIED
 
     def first(self, problem: Problem, key: Key, least: float) -> float | None:
-        """Return the first value of a key, near the estimate `least`, that yields a verified plan."""
+        """Return the first value of a key near the estimate `least` with a verified plan."""
         values = dict.fromkeys(key.loosened(factor * least) for factor in EXTRA)
         return next((v for v in values if self.is_verified(key.changed(problem, v))), None)
 

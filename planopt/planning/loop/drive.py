@@ -43,7 +43,7 @@ STALL_STEPS = 30
 
 @dataclass(frozen=True, eq=False)
 class Progress:
-    """Progress of one robot in a closed loop."""
+    """Record of one robot's progress in a closed loop, for its termination."""
 
     problem: Problem  # Problem restricted to this robot
     # States (s,), position first: at the start and after each step
@@ -140,7 +140,7 @@ def _circling(
     learnt: Sequence[bool],
     plan: Plan,
 ) -> str | None:
-    """Return the reason if a robot stays near one position without new measurements, else None."""
+    """Return why a robot counts as circling near one position; None if it does not."""
     if any(learnt[-STALL_STEPS:]) or not _stays(track, problem.step_length_m):
         return None
     return (
@@ -150,7 +150,7 @@ def _circling(
 
 
 def _stays(track: Sequence[NDArray[np.float64]], step_length_m: float) -> bool:
-    """Return whether a robot stayed within two steps of one position for `STALL_STEPS`."""
+    """Return whether a robot stayed within two step lengths of a position for `STALL_STEPS`."""
     if len(track) <= STALL_STEPS:
         return False
     recent = np.array(track[-STALL_STEPS - 1 :])[:, :2]
@@ -224,7 +224,7 @@ def _stuck(problem: Problem, connected: NDArray[np.bool_], robot: Progress) -> s
 
 
 def _others_of(problem: Problem, robots: Sequence[Progress], robot: Progress) -> Pending:
-    """Return the other robots' past positions, which may be measured; none if irrelevant."""
+    """Return the other robots' past positions, if their measurements affect the objective."""
     if not counts_others(problem):
         return NOTHING_PENDING
     driven = [np.array(each.states)[1:, :2] for each in robots]
@@ -301,7 +301,7 @@ def drive(
     on_start: Callable[[Sequence[Plan]], None] | None = None,
     on_step: Callable[[int], None] | None = None,
 ) -> Run:
-    """Run the loop until :func:`planopt.planning.loop.drive.run_ending` ends it."""
+    """Return the run of a closed loop, which :func:`run_ending` terminates."""
     robots = Stepper(problem, belief, planning, target)
     # Errors over the whole workspace are slow to compute and not needed for runs to a goal.
     known_at = None if problem.task == "reach" else workspace_region(problem).grid_m

@@ -34,7 +34,7 @@ class Outcome(StrEnum):
 
 @dataclass(frozen=True)
 class StepLog:
-    """Columns over the steps of one robot's run; row 0 is the start.
+    """Log of one robot's run, with a row per step; row 0 is the start.
 
     All arrays have length ``steps + 1``. ``rung`` and ``verdict`` of a row belong to the plan that
     led there (row 0: ``plan``/``verified`` by convention).
@@ -42,7 +42,7 @@ class StepLog:
     Attributes
     ----------
     t_s, positions_m
-        Time and ``(x, y)``.
+        Time, and position ``(x, y)``.
     predicted_dbm, deviation_db, connectivity
         Power and P(connected) predicted by the plan that led here, before the measurement.
     true_dbm, connected
@@ -73,7 +73,7 @@ class StepLog:
 
 @dataclass(frozen=True)
 class Metrics:
-    """Metrics of one robot's run; those over steps are NaN if the run has none.
+    """Metrics of one robot's run.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class Metrics:
 
 @dataclass(frozen=True, eq=False)
 class RobotRun:
-    """One robot's part of a closed loop.
+    """Results of one robot in a closed-loop run.
 
     Attributes
     ----------
@@ -115,7 +115,7 @@ class RobotRun:
     outcome, reason
         Outcome of the closed loop, and its reason as text.
     log, metrics
-    Its steps, and the metrics over them.
+        Steps of the run, and metrics over them.
     drive
         States and inputs over the steps; None for the single integrator.
     """
@@ -147,7 +147,7 @@ class RobotRun:
 
 @dataclass(frozen=True, eq=False)
 class TargetLog:
-    """Track of a target over a run; row 0 is the start."""
+    """Log of the target's track and its estimates over a run; row 0 is the start."""
 
     # (steps + 1, 2) true position, and the station's estimate
     true_m: NDArray[np.float64]
@@ -170,7 +170,7 @@ class TargetLog:
 
     @property
     def normalised_trace_p(self) -> NDArray[np.float64]:
-        """Return `station_trace_m2` divided by its initial value; (steps + 1,)."""
+        """Return the station's trace of P divided by its initial value; (steps + 1,)."""
         return self.station_variance_m2 / self.station_variance_m2[0]
 
 
@@ -203,7 +203,7 @@ def channel_row(
     truths: Sequence[Truth],
     places_m: NDArray[np.float64],  # (n, 2) positions of the predictions
 ) -> tuple[float, ...]:
-    """Return a row of the channel log over all stations, in the order of its fields."""
+    """Return a row of the channel log over all stations, in the order of :class:`ChannelLog`."""
     power = np.stack([true_power_dbm(truth, places_m) for truth in truths])
     shadowed = np.stack([mean_power_dbm(truth, places_m) for truth in truths])
     predicted = np.stack([search_power(each, places_m).mean_db for each in posteriors])
@@ -231,7 +231,7 @@ def channel_row(
 
 
 def channel_log(rows: Sequence[tuple[float, ...]]) -> ChannelLog:
-    """Return the channel log that consists of rows of :func:`channel_row`."""
+    """Return the channel log whose rows are results of :func:`channel_row`."""
     return ChannelLog(*np.asarray(rows, dtype=np.float64).T)
 
 

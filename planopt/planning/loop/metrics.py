@@ -97,7 +97,7 @@ def run_metrics(
     channel: ChannelLog | None,
     costs: Mapping[str, float],
 ) -> dict[str, float]:
-    """Return the metrics of all robots combined, by name."""
+    """Return the metrics of a run over all robots, by name."""
     found: dict[str, float] = {}
     each = [run.metrics for run in runs]
     led = [robot.goal_m is not None for robot in problem.robots]
@@ -149,9 +149,9 @@ def _mean_of_known(values: Sequence[float]) -> float:
 
 
 def nis_interval(count: int) -> tuple[float, float]:
-    """Return the 95 % interval of the mean NIS of `count` measurements for a consistent filter.
+    """Return the 95 % interval of the mean normalised innovation squared of a consistent filter.
 
-    The values are independent and chi-square with two degrees of freedom (equation 4.19).
+    The `count` values are independent, chi-square with two degrees of freedom (equation 4.19).
     """
     return float(chdtri(2 * count, 0.975)) / count, float(chdtri(2 * count, 0.025)) / count
 
@@ -240,7 +240,7 @@ def robot_run(
     learnt: Sequence[bool],
     ended: tuple[Outcome, str],
 ) -> RobotRun:
-    """Return one robot's part of a run, from its track and the executed plans."""
+    """Return one robot's results of a run, from its track and the executed plans."""
     # Shapes: track_m, true_dbm (steps + 1, 2).
     log = step_log(problem, track_m, true_dbm, plans)
     drive = driven(problem.robots[0], plans)
@@ -267,7 +267,7 @@ SEARCHED_CELLS = 0.5
 """Sampling interval of costs in the clairvoyant search, in cells of the true map."""
 
 IsOut = Callable[[NDArray[np.float64]], NDArray[np.bool_]]
-"""Function from positions (n, 2) to a mask (n,) of those out of contact."""
+"""Function that maps positions (n, 2) to a mask (n,) of those out of contact."""
 
 
 def run_costs(
@@ -346,7 +346,7 @@ def _costs_m(
     ends_m: NDArray[np.float64],
     spacing_m: float,
 ) -> NDArray[np.float64]:
-    """Return the costs (n,) of straight segments, sampled at intervals of `spacing_m`."""
+    """Return the costs (n,) of straight segments, integrated at intervals of `spacing_m`."""
     lengths = np.linalg.norm(ends_m - begins_m, axis=1)
     counts = np.maximum(np.ceil(lengths / spacing_m), 1.0).astype(np.intp)
     owner = np.repeat(np.arange(len(counts)), counts)

@@ -63,7 +63,7 @@ class Result(ABC):
         return task_of(self.problem).data(self)
 
     def __eq__(self, other: object) -> bool:
-        """Return whether two results have the same content, except for the time of planning."""
+        """Return whether two results have the same content, apart from computation times."""
         if type(self) is not type(other):
             return False
         own, others = ({**each.data, "step_s": None} for each in (self, cast("Result", other)))

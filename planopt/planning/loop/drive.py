@@ -80,7 +80,8 @@ def goals_ending(problem: Problem, robots: Sequence[Progress]) -> tuple[Outcome,
         if end is None or end[0] is not Outcome.REACHED
     ]
     if not late:
-        return Outcome.REACHED, "all robots within goal_radius_m of their goals"
+        radius_m = problem.constraints.goal_radius_m
+        return Outcome.REACHED, f"all robots within {radius_m:g} m of their goals"
     if len(robots[0].learnt) >= problem.planner.max_steps:
         words = f"{', '.join(late)} not arrived after {problem.planner.max_steps} steps"
         return Outcome.STEP_LIMIT, words
@@ -104,7 +105,7 @@ def goal_ending(
     """Return the outcome of a run of one robot to its goal and the reason; None if it continues."""
     if _has_arrived(problem, track[-1]):
         where = "the start is within" if plan is None else "within"
-        return Outcome.REACHED, f"{where} goal_radius_m of the goal"
+        return Outcome.REACHED, f"{where} {problem.constraints.goal_radius_m:g} m of the goal"
     why = None if plan is None else _circling(problem, track, learnt, plan)
     if why is not None and not problem.workspace.moving:
         return Outcome.STALLED, why
@@ -173,7 +174,8 @@ def terms_ending(
         return Outcome.COMPLETED, f"connected after step {steps}"
     led = [r for r in robots if any(term.steers == "goal" for term in r.problem.terms)]
     if led and all(_has_arrived(robot.problem, robot.states[-1]) for robot in led):
-        return Outcome.REACHED, f"within goal_radius_m of the goal after step {steps}"
+        radius_m = problem.constraints.goal_radius_m
+        return Outcome.REACHED, f"within {radius_m:g} m of the goal after step {steps}"
     last = steps >= problem.planner.max_steps
     stuck = [
         (robot, why)

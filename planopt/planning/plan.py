@@ -24,7 +24,7 @@ from planopt.short_repr import short_repr
 from planopt.world.clearance import ObstacleIndex, inside_bounds, is_clear, swept_clearance_m
 
 LEAST_BASE = 0.01
-"""Minimum ratio of lattice to refined objective for which relative gains are defined."""
+"""Minimum ratio of lattice to refined objective; below it, relative gains are undefined."""
 
 
 class Termination(StrEnum):
@@ -44,7 +44,7 @@ class Termination(StrEnum):
 class Verdict(StrEnum):
     """Verdict of the verifier on a plan.
 
-    ``verified``: every constraint holds; steps may violate p_min only where that is unavoidable.
+    ``verified``: every constraint holds, except p_min at steps that the verifier excuses.
     ``feasible_unverified``: not rejected, but a part of the proof is missing. ``violated``: a
     constraint does not hold. ``none``: there is no plan.
     """
@@ -79,7 +79,7 @@ class Rung(StrEnum):
 
 @dataclass(frozen=True)
 class Pivot:
-    """Waypoint beyond the horizon, and the cost of the remaining route.
+    """Terminal waypoint beyond the horizon, with the cost of the remaining route.
 
     Attributes
     ----------
@@ -189,7 +189,7 @@ class Plan:
 
     @property
     def gain(self) -> float:
-        """Return the gain over the lattice path, in the objective's unit."""
+        """Return the objective's gain over the lattice path, positive if the plan is better."""
         saved = self.lattice_objective - self.objective
         return saved if self.sense == "min" else -saved
 
@@ -200,7 +200,7 @@ class Plan:
 
 
 def share_gained(gain: float, lattice: float, refined: float) -> float:
-    """Return a gain relative to the lattice objective; NaN if that is close to zero."""
+    """Return a gain relative to the lattice objective; NaN if this objective is close to zero."""
     if gain == 0.0:
         return 0.0
     return gain / abs(lattice) if abs(lattice) >= LEAST_BASE * abs(refined) > 0.0 else math.nan
@@ -225,7 +225,7 @@ def is_sound(
 def shifted_path(
     problem: Problem, index: ObstacleIndex, position_m: NDArray[np.float64], warm: Plan | None
 ) -> NDArray[np.float64] | None:
-    """Return the remainder of a verified plan after its first step, waiting at its end; (N, 2).
+    """Return a verified plan shifted by one step (N, 2), with a waiting step at its end.
 
     None if the plan is unverified, no longer drivable, or for a robot with dynamics.
     """
@@ -239,7 +239,7 @@ def shifted_path(
 
 
 def shifted_drive(problem: Problem, warm: Plan | None) -> Drive | None:
-    """Return the remainder of a plan with dynamics after its first step, plus a braking step.
+    """Return a drive shifted by one step, for a robot with dynamics, with braking at its end.
 
     The plan need not be verified, since the swept area does not depend on the channel.
     """
@@ -274,7 +274,7 @@ class History:
 
 
 CIRCLING_STEPS = 15
-"""Number of steps within one longest step of a position that count as waiting or circling."""
+"""Number of steps near one position, within a longest step of it, that count as circling."""
 
 BEGINNING = History()
 """History at the start of a run."""
@@ -288,7 +288,7 @@ def history_of(
     *,
     gave_way: Sequence[bool] = (),
 ) -> History:
-    """Return the history of a run along a track."""
+    """Return the history of a run whose robot moved along a track."""
     priced = [each for each in certificates if each.step_excess_m is not None]
     count = len(connected)
     ends = np.flatnonzero(connected)

@@ -80,7 +80,7 @@ def planner_for(problem: Problem, ground: Ground, generator: np.random.Generator
 def asked_plan(
     planner: Planner, context: StepContext, scorer: Scorer, warm: Plan | None = None
 ) -> Plan:
-    """Return the plan of a possibly user-defined planner."""
+    """Return the plan of a planner; faults of user-defined planners raise InputErrors."""
     remedy = "return released(scorer, path_m, begun_s), of a path (N, 2)"
     with calling(planner, "plan", key=KEY, remedy=remedy):
         plan = planner.plan(context, scorer, warm)
@@ -89,7 +89,7 @@ def asked_plan(
 
 
 def horizon_planner(problem: Problem, ground: Ground, _generator: np.random.Generator) -> Planner:
-    """Return the planner that searches, refines and verifies over a horizon."""
+    """Return the default planner, which searches, refines and verifies over a horizon."""
     return HorizonPlanner(problem, ground)
 
 
@@ -101,12 +101,12 @@ Score = Callable[[StepContext, NDArray[np.float64]], NDArray[np.float64]]
 
 
 def as_ranked(context: StepContext, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the objective of paths (c, N, 2); ``(c,)``."""
+    """Return the objective values (c,) of paths (c, N, 2), as for ranking."""
     return LocalRanking(context, paths_m)(paths_m)
 
 
 def end_deviation(context: StepContext, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the standard deviation of predicted power at the ends of paths (c, N, 2); ``(c,)``."""
+    """Return the standard deviations (c,) of predicted power at the ends of paths (c, N, 2)."""
     return context.predicted(paths_m[:, -1]).deviation_db
 
 
@@ -233,7 +233,7 @@ persistent_walk_planner = partial(RandomPlanner, walk="persistent")
 
 
 def _heading(step_m: NDArray[np.float64]) -> float | None:
-    """Return the heading of a step (2,); None for a waiting step."""
+    """Return the direction of a step (2,) in rad; None for a waiting step."""
     if np.linalg.norm(step_m) <= STANDSTILL_M:
         return None
     return math.atan2(float(step_m[1]), float(step_m[0]))
@@ -269,7 +269,7 @@ class LawnmowerPlanner:
         return released(scorer, held(context, list(path)), begun)
 
     def _begin(self, here_m: NDArray[np.float64], context: StepContext) -> None:
-        """Compute the stops of a tour from `here_m` (2,)."""
+        """Compute the stops of a new tour from `here_m` (2,)."""
         road_map = self._ground.road_map
         nodes, lengths = first_moves(self._ground, self._problem, here_m)
         if not len(nodes):
@@ -284,7 +284,7 @@ class LawnmowerPlanner:
 
 
 def lawn_tour(road_map: RoadMap, first: int, apart_m: float) -> NDArray[np.intp]:
-    """Return the nodes of a sweep in lanes over the space reachable from `first`, one move apart.
+    """Return the nodes of a tour in lanes over all space reachable from `first`, move by move.
 
     The lane spacing is `apart_m`, rounded to rows of nodes.
     """
@@ -315,7 +315,7 @@ def lane_rows(low: int, high: int, apart: float) -> list[int]:
 
 
 def _route(road_map: RoadMap, here: int, there: int) -> list[int]:
-    """Return the nodes after `here` up to `there`; empty if it is unreachable."""
+    """Return the nodes of the shortest path after `here` up to `there`; empty if there is none."""
     moves = road_map.edge_to[road_map.edge_start[here] : road_map.edge_start[here + 1]]
     if there in moves:
         return [there]
@@ -376,7 +376,7 @@ class StrategyPlanner:
         self._planner = HorizonPlanner(inner, ground)
 
     def plan(self, context: StepContext, scorer: Scorer, warm: Plan | None = None) -> Plan:
-        """Return a plan on the assumed channel."""
+        """Return a plan optimised on the assumed channel, verified on the actual belief."""
         begun = perf_counter()
         believed = context.posterior
         k_pl_db, n_pl = (float(value) for value in believed.theta)
@@ -392,7 +392,7 @@ class StrategyPlanner:
         return released(scorer, path, begun)
 
     def _home(self, context: StepContext) -> NDArray[np.float64] | None:
-        """Return the shortest path to the station, (N, 2); None if the disc is reachable."""
+        """Return the shortest path (N, 2) to the station; None if a plan can reach contact."""
         believed, station = context.posterior, self._problem.stations[0]
         k_pl_db, n_pl = believed.theta
         slant = 10.0 ** ((k_pl_db - station.threshold_dbm) / (10.0 * n_pl))

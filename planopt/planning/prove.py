@@ -5,9 +5,9 @@ Smoothing moves their points sideways: dynamic programming over a few offsets of
 the cheapest combination, first with few points and large offsets, then with more points and smaller
 offsets.
 
-For a goal the bound is that of :mod:`planopt.bounds.route`. The cost that is compared with it has
-the time and effort of the plan's steps, the rate (4.16) for the route, and the outage integrated
-along both (equation 6.13).
+For a goal, :mod:`planopt.bounds.route` supplies the bound. It is compared with the time and effort
+of the plan's steps, the cost rate of the route (equation 4.16), and the outage integrated along
+both (equation 6.13).
 """
 
 from __future__ import annotations
@@ -108,7 +108,7 @@ class CostRaster:
         self._values = np.full(columns * rows, np.nan)
 
     def __call__(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the interpolated costs at positions (n, 2)."""
+        """Return the interpolated costs per metre at positions (n, 2)."""
         at = (places_m - self._low) / self.spacing_m
         columns, rows = self._shape
         cell = np.clip(at.astype(np.intp), 0, np.array([columns, rows]) - 2)
@@ -215,7 +215,7 @@ def smooth_steps(
     places_m: NDArray[np.float64],
     longest_m: float,
 ) -> NDArray[np.float64]:
-    """Return positions (k + 1, 2) whose legs cost least; the first and the last position stay.
+    """Return positions (k + 1, 2) moved to reduce the cost of the legs; first and last stay.
 
     `leg_value` maps starts and ends (n, k, 2) of the k legs to costs (n, k), infinite if a leg is
     not allowed.
@@ -354,7 +354,7 @@ class _Smoothing:
         return route_m[kept]
 
     def with_route(self, plan: Plan, route_m: NDArray[np.float64]) -> Plan:
-        """Return the plan with a route (n, 2) from its last position."""
+        """Return the plan with another route (n, 2) from its last position, and its new cost."""
         problem = self._problem
         ahead = Pivot(plan.positions_m[-1], integrated_cost_m(self._metre_cost, route_m))
         cost = ReachCost(problem, plan.positions_m[0], self._law.power, lambda _: ahead)
@@ -384,7 +384,7 @@ class _Smoothing:
         return replace(guess, route_m=line[along > reached])
 
     def driven(self, plan: Plan) -> Plan | None:
-        """Return a plan with smoothed steps and route; None if it is not verified."""
+        """Return a plan with smoothed steps and route; None if the verifier rejects it."""
         problem, route = self._problem, plan.route_m
         if not len(route):
             return None

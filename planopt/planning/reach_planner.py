@@ -84,7 +84,7 @@ LINES_PER_SEGMENT = 4
 
 @dataclass(frozen=True, eq=False)
 class Outlook:
-    """Step context of one robot, and the lattice path found for this step."""
+    """Step context of one robot, with the lattice path found for this step."""
 
     context: VerifierContext
     step: StepContext  # Planner's context, thresholds lowered by bounded slack
@@ -107,7 +107,7 @@ class Course:
 
 
 Proposal = Callable[[StepContext, Scorer, Plan | None], Plan]
-"""User-defined planner of a step, which may reject all its paths and stand still."""
+"""Function that plans a step by a user-defined planner; if its paths are rejected, it waits."""
 
 
 class ReachPlanner:
@@ -182,7 +182,7 @@ class ReachPlanner:
         moving: MovingDiscs | None = None,
         reserved_m: NDArray[np.float64] | None = None,  # (N, 2)
     ) -> Plan:
-        """Return the plan to execute: the outlook's path refined and verified, or a fallback."""
+        """Return the plan to execute: the lattice path refined and verified, or a fallback."""
         begun = perf_counter() - outlook.wall_s
         problem, position_m = self.problem, outlook.state[:2]
         context, step, start = outlook.context, outlook.step, outlook.start
@@ -234,13 +234,13 @@ class ReachPlanner:
         pivot: Pivot | None,
         route_m: NDArray[np.float64],
     ) -> Plan:
-        """Return a plan with its route to the goal and the coverage holes on both."""
+        """Return the plan with its route to the goal, and with coverage holes on path and route."""
         places = np.vstack([plan.positions_m, route_m])
         holes = holes_on(self.problem, search_prediction(context.law, places), places)
         return replace(plan, pivot=pivot, route_m=route_m, holes=holes)
 
     def _blocked(self, step: StepContext, start: GlobalStart) -> BlockedError:
-        """Return the error that lists the coverage holes of the cheapest path."""
+        """Return the error for a blocked goal, with the coverage holes of the cheapest path."""
         constraints = self.problem.constraints
         places = np.vstack([step.position_m, start.path_m, start.route_m])
         holes = holes_on(self.problem, step.power(places), places)
@@ -280,7 +280,7 @@ class ReachPlanner:
     def _as_found(
         self, scorer: Scorer, cost: ReachCost, start: GlobalStart, warm: Plan | None
     ) -> Candidate:
-        """Return the unrefined path as a candidate if it is sound; otherwise a fallback."""
+        """Return the unrefined path as a candidate if it is safe; otherwise a fallback."""
         rung = Rung.GIVE_WAY if start.gives_way else Rung.DIRECT
         found = scorer.assessed(scorer.candidate(start.path_m, rung, Termination.LATTICE_ONLY))
         if found.sound:
@@ -297,7 +297,7 @@ def _course(
         tuple[GlobalStart, NDArray[np.float64], TimedPath] | None,
     ],
 ) -> Course | None:
-    """Return the timed path that a search finds for an outlook; None if there is none."""
+    """Return the result of a search for a timed path; None if there is none."""
     begun = perf_counter()
     found = None if outlook.start is None else search(outlook.state[:2], outlook.start)
     if found is None:
@@ -379,7 +379,7 @@ class DrivenReach:
         return found, None if found.drive is None else cost.pivot_of(found.path_m, found.drive)
 
     def _direct(self, scorer: Scorer, start: GlobalStart, warm: Plan | None) -> Candidate | None:
-        """Return the shortest path driven node by node, from rest to rest; None if unavailable.
+        """Return a candidate along the shortest path, node by node with stops; None if unavailable.
 
         A moving robot first completes its previous plan.
         """
@@ -466,7 +466,7 @@ class DrivenReach:
         warm: Plan | None,
         budget: Budget,
     ) -> Candidate:
-        """Return the best refined candidate; each initial guess has its own terminal waypoint."""
+        """Return the best candidate refined from initial guesses with different waypoints."""
         scorer = replace(scorer, objective=cost)
         if stops_at_goal(self._problem, scorer.state):
             stopped = self._stopped(scorer)

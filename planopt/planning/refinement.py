@@ -75,8 +75,8 @@ def candidate_of(
 
 
 LOCAL_PAD_DB = 0.04
-"""Pad of a tightened bound in dB. Nine of ten returned paths have a smaller error (48 neighbours,
-1,000 measurements, xi 4 dB, beta 20 m)."""
+"""Pad in dB for errors of the local channel model, exceeded by one in ten returned paths (48
+neighbours, 1,000 measurements, xi 4 dB, beta 20 m)."""
 
 GIVEN_UP_DB = 1e-3
 """Slack in dB that counts as solver tolerance."""
@@ -88,9 +88,9 @@ MISSING_DB_COST = 100.0
 def tightened(
     task: PathTask, rows: RuleRows, power: Prediction, *, feasible: bool
 ) -> NDArray[np.float64]:
-    """Return bounds of a local model's constraint rows, tightened by the model's error at the path.
+    """Return a task's constraint bounds, tightened by the local model's error at its path.
 
-    With `feasible`, rows that the path satisfies by the exact `power` stay feasible.
+    With `feasible`, constraints that the path satisfies by the exact `power` stay feasible.
     """
     local, per_db = task.evaluate(task.path_m).rows, rows.per_db(power)
     missing = rows.total - rows.achieved(power)
@@ -100,7 +100,7 @@ def tightened(
 
 
 def with_bounds(task: PathTask, context: StepContext, rows: RuleRows) -> PathTask:
-    """Return the task with bounds of its constraint rows, relaxed where the guess violates them.
+    """Return the task with connectivity constraints, relaxed where the guess violates them.
 
     All rows have bounded slack at its price. A row that the guess violates by more has unlimited
     slack at a higher price.
@@ -168,7 +168,7 @@ RETURNED = frozenset((Termination.CONVERGED, Termination.ACCEPTABLE))
 
 
 class GuessRefinement:
-    """Refinement of guesses for sums of terms; caches the built solvers."""
+    """Refinement of guesses for sums of terms; it caches the built solvers."""
 
     def __init__(self, problem: Problem, ground: Ground) -> None:
         self._problem = problem
@@ -177,7 +177,7 @@ class GuessRefinement:
         self._nlp_for(obstacles_ahead(problem, 0))
 
     def _nlp_for(self, discs: MovingDiscs) -> PathNlp:
-        """Return the programme with lines for certain moving discs, cached by their number."""
+        """Return the solver for this number of moving discs, built on first use."""
         settings = self._problem.planner
         lines = LINES_PER_SEGMENT + moving_count(discs) + tail_count(discs, settings.horizon)
         if lines not in self._built:
@@ -285,7 +285,7 @@ class GuessRefinement:
     def _repaired(
         self, task: PathTask, context: StepContext, candidate: Candidate
     ) -> PathTask | None:
-        """Return the task with lines for a candidate's collisions; None if there are none."""
+        """Return the task with separating lines for a candidate's collisions; None without any."""
         if candidate.sound or not np.isfinite(candidate.path_m).all():
             return None
         discs = context.moving

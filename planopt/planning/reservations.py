@@ -35,7 +35,7 @@ def reserved_path(
     last_path_m: NDArray[np.float64] | None,  # (N + 1, 2)
     horizon: int,
 ) -> NDArray[np.float64]:
-    """Return the reservation of a single integrator over the horizon; ``(N + 1, 2)``."""
+    """Return the reserved positions of a single integrator over the horizon; ``(N + 1, 2)``."""
     if last_path_m is None:
         return np.tile(position_m, (horizon + 1, 1))
     return np.vstack([last_path_m[1:], last_path_m[-1:]])
@@ -44,7 +44,7 @@ def reserved_path(
 def reserved_motion(
     problem: Problem, number: int, state: NDArray[np.float64], last: Plan | None
 ) -> TimedMotion:
-    """Return the reservation of robot `number` over the steps ahead."""
+    """Return the motion reserved by robot `number`: the rest of its last plan, then braking."""
     step_s, steps = problem.planner.step_s, steps_ahead(problem)
     if last is None:
         dynamics = problem.robots[number].dynamics
@@ -58,7 +58,7 @@ def planned_motion(problem: Problem, plan: Plan) -> TimedMotion:
 
 
 def discs_to_avoid(problem: Problem, driven: int, others: Mapping[int, TimedMotion]) -> MovingDiscs:
-    """Return the discs to avoid: moving obstacles, and other robots if a separation is required."""
+    """Return what a robot must avoid as moving discs: obstacles and, if required, other robots."""
     obstacles = obstacles_ahead(problem, driven)
     if not others or problem.constraints.separation_m == 0.0:
         return obstacles

@@ -64,7 +64,7 @@ def first_moves(
 
 @dataclass(frozen=True)
 class Scene:
-    """Geometry of a problem with a goal."""
+    """Geometry of a problem with a goal: obstacles, lattice, and shortest paths to the goal."""
 
     ground: Ground  # Geometry with a lattice node at the goal
     goal_node: int  # Index of this node
@@ -82,7 +82,7 @@ class Scene:
 
     @property
     def road_map(self) -> RoadMap:
-        """Lattice graph."""
+        """Graph of the lattice nodes and moves."""
         return self.ground.road_map
 
 
@@ -162,7 +162,7 @@ def _why_no_path(problem: Problem, spacing_m: float, place_m: NDArray[np.float64
 def free_ends(
     problem: Problem, ground: Ground, position_m: NDArray[np.float64], ends_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Return whether the segment from a position (2,) to each of `ends_m` (n, 2) is free; (n,).
+    """Return a mask (n,) of collision-free segments from a position (2,) to `ends_m` (n, 2).
 
     Raises
     ------
@@ -206,12 +206,12 @@ class PathsFrom:
             self.length_m = self._cost_to_go.cost_m + float(lengths[nearest])
 
     def straight(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return whether the straight line to each position (n, 2) is collision-free."""
+        """Return a mask of positions (n, 2) to which the straight line is collision-free."""
         starts = np.broadcast_to(self._position_m, places_m.shape)
         return segments_clear(self._ground.index, starts, places_m, self._wanted_m)
 
     def turns_m(self, node: int, end_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return both ends and the turns of the path to a position (2,) next to `node`; (m, 2)."""
+        """Return start, turns and end (m, 2) of the path to a position (2,) next to `node`."""
         if self._cost_to_go is None:
             raise AssertionError("no node is reachable")
         nodes = route_from(self._ground.road_map, self._cost_to_go, node, math.inf)[::-1]

@@ -70,7 +70,7 @@ class Evaluation:
 
     @property
     def rows(self) -> NDArray[np.float64]:
-        """Return the values of the bounded rows: N margins, or one sum."""
+        """Return the values that constraints bound: N margins, or one sum."""
         if self.margins is not None:
             return self.margins.value
         if self.total is None:
@@ -100,7 +100,7 @@ def remembering(evaluate: EvaluatePath) -> EvaluatePath:
 
 
 class ValueSource:
-    """Exchangeable evaluation function that the callbacks of a built solver call."""
+    """Evaluation function that a solver's callbacks call; each solve sets its own."""
 
     def __init__(self) -> None:
         self._evaluate: EvaluatePath | None = None
@@ -212,7 +212,7 @@ PARAMETERS = 7
 
 @dataclass(frozen=True)
 class GoalCharge:
-    """Parameters of the goal cost of a robot with dynamics."""
+    """Parameters of the cost of reaching a goal, for a robot with dynamics."""
 
     pivot_m: NDArray[np.float64]  # (2,)
     # Cost per squared step length, per metre beyond the horizon, and per metre of the braking

@@ -63,7 +63,7 @@ CURVATURE: dict[Structure, Callable[[int], int]] = {
 
 
 class PathCallback(ca.Callback):
-    """NumPy function of the flattened positions (2 N,) as a CasADi function."""
+    """CasADi function that calls a NumPy function of the flattened positions (2 N,)."""
 
     def __init__(
         self,
@@ -78,11 +78,11 @@ class PathCallback(ca.Callback):
         self.construct(name, {})
 
     def get_sparsity_in(self, _index: int) -> Any:
-        """Return the dense sparsity of the positions."""
+        """Return the sparsity of the argument, a dense vector of positions."""
         return ca.Sparsity.dense(self._sizes[0], 1)
 
     def get_sparsity_out(self, _index: int) -> Any:
-        """Return the dense sparsity of the result."""
+        """Return the sparsity of the result, which is dense."""
         return ca.Sparsity.dense(self._sizes[1], 1)
 
     def has_eval_buffer(self) -> bool:
@@ -90,7 +90,7 @@ class PathCallback(ca.Callback):
         return True
 
     def eval_buffer(self, arguments: Any, results: Any) -> int:
-        """Evaluate the NumPy function."""
+        """Evaluate the NumPy function in the buffers; return 0 for success."""
         np.frombuffer(results[0])[:] = np.ravel(self._evaluate(np.frombuffer(arguments[0])))
         return 0
 
@@ -109,13 +109,13 @@ def path_callbacks(
 
 
 def stage_blocks(entries: Any, n: int) -> Any:
-    """Return the block diagonal of n symmetric 2 x 2 blocks given as xx, xy, yy."""
+    """Return a block-diagonal matrix of n symmetric 2 x 2 blocks, from entries xx, xy, yy."""
     blocks = [entries[3 * k : 3 * k + 3] for k in range(n)]
     return ca.diagcat(*[ca.vertcat(ca.horzcat(e[0], e[1]), ca.horzcat(e[1], e[2])) for e in blocks])
 
 
 def curvature(entries: Any, n: int, structure: Structure) -> Any:
-    """Return the Hessian of a value from the entries of a `PathValue`."""
+    """Return the Hessian matrix of a value from its stored nonzero entries."""
     if structure == "full":
         return ca.reshape(entries, 2 * n, 2 * n)
     found = stage_blocks(entries, n)
@@ -130,7 +130,7 @@ def curvature(entries: Any, n: int, structure: Structure) -> Any:
 
 @dataclass(frozen=True)
 class PathNlp:
-    """Solver of the nonlinear programme for one structure."""
+    """Solver of the nonlinear programme for one problem structure."""
 
     shape: PathShape
     source: ValueSource  # Source of its value and margins
@@ -212,7 +212,7 @@ def build_path_nlp(
     budget_s: float | None = None,
     options: dict[str, Any] | None = None,
 ) -> PathNlp:
-    """Return the solver of the programme for one structure.
+    """Return a solver of the nonlinear programme for one problem structure.
 
     A solve ends after `budget_s` seconds; None means no limit. `options` are IPOPT's; None means
     those of :func:`near_start`.
@@ -241,7 +241,7 @@ def build_path_nlp(
 def _solve_by(
     method: Method, solver: Any, functions: NlpFunctions, shape: PathShape, budget_s: float | None
 ) -> SolveNlp:
-    """Return the solve function of IPOPT, or of sequential convex programming."""
+    """Return the function that solves by IPOPT or by sequential convex programming."""
     if method == "scp":
         # Imported here because only this planner needs Clarabel.
         from planopt.planning.programme.scp import scp_solve

@@ -37,7 +37,7 @@ class MotionTask:
 
 @dataclass(frozen=True)
 class RefinedPath:
-    """Result of a refinement, not yet verified."""
+    """Path that a solver returned, with multipliers and status, not yet verified."""
 
     path_m: NDArray[np.float64]  # (N, 2)
     slack_db: NDArray[np.float64]  # (N,) shortfall in dB
@@ -51,7 +51,7 @@ class RefinedPath:
 
 @dataclass(frozen=True)
 class PathTask:
-    """Data of one refinement."""
+    """Optimisation problem that refines one initial guess."""
 
     start_m: NDArray[np.float64]  # (2,) the robot's position
     path_m: NDArray[np.float64]  # (N, 2) the guess
@@ -148,7 +148,7 @@ def _residual(
     variable_bounds: Bounds,
     row_bounds: Bounds,
 ) -> float:
-    """Return the KKT residual at a point; infinite if it is not finite."""
+    """Return the KKT residual at a solver's point; infinite if it is not finite."""
     at = np.concatenate([point.positions_m.ravel(), point.others])
     if not (np.isfinite(at).all() and np.isfinite(point.row_multipliers).all()):
         return float("inf")

@@ -32,7 +32,7 @@ from planopt.robots.dynamics import Components, Drive, Dynamics
 
 @dataclass(frozen=True)
 class MotionShape:
-    """Structure of the variables and rows of a robot's dynamics."""
+    """Sizes of the variables, parameters and constraint rows that describe a robot's dynamics."""
 
     dynamics: Dynamics
     step_s: float  # Duration of a step
@@ -51,7 +51,7 @@ class MotionShape:
 
     @property
     def variables(self) -> int:
-        """Return the number of variables w."""
+        """Return the number of variables w of the dynamics."""
         return self.horizon * self.per_step
 
     @property
@@ -83,7 +83,7 @@ class PathShape:
 
     @property
     def bounds(self) -> int:
-        """Return the number of connectivity rows: one per stage, or one for the sum."""
+        """Return the number of connectivity rows: one per stage, one for a sum, or none."""
         return self.horizon if self.bounded else int(self.summed)
 
     @property
@@ -105,7 +105,7 @@ class PathShape:
     def per_m(self) -> NDArray[np.float64]:
         """Return the trust-region width of each variable per metre of a position; ``(variables,)``.
 
-        It is infinite for slacks and inputs, which the other variables determine.
+        The width is infinite for slacks and inputs, which the other variables determine.
         """
         places, slacks = np.ones(2 * self.horizon), np.full(self.slacks, np.inf)
         if self.motion is None:
@@ -117,7 +117,7 @@ class PathShape:
 
 
 def path_rows(n: int, lines: int, q: Any, start: Any, line: Any) -> Any:
-    """Return the rows "speed", "line_end" and "line_start", stacked."""
+    """Return the constraint rows "speed", "line_end" and "line_start" as one vector."""
     speed, line_end, line_start = [], [], []
     for k in range(n):
         here = q[2 * k : 2 * k + 2]
@@ -143,13 +143,13 @@ class MotionRows:
     box_y: list[Any]
 
     def stacked(self) -> list[Any]:
-        """Return all rows in the order of the fields."""
+        """Return all constraint rows in one list, in the order of the fields."""
         return [row for each in fields(self) for row in getattr(self, each.name)]
 
     def bounds(
         self, bounds_m: tuple[float, float, float, float]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return lower and upper bounds of all rows; `bounds_m` is the workspace."""
+        """Return lower and upper bounds of all constraint rows in the workspace `bounds_m`."""
         x_min, y_min, x_max, y_max = bounds_m
         limits = {
             "limit": (-np.inf, 0.0),
@@ -167,7 +167,7 @@ class MotionRows:
 
 
 def motion_rows(shape: MotionShape, q: Any, w: Any, start: Components, line: Any) -> MotionRows:
-    """Return the rows of positions `q` (2 N,) and variables `w`."""
+    """Return the constraint rows of the dynamics for positions `q` (2 N,) and variables `w`."""
     dynamics, step_s = shape.dynamics, shape.step_s
     rows = MotionRows([], [], [], [], [], [])
     before = start
@@ -192,7 +192,7 @@ def _hull_rows(
     line: Any,
     segment: int,
 ) -> None:
-    """Append the rows that keep the control points of one curve in the workspace and lines."""
+    """Append the rows that keep one curve in the workspace and beyond its separating lines."""
     for number, (x, y) in enumerate(points, start=1):
         share = number / (len(points) + 1)
         for j in range(shape.lines):

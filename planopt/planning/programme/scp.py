@@ -47,7 +47,7 @@ NO_VARIABLE = -1
 
 @dataclass(frozen=True, eq=False)
 class ConeRows:
-    """Rows of a programme that are second-order cones."""
+    """Constraint rows of a programme that are second-order cones."""
 
     row: NDArray[np.intp]  # (k,) row indices
     # (k, 2) column indices of the pairs in z, and of the subtracted pairs; `NO_VARIABLE` if there
@@ -61,16 +61,16 @@ class ConeRows:
         return len(self.row)
 
     def pairs(self, jacobian: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return z (k, 2) from the Jacobian (m, n) of all rows, which contains 2 weight z."""
+        """Return the vectors z (k, 2) of the cones from the Jacobian (m, n) of all rows."""
         return jacobian[self.row[:, None], self.own] / (2.0 * self.weight[:, None])
 
     def radii(self, upper: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the largest |z| (k,) for upper bounds (m,) of all rows."""
+        """Return the cones' radii (k,), the limits of |z|, from upper bounds (m,) of all rows."""
         return np.sqrt((upper[self.row] - self.constant) / self.weight)
 
 
 def step_cones(horizon: int) -> ConeRows:
-    """Return the cones of the speed limits; the squared step lengths are the first rows."""
+    """Return the cones of the speed limits, which are the first rows of the programme."""
     own = [(2 * k, 2 * k + 1) for k in range(horizon)]
     less = [(NO_VARIABLE, NO_VARIABLE), *own[:-1]]
     return _rows(list(range(horizon)), own, less, [1.0] * horizon, [0.0] * horizon)
@@ -248,7 +248,7 @@ def convex_step(model: Model) -> Step:
 def _cone_block(
     model: Model, missing: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the cone block (R_k, z_k + dz_k)."""
+    """Return the cone constraints for Clarabel: coefficients of step and violations, constants."""
     cones, count = model.cones, len(model.cones)
     every = np.arange(count)
     block, bounds = np.zeros((count, 3, len(model.gradient))), np.zeros((count, 3))
@@ -278,7 +278,7 @@ TAKEN_SHARE, GOOD_SHARE = 0.1, 0.75
 """Shares of the predicted decrease from which a step is accepted, and the trust region grows."""
 
 SHRINK, GROW = 0.25, 2.0
-"""Factors of the trust-region radius after poor and good steps."""
+"""Factors on the trust-region radius after poor and after good steps."""
 
 PROMISE_TOLERANCE = 1e-6
 """Relative predicted decrease below which a solve has converged."""
@@ -291,7 +291,7 @@ SMALLEST_REGION = 1e-7
 
 
 def scp_solve(functions: NlpFunctions, shape: PathShape, budget_s: float | None = None) -> SolveNlp:
-    """Return the solver of a programme; no convex step begins after `budget_s` seconds."""
+    """Return a function that solves a programme, with a time limit of `budget_s` seconds."""
     horizon, motion = shape.horizon, shape.motion
     cones = step_cones(horizon) if motion is None else motion_cones(shape)
 
@@ -398,14 +398,14 @@ class _Climb:
     def _share(
         self, merit: float, value: float, rows: NDArray[np.float64], predicted: float
     ) -> float:
-        """Return the achieved share of the predicted decrease."""
+        """Return the achieved share of the merit function's predicted decrease."""
         gained = merit - self._merit(value, rows)
         return gained / predicted if np.isfinite(gained) else -np.inf
 
     def _corrected(
         self, model: Model, step: NDArray[np.float64], rows: NDArray[np.float64]
     ) -> Step:
-        """Return the step with second-order correction of the rows (section 18.3 of [NW06])."""
+        """Return a step with second-order correction of constraints (section 18.3 of [NW06])."""
         there = rows - model.jacobian @ step
         there[self._cones.row] = model.rows[self._cones.row]
         return convex_step(replace(model, rows=there))
@@ -414,7 +414,7 @@ class _Climb:
         return self._functions.values(x, self._parameters)
 
     def _excess(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the violation of each row's bounds, without cones."""
+        """Return the amount by which each row violates its bounds; cones are left out."""
         lower, upper = self._row_bounds.lower, self._row_bounds.upper
         return np.delete(np.maximum(np.maximum(lower - rows, rows - upper), 0.0), self._cones.row)
 
@@ -455,7 +455,7 @@ class _Climb:
 
 
 def _convex(hessian: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the nearest positive semidefinite matrix."""
+    """Return the positive semidefinite matrix nearest to a symmetric one."""
     active = np.nonzero(hessian.any(axis=1))[0]
     convex = np.zeros_like(hessian)
     values, vectors = np.linalg.eigh(hessian[np.ix_(active, active)])

@@ -60,7 +60,7 @@ def nlp_point(
 
 
 def lost_point(horizon: int, variables: int, rows: int) -> NlpPoint:
-    """Return a point of NaN, for a solve whose input is rejected."""
+    """Return a point of NaN, which stands for a failed solve."""
     nothing = np.full(variables, np.nan)
     failure = Termination.NUMERICAL_FAILURE
     return nlp_point(horizon, nothing, np.full(rows, np.nan), nothing, failure, 0)
@@ -83,7 +83,7 @@ class NlpFunctions:
 
 
 def nlp_functions(solver: Any) -> NlpFunctions:
-    """Return the functions of a built CasADi solver."""
+    """Return the programme's functions from a built CasADi solver."""
     f, g, df, dg, h = (
         solver.get_function(name)
         for name in ("nlp_f", "nlp_g", "nlp_grad_f", "nlp_jac_g", "nlp_hess_l")
@@ -103,7 +103,7 @@ def nlp_functions(solver: Any) -> NlpFunctions:
 
 
 def _dense(matrix: Any) -> NDArray[np.float64]:
-    """Return a CasADi matrix as an array, for large ones five times faster than its method."""
+    """Return a CasADi matrix as an array, faster than CasADi's own conversion."""
     found = np.zeros(matrix.shape)
     rows, columns = matrix.sparsity().get_triplet()
     found[rows, columns] = matrix.nonzeros()
@@ -142,7 +142,7 @@ def kkt_residual(
 
 
 def _gap(distance: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the distance to a bound; 1 for an infinite bound, because 0 * inf is NaN."""
+    """Return finite distances to bounds: 1 for an infinite bound, because 0 * inf is NaN."""
     return np.where(np.isfinite(distance), np.abs(distance), 1.0)
 
 

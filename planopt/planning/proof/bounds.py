@@ -47,7 +47,7 @@ def verified_bound(
     potential: Potential | None,
     robots: int,
 ) -> Bound:
-    """Return the bound that a saved potential proves for the plan of the first robot."""
+    """Return the bound that a saved certificate proves for the first robot's plan."""
     reason = why_unbounded(problem, posteriors)
     if reason:
         return Bound(None, plan.objective, reason=reason)
@@ -79,7 +79,7 @@ def integrated_cost_s(
 ) -> float:
     """Return the objective of a plan with the outage integrated along its steps.
 
-    For a robot with dynamics, outage remains the mean of both ends of a step.
+    For a robot with dynamics, a step's outage remains the mean of the step's two ends.
     """
     if plan.drive is not None or plan.pivot is None:
         return plan.objective

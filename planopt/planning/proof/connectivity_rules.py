@@ -68,7 +68,7 @@ class EachStep(Rule):
                 )
 
     def counted(self, history: History, count: int) -> NDArray[np.bool_]:
-        """Return the mask of a plan's steps for which p_min is required; ``(count,)``."""
+        """Return a mask (count,) of the plan's steps for which p_min is required."""
         steps = history.steps + 1 + np.arange(count)
         return np.isin(steps, self.stated) if self.stated else np.ones(count, dtype=np.bool_)
 
@@ -90,11 +90,11 @@ class EachStep(Rule):
     def run_metrics(
         self, problem: Problem, connected: Sequence[NDArray[np.bool_]]
     ) -> dict[str, float]:
-        """Return the fraction of the stated times with connection; empty without stated times."""
+        """Return the fraction of stated times with connection, as a metric, if times are stated."""
         return super().run_metrics(problem, connected) if self.stated else {}
 
     def over_run(self, problem: Problem, connected: NDArray[np.bool_]) -> float:
-        """Return the fraction of the stated times so far with connection."""
+        """Return the fraction of the stated times reached so far with connection."""
         stated = np.unique(np.array(self.stated))
         return super().over_run(problem, connected[stated[stated <= len(connected)] - 1])
 
@@ -142,7 +142,7 @@ def _require_shown(problem: Problem, words: str, remedy: str) -> None:
 
 
 def share_at_least(count: int, of: int) -> float:
-    """Return the lower one-sided confidence limit of a probability, for `count` events in `of`."""
+    """Return the lower confidence limit of a probability after `count` events in `of` trials."""
     if count == 0:
         return 0.0
     return float(np.asarray(betaincinv(count, of - count + 1, DOUBT), dtype=np.float64))
@@ -268,7 +268,7 @@ class Outage(Rule):
         return -self.limit
 
     def held(self, keeps: NDArray[np.bool_], history: History) -> NDArray[np.bool_]:
-        """Return a mask of the fewest, latest steps that end each outage in time if connected."""
+        """Return a mask of steps whose connection keeps all outages short enough: few and late."""
         held = np.zeros(len(keeps), dtype=np.bool_)
         run, last = self._begun(history), -1
         for step, size in enumerate(self.sizes.tolist()):
@@ -307,7 +307,7 @@ class Data(Rule):
 
     @classmethod
     def of(cls, problem: Problem, legs_m: NDArray[np.float64]) -> Data:
-        """Return the data rule of a problem."""
+        """Return the data rule of a problem for plans."""
         return cls(problem)
 
     @classmethod
@@ -322,13 +322,13 @@ class Data(Rule):
         return probability @ data_of_steps_mbit(self.problem, history.steps, probability.shape[-1])
 
     def required(self, p_min: float, history: History, count: int) -> float:
-        """Return the expected data that suffice; by Markov's inequality if p_min is required."""
+        """Return the expected data that a plan must deliver, by Markov's inequality for a p_min."""
         needed = data_pace_mbit(self.problem, history, count)
         most = float(data_of_steps_mbit(self.problem, history.steps, count).sum())
         return needed if p_min == 0.0 or needed == 0.0 else most - (1.0 - p_min) * (most - needed)
 
     def correlates(self, p_min: float) -> bool:
-        """Return whether the rule requires a probability, which depends on correlations."""
+        """Return whether the rule requires a probability p_min of delivery."""
         return p_min > 0.0
 
     def by_slack(self, case: PathCase) -> BySlack:
@@ -341,7 +341,7 @@ class Data(Rule):
         return drawn_by_slack(self, case, needed)
 
     def missed_words(self, result: RuleResult) -> tuple[str, str]:
-        """Return text on the achieved expectation or probability, and text on its bound."""
+        """Return text on the achieved expectation or probability, and on the required value."""
         if result.unit != self.unit:
             return super().missed_words(result)
         words = "the expected data delivered by the plan"

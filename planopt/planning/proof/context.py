@@ -33,7 +33,7 @@ SEARCH_ERROR_DB = 2e-3
 
 
 def is_search_exact(posterior: ChannelPosterior) -> bool:
-    """Return whether searches use the verifier's posterior."""
+    """Return whether searches predict from all measurements, like the verifier."""
     return len(posterior.measurements) <= SEARCH_EXACT_LIMIT
 
 
@@ -154,7 +154,7 @@ def verifier_context(
     moving: MovingDiscs | None = None,  # None: moving obstacles of the problem
     goal_grid: GoalGrid | None = None,
 ) -> VerifierContext:
-    """Return the context of the step after `history`."""
+    """Return the verification context of the step after `history`."""
     if moving is None:
         moving = obstacles_ahead(problem, history.steps)
     uncertain = uncertain_law(problem, posteriors)
@@ -171,7 +171,7 @@ def steps_ahead(problem: Problem) -> int:
 
 
 def obstacles_ahead(problem: Problem, driven: int) -> MovingDiscs:
-    """Return the predicted discs over the steps ahead, after `driven` steps of a run.
+    """Return the predicted moving obstacles over the steps ahead, after `driven` steps of a run.
 
     Predictions are renewed at every step; their uncertainty grows over the steps ahead.
     """

@@ -82,7 +82,7 @@ def swept_motion(
 
 @dataclass(frozen=True)
 class MotionFinding:
-    """Findings of the verification of a motion."""
+    """Findings of the verifier on a motion: clearance, defect of the dynamics, violations."""
 
     clearance_m: float  # Minimum distance of the swept path to an obstacle
     defect_m: float  # Largest violation of the motion model and the input set
@@ -107,7 +107,7 @@ def verify_motion(
 
 
 def drive_fault(dynamics: Dynamics, positions_m: NDArray[np.float64], drive: Drive | None) -> str:
-    """Return why states and inputs do not reproduce a path of finite numbers; empty if they do."""
+    """Return why a drive does not reproduce a path of finite numbers; empty if it does."""
     states, inputs = len(dynamics.state_names), len(dynamics.input_names)
     if (
         drive is None

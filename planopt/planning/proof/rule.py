@@ -38,7 +38,7 @@ HALVINGS = 22
 
 @dataclass(frozen=True, eq=False)
 class PathCase:
-    """Path to be verified by a rule over all its steps."""
+    """Path to be verified by a connectivity rule over all its steps."""
 
     context: VerifierContext
     positions_m: NDArray[np.float64]  # (N + 1, 2) positions, the robot's current one first
@@ -46,7 +46,7 @@ class PathCase:
 
     @property
     def problem(self) -> Problem:
-        """Problem of the context."""
+        """Problem of the verification context."""
         return self.context.problem
 
     @property
@@ -55,7 +55,7 @@ class PathCase:
         return self.context.history
 
     def probability(self, slack_db: float) -> NDArray[np.float64]:
-        """Return the probability of connection after each step with this slack; ``(N,)``."""
+        """Return the probability of connection after each step (N,), for a threshold with slack."""
         if len(self.context.posteriors) > 1 and slack_db > 0.0:
             return self.context.law.probability(self.positions_m[1:], slack_db)
         threshold = self.problem.stations[0].threshold_dbm - slack_db
@@ -91,7 +91,7 @@ class Rule(ABC):
 
     @classmethod
     def keys_fault(cls, given: Collection[str]) -> str | None:
-        """Return which keys of [constraints] are missing or superfluous, in words; None if none."""
+        """Return text on missing or superfluous keys of [constraints]; None if there are none."""
         missing = [key for key in cls.keys if key not in given]
         if not cls.keys_required or len(cls.keys) - len(missing) == cls.keys_required:
             return None
@@ -130,7 +130,7 @@ class Rule(ABC):
     def slopes(
         self, probability: NDArray[np.float64], history: History
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the values (...) of plans, and their gradients by the probabilities (..., N)."""
+        """Return the values (...) of plans, and gradients w.r.t. their probabilities (..., N)."""
         # Differences point towards 0.5, so that probabilities stay between 0 and 1.
         probe = np.where(probability > 0.5, -PROBE, PROBE)
         probed = probability[..., None, :] + np.eye(probability.shape[-1]) * probe[..., None]
@@ -150,7 +150,7 @@ class Rule(ABC):
         return value, np.maximum(slope, 0.0)
 
     def correlates(self, p_min: float) -> bool:
-        """Return whether the verified value is a probability of correlated steps."""
+        """Return whether the verifier computes a joint probability of the steps."""
         return False
 
     def by_slack(self, case: PathCase) -> BySlack:
@@ -166,7 +166,7 @@ class Rule(ABC):
         return result
 
     def missed_words(self, result: RuleResult) -> tuple[str, str]:
-        """Return text on the value, and the key of its bound."""
+        """Return text on the missed value, and the key of the required value."""
         limit = next((key for key in self.keys if key.endswith(f"_max_{result.unit}")), None)
         return self.subject, "constraints.p_min" if limit is None else f"constraints.{limit}"
 
@@ -278,7 +278,7 @@ class OwnRule(Rule):
     def achieved(
         self, probability: NDArray[np.float64], history: History
     ) -> float | NDArray[np.float64]:
-        """Return the value of plans; larger values are better.
+        """Return the value that the rule assigns to plans; larger values are better.
 
         Parameters
         ----------
@@ -317,7 +317,7 @@ class OwnRule(Rule):
         return "one number from 0 to 1" if is_probability else "one finite number"
 
     def _within(self, method: str, values: NDArray[np.float64], words: str) -> NDArray[np.float64]:
-        """Return a method's values, checked to be in [0, 1] if they are probabilities."""
+        """Return a method's values; raise an InputError if probabilities are outside [0, 1]."""
         if self.unit != OwnRule.unit:
             return values
         inside = np.clip(values, 0.0, 1.0)

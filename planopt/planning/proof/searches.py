@@ -40,7 +40,7 @@ def grid_of(
     spacing_m: float,
     radius_m: float = np.inf,
 ) -> NDArray[np.float64]:
-    """Return nodes (rows, columns, 2) of a grid that contains the anchor, within a radius of it."""
+    """Return grid nodes (rows, columns, 2) within a radius of an anchor, which is one of them."""
     low = np.maximum(np.array(bounds_m[:2]) - anchor_m, -radius_m)
     high = np.minimum(np.array(bounds_m[2:]) - anchor_m, radius_m)
     columns = _steps_within(float(low[0]), float(high[0]), spacing_m)
@@ -52,13 +52,13 @@ def grid_of(
 
 
 def _steps_within(low: float, high: float, spacing: float) -> NDArray[np.float64]:
-    """Return the multiples of the spacing between two offsets."""
+    """Return the multiples of `spacing` between `low` and `high`."""
     first, last = int(np.ceil(low / spacing)), int(np.floor(high / spacing))
     return spacing * np.arange(first, last + 1, dtype=np.float64)
 
 
 def parts_of(passable: NDArray[np.bool_]) -> NDArray[np.int32]:
-    """Return the label of each node's connected component; 0 if the node is blocked."""
+    """Return the label of each grid node's connected component; 0 for blocked nodes."""
     numbered = cast(
         "tuple[object, int]", label(passable, structure=np.ones((3, 3), dtype=np.int32))
     )
@@ -129,7 +129,7 @@ def _about(
     clearance: float,
     spacing_m: float,
 ) -> NDArray[np.float64]:
-    """Return clear positions (m, 2) within half a spacing of nodes (n, 2)."""
+    """Return collision-free positions (m, 2) within half a spacing of nodes (n, 2)."""
     fractions = np.linspace(-0.5, 0.5, 9)
     around = np.stack(np.meshgrid(fractions, fractions), axis=-1).reshape(1, -1, 2)
     places = (nodes_m[:, None] + spacing_m * around).reshape(-1, 2)
@@ -145,9 +145,9 @@ def _best_reached(
     margins_db: NDArray[np.float64],
     bound_db: NDArray[np.float64],
 ) -> tuple[float, ...]:
-    """Return the margin of the first position, best first, within each of k path lengths.
+    """Return the largest margin of positions, sorted best first, within each of k path lengths.
 
-    If there is none, return the upper bound `bound_db` (k,) for all other positions.
+    If no position is within a path length, return the upper bound `bound_db` (k,) of all others.
     """
     by_air = np.linalg.norm(places_m - paths.start_m, axis=1)
     length = np.full(len(places_m), np.nan)
@@ -255,7 +255,7 @@ def _refined(
     top_m: NDArray[np.float64],
     spacing_m: float,
 ) -> list[Places]:
-    """Return positions on finer grids around the best nodes, with their margins."""
+    """Return positions on successively finer grids around the best nodes, with margins."""
     found: list[Places] = []
     fractions = np.array([-0.5, -0.25, 0.0, 0.25, 0.5])
     around = np.stack(np.meshgrid(fractions, fractions), axis=-1).reshape(1, -1, 2)
@@ -323,7 +323,7 @@ class PricedPath:
 
     @property
     def is_compared(self) -> bool:
-        """Return whether the grid has paths from both ends of the path."""
+        """Return whether the grid has paths to the goal from both ends of the plan's path."""
         return max(self.cost_m, self.best_m) < np.inf
 
 
@@ -362,7 +362,7 @@ def build_goal_grid(problem: Problem, index: ObstacleIndex) -> GoalGrid:
 def _coarser(
     grid: NDArray[np.float64], is_open: NDArray[np.bool_]
 ) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.float64]]:
-    """Return the coarse grid's positions around open nodes, and interpolation weights."""
+    """Return positions of a coarse grid around open nodes, and how nodes are interpolated."""
     rows, columns = np.nonzero(is_open)
     last = (np.array(is_open.shape) - 1) // COARSE
     corners: list[NDArray[np.intp]] = []
@@ -382,7 +382,7 @@ def _coarser(
 
 
 def goal_costs(grid: GoalGrid, contact_at: ContactAt, price: float) -> GoalCosts:
-    """Return costs on the grid: outage fractions and each node's cheapest cost to the goal."""
+    """Return each node's fraction out of contact and cheapest cost to the goal."""
     coarse, margin = contact_at(grid.coarse_m)
     share = (coarse[grid.corners] * grid.weights).sum(axis=1)
     one, other = grid.ends
@@ -408,7 +408,7 @@ def price_path(
     """Return the cost of a path (N + 1, 2), and of the cheapest path from its start."""
 
     def rest_m(k: int) -> float:
-        """Return the cost of the cheapest path from the k-th position."""
+        """Return the cost of the cheapest path to the goal from the k-th position."""
         away = np.linalg.norm(grid.nodes_m - positions_m[k], axis=1)
         near = np.flatnonzero(away <= JOINING_SPACINGS * grid.spacing_m)
         here = np.broadcast_to(positions_m[k], (len(near), 2))

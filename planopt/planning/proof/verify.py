@@ -154,7 +154,7 @@ def _result(
 def _beyond_slack(
     problem: Problem, missed: NDArray[np.intp], relaxation_db: tuple[float, ...]
 ) -> list[str]:
-    """Return reasons if steps violate p_min beyond the slack."""
+    """Return the reasons why steps violate p_min beyond the slack; no reasons otherwise."""
     limit = problem.constraints.rule.slack_max_db or 0.0
     return [
         f"connectivity at step {step} misses constraints.p_min {problem.constraints.p_min:g} by "
@@ -165,7 +165,7 @@ def _beyond_slack(
 
 
 def _priced(context: VerifierContext, positions_m: NDArray[np.float64]) -> tuple[PricedPath, float]:
-    """Return the costs of a path (N + 1, 2), and the largest margin found in the workspace."""
+    """Return the costs of a path (N + 1, 2), and the best margin found in the workspace."""
     problem = context.problem
     threshold, p_min = problem.stations[0].threshold_dbm, problem.constraints.p_min
 

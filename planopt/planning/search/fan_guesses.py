@@ -150,7 +150,7 @@ def _turned_aside(
     speed: NDArray[np.float64],  # (N, c) commanded
     first: int,
 ) -> NDArray[np.float64]:
-    """Return the paths (c, N + 1, 2), turned aside at blocked steps, from step `first` on."""
+    """Return the paths (c, N + 1, 2) with turns to avoid obstacles, from step `first` on."""
     problem = context.problem
     clear = problem.constraints.clearance_m + CLEARANCE_PAD_M
     longest = problem.step_length_m - STEP_PAD_M
@@ -187,7 +187,7 @@ def _stopped(
     paths_m: NDArray[np.float64],
     clear_m: float,
 ) -> NDArray[np.float64]:
-    """Return the paths (c, N, 2) without the start, each stopped before its first blocked step."""
+    """Return the positions (c, N, 2) after each step, with a stop before any blocked step."""
     count, places = len(paths_m), int(paths_m.shape[1])
     starts, ends = paths_m[:, :-1].reshape(-1, 2), paths_m[:, 1:].reshape(-1, 2)
     free = inside_bounds(context.problem.workspace, ends)
@@ -222,7 +222,7 @@ Commands = tuple[NDArray[np.float64], NDArray[np.float64]]
 def commands_via(
     start_m: NDArray[np.float64], place_m: NDArray[np.float64], horizon: int, longest_m: float
 ) -> Commands | None:
-    """Return commands of paths to a position, straight or in an arc, then onward or waiting.
+    """Return commands that lead to a position, straight or in an arc, and then onward or wait.
 
     None if the position is not reachable within the horizon.
     """
@@ -241,9 +241,9 @@ def commands_via(
 
 
 def arc_turn(chord: float, steps: int) -> float:
-    """Return the turn a per step with which `steps` unit steps end at distance `chord`.
+    """Return the turn per step in rad with which `steps` unit steps end at distance `chord`.
 
-    ``chord = sin(steps a / 2) / sin(a / 2)`` decreases from `steps` to 0 for a in
+    For a turn a, ``chord = sin(steps a / 2) / sin(a / 2)`` decreases from `steps` to 0 for a in
     (0, 2 pi / steps).
     """
     low, high = 0.0, 2.0 * math.pi / steps
@@ -255,7 +255,7 @@ def arc_turn(chord: float, steps: int) -> float:
 
 
 def _onward(heading: float, bend: float, speed: float, steps: int, horizon: int) -> Commands:
-    """Return commands of an arc in `steps` steps at constant speed, then onward or waiting."""
+    """Return commands of an arc of `steps` steps, followed by steps onward or by waiting."""
     paths = ONWARD + 1 if steps < horizon else 1
     turn, speeds = np.zeros((horizon, paths)), np.ones((horizon, paths))
     turn[0] = heading - 0.5 * bend * (steps - 1)
@@ -274,7 +274,7 @@ BENT, NUDGED, NUDGED_PLACES = 8, 6, 3.0
 """Number of bent and nudged copies of each path, and mean number of nudged positions per copy."""
 
 BEND_RAD, NUDGE_SHARE = 0.8, 0.4
-"""Initial standard deviations of a bend, and of a nudge relative to the longest step."""
+"""Initial standard deviations of a random turn, and of a random shift in longest steps."""
 
 FIRST_SHARE, EVEN_SHARE, SPEED_SHARE = 0.5, 2.0, 0.5
 """Standard deviations of first heading, uniform turn and speed, relative to a bend's."""
@@ -326,7 +326,7 @@ def _nudged(
     width: float,
     generator: np.random.Generator,
 ) -> NDArray[np.float64]:
-    """Return paths (c, N, 2) with some positions moved; the step limit may move others."""
+    """Return paths (c, N, 2) with some positions shifted at random, within the step limit."""
     count, horizon = len(paths_m), int(paths_m.shape[1])
     nudge = NUDGE_SHARE * width * longest_m * generator.normal(size=paths_m.shape)
     moves = generator.random((count, horizon, 1)) < NUDGED_PLACES / horizon
@@ -415,7 +415,7 @@ class FanGuesses:
     def _if_apart(
         self, context: StepContext, paths_m: NDArray[np.float64], values: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the values of paths (c, N, 2), minus infinity if a moving obstacle is too near."""
+        """Return the values of paths (c, N, 2), -inf for those too close to moving obstacles."""
         begin = np.broadcast_to(context.position_m, (len(paths_m), 1, 2))
         whole = np.concatenate([begin, paths_m], axis=1)
         is_apart = paths_gap_m(context.moving, whole) >= -CLEARANCE_TOLERANCE_M

@@ -101,7 +101,7 @@ class GlobalSearch:
         self._table = move_table(scene.road_map.lattice)
 
     def find_start(self, context: StepContext) -> GlobalStart | None:
-        """Return the guess from the robot's position; None if no node is reachable."""
+        """Return the initial guess from the robot's position; None if no node is reachable."""
         problem, scene = self._problem, self._scene
         self.margins.refresh(context.law, context.power)
         cost_to_go = scene.cost_to_go
@@ -127,7 +127,7 @@ class GlobalSearch:
     def clear_course(
         self, position_m: NDArray[np.float64], start: GlobalStart, discs: MovingDiscs
     ) -> tuple[GlobalStart, NDArray[np.float64], TimedPath] | None:
-        """Return a path to the goal that avoids moving discs; None if there is none."""
+        """Return a timed path to the goal that avoids moving discs; None if there is none."""
         # Shapes: position_m (2,).
         problem, scene = self._problem, self._scene
         nodes, lengths = first_moves(scene.ground, problem, position_m)
@@ -154,7 +154,7 @@ class GlobalSearch:
         others_m: NDArray[np.float64],
         steps: int,
     ) -> tuple[GlobalStart, NDArray[np.float64], TimedPath] | None:
-        """Return a path to a refuge away from others (k, 2); as :meth:`clear_course`."""
+        """Return a timed path to a refuge away from others (k, 2); as :meth:`clear_course`."""
         problem, scene = self._problem, self._scene
         found = search_room(
             scene.road_map,
@@ -168,7 +168,7 @@ class GlobalSearch:
     def _given(
         self, position_m: NDArray[np.float64], start: GlobalStart, found: TimedPath, steps: int
     ) -> tuple[GlobalStart, NDArray[np.float64], TimedPath]:
-        """Return a timed path as an initial guess, as positions over all `steps`, and unchanged."""
+        """Return a timed path in three forms: initial guess, positions over all steps, itself."""
         problem, places = self._problem, self._scene.road_map.nodes_m
         horizon = problem.planner.horizon
         first = found.nodes[:horizon]
@@ -187,7 +187,7 @@ class GlobalSearch:
         return given, timed_places(way, places[found.route], step_m, steps), found
 
     def _has_wandered(self, history: History) -> bool:
-        """Return whether a run has circled or is longer than the cost of the shortest path.
+        """Return whether the robot has circled or driven too far to keep searching for contact.
 
         Out of contact throughout, the shortest path costs ``1 + outage_price`` times its length. A
         robot that has driven this far takes the shortest path, so that its run is at most
@@ -217,7 +217,7 @@ class GlobalSearch:
         return cost_to_go
 
     def _metre_cost(self) -> NDArray[np.float64]:
-        """Return the cost per metre at every node, in metres."""
+        """Return the cost per metre at every lattice node, including outage."""
         charged = 1.0 + self._problem.reach.outage_price * self.margins.outage_share
         return np.where(self.margins.outside, FORBIDDEN, charged) if self._forbids else charged
 
@@ -256,7 +256,7 @@ class GlobalSearch:
         return cheapest
 
     def _cost_s(self, context: StepContext, cost_to_go: CostToGo, nodes: NDArray[np.intp]) -> float:
-        """Return the total cost of a path and of the route from its end."""
+        """Return the cost in seconds of a path and of the route from its end."""
         problem, road_map = self._problem, self._scene.road_map
         places = np.vstack([context.position_m, road_map.nodes_m[nodes]])
         cost = path_cost_s(
@@ -273,7 +273,7 @@ class GlobalSearch:
         return cost + self._rate * (charged + float(cost_to_go.cost_m[nodes[-1]]))
 
     def _shortest(self, context: StepContext, cost_to_go: CostToGo) -> NDArray[np.intp] | None:
-        """Return the nodes (N,) of the fastest path, or of the shortest path if that is shorter."""
+        """Return the nodes (N,) of a path to the goal that ignores connection; None without one."""
         places, position = self._scene.road_map.nodes_m, context.position_m
         fastest = self._cheapest(context, cost_to_go, None, priced=False, effort_s2_m2=0.0)
         if fastest is None:
@@ -291,7 +291,7 @@ class GlobalSearch:
         return np.append(nodes, np.full(horizon, nodes[-1]))[:horizon]
 
     def _gets_nowhere(self, context: StepContext, nodes: NDArray[np.intp]) -> bool:
-        """Return whether a path ends short of the goal without progress."""
+        """Return whether a path neither reaches the goal nor makes progress."""
         places = self._scene.road_map.nodes_m[nodes]
         farthest = np.linalg.norm(places - context.position_m, axis=1).max()
         at_goal = int(nodes[-1]) == self._scene.goal_node
@@ -346,7 +346,7 @@ class GlobalSearch:
         return nodes
 
     def _penalty_s(self, guide: Guide) -> NDArray[np.float64]:
-        """Return the penalties (N, n) in seconds of ending steps at nodes, negative for credits."""
+        """Return penalties (N, n) in seconds of ending steps at nodes, according to a guide."""
         margins, threshold = self.margins, self._problem.stations[0].threshold_dbm
         penalty = np.zeros((len(guide.bounded), len(margins.mean_db)))
         if guide.bounded.any():
@@ -368,7 +368,7 @@ class GlobalSearch:
         *,
         direct: bool = False,
     ) -> GlobalStart:
-        """Return the initial guess that consists of these nodes."""
+        """Return the initial guess along lattice nodes, with its route and margins."""
         problem, road_map = self._problem, self._scene.road_map
         route = route_from(road_map, cost_to_go, int(nodes[-1]), np.inf)
         soon = route_from(

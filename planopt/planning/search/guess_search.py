@@ -81,7 +81,7 @@ class StageRewards:
         return self._rewards((nodes[:, 0], nodes[:, 1]), np.arange(len(nodes)))
 
     def corrected(self, nodes: NDArray[np.intp]) -> None:
-        """Update the rewards to new predictions of the field at `nodes` (n, 2)."""
+        """Update the rewards after more accurate power predictions at `nodes` (n, 2)."""
         self._look_at((nodes[:, 0], nodes[:, 1]))
 
     def _rewards(self, where: Window | Nodes, stage: int | NDArray[np.intp]) -> NDArray[np.float64]:
@@ -201,7 +201,7 @@ class GuessSearch:
         shifted_m: NDArray[np.float64] | None,  # (N, 2) the last plan shifted by one step, or None
         budget: Budget = UNLIMITED,
     ) -> list[Guess]:
-        """Return guesses, best first; those that satisfy the rule precede the others."""
+        """Return initial guesses, best first; guesses that satisfy the rule precede the others."""
         problem = self._problem
         reach = problem.step_length_m * problem.planner.horizon
         self._field.refresh(context, reach)
@@ -251,9 +251,9 @@ class GuessSearch:
         return kept or paths
 
     def _lattice_paths(self, context: StepContext, budget: Budget) -> list[NDArray[np.float64]]:
-        """Return the best lattice path for each guide of the connectivity rule.
+        """Return the best lattice paths, one for each guide of the connectivity rule.
 
-        After the first path, further guides are searched until the search budget is spent.
+        After the first path, the search stops once its time budget is spent.
         """
         found = False
 

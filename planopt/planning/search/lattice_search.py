@@ -5,7 +5,7 @@ position to any node within a step; later moves are the lattice's 21 moves. A su
 depends on its two ends; a moving obstacle blocks moves only in the steps when it is nearby. Each
 stage computes the best value of every node in the reachable window from shifted slices of the
 previous stage's values; paths are traced back from these values. A window is a rectangular part of
-the lattice, indexed with a margin of blocked nodes around the lattice.
+the lattice. Its padded indices count a margin of blocked nodes around the lattice.
 """
 
 from __future__ import annotations
@@ -67,7 +67,7 @@ REACH = max(max(abs(dx), abs(dy)) for dx, dy in MOVES)
 def window_around(
     low: NDArray[np.intp], high: NDArray[np.intp], grown: int, shape: tuple[int, int]
 ) -> Window:
-    """Return the window from `low` to `high`, grown on all sides, in indices with margin."""
+    """Return the window from `low` to `high`, enlarged by `grown` nodes, in padded indices."""
     rows, columns = (
         slice(
             max(int(low[axis]) - grown, 0) + REACH,
@@ -79,7 +79,7 @@ def window_around(
 
 
 def without_margin(window: Window) -> Window:
-    """Return a window in indices of the lattice without margin."""
+    """Return a window in indices of the lattice itself, without padding."""
     rows, columns = window
     return (
         slice(rows.start - REACH, rows.stop - REACH),
@@ -99,14 +99,14 @@ TINY_M2 = 1e-30
 def first_steps_apart(
     discs: MovingDiscs, position_m: NDArray[np.float64], ends_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Return a mask of first steps from a position (2,) to `ends_m` (n, 2) that avoid discs."""
+    """Return a mask of collision-free first steps from a position (2,) to `ends_m` (n, 2)."""
     return steps_apart(discs, 0, np.broadcast_to(position_m, ends_m.shape), ends_m)
 
 
 def steps_apart(
     discs: MovingDiscs, step: int, starts_m: NDArray[np.float64], ends_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Return a mask of straight motions (..., 2) during `step` (0-based) that avoid discs.
+    """Return a mask of straight motions (..., 2) in `step` (0-based) that avoid collisions.
 
     A first step that begins too close to a disc is allowed if it moves away.
     """
@@ -120,7 +120,7 @@ def steps_apart(
 
 
 class MovingMoves:
-    """Moves of a lattice that are blocked by moving discs.
+    """Lattice moves that moving discs (obstacles or robots) block in single steps.
 
     Relative to a moving disc, a move (dx, dy) is the same vector at every node, so one formula
     applies to all nodes.
@@ -133,7 +133,7 @@ class MovingMoves:
     def hindered(
         self, step: int, rows: slice, columns: slice
     ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
-        """Return the nodes of a window with at least one blocked incoming move, and these moves."""
+        """Return the nodes of a window that some moves cannot enter, with a mask of the moves."""
         nodes: list[NDArray[np.intp]] = []
         moves: list[NDArray[np.bool_]] = []
         for number in range(len(self._discs)):
@@ -154,7 +154,7 @@ class MovingMoves:
     def blocked(
         self, step: int, rows: NDArray[np.intp], columns: NDArray[np.intp]
     ) -> NDArray[np.bool_]:
-        """Return a mask of the moves to nodes (n,) in a step that violate a disc; ``(21, n)``."""
+        """Return a mask (21, n) of the moves to nodes (n,) that collide with a disc in a step."""
         found = np.zeros((len(MOVES), len(rows)), dtype=np.bool_)
         for number in range(len(self._discs)):
             found |= self._blocked_by(step, number, rows, columns)
@@ -163,7 +163,7 @@ class MovingMoves:
     def _about(
         self, step: int, number: int, rows: slice, columns: slice
     ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-        """Return rows and columns of a window at which a move may violate a disc."""
+        """Return rows and columns of a window at which moves may collide with a disc."""
         lattice, discs = self._lattice, self._discs
         before, centre = discs.centres_m[number, step], discs.centres_m[number, step + 1]
         reach = (
@@ -191,7 +191,7 @@ class MovingMoves:
     def _blocked_by(
         self, step: int, number: int, rows: NDArray[np.intp], columns: NDArray[np.intp]
     ) -> NDArray[np.bool_]:
-        """Return a mask of moves to nodes that violate one disc; `rows` and `columns` broadcast."""
+        """Return a mask of the moves to nodes that collide with one disc in a step."""
         lattice, discs = self._lattice, self._discs
         before, centre = discs.centres_m[number, step], discs.centres_m[number, step + 1]
         x = lattice.origin_m[0] + lattice.spacing_m * columns - centre[0]
@@ -217,7 +217,7 @@ Node = tuple[int, int]
 """Node indices (iy, ix)."""
 
 MOVES_BY_NUMBER = tuple((int(dx), int(dy)) for dx, dy in MOVES)
-"""(dx, dy) of each move."""
+"""Offsets (dx, dy) of the moves, by number."""
 
 STANDING = 0
 """Index of the move that stays at its node."""
@@ -237,11 +237,11 @@ class MoveValues:
 
     @property
     def are_free(self) -> bool:
-        """Return whether open moves cost nothing."""
+        """Return whether all open moves have zero cost."""
         return not self.value.any() and self.charge is None
 
     def surcharge(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.float64]:
-        """Return the surcharge of each move to nodes (n,), in indices with margin; (21, n)."""
+        """Return the surcharge (21, n) of each move to nodes (n,), given in padded indices."""
         width, places = self.table.number.shape[1], self.table.number.size
         end = rows * width + columns
         source = np.asarray(end - (MOVES[:, 1:] * width + MOVES[:, :1]), dtype=np.intp)
@@ -256,7 +256,7 @@ class MoveValues:
         return both
 
     def rests(self, step: int) -> bool:
-        """Return whether the robot may wait at `rest` during a step."""
+        """Return whether waiting at the node `rest` is possible during a step."""
         if self.rest is None:
             return False
         row, column = (np.array([part]) for part in self.rest)
@@ -264,7 +264,7 @@ class MoveValues:
 
 
 class StageFrame:
-    """Values of the previous stage on all nodes that any stage reads.
+    """Values of the previous stage at all nodes that later stages read.
 
     If moves are free and unblocked, the maximum over a node's 21 predecessors is a disc-shaped max
     filter: five maxima along rows and columns. At other nodes, predecessors are compared singly.
@@ -345,13 +345,13 @@ class StageFrame:
         self._sources = self._sources_of(rows, columns)
 
     def _sources_of(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.intp]:
-        """Return the frame index at which each move to nodes (n,) begins; (21, n)."""
+        """Return the frame's index (21, n) of the node at which each move to nodes (n,) begins."""
         width = self._value.shape[1]
         end = (rows - self._top) * width + columns - self._left
         return end - (MOVES[:, 1:] * width + MOVES[:, :1])
 
     def surcharge(self, row: int, column: int) -> list[float]:
-        """Return the surcharge of each move to a node, in indices with margin."""
+        """Return the surcharge of each move to a node, given in padded indices."""
         if self._moves.are_free:
             return self._moves.surcharge(np.array([row]), np.array([column]))[:, 0].tolist()
         if self._listed is None:
@@ -361,7 +361,7 @@ class StageFrame:
         return self._surcharge[:, self._listed[row - self._top, column - self._left]].tolist()
 
     def _at(self, window: Window) -> Window:
-        """Return the frame's slices for a window in indices with margin."""
+        """Return the frame's slices for a window in padded indices."""
         rows, columns = window
         return (
             slice(rows.start - self._top, rows.stop - self._top),
@@ -370,7 +370,7 @@ class StageFrame:
 
 
 def _largest_in_disc(around: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the maximum over the 21 offsets (dx, dy), dx^2 + dy^2 <= 5, about each node.
+    """Return the maximum over the neighbours with dx^2 + dy^2 <= 5 of each node.
 
     `around` (h + 4, w + 4) is two nodes wider on each side than the result (h, w).
     """
@@ -387,7 +387,7 @@ def _largest_in_disc(around: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class LatticeValues:
-    """Best value of every node at every stage."""
+    """Result of a lattice search: the best value of every node at every stage."""
 
     moves: MoveValues  # Moves of the search
     # Values of each stage's window; windows grow by `REACH` nodes on each side per stage
@@ -431,7 +431,7 @@ class LatticeValues:
 
 
 class LatticeSearch:
-    """Lattice search from one position, reusable for several reward functions."""
+    """Lattice search from one position, for any number of reward functions."""
 
     def __init__(
         self,
@@ -476,7 +476,7 @@ def search_cheapest(
     surcharge_s_m: NDArray[np.float64] | None = None,  # (n + 1,) per metre at nodes and robot
     moving: MovingDiscs | None = None,
 ) -> NDArray[np.intp] | None:
-    """Return the nodes (N,) of the cheapest path, with free rest at the goal; None without one."""
+    """Return the nodes (N,) of the cheapest path, None without one; rest at the goal is free."""
     if first_nodes.size == 0:
         return None
     rows, columns, number = road_map.rows, road_map.columns, road_map.number

@@ -80,7 +80,7 @@ class LocalRanking:
         self._stations = self._expected if same else [near(each) for each in context.stations]
 
     def _grid(self, channel: LocalChannel, about_m: NDArray[np.float64]) -> LocalGrid | None:
-        """Return the part of the map that paths near `about_m` (a, 2) change; None if unused."""
+        """Return the part of the map that paths near `about_m` (a, 2) can change, if needed."""
         at = self._context
         if not _averages_map(at.problem):
             return None
@@ -159,7 +159,7 @@ class LocalRanking:
 
 
 def _averages_map(problem: Problem) -> bool:
-    """Return whether any term is a spatial average of the map."""
+    """Return whether the value of any term is an average over the map."""
     return any(term.averages_map for term in problem.terms)
 
 
@@ -264,7 +264,7 @@ def climb_paths(
 def _stepped(
     at: _Climbers, start_m: NDArray[np.float64], longest_m: float, drive: Drive, slope: Slope
 ) -> _Climbers:
-    """Return the state after one step of every path, accepted where the value increases."""
+    """Return the state after one ascent step per path, accepted if it increases the value."""
     half = at.x.shape[1] // 2
     probed = at.x + _direction(at)
     speed = np.clip(probed[:, half:], 0.0, 1.0)
@@ -332,7 +332,7 @@ def _updated(at: _Climbers, new: _Climbers, gained: NDArray[np.bool_]) -> _Climb
 def headings_and_speeds(
     start_m: NDArray[np.float64], paths_m: NDArray[np.float64], longest_m: float
 ) -> NDArray[np.float64]:
-    """Return headings, continuous along a path, and relative speeds; (c, 2 N)."""
+    """Return the headings (continuous along a path) and relative speeds of paths; (c, 2 N)."""
     begin = np.broadcast_to(start_m, (len(paths_m), 1, 2))
     legs = np.diff(np.concatenate([begin, paths_m], axis=1), axis=1)
     length = np.hypot(legs[:, :, 0], legs[:, :, 1])

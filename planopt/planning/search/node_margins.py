@@ -63,12 +63,12 @@ class LatticeMap:
 
     @property
     def stations(self) -> list[TileMap]:
-        """Return each station's own predictions."""
+        """Return the map of each single station's power."""
         return self._maps
 
 
 class NodeMargins:
-    """Margins in dB and outage shares at the nodes of a road map."""
+    """Connectivity margins in dB and fractions out of contact at the nodes of a lattice."""
 
     def __init__(
         self, road_map: RoadMap, threshold_dbm: float, p_min: float, everywhere: bool = False
@@ -87,7 +87,7 @@ class NodeMargins:
 
     @property
     def outside(self) -> NDArray[np.bool_]:
-        """Return a mask of nodes (n,) that violate p_min with the planners' pad."""
+        """Return a mask of nodes (n,) whose margin is less than the planners' safety pad."""
         return self.margin_db < MARGIN_PAD_DB
 
     def refresh(
@@ -95,7 +95,7 @@ class NodeMargins:
         law: ConnectivityLaw,
         power: Callable[[NDArray[np.float64]], Prediction] | None = None,
     ) -> None:
-        """Update margins and shares to the current belief."""
+        """Update margins and fractions to the current belief."""
         self._map.refresh(law)
         self._power = power or partial(search_prediction, law)
         self.mean_db = self._map.mean_db.take(self._nodes)
@@ -106,11 +106,11 @@ class NodeMargins:
         self._exact[:] = False
 
     def at(self, places_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return margins and outage shares at arbitrary positions (n, 2)."""
+        """Return margins and fractions out of contact at arbitrary positions (n, 2)."""
         return self._values(self._predicted(places_m))
 
     def correct(self, nodes: NDArray[np.intp]) -> bool:
-        """Predict these nodes more accurately; return whether any was uncorrected before."""
+        """Predict `nodes` more accurately; return whether any of them was not yet corrected."""
         new = np.unique(nodes[~self._exact[nodes]])
         if new.size == 0:
             return False
@@ -167,7 +167,7 @@ class NodeField:
             self.correct(self._measured_nodes(context))
 
     def _measured_nodes(self, context: StepContext) -> NDArray[np.intp]:
-        """Return the free nodes (n, 2) of the window, as (iy, ix), that were measured."""
+        """Return the free nodes (n, 2) near the robot at which measurements exist, as (iy, ix)."""
         lattice, (rows, columns) = self._lattice, self.window
         places = np.vstack([own.measurements.positions_m for own in context.stations])
         nodes = np.rint((places - lattice.origin_m) / lattice.spacing_m).astype(np.intp)[:, ::-1]
@@ -192,7 +192,7 @@ class NodeField:
         return Prediction(self._map.mean_db[row, column], self._map.deviation_db[row, column])
 
     def correct(self, nodes: NDArray[np.intp]) -> bool:
-        """Predict `nodes` (n, 2) more accurately; return whether any was uncorrected before."""
+        """Predict `nodes` (n, 2) more accurately; return whether any was not yet corrected."""
         if self._context is None:
             raise AssertionError("refresh first")
         rows, columns = nodes[:, 0], nodes[:, 1]
@@ -207,5 +207,5 @@ class NodeField:
 
     @property
     def stations(self) -> list[TileMap]:
-        """Return each station's own, uncorrected predictions."""
+        """Return the map of each single station's power, without corrections."""
         return self._map.stations

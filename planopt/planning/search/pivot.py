@@ -29,7 +29,7 @@ of refined paths."""
 
 
 class Ahead:
-    """Route beyond the end of a path, represented by a pivot."""
+    """Route beyond a path's end, represented by a terminal waypoint (pivot)."""
 
     def __init__(
         self,

@@ -73,7 +73,7 @@ class ProbedPlaces:
         self._offsets_m = offsets[np.linalg.norm(offsets, axis=1) <= reach_m]
 
     def find_paths(self, context: StepContext, field: NodeField) -> list[NDArray[np.float64]]:
-        """Return the best paths (N, 2), best first."""
+        """Return the best paths (N, 2) to positions worth probing, best first."""
         places = self._places(context)
         seen = free_ends(self._problem, self._ground, context.position_m, places)
         seen[0] = True

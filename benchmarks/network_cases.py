@@ -8,6 +8,9 @@ paper's law and to the ring around it, locates it from all readings along the wa
 errors with the Cramer-Rao bound of the places where they measured.
 ``python benchmarks/network_cases.py gaps --cases 200`` compares the total distance of deferred
 acceptance with the least one.
+``python benchmarks/network_cases.py losses --cases 100`` compares the time until an event has its
+team and the team's error of localisation, with a fifth of all messages lost, with those of the
+same networks without losses, and counts the agents that respond if no message arrives at all.
 ``python benchmarks/network_cases.py steps --agents 1000,10000`` times a step of the laws against
 shapely's Voronoi diagram of the same places, in one run.
 """
@@ -29,6 +32,8 @@ from planopt.coverage import (
     EventSensor,
     Gains,
     LawMover,
+    LinkModel,
+    NetworkController,
     Readings,
     Scene,
     Sensing,
@@ -45,6 +50,7 @@ from planopt.coverage import (
     optimal_assignment,
     pooled,
     ring_places,
+    signals,
     simulate_network,
     single_readings,
     voronoi_cells,
@@ -83,8 +89,8 @@ def team_case(seed: int) -> tuple[bool, bool]:
         ConvexGround(region), np.zeros(count), np.full(count, np.inf),
         (Event("event", (float(event[0]), float(event[1])), 5.0),), (demand,),
         Sensing(EventSensor(0.5, 200.0, 5.0)), None,
-        "all" if seed % 2 else "coverage_only", GAINS, 1.0, 1.0, Counting("leader"), None, 30,
-        1.0, 1500.0, settled_m,
+        "all" if seed % 2 else "coverage_only", GAINS, 1.0, Counting("leader"), None, 30, 1.0,
+        1500.0, settled_m,
     )  # fmt: skip
     run = simulate_network(scene, starts[:-1], LawMover(GAINS, 1.0, 4.0), generator)
     here = run.positions_m[-1]
@@ -149,6 +155,83 @@ def localisation(first_seed: int, cases: int, steps: int) -> dict[str, list[floa
     return ratios
 
 
+LOSSES = {
+    "0 %": None,
+    "20 %": LinkModel(0.0, 0.1, 100.0, -85.4),
+    "all": LinkModel(-300.0, 3.0, 1.0, 300.0),
+}
+"""Losses of messages: a fifth at any distance up to 0.5 percentage points, and every message."""
+
+
+def loss_case(seed: int, links: LinkModel | None, steps: int) -> tuple[float, float, int, int]:
+    """Return the response time in s, the error in m, and how many agents respond, and unawares.
+
+    An event appears after 10 of `steps` steps of 1 s. The response time is that until exactly the
+    demanded agents respond and all of them are on their ring. The error is the root mean square of
+    the last 20 steps over the estimates of the agents that respond. An agent responds unawares if
+    it has never detected the event itself.
+    """
+    generator = np.random.default_rng(seed)
+    region = random_region(generator)
+    count, wanted = int(generator.integers(20, 61)), int(generator.integers(3, 8))
+    starts = places_in(region, count + 1, generator)
+    place, sensor = starts[-1], EventSensor(0.5, 60.0, 3.0)
+    event, sensing = Event("event", (float(place[0]), float(place[1])), 10.0), Sensing(sensor)
+    scene = Scene(
+        ConvexGround(region), np.zeros(count), np.full(count, np.inf), (event,),
+        (lambda agents: min(wanted, agents),), sensing, sensor.best_distance_m, "all", GAINS, 1.0,
+        Counting(), links, 30, 1.0, float(steps), 0.1,
+    )  # fmt: skip
+    controller = NetworkController(scene, starts[:-1], LawMover(GAINS, 1.0, 4.0), generator)
+    aware, unawares, responds = (np.zeros(count, dtype=np.bool_) for _ in range(3))
+    response_s, squares_m2 = math.inf, list[float]()
+    for step in range(steps):
+        here = controller.motion.places_m
+        signal = signals(event, sensing, here, float(step), generator)
+        aware |= signal > sensing.detection_std * sensor.noise_std
+        found = controller.step(here, signal[None])
+        now = found.states == 0
+        responds, unawares = responds | now, unawares | (now & ~aware)
+        off_m = np.linalg.norm(found.targets_m - here, axis=1)[now]
+        if now.sum() == wanted and off_m.max() <= 0.5:
+            response_s = min(response_s, step - event.appears_s)
+        if step >= steps - 20:
+            errors = found.beliefs[0].places_m[now] - place
+            squares_m2 += (errors**2).sum(axis=1).tolist()
+    error_m = math.sqrt(float(np.mean(squares_m2))) if squares_m2 else math.inf
+    return response_s, error_m, int(responds.sum()), int(unawares.sum())
+
+
+def losses(first_seed: int, cases: int, steps: int = 60) -> dict[str, tuple[float, float]]:
+    """Print response times and errors with losses over those without; return the ratios."""
+    seeds = range(first_seed, first_seed + cases)
+    # Without any message every agent locates the event by itself, so a tenth of the cases suffices.
+    number = {"0 %": cases, "20 %": cases, "all": max(cases // 10, 1)}
+    found = {
+        name: np.array([loss_case(seed, links, steps) for seed in seeds[: number[name]]])
+        for name, links in LOSSES.items()
+    }
+    calm, lossy = found["0 %"], found["20 %"]
+    served = np.isfinite(calm[:, :2]).all(axis=1) & np.isfinite(lossy[:, :2]).all(axis=1)
+    print(f"served with and without losses: {int(served.sum())} of {cases}")
+    ratios: dict[str, tuple[float, float]] = {}
+    for column, (name, power) in enumerate((("response time", 1), ("error", 2))):
+        one, other = (each[served, column] ** power for each in (calm, lossy))
+        square = float(other.mean() / one.mean())
+        half = 1.96 * float((other - square * one).std()) / math.sqrt(len(one)) / float(one.mean())
+        ratio = square ** (1.0 / power)
+        ratios[name] = ratio, half * ratio / (power * square)
+        means = [float(each.mean() ** (1.0 / power)) for each in (one, other)]
+        print(
+            f"{name}: {means[0]:.4g} without losses, {means[1]:.4g} with, ratio {ratio:.3f} +- "
+            f"{ratios[name][1]:.3f}"
+        )
+    for name, each in found.items():
+        respond, unaware = each[:, 2:].sum(axis=0).astype(int).tolist()
+        print(f"{name} lost: {unaware} of {respond} agents respond without having sensed the event")
+    return ratios
+
+
 def gap_case(seed: int) -> float:
     """Return by what share three teams that deferred acceptance sends drive farther than best."""
     generator = np.random.default_rng(seed)
@@ -182,7 +265,7 @@ def step_times(agents: int, repeats: int, seed: int) -> tuple[float, float]:
 def main() -> None:
     """Print one of the studies."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("study", choices=("teams", "localisation", "gaps", "steps"))
+    parser.add_argument("study", choices=("teams", "localisation", "gaps", "losses", "steps"))
     parser.add_argument("--cases", type=int, default=200)
     parser.add_argument("--first-seed", type=int, default=1000)
     parser.add_argument("--agents", default="1000,10000")
@@ -198,6 +281,9 @@ def main() -> None:
         return
     if asked.study == "localisation":
         localisation(first, asked.cases, 40)
+        return
+    if asked.study == "losses":
+        losses(first, asked.cases)
         return
     if asked.study == "gaps":
         gaps = 100.0 * np.array([gap_case(first + each) for each in range(asked.cases)])

@@ -12,6 +12,7 @@ from planopt.coverage.assignment import optimal_assignment as optimal_assignment
 from planopt.coverage.assignment import propagate_flags as propagate_flags
 from planopt.coverage.assignment import table_demand as table_demand
 from planopt.coverage.assignment import trade_off_demand as trade_off_demand
+from planopt.coverage.beliefs import Belief as Belief
 from planopt.coverage.control.movers import Gains as Gains
 from planopt.coverage.control.movers import LawMover as LawMover
 from planopt.coverage.control.movers import RecedingMover as RecedingMover
@@ -71,6 +72,7 @@ from planopt.coverage.network import LinkModel as LinkModel
 from planopt.coverage.network import Network as Network
 from planopt.coverage.network import average_round as average_round
 from planopt.coverage.network import elect_leader as elect_leader
+from planopt.coverage.network import flood as flood
 from planopt.coverage.network import inverted as inverted
 from planopt.coverage.network import minima_estimates as minima_estimates
 from planopt.coverage.network import minima_round as minima_round
@@ -80,6 +82,7 @@ from planopt.coverage.optima import cost_bound as cost_bound
 from planopt.coverage.optima import draw_start as draw_start
 from planopt.coverage.optima import settle as settle
 from planopt.coverage.simulation import ABSENT as ABSENT
+from planopt.coverage.simulation import NetworkController as NetworkController
 from planopt.coverage.simulation import NetworkRun as NetworkRun
 from planopt.coverage.simulation import Scene as Scene
 from planopt.coverage.simulation import simulate_network as simulate_network

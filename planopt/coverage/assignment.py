@@ -18,7 +18,7 @@ from scipy.optimize import linear_sum_assignment  # pyright: ignore[reportUnknow
 
 from planopt.arrays import Floats, Indices, Mask
 from planopt.coverage.localisation import EventSensor
-from planopt.coverage.network import Loss, Network, gets_through
+from planopt.coverage.network import Loss, Network, flood
 from planopt.errors import InputError
 
 Demand = Callable[[int], int]
@@ -98,12 +98,13 @@ class Flags:
 
     flagged: Mask  # (n,) whether the agent responds to the event
     messages: int  # Number of transmissions over single links
-    history: Mask  # (rounds + 1, n) flags before the first and after each round
+    history: Mask  # (changes + 1, n) flags at first and after each round that changed a list
+    lists: tuple[Indices, ...]  # n lists of agent numbers, each list nearest first
 
 
 def propagate_flags(
     network: Network,
-    distances_m: Floats,  # (n,)
+    distances_m: Floats,  # (n,); infinite for agents that do not know the event
     wanted: int | Indices,  # Required number of agents; (n,) if agents disagree on it
     *,
     rounds: int | None = None,
@@ -111,9 +112,9 @@ def propagate_flags(
     generator: np.random.Generator | None = None,
 ) -> Flags:
     """Find the agents nearest to an event by exchanging lists of the nearest known agents."""
-    # Without losses an agent sends only after its list has changed, and all lists are correct after
-    # at most as many rounds as the network's diameter. With losses there are `rounds` rounds. The
-    # nearest agents are flagged from the start; other agents may be flagged temporarily.
+    # Without losses all lists are correct after at most as many rounds as the network's diameter.
+    # With losses there are at most `rounds` rounds. The nearest agents are flagged from the start;
+    # other agents may be flagged temporarily.
     n, most = network.count, np.broadcast_to(np.asarray(wanted, dtype=np.intp), (network.count,))
     if distances_m.shape != (n,) or (most < 0).any():
         raise InputError(
@@ -126,48 +127,41 @@ def propagate_flags(
             key="loss",
             remedy="give a loss from 0 to below 1, and rounds",
         )
+    order = np.argsort(distances_m, kind="stable")
     rank = np.empty(n, dtype=np.intp)
-    rank[np.argsort(distances_m, kind="stable")] = np.arange(n)
+    rank[order] = np.arange(n)
     # An entry is n * holder + rank of the listed agent, so sorted entries are the lists of all
     # holders, nearest agent first.
     own = np.arange(n) * n + rank
-    lists, talking, messages = own[most > 0], np.ones(n, dtype=np.bool_), 0
+    lists = own[(most > 0) & np.isfinite(distances_m)]
     history = [np.isin(own, lists)]
-    while rounds is None or len(history) <= rounds:
+
+    def merge(sender: Indices, receiver: Indices) -> Mask:
+        """Merge received lists, truncated to `most` (n,) entries."""
+        nonlocal lists
         sizes = np.bincount(lists // n, minlength=n)
-        messages += int(network.degrees[talking & (sizes > 0)].sum())
-        after = _flag_round(lists, network, most, loss, generator)
-        if rounds is None:
-            talking = np.zeros(n, dtype=np.bool_)
-            talking[np.setxor1d(lists, after) // n] = True
-            if not talking.any():
-                break
-        lists = after
-        history.append(np.isin(own, lists))
-    return Flags(history[-1], messages, np.array(history))
+        begin, length = np.cumsum(sizes) - sizes, sizes[sender]
+        offset = np.repeat(begin[sender] - (np.cumsum(length) - length), length)
+        sent = lists[offset + np.arange(len(offset))] % n
+        known = np.unique(np.concatenate((lists, np.repeat(receiver * n, length) + sent)))
+        holder = known // n
+        sizes = np.bincount(holder, minlength=n)
+        place = np.arange(len(known)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+        before, lists = lists, known[place < most[holder]]
+        changed = np.zeros(n, dtype=np.bool_)
+        changed[np.setxor1d(before, lists, assume_unique=True) // n] = True
+        if changed.any():
+            history.append(np.isin(own, lists, assume_unique=True))
+        return changed
 
-
-def _flag_round(
-    lists: Indices,
-    network: Network,
-    most: Indices,
-    loss: Loss,
-    generator: np.random.Generator | None,
-) -> Indices:
-    """Return the agents' lists after one exchange, truncated to `most` (n,) entries each."""
-    n = network.count
     sender, receiver = network.directed
-    heard = gets_through(len(sender), loss, generator)
-    sender, receiver = sender[heard], receiver[heard]
-    sizes = np.bincount(lists // n, minlength=n)
-    begin, length = np.cumsum(sizes) - sizes, sizes[sender]
-    offset = np.repeat(begin[sender] - (np.cumsum(length) - length), length)
-    sent = lists[offset + np.arange(len(offset))] % n
-    known = np.unique(np.concatenate((lists, np.repeat(receiver * n, length) + sent)))
-    holder = known // n
-    sizes = np.bincount(holder, minlength=n)
-    place = np.arange(len(known)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-    return known[place < most[holder]]
+    losses = np.tile(np.asarray(loss), 2) if np.ndim(loss) else loss
+    begins = history[0]
+    messages = flood(
+        sender, receiver, begins, merge, rounds=rounds, loss=losses, generator=generator
+    )
+    ends = np.cumsum(np.bincount(lists // n, minlength=n))[:-1]
+    return Flags(history[-1], messages, np.array(history), tuple(np.split(order[lists % n], ends)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,13 +189,19 @@ def fair_shares(demands: Indices, agents: int) -> Indices:
 
 def deferred_acceptance(distances_m: Floats, demands: Indices) -> Assignment:
     """Return a stable assignment by deferred acceptance, which can run distributed on agents."""
-    # In each round every event requests as many agents as it lacks, nearest first and none twice.
-    # Every agent keeps the nearest event among its requests and rejects the others. Ties go to the
-    # smaller numbers.
     # Shapes: distances_m (n, k); demands (k,).
     _check(distances_m, demands)
+    return accepted(distances_m, demands)
+
+
+def accepted(distances_m: Floats, demands: Indices) -> Assignment:
+    """Perform deferred acceptance; agents at infinite distance from an event are not requested."""
+    # In each round every event requests as many agents as it lacks, nearest first and none twice.
+    # Every agent keeps the nearest event among its requests and rejects the others. Ties go to the
+    # smaller numbers. An event that runs out of agents stays short.
     agents, events = distances_m.shape
     order = np.argsort(distances_m, axis=0, kind="stable")
+    within = np.isfinite(distances_m).sum(axis=0)
     requested = np.zeros(events, dtype=np.intp)
     event_of, released = np.full(agents, NONE, dtype=np.intp), 0
     while True:
@@ -209,7 +209,7 @@ def deferred_acceptance(distances_m: Floats, demands: Indices) -> Assignment:
         requests: list[tuple[int, int]] = []
         for event in np.flatnonzero(lacking > 0).tolist():
             first = requested[event]
-            names = order[first : first + lacking[event], event].tolist()
+            names = order[first : min(first + lacking[event], within[event]), event].tolist()
             requests.extend((agent, event) for agent in names)
             requested[event] += len(names)
         if not requests:

@@ -1,4 +1,4 @@
-"""Events in a region: detection, position estimates, and the positions of responding agents.
+"""Events in a region: signals, rules of detection, and the positions of responding agents.
 
 Each event has its own signal channel. An event is detected when a reading exceeds the noise
 threshold; it has ended after several steps without such a reading.
@@ -7,27 +7,15 @@ threshold; it has ended after several steps without such a reading.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment  # pyright: ignore[reportUnknownVariableType]
 
-from planopt.arrays import Floats, Indices, Mask
+from planopt.arrays import Floats, Indices
 from planopt.coverage.geodesic import Ground
-from planopt.coverage.localisation import (
-    SINGULAR,
-    Drift,
-    EventEstimate,
-    EventSensor,
-    Readings,
-    joined,
-    locate_event,
-    measure,
-    pooled,
-    single_readings,
-)
-from planopt.coverage.voronoi import ConvexRegion
+from planopt.coverage.localisation import SINGULAR, EventSensor, measure
 
 BEARINGS = 72
 """Number of candidate bearings on a partly blocked ring."""
@@ -146,10 +134,6 @@ def event_places(
     return np.repeat(event_m[None], len(agents_m), axis=0)
 
 
-GRID_READINGS = 150
-"""Number of readings above which the last estimate is the only initial guess."""
-
-
 @dataclass(frozen=True)
 class Event:
     """Event in the region, static or moving at a constant velocity."""
@@ -184,40 +168,6 @@ class Sensing:
     speed_std_m_s: float | None = None
 
 
-@dataclass(frozen=True, eq=False)
-class Watch:
-    """Readings and estimate of one event, as known to the network."""
-
-    logs: tuple[tuple[float, Readings], ...] = ()  # Readings with their times
-    estimate: EventEstimate | None = None  # None for an undetected event
-    silent: int = 0  # Number of consecutive steps without detection
-
-    @property
-    def is_known(self) -> bool:
-        """Return True if the network regards the event as active."""
-        return self.estimate is not None
-
-    @property
-    def place_m(self) -> Floats:
-        """Return the estimated position (2,); NaN for an undetected event."""
-        return np.full(2, math.nan) if self.estimate is None else self.estimate.position_m
-
-    @property
-    def velocity_m_s(self) -> Floats:
-        """Return the estimated velocity (2,); zero for undetected or static events."""
-        return np.zeros(2) if self.estimate is None else self.estimate.velocity_m_s
-
-    @property
-    def std_m(self) -> float:
-        """Return the root of the trace of the position covariance; NaN for an undetected event."""
-        # The distance to the farthest rival maximum is added in quadrature.
-        if self.estimate is None:
-            return math.nan
-        rivals_m = np.linalg.norm(self.estimate.rivals_m - self.place_m, axis=1)
-        spread_m = float(rivals_m.max(initial=0.0))
-        return math.hypot(math.sqrt(float(np.trace(self.estimate.covariance_m2))), spread_m)
-
-
 def signals(
     event: Event, sensing: Sensing, agents_m: Floats, time_s: float, generator: np.random.Generator
 ) -> Floats:
@@ -225,53 +175,3 @@ def signals(
     if event.is_there(time_s):
         return measure(sensing.sensor, agents_m, event.place_at(time_s), generator)
     return sensing.sensor.noise_std * generator.standard_normal(len(agents_m))
-
-
-def watched(
-    watch: Watch,
-    sensing: Sensing,
-    hull: ConvexRegion,
-    agents_m: Floats,
-    signal: Floats,
-    shared: Mask,  # (n,) mask of the agents whose readings reach the estimating agents
-    time_s: float,
-) -> Watch:
-    """Update the knowledge about an event with the readings of one step."""
-    # Shapes: agents_m (n, 2); signal (n,).
-    heard = bool((signal > sensing.detection_std * sensing.sensor.noise_std).any())
-    silent = 0 if heard else watch.silent + 1
-    if not heard and (not watch.is_known or silent >= sensing.silent_steps):
-        return Watch()
-    logs, known, moves = watch.logs, watch.estimate, sensing.speed_std_m_s is not None
-    if heard and shared.any():
-        logs = (*logs, (time_s, single_readings(agents_m[shared], signal[shared])))
-    elif not moves:
-        # The event may have just ended; readings of such a step would bias the estimate.
-        return replace(watch, silent=silent)
-    if sensing.memory_s is not None:
-        logs = tuple(each for each in logs if each[0] > time_s - sensing.memory_s)
-    if not logs:
-        return replace(watch, silent=silent)
-    every, drift = [log for _, log in logs], None
-    if sensing.speed_std_m_s is None:
-        readings = pooled(every)
-    else:
-        # The signal of a moving event changes, so readings at one position are not averaged.
-        readings = joined(every)
-        ages_s = np.concatenate([np.full(len(log.signal), time_s - then) for then, log in logs])
-        guess = np.zeros(2) if known is None else known.velocity_m_s
-        drift = Drift(ages_s, sensing.speed_std_m_s, guess)
-    near = None
-    if known is not None and len(readings.signal) > GRID_READINGS:
-        near = np.concatenate((known.position_m[None], known.rivals_m))
-    estimate = locate_event(
-        sensing.sensor,
-        readings,
-        hull,
-        strength_known=sensing.strength_known,
-        near_m=near,
-        drift=drift,
-    )
-    # For static events the mean of repeated readings replaces them.
-    kept = logs if sensing.memory_s is not None else ((time_s, readings),)
-    return Watch(kept, estimate, silent)

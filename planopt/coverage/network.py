@@ -1,4 +1,4 @@
-"""Communication between agents: links, message losses and distributed counting.
+"""Communication between agents: links, message losses, flooding and distributed counting.
 
 Agents estimate the size of the network by several rounds of messages in every step.
 
@@ -15,6 +15,7 @@ hold slightly more.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -57,6 +58,35 @@ def gets_through(messages: int, loss: Loss, generator: np.random.Generator | Non
     losses = np.asarray(loss, dtype=np.float64)
     each = np.tile(losses, messages // len(losses)) if losses.ndim else losses
     return generator.random(messages) >= each
+
+
+Merge = Callable[[Indices, Indices], Mask]
+"""Function that delivers the content of senders (m,) to receivers (m,), all in one round; it
+returns the agents (n,) whose content changed."""
+
+
+def flood(
+    sender: Indices,  # (m,) ends of the directed links
+    receiver: Indices,
+    begins: Mask,  # (n,) mask of the agents with content to send
+    merge: Merge,
+    *,
+    rounds: int | None = None,  # Largest number of rounds; no limit if None
+    loss: Loss = 0.0,  # One value, or (m,) values by directed link
+    generator: np.random.Generator | None = None,
+) -> int:
+    """Flood content over directed links; return the number of messages, including lost ones."""
+    # An agent sends to a neighbour until the neighbour has acknowledged its present content.
+    losses = np.broadcast_to(np.asarray(loss, dtype=np.float64), sender.shape)
+    pending, messages, done = begins[sender], 0, 0
+    while pending.any() and done != rounds:
+        sent = np.flatnonzero(pending)
+        messages += len(sent)
+        done += 1
+        arrived = sent[gets_through(len(sent), losses[sent], generator)]
+        pending[arrived] = False
+        pending |= merge(sender[arrived], receiver[arrived])[sender]
+    return messages
 
 
 @dataclass(frozen=True)

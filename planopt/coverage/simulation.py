@@ -14,21 +14,24 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planopt.arrays import Floats, Indices, Mask
-from planopt.coverage.assignment import (
-    NONE,
-    Demand,
-    deferred_acceptance,
-    demanded,
-    fair_shares,
-    propagate_flags,
+from planopt.coverage.assignment import NONE, Demand
+from planopt.coverage.beliefs import (
+    Belief,
+    Medium,
+    Response,
+    choose_teams,
+    estimate_event,
+    share_estimates,
+    share_readings,
 )
 from planopt.coverage.control.movers import Gains, Mover, Partition, RecedingMover, coverage_aims
+from planopt.coverage.control.radio import radio_tree
 from planopt.coverage.deploy import Deployer
-from planopt.coverage.events import Event, Sensing, Watch, event_places, signals, watched
+from planopt.coverage.events import Event, Sensing, event_places, signals
 from planopt.coverage.geodesic import Ground
 from planopt.coverage.ground import neighbour_network
 from planopt.coverage.limits import Motion
-from planopt.coverage.network import Counting, LinkModel, Loss, Network, Tally, tally_step
+from planopt.coverage.network import Counting, LinkModel, Network, Tally, tally_step
 from planopt.errors import InputError
 
 ABSENT = -2
@@ -56,10 +59,9 @@ class Scene:
     partition: Partition  # Agents whose cells divide the region
     gains: Gains  # Gains of the control laws, which also set the targets at obstacle corners
     hysteresis_m: float  # Advantage in distance beyond which a new agent replaces an assigned one
-    moved_m: float  # Displacement of an event estimate beyond which agents are reassigned
     counting: Counting
     links: LinkModel | None  # Loss of messages by distance; None without losses
-    flag_rounds: int  # Rounds of flag propagation in a step, with losses
+    flag_rounds: int  # Most rounds of each flood in a step, with losses
     time_step_s: float
     duration_s: float
     settled_m: float  # Distance to its target up to which an agent counts as settled
@@ -118,11 +120,15 @@ class NetworkRun:
     # for which the law gives the same move
     residuals_m: Floats
     counts: Floats  # (T, n) estimate by each agent of the number of members; NaN for absent agents
-    # (T, k) demand of each event for the count of the agent nearest to it; 0 for unknown events
+    # (T, k) demand of each event for the count of the nearest agent that knows it; 0 for unknown
+    # events
     wanted: Indices
-    estimates_m: Floats  # (T, k, 2) estimated positions; stds_m (T, k) uncertainty; NaN if unknown
+    # (T, k, 2) best estimate of any agent, and (T, k) its standard deviation; NaN if unknown
+    estimates_m: Floats
     stds_m: Floats
-    messages: Indices  # (T, 3) transmissions over links: for counting, assignment, readings
+    beliefs_m: Floats  # (T, k, n, 2) position that each agent believes; NaN if it knows no event
+    # (T, 3) transmissions over links: for counting, assignment (estimates and lists), readings
+    messages: Indices
     settled: bool  # Whether the last step found all agents settled
 
 
@@ -147,7 +153,7 @@ class NetworkStep:
     residual_m: float
     counts: Floats
     wanted: Indices
-    watches: tuple[Watch, ...]  # (k,) the network's knowledge of each event
+    beliefs: tuple[Belief, ...]  # (k,) what each agent knows about each event
     messages: tuple[int, ...]
     settled: bool  # Whether all agents are settled permanently
 
@@ -174,9 +180,9 @@ class NetworkController:
         self._mover, self._generator = mover, generator
         self._steps = 0
         self._states = np.full(agents, ABSENT, dtype=np.intp)
-        self._watches, self._wanted = (Watch(),) * events, np.zeros(events, dtype=np.intp)
-        # Membership mask (n,) and event estimates (k, 2) at the last assignment
-        self._assigned_for: tuple[Mask, Floats] | None = None
+        self._beliefs = (Belief.none(agents),) * events
+        shares = np.zeros((agents, events), dtype=np.intp)
+        self._response = Response(self._states, shares, np.zeros(events, dtype=np.intp), (), 0)
         self._tally: Tally | None = None
         deploys = isinstance(mover, RecedingMover) and mover.deploys
         self._deployer = Deployer(scene.ground, generator) if deploys else None
@@ -244,8 +250,7 @@ class NetworkController:
         who, sent = np.flatnonzero(members), (0, 0, 0)
         counts = np.where(members, float(len(who)), np.nan)
         if scene.events or scene.counting.method != "known":
-            network = neighbour_network(scene.ground.hull, here[who])
-            loss = 0.0
+            network, loss = self._network(motion, who), 0.0
             if scene.links is not None:
                 ends = here[who][network.links]
                 loss = scene.links.loss(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
@@ -253,10 +258,10 @@ class NetworkController:
                 self._tally, scene.counting, network, members, self._generator, loss
             )
             counts = self._tally.estimates
-            shared = self._measure(network, loss, here[who], states[who], time_s, readings, who)
-            states[who], assigning = self._assign(
-                network, loss, here[who], states[who], counts[who], members
-            )
+            rounds = scene.flag_rounds if np.any(loss) else None
+            medium = Medium(Network(agents, who[network.links]), loss, rounds, self._generator)
+            assigning, shared = self._respond(medium, here, states, counts, readings, who)
+            states = np.where(members, self._response.states, ABSENT)
             sent = (self._tally.messages, assigning, shared)
         targets, drifts, cost = self._targets(here, states)
         responds = states[who] >= 0
@@ -266,7 +271,7 @@ class NetworkController:
         moved = np.linalg.norm(after.places_m - now.places_m, axis=1)
         moved /= scene.gains.shares(responds, scene.time_step_s)
         residual = float(np.minimum(left, moved).max())
-        known = np.array([watch.is_known for watch in self._watches], dtype=np.bool_)
+        known = np.array([belief.known.any() for belief in self._beliefs], dtype=np.bool_)
         places, headings = here.copy(), motion.headings_rad.copy()
         velocities = np.zeros((agents, 2))
         places[who], velocities[who] = after.places_m, after.velocities_m_s
@@ -275,97 +280,60 @@ class NetworkController:
         self._states = states
         self._steps += 1
         return NetworkStep(
-            self.motion, states, targets, cost, residual, counts, self._wanted, self._watches,
-            sent, scene.has_settled(time_s, residual, known, members),
+            self.motion, states, targets, cost, residual, counts, self._response.wanted,
+            self._beliefs, sent, scene.has_settled(time_s, residual, known, members),
         )  # fmt: skip
 
-    def _measure(
-        self,
-        network: Network,
-        loss: Loss,
-        agents_m: Floats,
-        states: Indices,
-        time_s: float,
-        readings: Signals,
-        who: Indices,
-    ) -> int:
-        """Update the estimates of all events; return the number of transmitted readings."""
-        # Agents that respond to an event, or detect it, collect the readings of their neighbours.
-        sensing, sent = self.scene.sensing, 0
-        if sensing is None:
-            return 0
-        found: list[Watch] = []
-        sender, receiver = network.directed
-        for number, watch in enumerate(self._watches):
-            signal = readings(number, who)
-            collects = states == number
-            if not collects.any():
-                collects = signal > sensing.detection_std * sensing.sensor.noise_std
-            requested = collects[receiver] & ~collects[sender]
-            sent += int(requested.sum())
-            if np.any(loss):
-                drawn = self._generator.random(len(requested))
-                requested &= drawn >= np.tile(np.asarray(loss), 2)
-            shared = collects.copy()
-            shared[sender[requested]] = True
-            hull = self.scene.ground.hull
-            found.append(watched(watch, sensing, hull, agents_m, signal, shared, time_s))
-        self._watches = tuple(found)
-        return sent
+    def _network(self, motion: Motion, who: Indices) -> Network:
+        """Return the links of the members: to Voronoi neighbours, and of the radio tree."""
+        here = motion.places_m[who]
+        network, mover = neighbour_network(self.scene.ground.hull, here), self._mover
+        if not isinstance(mover, RecedingMover) or mover.radio is None:
+            return network
+        parent = radio_tree(here, mover.radio).parent
+        child = np.flatnonzero((parent >= 0) & (parent != np.arange(len(who))))
+        pairs = np.concatenate((network.links, np.stack((child, parent[child]), axis=1)))
+        return Network(len(who), np.unique(np.sort(pairs, axis=1), axis=0))
 
-    def _assign(
+    def _respond(
         self,
-        network: Network,
-        loss: Loss,
-        agents_m: Floats,
+        medium: Medium,
+        here_m: Floats,
         states: Indices,
         counts: Floats,
-        members: Mask,
-    ) -> tuple[Indices, int]:
-        """Return the states (m,) of the members after assignment, and the number of messages."""
-        # The assignment is repeated when members, demands or known events change, when an estimate
-        # has moved, and in every step with message losses. Agents that do not respond to an event
-        # yet announce their distance plus the hysteresis.
-        scene = self.scene
-        places = np.array([watch.place_m for watch in self._watches]).reshape(-1, 2)
-        known = np.flatnonzero(np.isfinite(places[:, 0]))
-        wanted = np.zeros(len(places), dtype=np.intp)
-        for number in known.tolist():
-            nearest = int(np.linalg.norm(agents_m - places[number], axis=1).argmin())
-            wanted[number] = _demand_of(scene.demands[number], counts[nearest])
-        before, lossy = self._assigned_for, bool(np.any(loss))
-        if not lossy and before is not None and (wanted == self._wanted).all():
-            same = (before[0] == members).all()
-            same &= (np.isnan(places) == np.isnan(before[1])).all()
-            moved_m = np.linalg.norm(places - before[1], axis=1)
-            if same and not (moved_m > scene.moved_m).any():
-                return states, 0
-        self._assigned_for, self._wanted = (members, places), wanted
-        after = np.full(len(states), NONE, dtype=np.intp)
-        if not len(known):
-            return after, 0
-        distances = scene.ground.distances_m(agents_m, places[known])
-        distances += scene.hysteresis_m * (states[:, None] != known)
-        shares, messages = fair_shares(wanted[known], len(states)), 0
-        # With several events the lists also hold substitutes for agents that take another event.
-        length: int | Indices = int(shares.sum())
-        if len(known) == 1:
-            demand = scene.demands[int(known[0])]
-            length = np.array([_demand_of(demand, count) for count in counts])
-        flagged = np.zeros(len(states), dtype=np.bool_)
-        for column in distances.T:
-            found = propagate_flags(
-                network, column, length, rounds=scene.flag_rounds if lossy else None, loss=loss,
-                generator=self._generator,
+        readings: Signals,
+        who: Indices,
+    ) -> tuple[int, int]:
+        """Update beliefs and responses; return the messages for assignment and with readings."""
+        # All arrays are by agent (n,); `who` are the members, which alone measure and have links.
+        scene, sensing = self.scene, self.scene.sensing
+        if sensing is None:
+            return 0, 0
+        members, announced, shared = states != ABSENT, 0, 0
+        beliefs = list[Belief]()
+        for number, before in enumerate(self._beliefs):
+            signal = np.full(len(states), -np.inf)
+            signal[who] = readings(number, who)
+            # An agent that detects an event asks unless it knows that others respond.
+            detects = signal > sensing.detection_std * sensing.sensor.noise_std
+            asks = detects & ~(before.known & (self._response.shares[:, number] > 0))
+            asks = members & (asks | (states == number))
+            belief, sent = share_readings(
+                before.of(members), sensing, medium, here_m, signal, asks, self._steps,
+                scene.time_step_s,
             )  # fmt: skip
-            flagged, messages = found.flagged, messages + found.messages
-        if len(known) == 1:
-            after[flagged] = known[0]
-            return after, messages
-        match = deferred_acceptance(distances, shares)
-        chosen = match.event_of != NONE
-        after[chosen] = known[match.event_of[chosen]]
-        return after, messages + match.requests + match.released
+            belief = estimate_event(
+                belief, sensing, scene.ground.hull, asks, self._steps, scene.time_step_s
+            )
+            belief, passed = share_estimates(belief, medium, self._steps, sensing.silent_steps)
+            beliefs.append(belief)
+            announced, shared = announced + passed, shared + sent
+        self._beliefs = tuple(beliefs)
+        self._response = choose_teams(
+            beliefs, scene.ground, medium, scene.demands, counts, here_m, states,
+            scene.hysteresis_m,
+        )  # fmt: skip
+        return announced + self._response.messages, shared
 
     def _targets(self, here_m: Floats, states: Indices) -> tuple[Floats, Floats, float]:
         """Return targets (n, 2), their velocities (n, 2), and the coverage cost of the members."""
@@ -382,31 +350,30 @@ class NetworkController:
             share = min(scene.gains.coverage_per_s * scene.time_step_s, 1.0)
             own[covers] = scene.ground.steered(agents[covers], ends, share)
         share = min(scene.gains.event_per_s * scene.time_step_s, 1.0)
-        for number, watch in enumerate(self._watches):
-            team = states[who] == number
-            if not team.any():
-                continue
-            ends = scene.ground.nearest(
-                event_places(
-                    agents[team],
-                    watch.place_m,
+        ends = here_m.copy()
+        for team in self._response.teams:
+            belief = self._beliefs[team.event]
+            mine = np.zeros(len(here_m), dtype=np.bool_)
+            mine[team.agents] = True
+            for estimate, same in belief.groups(mine):
+                places = event_places(
+                    here_m[team.members],
+                    estimate.value.position_m,
                     scene.stand_off_m,
                     scene.body_radius_m,
                     scene.ground,
                     scene.sensing is None or scene.sensing.strength_known,
                 )
-            )
-            own[team] = scene.ground.steered(agents[team], ends, share)
+                ends[same] = places[np.searchsorted(team.members, same)]
+                drifts[same] = estimate.value.velocity_m_s
+        if responds.any():
+            goals = scene.ground.nearest(ends[who[responds]])
+            own[responds] = scene.ground.steered(agents[responds], goals, share)
             # On a path around an obstacle the target is the next corner, which does not move.
-            straight = np.linalg.norm(own[team] - ends, axis=1) <= 1e-9 * scene.ground.hull.radius_m
-            drifts[who[team]] = straight[:, None] * watch.velocity_m_s
+            bent = np.linalg.norm(own[responds] - goals, axis=1) > 1e-9 * scene.ground.hull.radius_m
+            drifts[who[responds][bent]] = 0.0
         targets[who] = own
         return targets, drifts, cost
-
-
-def _demand_of(demand: Demand, count: float) -> int:
-    """Return the demand for an agent's estimate of the network's size; 0 without an estimate."""
-    return demanded(demand, round(count)) if np.isfinite(count) else 0
 
 
 def _numbers(key: str, values: Any, shape: tuple[int, ...]) -> Floats:
@@ -461,8 +428,14 @@ def simulate_network(
 def _run(scene: Scene, motions: list[Motion], rows: list[NetworkStep]) -> NetworkRun:
     """Return the record of a run, made from the decisions of all steps."""
     steps, events = len(rows), len(scene.events)
-    places = np.array([[watch.place_m for watch in row.watches] for row in rows])
-    stds = np.array([[watch.std_m for watch in row.watches] for row in rows])
+    places, stds = np.full((steps, events, 2), np.nan), np.full((steps, events), np.nan)
+    for step, row in enumerate(rows):
+        for number, belief in enumerate(row.beliefs):
+            if belief.best != NONE:
+                best = belief.estimates[belief.best]
+                places[step, number], stds[step, number] = best.value.position_m, best.std_m
+    agents = len(motions[0].places_m)
+    believed = np.array([[belief.places_m for belief in row.beliefs] for row in rows])
     return NetworkRun(
         np.arange(steps + 1, dtype=np.float64) * scene.time_step_s,
         np.array([each.places_m for each in motions]),
@@ -474,8 +447,9 @@ def _run(scene: Scene, motions: list[Motion], rows: list[NetworkStep]) -> Networ
         np.array([row.residual_m for row in rows]),
         np.array([row.counts for row in rows]),
         np.array([row.wanted for row in rows]).reshape(steps, events),
-        places.reshape(steps, events, 2),
-        stds.reshape(steps, events),
+        places,
+        stds,
+        believed.reshape(steps, events, agents, 2),
         np.array([row.messages for row in rows]),
         rows[-1].settled,
     )

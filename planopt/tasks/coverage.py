@@ -50,7 +50,12 @@ NETWORK_COLUMNS = (
     Column("cost", "coverage cost", required=True, largest=math.inf),
     Column("residual_m", "largest distance from rest at a target", "m", required=True),
     Column("count_messages", "messages for counting", kind="count", required=True),
-    Column("assignment_messages", "messages for assignment", kind="count", required=True),
+    Column(
+        "assignment_messages",
+        "messages with estimates and lists of agents",
+        kind="count",
+        required=True,
+    ),
     Column("reading_messages", "messages with sensor readings", kind="count", required=True),
 )
 EVENT_COLUMNS = (
@@ -60,9 +65,11 @@ EVENT_COLUMNS = (
     Column("there", "whether the event is there", kind="count", required=True),
     Column("x_m", "position of the event", "m", required=True),
     Column("y_m", "position of the event", "m", required=True),
-    Column("estimate_x_m", "estimated position; empty before it is detected", "m"),
-    Column("estimate_y_m", "estimated position; empty before it is detected", "m"),
-    Column("std_m", "standard deviation of the estimate", "m"),
+    Column("estimate_x_m", "best estimate of any agent; empty before the event is detected", "m"),
+    Column("estimate_y_m", "best estimate of any agent; empty before the event is detected", "m"),
+    Column("std_m", "standard deviation of the best estimate", "m"),
+    Column("informed", "number of agents that know of the event", kind="count", required=True),
+    Column("spread_m", "largest distance of a responding agent's estimate from the best", "m"),
     Column("wanted", "number of agents wanted", kind="count", required=True),
     Column("responding", "number of agents that respond", kind="count", required=True),
 )
@@ -256,7 +263,11 @@ def event_results(problem: CoverageProblem, run: NetworkRun) -> list[dict[str, A
         if not any(event.velocity_m_s):
             served &= in_place
         places = np.array([event.place_at(time_s) for time_s in times_s.tolist()])
-        error_m = np.linalg.norm(run.estimates_m[:, number] - places, axis=1)
+        square_m2 = ((run.beliefs_m[:, number] - places[:, None]) ** 2).sum(axis=2)
+        # Root mean square over the agents that respond, or over all that know the event
+        counted = team | (np.isfinite(square_m2) & (responding == 0)[:, None])
+        total_m2 = np.where(counted, square_m2, 0.0).sum(axis=1)
+        error_m = np.sqrt(total_m2 / np.maximum(counted.sum(axis=1), 1))
         both = np.flatnonzero(known & there)
         ended = np.flatnonzero(~known & ~there & (times_s >= event.ends_s))
         results.append(
@@ -329,6 +340,9 @@ def tables_of(problem: CoverageProblem, run: NetworkRun) -> dict[str, Data]:
     places = places.reshape(events, steps, 2)
     team = np.array([(run.states == k).sum(axis=1) for k in range(events)], dtype=np.int64)
     stds = run.stds_m.T.ravel()
+    off_m = np.linalg.norm(run.beliefs_m - run.estimates_m[:, :, None], axis=3)
+    own = run.states[:, None] == np.arange(events)[:, None]
+    spread_m = np.where(own, off_m, -np.inf).max(axis=2, initial=-np.inf)
     numbers = np.array(range(steps + 1), dtype=np.int64)
     there = [[int(e.is_there(t)) for t in times_s.tolist()] for e in problem.scene.events]
     return {
@@ -367,6 +381,8 @@ def tables_of(problem: CoverageProblem, run: NetworkRun) -> dict[str, Data]:
             "estimate_x_m": run.estimates_m[..., 0].T.ravel(),
             "estimate_y_m": run.estimates_m[..., 1].T.ravel(),
             "std_m": np.where(np.isfinite(stds), stds, np.nan),
+            "informed": np.isfinite(run.beliefs_m[..., 0]).sum(axis=2).T.ravel(),
+            "spread_m": np.where(spread_m >= 0.0, spread_m, np.nan).T.ravel(),
             "wanted": run.wanted.T.ravel(),
             "responding": team.ravel(),
         },
@@ -399,7 +415,7 @@ def in_words(result: TaskResult) -> Sequence[str]:
         sent = found["messages"]
         lines.append(
             f"  {sent['all']} messages: {sent['counting']} for counting, {sent['assignment']} for "
-            f"assignment, {sent['readings']} readings; the error of the count was at most "
+            f"assignment, {sent['readings']} with readings; the error of the count was at most "
             f"{found['count_error_most']:g}"
         )
     for each in data["events"]:

@@ -270,7 +270,6 @@ def _scene(
         control.partition,
         control.gains,
         rules.hysteresis_m,
-        rules.moved_m,
         given.counting,
         given.links,
         rules.flag_rounds,

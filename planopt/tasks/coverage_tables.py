@@ -285,12 +285,11 @@ class AssignmentTable(Table):
 
     hysteresis_m: Distance = 1.0
     """Advantage in distance, in metres, beyond which a new agent replaces an assigned one."""
-    moved_m: Distance = 1.0
-    """Displacement of an event estimate in metres that triggers a new assignment."""
     stand_off: bool = False
     """True if responding agents take positions on the most informative ring around an event."""
     flag_rounds: int = Field(default=30, ge=1, le=10_000)
-    """Rounds of flag propagation in a step if links lose messages."""
+    """Most rounds in a step of each flood of readings, estimates and lists, if links lose
+    messages."""
 
 
 class SurveyTable(Table):

@@ -49,7 +49,6 @@ def scene_of(count: int, *events: Event, wanted: int = 3) -> Scene:
         "all",
         GAINS,
         0.0,
-        0.5,
         Counting(),
         None,
         20,
@@ -97,7 +96,6 @@ def test_hysteresis_bounds_the_changes_of_a_team() -> None:
     scene = replace(
         scene_of(16, event),
         hysteresis_m=1.5,
-        moved_m=0.0,
         sensing=replace(SENSING, memory_s=6.0),
         duration_s=32.0,
     )
@@ -168,7 +166,7 @@ def test_an_agent_that_fails_is_replaced() -> None:
 
 
 def test_lossy_links_cost_messages_and_still_agree() -> None:
-    """With a fifth of the messages lost the right team responds all the same."""
+    """With a fifth of the messages lost the right team responds, and messages are repeated."""
     links = LinkModel(-30.0, 3.0, 6.0, -69.0)
     scene = scene_of(14, Event("leak", (25.0, 18.0), 6.0))
     lossy = run_of(replace(scene, links=links), 6)
@@ -176,7 +174,7 @@ def test_lossy_links_cost_messages_and_still_agree() -> None:
     typical = float(links.loss(np.array([13.0]))[0])
     assert 0.05 < typical < 0.4
     assert (lossy.states[-1] == 0).sum() == 3 and lossy.settled
-    assert lossy.messages[:, 1].sum() > 5 * calm.messages[:, 1].sum()
+    assert (lossy.messages[6:30, 1:].sum(axis=0) > 1.05 * calm.messages[6:30, 1:].sum(axis=0)).all()
 
 
 def test_moving_events_are_located_within_their_deviation() -> None:

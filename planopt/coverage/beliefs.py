@@ -1,0 +1,383 @@
+"""Beliefs of agents about events: readings, estimates and teams travel over lossy links.
+
+Every agent knows what it has measured or received from a neighbour, and nothing else. Agents that
+respond to an event, or detect it, ask their neighbours for readings; all of these agents pass
+readings on. An asking agent estimates the event from the readings it holds. The best estimate
+travels to all agents, and lists of the nearest agents then decide who responds.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from planopt.arrays import Floats, Indices, Mask
+from planopt.coverage.assignment import (
+    NONE,
+    Demand,
+    accepted,
+    demanded,
+    fair_shares,
+    propagate_flags,
+)
+from planopt.coverage.events import Sensing
+from planopt.coverage.geodesic import Ground
+from planopt.coverage.localisation import (
+    Drift,
+    EventEstimate,
+    Readings,
+    joined,
+    locate_event,
+    pooled,
+    single_readings,
+)
+from planopt.coverage.network import Loss, Merge, Network, flood
+from planopt.coverage.voronoi import ConvexRegion
+
+GRID_READINGS = 150
+"""Number of readings above which only the last estimate serves as initial guess."""
+
+NEVER = -(10**9)
+"""Step of the last detection of an event that an agent never heard of."""
+
+
+@dataclass(frozen=True, eq=False)
+class Medium:
+    """Links between agents in one step."""
+
+    network: Network
+    loss: Loss  # Probability of losing a message: one value, or (e,) values by link
+    rounds: int | None  # Largest number of rounds of a flood; None without losses
+    generator: np.random.Generator
+
+    def flood(self, begins: Mask, merge: Merge, ends: Mask | None = None) -> int:
+        """Flood content from agents `begins`; return the number of messages.
+
+        Only links with an end in the mask `ends` (n,) are used.
+        """
+        sender, receiver = self.network.directed
+        loss = np.broadcast_to(np.asarray(self.loss, dtype=np.float64), len(self.network.links))
+        loss = np.tile(loss, 2)
+        if ends is not None:
+            used = ends[sender] | ends[receiver]
+            sender, receiver, loss = sender[used], receiver[used], loss[used]
+        return flood(
+            sender, receiver, begins, merge, rounds=self.rounds, loss=loss,
+            generator=self.generator,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """Estimate of an event with its rank among the estimates of all agents."""
+
+    # The estimate from more readings ranks higher; where readings age, the newer one does.
+    rank: tuple[int, int]
+    value: EventEstimate
+
+    @property
+    def std_m(self) -> float:
+        """Return the root of the trace of the position covariance."""
+        # The distance to the farthest rival maximum is added in quadrature.
+        rivals_m = np.linalg.norm(self.value.rivals_m - self.value.position_m, axis=1)
+        spread_m = float(rivals_m.max(initial=0.0))
+        return math.hypot(math.sqrt(float(np.trace(self.value.covariance_m2))), spread_m)
+
+
+@dataclass(frozen=True, eq=False)
+class Belief:
+    """What each of `n` agents knows about one event, with `r` readings in all."""
+
+    steps: Indices  # (r,) step in which each reading was taken
+    readings: Readings
+    held: Mask  # (n, r) readings that each agent holds
+    estimates: tuple[Estimate, ...]  # Estimates that agents hold, of ascending rank
+    chosen: Indices  # (n,) number of each agent's estimate; `NONE` for agents without
+    heard: Indices  # (n,) step of the last detection that the agent knows of
+
+    @classmethod
+    def none(cls, agents: int) -> Belief:
+        """Return the belief of agents that know nothing."""
+        return cls(
+            np.zeros(0, dtype=np.intp),
+            single_readings(np.zeros((0, 2)), np.zeros(0)),
+            np.zeros((agents, 0), dtype=np.bool_),
+            (),
+            np.full(agents, NONE, dtype=np.intp),
+            np.full(agents, NEVER, dtype=np.intp),
+        )
+
+    @property
+    def known(self) -> Mask:
+        """Return which agents regard the event as active; (n,)."""
+        return self.chosen != NONE
+
+    @property
+    def best(self) -> int:
+        """Return the number of the estimate of highest rank; `NONE` if no agent has one."""
+        return int(self.chosen.max(initial=NONE))
+
+    def groups(self, agents: Mask) -> list[tuple[Estimate, Indices]]:
+        """Return each estimate that some agents of a mask (n,) have, and these agents."""
+        found = [
+            (estimate, np.flatnonzero(agents & (self.chosen == number)))
+            for number, estimate in enumerate(self.estimates)
+        ]
+        return [(estimate, who) for estimate, who in found if len(who)]
+
+    @property
+    def places_m(self) -> Floats:
+        """Return the position that each agent believes; (n, 2), NaN for agents without estimate."""
+        each = [estimate.value.position_m for estimate in self.estimates]
+        return np.array([*each, np.full(2, math.nan)])[self.chosen]
+
+    @property
+    def velocities_m_s(self) -> Floats:
+        """Return the velocity that each agent believes; (n, 2)."""
+        each = [estimate.value.velocity_m_s for estimate in self.estimates]
+        return np.array([*each, np.zeros(2)])[self.chosen]
+
+    @property
+    def stds_m(self) -> Floats:
+        """Return the standard deviation of each agent's estimate; (n,), NaN without."""
+        return np.array([*(each.std_m for each in self.estimates), math.nan])[self.chosen]
+
+    def of(self, agents: Mask) -> Belief:
+        """Return the belief without the knowledge of all other agents; `agents` is a mask (n,)."""
+        return replace(
+            self,
+            held=self.held & agents[:, None],
+            chosen=np.where(agents, self.chosen, NONE),
+            heard=np.where(agents, self.heard, NEVER),
+        )
+
+
+def share_readings(
+    belief: Belief,
+    sensing: Sensing,
+    medium: Medium,
+    agents_m: Floats,  # (n, 2)
+    signal: Floats,  # (n,); negative infinity for absent agents
+    asks: Mask,  # (n,) mask of the agents that ask their neighbours for readings
+    step: int,
+    time_step_s: float,
+) -> tuple[Belief, int]:
+    """Share the readings of a step and those that an agent lacks; return the messages sent too."""
+    sender, receiver = medium.network.directed
+    count, near = len(signal), asks.copy()
+    near[receiver[asks[sender]]] = True
+    owners = np.flatnonzero(near)
+    column = np.full(count, NONE, dtype=np.intp)
+    column[owners] = np.arange(len(owners))
+    now = np.zeros((count, len(owners)), dtype=np.bool_)
+    now[asks, column[asks]] = True
+    partly = belief.held[near].any(axis=0) & ~belief.held[near].all(axis=0)
+    work = np.concatenate((now, belief.held[:, partly]), axis=1)
+
+    def merge(senders: Indices, receivers: Indices) -> Mask:
+        """Unite the readings of receivers with those of their senders and with their own one."""
+        changed, order = np.zeros(count, dtype=np.bool_), np.argsort(receivers, kind="stable")
+        first = np.flatnonzero(np.diff(receivers[order], prepend=NONE))
+        if len(first):
+            who = receivers[order][first]
+            before = work[who]
+            after = before | np.logical_or.reduceat(work[senders[order]], first, axis=0)
+            after[np.arange(len(who)), column[who]] = True
+            work[who], changed[who] = after, (after != before).any(axis=1)
+        return changed
+
+    messages = medium.flood(asks, merge, asks)
+    loud = signal > sensing.detection_std * sensing.sensor.noise_std
+    fresh = work[:, : len(owners)]
+    # Without a detection the event may just have ended; such readings would bias the estimate.
+    hears: Mask = np.asarray(fresh[:, loud[owners]].any(axis=1), dtype=np.bool_)
+    held = belief.held.copy()
+    held[:, partly] = work[:, len(owners) :]
+    held = np.concatenate((held, fresh & hears[:, None]), axis=1)
+    steps = np.concatenate((belief.steps, np.full(len(owners), step, dtype=np.intp)))
+    new = single_readings(agents_m[owners], signal[owners])
+    heard = np.where(hears | loud, step, belief.heard)
+    kept = np.asarray(held.any(axis=0), dtype=np.bool_)
+    if sensing.memory_s is not None:
+        kept &= (step - steps) * time_step_s < sensing.memory_s
+    readings = _taken(joined((belief.readings, new)), kept)
+    return replace(
+        belief, steps=steps[kept], readings=readings, held=held[:, kept], heard=heard
+    ), messages
+
+
+def estimate_event(
+    belief: Belief,
+    sensing: Sensing,
+    hull: ConvexRegion,
+    asks: Mask,
+    step: int,
+    time_step_s: float,
+) -> Belief:
+    """Estimate an event by all asking agents, each from the readings it holds."""
+    moves = sensing.speed_std_m_s is not None
+    fresh = belief.held if moves else belief.held[:, belief.steps == step]
+    groups: dict[bytes, list[int]] = {}  # Agents with equal readings have equal estimates
+    for agent in np.flatnonzero(asks & fresh.any(axis=1)).tolist():
+        groups.setdefault(belief.held[agent].tobytes(), []).append(agent)
+    if not groups:
+        return belief
+    ranked = belief.groups(belief.known)
+    for agents in groups.values():
+        rows = belief.held[agents[0]]
+        mine = int(belief.chosen[agents[0]])
+        last = None if mine == NONE else belief.estimates[mine].value
+        age_s = time_step_s * (step - belief.steps[rows]).astype(np.float64)
+        found = _located(_taken(belief.readings, rows), age_s, sensing, hull, last)
+        size = int(rows.sum())
+        rank = (size, step) if sensing.memory_s is None else (step, size)
+        ranked.append((Estimate(rank, found), np.array(agents)))
+    ranked.sort(key=lambda one: one[0].rank)
+    chosen = np.full(len(belief.chosen), NONE, dtype=np.intp)
+    for number, (_, agents) in enumerate(ranked):
+        chosen[agents] = number
+    return replace(belief, estimates=tuple(one[0] for one in ranked), chosen=chosen)
+
+
+def _taken(readings: Readings, rows: Mask) -> Readings:
+    """Return the readings in a mask."""
+    return Readings(readings.positions_m[rows], readings.signal[rows], readings.counts[rows])
+
+
+def _located(
+    readings: Readings,
+    ages_s: Floats,
+    sensing: Sensing,
+    hull: ConvexRegion,
+    last: EventEstimate | None,
+) -> EventEstimate:
+    """Locate an event from readings of given ages; `last` is an earlier estimate."""
+    drift = None
+    if sensing.speed_std_m_s is None:
+        readings = pooled([readings])
+    else:
+        # The signal of a moving event changes, so readings at one position are not averaged.
+        guess = np.zeros(2) if last is None else last.velocity_m_s
+        drift = Drift(ages_s, sensing.speed_std_m_s, guess)
+    near = None
+    if last is not None and len(readings.signal) > GRID_READINGS:
+        near = np.concatenate((last.position_m[None], last.rivals_m))
+    return locate_event(
+        sensing.sensor, readings, hull, strength_known=sensing.strength_known, near_m=near,
+        drift=drift,
+    )  # fmt: skip
+
+
+def share_estimates(
+    belief: Belief, medium: Medium, step: int, silent_steps: int
+) -> tuple[Belief, int]:
+    """Pass on estimates and times of detection; agents that hear of none in time forget the event.
+
+    Returns the belief and the number of messages.
+    """
+    chosen, heard = belief.chosen.copy(), belief.heard.copy()
+
+    def merge(senders: Indices, receivers: Indices) -> Mask:
+        """Adopt estimates of higher rank and later detections."""
+        before = chosen.copy(), heard.copy()
+        np.maximum.at(chosen, receivers, before[0][senders])
+        np.maximum.at(heard, receivers, before[1][senders])
+        return (chosen != before[0]) | (heard != before[1])
+
+    messages = medium.flood((chosen != NONE) & (step - heard < silent_steps), merge)
+    shared = replace(belief, chosen=chosen, heard=heard)
+    return shared.of((chosen != NONE) & (step - heard < silent_steps)), messages
+
+
+@dataclass(frozen=True, eq=False)
+class Team:
+    """Agents that respond to one event and have the same view of their team."""
+
+    event: int
+    agents: Indices  # (a,) agents with this view
+    members: Indices  # (m,) agents that they expect to respond
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """Decisions of `n` agents on `k` events."""
+
+    states: Indices  # (n,) event that each agent responds to; `NONE` if it covers
+    shares: Indices  # (n, k) number of agents that each agent expects to respond to each event
+    wanted: Indices  # (k,) demand of each event, as the nearest agent that knows it sees it
+    teams: tuple[Team, ...]
+    messages: int
+
+
+def choose_teams(
+    beliefs: Sequence[Belief],
+    ground: Ground,
+    medium: Medium,
+    demands: Sequence[Demand],
+    counts: Floats,  # (n,) each agent's estimate of the number of members; NaN without one
+    agents_m: Floats,  # (n, 2)
+    states: Indices,  # (n,) event that each agent responded to in the last step
+    hysteresis_m: float,
+) -> Response:
+    """Decide which events agents respond to, each agent from its own belief and the lists it has.
+
+    An agent announces its distances to the events that it knows, plus the hysteresis to those that
+    it does not respond to. The lists of an agent are as long as the sum of all demands, so they
+    contain every agent that deferred acceptance may request.
+    """
+    agents, events = len(counts), len(beliefs)
+    known = np.array([belief.known for belief in beliefs]).reshape(events, agents).T
+    distances = np.full((agents, events), np.inf)
+    for number, belief in enumerate(beliefs):
+        for estimate, who in belief.groups(belief.known):
+            place = estimate.value.position_m[None]
+            distances[who, number] = ground.distances_m(agents_m[who], place)[:, 0]
+    nearest = distances.argmin(axis=0)
+    wants, shares = _shares(known, demands, counts)
+    wanted = np.where(known.any(axis=0), wants[nearest, np.arange(events)], 0)
+    distances += hysteresis_m * (states[:, None] != np.arange(events))
+    lists: list[tuple[Indices, ...]] = []
+    flagged, messages = np.zeros((agents, events), dtype=np.bool_), 0
+    for number in range(events):
+        found = propagate_flags(
+            medium.network, distances[:, number], shares.sum(axis=1), rounds=medium.rounds,
+            loss=medium.loss, generator=medium.generator,
+        )  # fmt: skip
+        lists.append(found.lists)
+        flagged[:, number], messages = found.flagged, messages + found.messages
+    views: dict[bytes, list[int]] = {}  # Agents with equal lists decide equally
+    for agent in np.flatnonzero(flagged.any(axis=1)).tolist():
+        own = [known[agent], shares[agent], *(lists[k][agent] for k in range(events))]
+        views.setdefault(b"|".join(each.tobytes() for each in own), []).append(agent)
+    after, teams = np.full(agents, NONE, dtype=np.intp), list[Team]()
+    for same in views.values():
+        mine = np.flatnonzero(known[same[0]])
+        listed = np.unique(np.concatenate([lists[k][same[0]] for k in mine.tolist()]))
+        match = accepted(distances[np.ix_(listed, mine)], shares[same[0], mine]).event_of
+        event_of = np.full(agents, NONE, dtype=np.intp)
+        event_of[listed[match != NONE]] = mine[match[match != NONE]]
+        after[same] = event_of[same]
+        for number in range(events):
+            who = np.array(same)[event_of[same] == number]
+            if len(who):
+                teams.append(Team(number, who, np.flatnonzero(event_of == number)))
+    return Response(after, shares, wanted, tuple(teams), messages)
+
+
+def _shares(known: Mask, demands: Sequence[Demand], counts: Floats) -> tuple[Indices, Indices]:
+    """Return the demands (n, k) of known events by each agent's count, and its fair shares."""
+    wants, shares = (np.zeros(known.shape, dtype=np.intp) for _ in range(2))
+    done: dict[tuple[bytes, int], tuple[Indices, Indices]] = {}
+    for agent in np.flatnonzero(known.any(axis=1) & np.isfinite(counts)).tolist():
+        count = round(counts[agent])
+        key = known[agent].tobytes(), count
+        if key not in done:
+            want = [
+                demanded(demands[k], count) if known[agent, k] else 0 for k in range(len(demands))
+            ]
+            done[key] = np.array(want, dtype=np.intp), fair_shares(np.array(want), count)
+        wants[agent], shares[agent] = done[key]
+    return wants, shares

@@ -28,6 +28,7 @@ from planopt.coverage.control.radio import radio_tree as radio_tree
 from planopt.coverage.control.safe_sets import UNBOUNDED as UNBOUNDED
 from planopt.coverage.control.safe_sets import SafeSets as SafeSets
 from planopt.coverage.control.safe_sets import ground_sets as ground_sets
+from planopt.coverage.cost_bounds import cost_bound as cost_bound
 from planopt.coverage.density import UNIFORM as UNIFORM
 from planopt.coverage.density import CallableDensity as CallableDensity
 from planopt.coverage.density import Density as Density
@@ -78,7 +79,6 @@ from planopt.coverage.network import minima_estimates as minima_estimates
 from planopt.coverage.network import minima_round as minima_round
 from planopt.coverage.network import running_round as running_round
 from planopt.coverage.optima import best_deployment as best_deployment
-from planopt.coverage.optima import cost_bound as cost_bound
 from planopt.coverage.optima import draw_start as draw_start
 from planopt.coverage.optima import settle as settle
 from planopt.coverage.simulation import ABSENT as ABSENT

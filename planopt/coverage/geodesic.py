@@ -240,14 +240,14 @@ def _nodes(
     if out.any():
         nodes[out] = shapely.get_coordinates(shapely.point_on_surface(pieces[out]))
     weight = density.at(nodes)
-    moments = UniformDensity().moments(_boundaries(pieces, nodes))
+    moments = UniformDensity().moments(polygon_boundaries(pieces, nodes))
     mass = weight * moments.mass
     if not mass.sum() > 0.0:
         raise InputError("is zero everywhere in the region", key="density")
     return nodes, mass, float(weight @ moments.second)
 
 
-def _boundaries(pieces: NDArray[np.object_], nodes_m: Floats) -> Boundary:
+def polygon_boundaries(pieces: NDArray[np.object_], nodes_m: Floats) -> Boundary:
     """Return the boundaries of polygons (m,) relative to nodes (m, 2); holes count negative."""
     rings, piece = shapely.get_rings(shapely.orient_polygons(pieces), return_index=True)
     corners, ring = shapely.get_coordinates(rings, return_index=True)

@@ -1,18 +1,13 @@
-"""Low-cost deployments by multi-start search, and lower bounds of the coverage cost."""
+"""Low-cost deployments by multi-start search."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
-import shapely
 
 from planopt.arrays import Floats, Indices
-from planopt.coverage.assignment import HEXAGON
-from planopt.coverage.density import GaussianMixture, RasterDensity, UniformDensity
 from planopt.coverage.geodesic import GeodesicGround, Ground
-from planopt.coverage.ground import ConvexGround
 
 LEAP = 1.7
 """Over-relaxation factor of the first trial in every step toward the targets."""
@@ -32,9 +27,6 @@ CANDIDATES = 20
 SINGLES = 3
 """Number of agents, and of destinations, for the final trials of single relocations."""
 
-LEVELS = 200
-"""Number of cells along each side of the region for bounds of a mixture's density."""
-
 
 @dataclass(frozen=True, eq=False)
 class Deployment:
@@ -42,7 +34,6 @@ class Deployment:
 
     places_m: Floats  # (n, 2) settled positions of the best initial deployment
     cost: float  # Their coverage cost H
-    lower_bound: float  # Lower bound of the cost of n agents; 0 if no better bound is known
     costs: Floats  # (starts,) settled costs of all initial deployments
 
 
@@ -63,7 +54,7 @@ def best_deployment(
     costs = np.array([cost for _, cost in settled])
     places, cost = settled[int(costs.argmin())]
     places, cost = _relocated(ground, places, cost)
-    return Deployment(places, cost, cost_bound(ground, count), costs)
+    return Deployment(places, cost, costs)
 
 
 def settle(ground: Ground, places_m: Floats) -> tuple[Floats, float]:
@@ -184,64 +175,3 @@ def _relocations(ground: Ground, places: Floats) -> tuple[list[Relocation], list
         used |= {gone, cell}
         moves.append((gone, cell, ends[cell]))
     return moves, singles
-
-
-def cost_bound(ground: Ground, count: int) -> float:
-    """Return a lower bound of the cost of any deployment of `count` agents; 0 if none is known."""
-    # For the uniform density every cell costs at least as much as a disc of equal area, and the sum
-    # is least for equal areas. In a convex polygon of at most six sides, without sensing range,
-    # regular hexagons of equal area give a tighter bound (Fejes Tóth's moment theorem). Any other
-    # density is a sum of uniform densities on its superlevel sets, whose bounds add up.
-    if not isinstance(ground, ConvexGround):
-        return 0.0
-    reach = math.inf if ground.sensing_range_m is None else ground.sensing_range_m
-    densities, areas = _levels(ground)
-    order = np.argsort(-densities, kind="stable")
-    area = np.cumsum(areas[order]) / count
-    steps = -np.diff(densities[order], append=0.0)
-    inner = np.minimum(area, math.pi * reach**2)
-    disc = inner**2 / (2.0 * math.pi)
-    beyond = area > inner
-    disc[beyond] += reach**2 * (area - inner)[beyond]
-    hexagons = isinstance(ground.density, UniformDensity) and len(ground.region.corners_m) <= 6
-    if hexagons and math.isinf(reach):
-        disc = np.maximum(disc, HEXAGON * area**2)
-    return float(count * (steps @ disc))
-
-
-def _levels(ground: ConvexGround) -> tuple[Floats, Floats]:
-    """Return lower bounds of the density on parts of a region, and the areas of these parts."""
-    density, area = ground.density, np.array([ground.area_m2])
-    corners = ground.region.corners_m
-    first: Floats = corners.min(axis=0)
-    last: Floats = corners.max(axis=0)
-    x: Floats
-    y: Floats
-    if isinstance(density, UniformDensity):
-        return np.array([density.weight_per_m2]), area
-    if isinstance(density, RasterDensity):
-        raster, (wide, high) = density.raster, density.raster.cell_m
-        x = raster.x_m[0] + wide * (np.arange(len(raster.x_m) + 1) - 0.5)
-        y = raster.y_m[0] + high * (np.arange(len(raster.y_m) + 1) - 0.5)
-        least = raster.values
-    elif isinstance(density, GaussianMixture):
-        share = np.arange(LEVELS + 1, dtype=np.float64)[:, None] / LEVELS
-        lines: Floats = first + share * (last - first)
-        x, y = lines[:, 0], lines[:, 1]
-        places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
-        least = np.full((LEVELS, LEVELS), density.floor_per_m2)
-        for number in range(len(density.weights)):
-            # On a convex cell a bump attains its minimum at a corner.
-            one = GaussianMixture(
-                density.weights[[number]], density.means_m[[number]], density.stds_m[[number]]
-            )
-            bump = one.at(places).reshape(LEVELS + 1, LEVELS + 1)
-            along = np.minimum(bump[:, 1:], bump[:, :-1])
-            least = least + np.minimum(along[1:], along[:-1])
-    else:
-        return np.zeros(1), area
-    left, low = np.meshgrid(x[:-1], y[:-1])
-    right, top = np.meshgrid(x[1:], y[1:])
-    boxes = np.asarray(shapely.box(left, low, right, top), dtype=np.object_)
-    inside = shapely.intersection(boxes, shapely.Polygon(corners))
-    return least.ravel(), np.asarray(shapely.area(inside), dtype=np.float64).ravel()  # pyright: ignore[reportUnknownMemberType]

@@ -27,6 +27,7 @@ EXACT = Tolerance(1e-6, 1e-9)  # Computed from saved numbers; the default
 PREDICTION = Tolerance(1e-3, 1e-9)  # dB or probability: large logs are predicted in groups
 FIT = Tolerance(1e-6, 1e-3)  # Iterative fit
 SITE = Tolerance(1e-5, 1e-5)  # Iteration with a tolerance of 1e-7
+BOUND = Tolerance(1e-3, 1e-3)  # Prices after a fixed number of steps amplify rounding errors
 
 TOLERANCES = {
     **dict.fromkeys(
@@ -40,6 +41,7 @@ TOLERANCES = {
     ),
     **dict.fromkeys(("parameters", "standard_errors", "theta", "theta_covariance"), FIT),
     **dict.fromkeys(("precision", "precision_mean"), SITE),
+    **dict.fromkeys(("bound", "gap"), BOUND),
 }
 """Tolerances of keys and columns that differ from the default `EXACT`."""
 

@@ -12,6 +12,7 @@ import shapely
 from numpy.typing import NDArray
 
 from planopt.coverage.assignment import NONE
+from planopt.coverage.cost_bounds import EFFORT_S, cost_bound
 from planopt.coverage.limits import Motion, packing_reach_m
 from planopt.coverage.optima import STARTS, best_deployment
 from planopt.coverage.simulation import ABSENT, NetworkController, NetworkRun, simulate_network
@@ -78,6 +79,9 @@ COVERS, AWAY = "covers", "absent"
 
 ON_TARGET_M = 1e-9
 """Rounding tolerance of the settling distance."""
+
+BOUND_METHOD = "Lagrangian relaxation with a price of each position"
+"""Method of the lower bound on the coverage cost."""
 
 COST_SHARE = 1e-6
 """Relative rounding tolerance by which the lower bound may exceed the coverage cost."""
@@ -173,12 +177,16 @@ def faults(result: TaskResult) -> list[str]:
     return reasons
 
 
-def solve(problem: CoverageProblem, *, seed: int) -> TaskResult:
-    """Return the best deployment found from several starts, with a lower bound of the cost."""
+def solve(problem: CoverageProblem, *, seed: int, prove_s: float = EFFORT_S) -> TaskResult:
+    """Return the best deployment from several starts, with a lower bound of the cost.
+
+    The bound takes about `prove_s` seconds of processor time on a common core.
+    """
     generator = np.random.default_rng(seed)
     ground, starts_m = problem.scene.ground, problem.starts(generator)
     found = best_deployment(ground, len(starts_m), STARTS, generator, first_m=starts_m)
-    body_m, bound = problem.given.limits.body_radius_m, found.lower_bound
+    bound = cost_bound(ground, found.places_m, prove_s)
+    body_m = problem.given.limits.body_radius_m
     cost = ground.cover(found.places_m).cost
     fits = bool(has_room(ground, found.places_m, body_m).all())
     fits &= overlapping(found.places_m, body_m) is None
@@ -191,6 +199,8 @@ def solve(problem: CoverageProblem, *, seed: int) -> TaskResult:
         "objective": cost,
         "bound": bound if bound > 0.0 else None,
         "gap": (cost - bound) / max(cost, 1e-12) if bound > 0.0 else None,
+        "bound_method": BOUND_METHOD if bound > 0.0 else None,
+        "prove_s": prove_s,
         "robots": _paths(np.zeros(1), found.places_m[None]),
         "start_costs": found.costs.tolist(),
     }
@@ -395,7 +405,10 @@ def in_words(result: TaskResult) -> Sequence[str]:
     if "verdict" in data:
         bound = "no lower bound is proven"
         if data["bound"] is not None:
-            bound = f"proven: no deployment costs less than {data['bound']:.6g}"
+            bound = (
+                f"proven: no deployment costs less than {data['bound']:.6g}, gap "
+                f"{data['gap']:.2%} ({data['bound_method']})"
+            )
         radio = cast("CoverageProblem", result.problem).radio is not None
         worst = max(data["start_costs"]) / data["objective"]
         return (

@@ -39,6 +39,9 @@ NO_PLAN, NOT_VERIFIED = 4, 3
 MOST_REASONS = 3
 """Maximum number of faults in a row of the regression suite."""
 
+EFFORT_KEYS = ("prove_s",)
+"""Keys of a saved result that a check passes to the action again."""
+
 Action = Literal["solve", "simulate"]
 
 
@@ -550,6 +553,7 @@ def _reasons_against(file: Path, data: Mapping[str, Any]) -> list[str]:
     try:
         follows = "saved" in signature(task_of(saved.problem).function(action)).parameters
         more: dict[str, Any] = {"saved": saved.tables} if follows and saved.tables else {}
+        more |= {key: saved.data[key] for key in EFFORT_KEYS if key in saved.data}
         again: TaskResult = perform(action, saved.problem, seed=seed, **more)
     except NoPlanError as error:
         return [f"{file.name}: there is no plan: {error}"]

@@ -51,7 +51,7 @@ def drawn_ground(rng: np.random.Generator) -> ConvexGround | GeodesicGround:
 def test_no_deployment_is_below() -> None:
     """Random regions, densities, obstacles and numbers of agents, settled and not."""
     rng, shares = np.random.default_rng(11), list[float]()
-    for _ in range(25):
+    for _ in range(16):
         ground, count = drawn_ground(rng), int(rng.integers(1, 14))
         start = draw_start(ground, count, rng)
         cost = settle(ground, start)[1]

@@ -41,6 +41,7 @@ from planopt.robots.dynamics import braked_motion
 from planopt.world.clearance import index_obstacles
 from planopt.world.motion import step_distances_m
 from planopt.world.moving_discs import MovingDiscs
+from planopt.world.workspace import MovingObstacle, Obstacle
 
 Missed = Literal["connection", "separation", "moving"]
 """Violated requirement: connection, separation of robots, or clearance from moving obstacles."""
@@ -54,10 +55,8 @@ EXPLAINED_S = 6.0
 EXTRA = (1.01, 1.03, 1.1, 1.5)
 """Factors on the estimated amount, tried in turn because planners keep small margins."""
 
-SETTLING_HALVINGS = 40
-
-SETTLED = 1e-3
-"""Relative tolerance of the bisection for the least amount."""
+SETTLING_HALVINGS, SETTLED, BISECTED_DIGITS = 40, 1e-3, 12
+"""Maximum number of bisections of an amount, its relative tolerance; digits of bisected values."""
 
 LEAST_P_MIN = 0.01
 """Smallest value proposed for p_min."""
@@ -164,17 +163,28 @@ def rounded(value: float, digits: int, down: bool) -> float:
     return float(f"{found:.{digits}g}")
 
 
-def least_amount(suffices: Callable[[float], bool], most: float) -> float | None:
-    """Return the least sufficient amount up to `most`, by bisection; None if none suffices."""
-    low, high = 0.0, most
-    if not suffices(high):
-        return None
-    for _ in range(SETTLING_HALVINGS):
-        if high - low <= SETTLED * high:
+def bisected(
+    suffices: Callable[[float], bool], least: float, most: float, count: int, settled: float = 0.0
+) -> float:
+    """Return the value nearest to `least` that suffices; `most` does, above or below `least`.
+
+    The search ends after `count` halvings, or at the relative tolerance `settled`.
+    """
+    for _ in range(count):
+        if abs(most - least) <= settled * most:
             break
-        middle = 0.5 * (low + high)
-        low, high = (low, middle) if suffices(middle) else (middle, high)
-    return high
+        middle = rounded(0.5 * (least + most), BISECTED_DIGITS, down=most < least)
+        least, most = (least, middle) if suffices(middle) else (middle, most)
+    return most
+
+
+def without(
+    problem: Problem, kind: Literal["obstacles", "moving"], obstacle: Obstacle | MovingObstacle
+) -> tuple[Key, Problem]:
+    """Return the key of an obstacle, and the problem without it."""
+    rest = tuple(each for each in getattr(problem.workspace, kind) if each is not obstacle)
+    changed = replace(problem, workspace=replace(problem.workspace, **{kind: rest}))
+    return Key(f"world.{kind} ({obstacle.name})", "", math.nan, 0.0), changed
 
 
 def constraint_key(problem: Problem, name: str, unit: str, limit: float) -> Key:
@@ -363,10 +373,8 @@ def explain_violated(case: Case, trials: Trials) -> tuple[Relaxation, ...]:
                 found.setdefault(key.name, entry)
         moving = problem.workspace.moving if fault.missed != "separation" else ()
         for obstacle in moving if len(moving) <= MOST_MOVING else ():
-            rest = tuple(each for each in moving if each is not obstacle)
-            workspace = replace(problem.workspace, moving=rest)
-            if trials.is_verified(replace(problem, workspace=workspace)):
-                removed = Key(f"world.moving ({obstacle.name})", "", math.nan, 0.0)
+            removed, changed = without(problem, "moving", obstacle)
+            if trials.is_verified(changed):
                 found.setdefault(removed.name, removed.relaxation(*known, None))
     return tuple(found.values())
 
@@ -400,11 +408,17 @@ def _lacking(fault: Fault, key: Key, cases: list[Case]) -> float:
             )
         if least > 0.0:
             return min(least, key.most)
-    amounts = (
-        least_amount(lambda amount, each=each: _is_kept(each, key, amount), key.most)
-        for each in cases
+    return min(
+        (
+            bisected(
+                lambda amount, each=each: _is_kept(each, key, amount),
+                *(0.0, key.most, SETTLING_HALVINGS, SETTLED),
+            )
+            for each in cases
+            if _is_kept(each, key, key.most)
+        ),
+        default=key.most,
     )
-    return min((amount for amount in amounts if amount is not None), default=key.most)
 
 
 def _is_kept(case: Case, key: Key, amount: float) -> bool:

@@ -5,17 +5,13 @@ Changes of clearance, obstacles, time step or chance constraint may open a path 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from time import process_time
-from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.posterior import Belief, ChannelPosterior
@@ -28,10 +24,12 @@ from planopt.planning.explain.changes import (
     Case,
     Key,
     Trials,
+    bisected,
     connection_keys,
     constraint_key,
     explain_violated,
     rounded,
+    without,
 )
 from planopt.planning.explanation import Crossing, Explanation, Relaxation
 from planopt.planning.free_space import is_joined
@@ -107,8 +105,13 @@ def _explain_solution(solution: Solution) -> Explanation:
             case = Case(problem, number, belief.posteriors, plan, moving)
             plan_again = partial(_planned, belief=belief, seed=solution.seed, number=number)
             found += explain_violated(case, Trials(plan_again, ends_s))
-    crossed = crossings(problem, solution.plans, belief.posteriors)
-    return Explanation((*found, *crossed), _summary(solution.verdict, found))
+    crossed = [
+        explain_crossing(problem_of_robot(problem, number), belief.posteriors, plan)
+        for number, plan in enumerate(solution.plans)
+        if plan.verdict is Verdict.VERIFIED
+    ]
+    entries = (*found, *(one for one in crossed if one is not None))
+    return Explanation(entries, _summary(solution.verdict, found))
 
 
 def _planned(
@@ -176,18 +179,6 @@ CONNECTION_PRICE = 1e4
 """Price of a metre out of contact that makes connection more important than path length."""
 
 
-def crossings(
-    problem: Problem, plans: Sequence[Plan], posteriors: Sequence[ChannelPosterior]
-) -> tuple[Crossing, ...]:
-    """Return the coverage holes that verified plans to goals cross, with reasons, by robot."""
-    found = [
-        explain_crossing(problem_of_robot(problem, number), posteriors, plan)
-        for number, plan in enumerate(plans)
-        if plan.verdict is Verdict.VERIFIED
-    ]
-    return tuple(one for one in found if one is not None)
-
-
 def explain_crossing(
     problem: Problem, posteriors: Sequence[ChannelPosterior], plan: Plan
 ) -> Crossing | None:
@@ -238,8 +229,8 @@ def _cheapest_path(
     return cost_m, np.vstack([start_m, road_map.nodes_m[rest]])
 
 
-BISECTIONS, CLEARANCES, BISECTED_DIGITS = 16, 8, 12
-"""Bisections of the clearance in free space, bisections on the lattice, and significant digits."""
+BISECTIONS, CLEARANCES = 16, 8
+"""Numbers of bisections of the clearance in free space, and on the lattice."""
 
 MOST_OBSTACLES = 60
 """Number of obstacles up to which the removal of each is tried."""
@@ -276,21 +267,11 @@ def widest_clearance_m(
     """Return the largest clearance that leaves a path to the goal; None if none does."""
     if not is_joined(problem, 0.0):
         return None
-    clearance_m = problem.constraints.clearance_m
-    return _largest(partial(is_joined, problem), clearance_m, BISECTIONS, is_over)
 
+    def joins(value: float) -> bool:
+        return not is_over() and is_joined(problem, value)
 
-def _largest(
-    is_met: Callable[[float], bool], high: float, count: int, is_over: Callable[[], bool]
-) -> float:
-    """Return the largest value below `high` that satisfies `is_met`, by bisection from 0."""
-    low = 0.0
-    for _ in range(count):
-        if is_over():
-            break
-        middle = rounded(0.5 * (low + high), BISECTED_DIGITS, down=True)
-        low, high = (middle, high) if is_met(middle) else (low, middle)
-    return low
+    return bisected(joins, problem.constraints.clearance_m, 0.0, BISECTIONS)
 
 
 def _clearance(problem: Problem, trials: Trials, widest: float) -> list[Relaxation]:
@@ -299,13 +280,13 @@ def _clearance(problem: Problem, trials: Trials, widest: float) -> list[Relaxati
     high = rounded(max(widest - 1.1 * CLEARANCE_PAD_M, 0.0), DIGITS, down=True)
 
     def opens(value: float) -> bool:
-        return is_open(key.changed(problem, value))
+        return not trials.are_over and is_open(key.changed(problem, value))
 
-    if opens(high):
+    if is_open(key.changed(problem, high)):
         return [_opened(problem, trials, key, high)]
-    if trials.are_over or not opens(0.0):
+    if not opens(0.0):
         return []
-    value = _largest(opens, high, CLEARANCES, lambda: trials.are_over)
+    value = bisected(opens, high, 0.0, CLEARANCES)
     return [_opened(problem, trials, key, rounded(value, DIGITS, down=True))]
 
 
@@ -329,17 +310,15 @@ def _opened(problem: Problem, trials: Trials, key: Key, value: float) -> Relaxat
 
 
 def _obstacles(problem: Problem, trials: Trials) -> list[Relaxation]:
-    """Return a proposal for each obstacle whose removal opens a path."""
+    """Return every obstacle whose removal opens a path."""
+    clearance_m, found = problem.constraints.clearance_m, list[Relaxation]()
     obstacles = problem.workspace.obstacles
-    found: list[Relaxation] = []
     for obstacle in obstacles if len(obstacles) <= MOST_OBSTACLES else ():
-        if trials.are_over or not is_joined(problem, problem.constraints.clearance_m, obstacle):
+        if trials.are_over or not is_joined(problem, clearance_m, obstacle):
             continue
-        rest = tuple(other for other in obstacles if other is not obstacle)
-        changed = replace(problem, workspace=replace(problem.workspace, obstacles=rest))
+        removed, changed = without(problem, "obstacles", obstacle)
         verified = trials.is_verified(changed)
         if verified or is_open(changed):
-            removed = Key(f"world.obstacles ({obstacle.name})", "", math.nan, 0.0)
             robot = problem.robots[0].name
             found.append(removed.relaxation(robot, (), None, "", None, verified=verified))
     return found
@@ -380,19 +359,13 @@ def _widest(
     goal: int,
     score: NDArray[np.float64],  # (n,)
 ) -> float:
-    """Return the bottleneck score: the maximum over paths to the goal of their minimum score."""
-    count = len(score)
-    end, move = np.nonzero(road_map.sources < count)
-    begin = road_map.sources[end, move]
-    least = np.minimum(score[begin], score[end])
+    """Return the maximum over paths to the goal of the minimum score along the path."""
     levels = np.unique(score)
     low, high = 0, len(levels) - 1
     while low < high:
         middle = (low + high + 1) // 2
-        kept = least >= levels[middle]
-        graph = csr_matrix((np.ones(int(kept.sum())), (begin[kept], end[kept])), (count, count))
-        _, part = cast("tuple[int, NDArray[np.int32]]", connected_components(graph, directed=False))
-        open_ = first[score[first] >= levels[middle]]
-        joined = score[goal] >= levels[middle] and bool((part[open_] == part[goal]).any())
+        kept = score >= levels[middle]
+        cost_m = lattice_paths(road_map, goal, np.where(kept, 1.0, np.inf)).cost_m
+        joined = bool((np.isfinite(cost_m[first]) & kept[first]).any()) and bool(kept[goal])
         low, high = (middle, high) if joined else (low, middle - 1)
     return float(levels[low])

@@ -13,10 +13,8 @@ from planopt import ConnectivityRule, NoPlanError, Verdict
 from planopt.planning.explain.changes import EXPLAINED_S, Trials
 from planopt.planning.explain.explain import explain_blocked
 from planopt.planning.plan import History
-from planopt.planning.proof.context import stations_law
 from planopt.planning.reach_planner import ReachPlanner
-from planopt.planning.scene import build_scene, first_moves
-from planopt.planning.search.node_margins import NodeMargins
+from planopt.planning.scene import build_scene
 
 GAP = bad_band(17.0, 23.0)
 """Across the whole workspace, three steps wide."""
@@ -113,9 +111,6 @@ def test_what_would_open_a_hard_bound():
     """Each change by itself, no looser than needed: 5 % less opens nothing."""
     problem = ruled(0.9, ConnectivityRule(slack_max_db=0.0))
     scene, belief = build_scene(problem), belief_of(problem, GAP)
-    margins = NodeMargins(scene.road_map, problem.stations[0].threshold_dbm, 0.9)
-    margins.refresh(stations_law(problem, belief.posteriors))
-    first, _ = first_moves(scene.ground, problem, np.array(START))
 
     def solve_again(changed):
         try:
@@ -124,7 +119,7 @@ def test_what_would_open_a_hard_bound():
             return None
 
     trials = Trials(solve_again, process_time() + EXPLAINED_S)
-    found = explain_blocked(problem, scene.road_map, first, scene.goal_node, margins, trials)
+    found = explain_blocked(problem, scene, belief.posteriors, trials)
     by_key = {(each.constraint, each.relaxed_value is None): each for each in found}
     lower = by_key["stations[0].threshold_dbm", False]
     slack = by_key["constraints.slack_max_db", False]

@@ -137,42 +137,30 @@ def explain_no_plan(
 
     With several robots, those that have no path even alone are explained.
     """
-    owns = [problem_of_robot(problem, number) for number in range(len(problem.robots))]
     ends_s = process_time() + EXPLAINED_S if ends_s is None else ends_s
     try:
         belief = prepare(problem, seed).belief
     except InputError:
-        # Without measurements no problem is solved, but blocking obstacles are found.
-        nothing = Trials(lambda _: None, ends_s)
-        return tuple(
-            one
-            for own in owns
-            if not is_open(own)
-            for one in explain_no_path(own, nothing, is_joined(own, own.constraints.clearance_m))
-        )
+        belief = None  # Nothing can be solved, but blocking obstacles can be named.
     found: list[Relaxation] = []
-    for own in owns:
-        if len(owns) == 1 or _planned(own, belief=belief) is None:
-            found += _explain_robot(own, belief, ends_s)
+    for number in range(len(problem.robots)):
+        own = problem_of_robot(problem, number)
+        joined = is_joined(own, own.constraints.clearance_m)
+        scene = open_scene(own) if joined else None
+        if belief is None:
+            if scene is None:
+                found += explain_no_path(own, Trials(lambda _: None, ends_s), joined)
+            continue
+        if len(problem.robots) > 1 and _planned(own, belief=belief) is not None:
+            continue
+        if scene is None:
+            trials = Trials(partial(_planned, belief=belief), ends_s)
+            found += explain_no_path(own, trials, joined)
+        else:
+            # The chance constraint does not affect the scene, which is reused.
+            trials = Trials(partial(_planned, belief=belief, scenes=[scene]), ends_s)
+            found += explain_blocked(own, scene, belief.posteriors, trials)
     return tuple(found)
-
-
-def _explain_robot(problem: Problem, belief: Belief, ends_s: float) -> tuple[Relaxation, ...]:
-    """Return changes that would open a path to the goal of a problem's only robot."""
-    trials = Trials(partial(_planned, belief=belief), ends_s)
-    if not is_joined(problem, problem.constraints.clearance_m):
-        return explain_no_path(problem, trials, joined=False)
-    try:
-        scene = build_scene(problem)
-    except NoPlanError:
-        return explain_no_path(problem, trials, joined=True)
-    # The chance constraint does not affect the scene, which is reused.
-    trials = Trials(partial(_planned, belief=belief, scenes=[scene]), ends_s)
-    radio, p_min = problem.stations[0], problem.constraints.p_min
-    margins = NodeMargins(scene.road_map, radio.threshold_dbm, p_min)
-    margins.refresh(connectivity_law(problem, belief.posteriors))
-    first, _ = first_moves(scene.ground, problem, np.asarray(problem.robots[0].start_m))
-    return explain_blocked(problem, scene.road_map, first, scene.goal_node, margins, trials)
 
 
 CONNECTION_PRICE = 1e4
@@ -239,13 +227,12 @@ SHORTER, STEPS_TESTED = 0.9, 20
 """Factor on the time step, and thus the lattice spacing, per refinement; number of refinements."""
 
 
-def is_open(problem: Problem) -> bool:
-    """Return whether the problem's first robot has a path to its goal around obstacles."""
+def open_scene(problem: Problem) -> Scene | None:
+    """Return the geometry of a problem's first robot; None if obstacles leave it no path."""
     try:
-        build_scene(problem)
+        return build_scene(problem)
     except NoPlanError:
-        return False
-    return True
+        return None
 
 
 def explain_no_path(problem: Problem, trials: Trials, joined: bool) -> tuple[Relaxation, ...]:
@@ -280,9 +267,9 @@ def _clearance(problem: Problem, trials: Trials, widest: float) -> list[Relaxati
     high = rounded(max(widest - 1.1 * CLEARANCE_PAD_M, 0.0), DIGITS, down=True)
 
     def opens(value: float) -> bool:
-        return not trials.are_over and is_open(key.changed(problem, value))
+        return not trials.are_over and open_scene(key.changed(problem, value)) is not None
 
-    if is_open(key.changed(problem, high)):
+    if open_scene(key.changed(problem, high)) is not None:
         return [_opened(problem, trials, key, high)]
     if not opens(0.0):
         return []
@@ -296,7 +283,7 @@ def _step(problem: Problem, trials: Trials) -> list[Relaxation]:
     for power in range(1, STEPS_TESTED + 1):
         step_s = rounded(key.value * SHORTER**power, DIGITS, down=True)
         try:
-            if not trials.are_over and is_open(key.changed(problem, step_s)):
+            if not trials.are_over and open_scene(key.changed(problem, step_s)) is not None:
                 return [_opened(problem, trials, key, step_s)]
         except InputError:
             break  # the lattice would have too many nodes
@@ -318,22 +305,21 @@ def _obstacles(problem: Problem, trials: Trials) -> list[Relaxation]:
             continue
         removed, changed = without(problem, "obstacles", obstacle)
         verified = trials.is_verified(changed)
-        if verified or is_open(changed):
+        if verified or open_scene(changed) is not None:
             robot = problem.robots[0].name
             found.append(removed.relaxation(robot, (), None, "", None, verified=verified))
     return found
 
 
 def explain_blocked(
-    problem: Problem,
-    road_map: RoadMap,
-    first: NDArray[np.intp],  # (k,) nodes reachable directly from the robot
-    goal: int,  # node of the goal
-    margins: NodeMargins,
-    trials: Trials,
+    problem: Problem, scene: Scene, posteriors: Sequence[ChannelPosterior], trials: Trials
 ) -> tuple[Relaxation, ...]:
     """Return changes of a hard chance constraint that would open a path to the goal."""
     threshold, robot = problem.stations[0].threshold_dbm, problem.robots[0].name
+    road_map, goal = scene.road_map, scene.goal_node
+    margins = NodeMargins(road_map, threshold, problem.constraints.p_min)
+    margins.refresh(connectivity_law(problem, posteriors))
+    first, _ = first_moves(scene.ground, problem, np.asarray(problem.robots[0].start_m))
     chance = connection_probability(margins.mean_db, margins.deviation_db, threshold)
     slack_db = problem.constraints.rule.slack_max_db or 0.0
     lacking_db = MARGIN_PAD_DB - slack_db - _widest(road_map, first, goal, margins.margin_db)

@@ -317,8 +317,9 @@ class _Smoothing:
         self._law = connectivity_law(problem, posteriors)
         self._index = index_obstacles(problem.workspace)
         self._raster = CostRaster(metre_cost_of(problem, posteriors), problem.workspace.bounds_m)
-        is_charged = problem.reach.cost_to_go == "connected"
-        self._metre_cost = metre_cost_of(problem, posteriors) if is_charged else _ones
+        self._metre_cost: MetreCost = lambda places_m: np.ones(len(places_m))
+        if problem.reach.cost_to_go == "connected":
+            self._metre_cost = metre_cost_of(problem, posteriors)
 
     def route(
         self, first_m: NDArray[np.float64], rest_m: NDArray[np.float64]
@@ -437,7 +438,3 @@ class _Smoothing:
             message="",
         )
         return self.with_route(found, rest)
-
-
-def _ones(places_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    return np.ones(len(places_m))

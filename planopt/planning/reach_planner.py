@@ -213,7 +213,14 @@ class ReachPlanner:
                     proposed.rejected or f"it is {proposed.verdict.value}: {proposed.message}"
                 )
             if start.gives_way or start.is_direct:
-                chosen = self._as_found(scorer, cost, start, warm)
+                # The path is released unrefined if it is sound.
+                rung = Rung.GIVE_WAY if start.gives_way else Rung.DIRECT
+                chosen = scorer.candidate(start.path_m, rung, Termination.LATTICE_ONLY)
+                chosen = scorer.assessed(chosen)
+                if not chosen.sound:
+                    if not start.gives_way:
+                        scorer = replace(scorer, objective=replace(cost, priced=True))
+                    chosen = without_guess(scorer, warm)
             else:
                 lattice = scorer.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY)
                 refinement = None
@@ -276,18 +283,6 @@ class ReachPlanner:
         if self._nlp is None:
             lattice = replace(lattice, rung=Rung.PLAN)
         yield replace(lattice, rung=Rung.RELAXED) if lattice.relaxes else lattice
-
-    def _as_found(
-        self, scorer: Scorer, cost: ReachCost, start: GlobalStart, warm: Plan | None
-    ) -> Candidate:
-        """Return the unrefined path as a candidate if it is safe; otherwise a fallback."""
-        rung = Rung.GIVE_WAY if start.gives_way else Rung.DIRECT
-        found = scorer.assessed(scorer.candidate(start.path_m, rung, Termination.LATTICE_ONLY))
-        if found.sound:
-            return found
-        if not start.gives_way:
-            scorer = replace(scorer, objective=replace(cost, priced=True))
-        return without_guess(scorer, warm)
 
 
 def _course(
@@ -469,9 +464,11 @@ class DrivenReach:
         """Return the best candidate refined from initial guesses with different waypoints."""
         scorer = replace(scorer, objective=cost)
         if stops_at_goal(self._problem, scorer.state):
-            stopped = self._stopped(scorer)
-            if stopped.verdict is Verdict.VERIFIED:
-                return stopped
+            rung = Rung.LATTICE if self._problem.planner.name in METHODS else Rung.PLAN
+            stop = drive_candidate(scorer, braked(scorer), rung, Termination.LATTICE_ONLY)
+            stop = scorer.assessed(stop)
+            if stop.verdict is Verdict.VERIFIED:
+                return replace(stop, rung=Rung.RELAXED) if stop.relaxes else stop
         charged = [
             replace(
                 each,
@@ -508,11 +505,3 @@ class DrivenReach:
         resting = resting_places_m(found.drive)
         moved = float(np.linalg.norm(resting - resting[0], axis=1).max())
         return moved <= STAGNANT_STEPS * self._problem.step_length_m
-
-    def _stopped(self, scorer: Scorer) -> Candidate:
-        """Return the candidate that brakes at once."""
-        rung = Rung.LATTICE if self._problem.planner.name in METHODS else Rung.PLAN
-        found = scorer.assessed(
-            drive_candidate(scorer, braked(scorer), rung, Termination.LATTICE_ONLY)
-        )
-        return replace(found, rung=Rung.RELAXED) if found.relaxes else found

@@ -140,13 +140,6 @@ def lacks(
     return bool((short_db[point.slack_db <= GIVEN_UP_DB] > most).any())
 
 
-def recentred(task: PathTask, context: StepContext, rows: RuleRows, point: RefinedPath) -> PathTask:
-    """Return the task with bounds corrected by the local model's error at a solver's path."""
-    task = moved(task, context, rows, point.path_m)
-    power = context.predicted(point.path_m)
-    return replace(task, bound=tightened(task, rows, power, feasible=False))
-
-
 def moved(
     task: PathTask, context: StepContext, rows: RuleRows, path_m: NDArray[np.float64]
 ) -> PathTask:
@@ -255,7 +248,10 @@ class GuessRefinement:
                 found.append(candidate)
                 if budget.spent or point.termination not in RETURNED:
                     return found
-                task = _driven_from(recentred(task, context, rows, point), drive)
+                # The next solve corrects the local model by its error at the returned path.
+                task = _driven_from(moved(task, context, rows, point.path_m), drive)
+                power = context.predicted(point.path_m)
+                task = replace(task, bound=tightened(task, rows, power, feasible=False))
                 continue
             improvable = guess.clear and guess.missing_db == 0.0 and not allocations
             if improvable and scorer.score(candidate) < guess.value:

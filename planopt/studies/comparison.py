@@ -20,7 +20,7 @@ from planopt.files.reading import read_text
 from planopt.files.tables import require_pandas
 from planopt.files.typed_json import decoded, encoded, finite
 from planopt.files.writing import replaced_results, strict_text, write_text, write_whole
-from planopt.planning.files.result_json import reliability_json, summary_json
+from planopt.planning.files.result_json import SummaryRecord, reliability_json
 from planopt.planning.files.saved import PLAN_FILE, RUN_FILE
 from planopt.planning.loop.results import NOT_DONE, RunSummary
 from planopt.problems.problem import Problem
@@ -239,7 +239,7 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
             ],
         },
         "runs": [
-            {"problem": run.problem, "sweep": run.sweep, **summary_json(run)}
+            {"problem": run.problem, "sweep": run.sweep, **SummaryRecord.written(run)}
             for run in comparison.runs
         ],
         "wall_s": finite(comparison.wall_s),

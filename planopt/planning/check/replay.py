@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -33,7 +32,7 @@ from planopt.planning.loop.drive import World, drive, true_world
 from planopt.planning.loop.log import Outcome
 from planopt.planning.loop.metrics import COSTS
 from planopt.planning.loop.results import Run, Solution
-from planopt.planning.plan import Pivot, Plan, Rung, Verdict
+from planopt.planning.plan import Plan, Rung, Verdict
 from planopt.planning.proof.bounds import verified_bound
 from planopt.planning.proof.context import VerifierContext, search_prediction, verifier_context
 from planopt.planning.proof.searches import GoalGrid
@@ -45,7 +44,6 @@ from planopt.planning.values.exploration import workspace_region
 from planopt.planning.values.objective_value import ObjectiveValue, ReachCost
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.clearance import index_obstacles
-from planopt.world.lattice import RoadMap
 
 VALUES, NOISE = "values_db", "noise_variance_db2"
 """Names of the saved arrays of the expectation-propagation (EP) sites."""
@@ -144,15 +142,11 @@ def replayed(saved: Saved, start: Start) -> Solution | Run:
         return Solution(problem, seed, start.belief, plans, aims, saved.explanation(plans))
     world = _saved_world(saved)
     if start.truths:
-        world = true_world(problem, start.truths, partial(_road_maps, problem))
+        led = range(len(problem.robots) if problem.task == "reach" else 0)
+        owns = [problem_of_robot(problem, number) for number in led]
+        goals = [(own, np.asarray(own.goal_m)) for own in owns]
+        world = true_world(problem, start.truths, lambda: [build_roads(*each) for each in goals])
     return drive(problem, seed, start.belief, world, planning, target, generator)
-
-
-def _road_maps(problem: Problem) -> list[RoadMap]:
-    if problem.task != "reach":
-        return []
-    owns = [problem_of_robot(problem, number) for number in range(len(problem.robots))]
-    return [build_roads(own, np.asarray(own.goal_m)) for own in owns]
 
 
 def _saved_world(saved: Saved) -> World:
@@ -254,18 +248,14 @@ def _no_plan(
         way.holes and np.abs(way.way_m[0] - places[way.robot]).max() <= SAME_PLACE_M
         for way in saved.blocked
     )
-    shown = shown or any(_is_cut_off(own, places[own.robots[0].name]) for own in owns)
+    for own in owns if saved.problem.task == "reach" else ():
+        x, y = places[own.robots[0].name].tolist()
+        here = replace(own, robots=(replace(own.robots[0], start_m=(x, y)),))
+        shown = shown or not is_joined(here, here.constraints.clearance_m)
     has_no_plan = saved.data.get("outcome") == Outcome.NO_PLAN.value
     if has_no_plan and shown:
         message = str(saved.data.get("message"))
     return BlockedError(message, saved.blocked)
-
-
-def _is_cut_off(problem: Problem, place_m: NDArray[np.float64]) -> bool:
-    """Return whether obstacles cut the problem's robot off from its goal."""
-    x, y = place_m.tolist()
-    here = replace(problem, robots=(replace(problem.robots[0], start_m=(x, y)),))
-    return here.task == "reach" and not is_joined(here, here.constraints.clearance_m)
 
 
 def _verified_again(
@@ -285,7 +275,15 @@ def _verified_again(
     if power is None:
         raise AssertionError("saved places are finite")
     if region is None:
-        objective = _reach_cost(context, replace(saved, path_m=path_m, drive=drive), power)
+
+        def certified(places_m: NDArray[np.float64]) -> Prediction:
+            known = np.array_equal(places_m, path_m)
+            return power if known else search_prediction(context.law, places_m)
+
+        cost = ReachCost(problem, path_m[0], certified, priced=record.rung is not Rung.DIRECT)
+        if (pivot := saved.pivot) is not None:
+            cost = replace(cost, ahead=lambda _: pivot)
+        objective = cost(path_m[1:], drive)
     else:
         step = step_context(replace(context, state=path_m[0]), region, aim)
         objective = ObjectiveValue(step)(path_m[1:])
@@ -312,24 +310,6 @@ def _verified_again(
         return plan
     bound = verified_bound(problem, context.posteriors, plan, saved.potential, robots)
     return replace(plan, bound=bound)
-
-
-def _reach_cost(context: VerifierContext, saved: SavedPlan, power: Prediction) -> float:
-    """Return the cost of a saved path to a goal, by the verifier's predicted power."""
-
-    def certified(places_m: NDArray[np.float64]) -> Prediction:
-        if np.array_equal(places_m, saved.path_m):
-            return power
-        return search_prediction(context.law, places_m)
-
-    ahead = None if saved.pivot is None else partial(_same_pivot, saved.pivot)
-    priced = saved.record.rung is not Rung.DIRECT
-    cost = ReachCost(context.problem, saved.path_m[0], certified, ahead, priced)
-    return cost(saved.path_m[1:], saved.drive)
-
-
-def _same_pivot(pivot: Pivot, _end_m: NDArray[np.float64]) -> Pivot:
-    return pivot
 
 
 def plan_reasons(problem: Problem, plan: Plan) -> list[str]:

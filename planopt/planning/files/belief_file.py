@@ -114,17 +114,8 @@ def station_prefix(station: int) -> str:
 
 
 def write(path: Path, arrays: Arrays) -> None:
-    """Write arrays to a file atomically."""
-
-    def write_to(temporary: Path) -> None:
-        np.savez_compressed(temporary, allow_pickle=False, **arrays)
-
-    write_whole(path, write_to)
-
-
-def belief_of_plan(belief: Belief) -> Arrays:
-    """Return the arrays to save for the belief that a plan is based on."""
-    return _of_stations(belief, lambda _own, _first: np.zeros(0, dtype=np.int64))
+    """Save arrays atomically."""
+    write_whole(path, partial(np.savez_compressed, allow_pickle=False, **arrays))
 
 
 def beliefs_of_run(run: Run) -> list[Arrays]:
@@ -132,7 +123,7 @@ def beliefs_of_run(run: Run) -> list[Arrays]:
     tracks = [one.log.positions_m for one in run.runs]
     shared = run.problem.channel.share_measurements
     return [
-        _of_stations(
+        belief_arrays_of(
             belief,
             partial(known_before_steps, tracks_m=tracks if shared else [track]),
         )
@@ -140,7 +131,11 @@ def beliefs_of_run(run: Run) -> list[Arrays]:
     ]
 
 
-def _of_stations(belief: Belief, known: Callable[[Belief, int], NDArray[np.int64]]) -> Arrays:
+def belief_arrays_of(
+    belief: Belief,
+    known: Callable[[Belief, int], NDArray[np.int64]] = lambda _own, _first: np.zeros(0, np.int64),
+) -> Arrays:
+    """Return the arrays of a belief, with the measurement counts before each step, if any."""
     return {
         station_prefix(station) + name: array
         for station, own in enumerate((belief, *belief.further))

@@ -21,7 +21,6 @@ from planopt.files.tables import Column, table_text
 from planopt.files.writing import write_text
 from planopt.planning.loop.results import Result, Run, Solution
 from planopt.problems.channel_setup import LoggedMeasurements
-from planopt.problems.problem import Problem
 from planopt.world.geodesy import Origin, longitude_latitude_deg, require_origin
 
 STILL_M = 1e-9
@@ -206,6 +205,7 @@ def path_of_result(result: Result, robot: int | str = 0) -> RobotPath:
             remedy=f"give one of {', '.join(names)}, or its number from 0 on",
         )
     source: Any
+    log = result.problem.channel.measurements
     if isinstance(result, Solution):
         source = result.plans[number]
     else:
@@ -216,7 +216,7 @@ def path_of_result(result: Result, robot: int | str = 0) -> RobotPath:
         source.positions_m,
         source.connectivity,
         result.problem.robots[number].speed_max_m_s,
-        origin_deg=_origin_of(result.problem),
+        origin_deg=log.log_format.origin_deg if isinstance(log, LoggedMeasurements) else None,
     )
 
 
@@ -236,12 +236,6 @@ def save_path(
     if origin_deg is not None:
         path = replace(path, origin_deg=require_origin(origin_deg, "origin_deg"))
     write_text(file, write(replace(path, altitude_m=float(altitude_m))))
-
-
-def _origin_of(problem: Problem) -> Origin | None:
-    """Return latitude and longitude of a problem's origin; None if its log has none."""
-    log = problem.channel.measurements
-    return log.log_format.origin_deg if isinstance(log, LoggedMeasurements) else None
 
 
 def _known(values: NDArray[np.float64]) -> list[float | None]:

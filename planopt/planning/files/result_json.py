@@ -39,7 +39,7 @@ from planopt.planning.files.record import (
 from planopt.planning.files.run_tables import drive_table
 from planopt.planning.loop.log import Metrics, Outcome, RobotRun
 from planopt.planning.loop.metrics import COSTS, run_holes, run_reliability
-from planopt.planning.loop.results import Run, RunSummary, Solution, summary_of
+from planopt.planning.loop.results import Run, Solution, summary_of
 from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict, share_gained
 from planopt.planning.values.context import Aim
 from planopt.problems.problem import Problem
@@ -62,9 +62,12 @@ class PivotRecord(Record):
 class AimRecord(Record):
     """JSON object of an objective's external inputs: expected target track and steering path."""
 
-    target_x_m: Annotated[Computed, Source(lambda aim: _column(aim.target_m, 0))]
-    target_y_m: Annotated[Computed, Source(lambda aim: _column(aim.target_m, 1))]
-    steering_m: Annotated[Computed, Source(lambda aim: _last(aim.steering_turns_m))]
+    target_x_m: Annotated[Computed, Source(lambda aim: _part(aim.target_m, np.s_[:, 0]))]
+    target_y_m: Annotated[Computed, Source(lambda aim: _part(aim.target_m, np.s_[:, 1]))]
+    steering_m: Annotated[
+        Computed,
+        Source(lambda aim: _part(aim.steering_turns_m, -1)),
+    ]
     # In the order of travel
     steering_turns_m: Annotated[list[Place], Field(min_length=2)] | None = None
     # Positions of other robots' plans that affect the objective
@@ -73,12 +76,8 @@ class AimRecord(Record):
     ] = Field(default=[])
 
 
-def _column(track_m: NDArray[np.float64] | None, axis: int) -> NDArray[np.float64] | None:
-    return None if track_m is None else track_m[:, axis]
-
-
-def _last(turns_m: NDArray[np.float64] | None) -> NDArray[np.float64] | None:
-    return None if turns_m is None else turns_m[-1]
+def _part(array: NDArray[np.float64] | None, at: Any) -> NDArray[np.float64] | None:
+    return None if array is None else array[at]
 
 
 class HoleRecord(Record):
@@ -480,11 +479,6 @@ def no_run_json(problem: Problem, seed: int, message: str) -> dict[str, Any]:
 def reliability_json(bins: Iterable[ReliabilityBin]) -> list[dict[str, Any]]:
     """Return predicted against true connection by bin, as JSON data."""
     return [BinRecord.written(one) for one in bins]
-
-
-def summary_json(summary: RunSummary) -> dict[str, Any]:
-    """Return the summary of a run as JSON data."""
-    return SummaryRecord.written(summary)
 
 
 def step_times_json(seconds: NDArray[np.float64]) -> dict[str, float | None]:

@@ -28,7 +28,7 @@ from planopt.planning.files.belief_file import (
     BOUND_FILE,
     Arrays,
     SavedBelief,
-    belief_of_plan,
+    belief_arrays_of,
     beliefs_of_run,
     bound_arrays,
     read_belief,
@@ -103,7 +103,7 @@ def contents(result: Solution | Run) -> Contents:
         beliefs = dict(zip(belief_files(result.problem), beliefs_of_run(result), strict=True))
     else:
         name, data = PLAN_FILE, solution_json(result)
-        beliefs = {BELIEF_FILE: belief_of_plan(result.belief)}
+        beliefs = {BELIEF_FILE: belief_arrays_of(result.belief)}
         bounds = bound_arrays(result.plans)
     return Contents(name, {"format": FORMAT, **data}, tables_of(result), beliefs, bounds)
 

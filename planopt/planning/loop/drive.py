@@ -17,7 +17,7 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import Belief, ChannelPosterior
 from planopt.errors import NoPlanError
 from planopt.planning.certificate import BlockedError, BlockedWay
-from planopt.planning.loop.log import Outcome, channel_log, channel_row, target_log
+from planopt.planning.loop.log import ChannelLog, Outcome, channel_row, target_log
 from planopt.planning.loop.metrics import robot_run, run_costs, true_serving_dbm
 from planopt.planning.loop.results import Run
 from planopt.planning.plan import Plan, Rung, Verdict
@@ -53,25 +53,12 @@ class Progress:
     posteriors: Sequence[ChannelPosterior]  # Current belief about each station's channel
 
 
-def run_ending(
-    problem: Problem, connected: NDArray[np.bool_], robots: Sequence[Progress]
-) -> tuple[Outcome, str] | None:
-    """Return the outcome of a run after its latest step and the reason; None if it continues."""
-    # Shapes: connected (steps, robots).
-    if problem.task == "reach":
-        return goals_ending(problem, robots)
-    return terms_ending(problem, connected, robots) if len(connected) else None
-
-
 def goals_ending(problem: Problem, robots: Sequence[Progress]) -> tuple[Outcome, str] | None:
     """Return the outcome of a run to goals; None while any robot can continue.
 
     Robots that have arrived or wait can still give way to others.
     """
-    ends = [
-        goal_ending(each.problem, each.states, each.learnt, each.plans[-1] if each.plans else None)
-        for each in robots
-    ]
+    ends = [_goal_ending(each) for each in robots]
     if len(robots) == 1:
         return ends[0]
     late = [
@@ -96,17 +83,13 @@ def goals_ending(problem: Problem, robots: Sequence[Progress]) -> tuple[Outcome,
     return Outcome.STALLED, _in_words(problem, stuck)
 
 
-def goal_ending(
-    problem: Problem,
-    track: Sequence[NDArray[np.float64]],
-    learnt: Sequence[bool],
-    plan: Plan | None,
-) -> tuple[Outcome, str] | None:
+def _goal_ending(robot: Progress) -> tuple[Outcome, str] | None:
     """Return the outcome of a run of one robot to its goal and the reason; None if it continues."""
-    if _has_arrived(problem, track[-1]):
-        where = "the start is within" if plan is None else "within"
-        return Outcome.REACHED, f"{where} {problem.constraints.goal_radius_m:g} m of the goal"
-    why = None if plan is None else _circling(problem, track, learnt, plan)
+    problem, learnt = robot.problem, robot.learnt
+    if _has_arrived(problem, robot.states[-1]):
+        where = "within" if robot.plans else "the start is within"
+        return Outcome.REACHED, f"{where} goal_radius_m of the goal"
+    why = _circling(robot) if robot.plans else None
     if why is not None and not problem.workspace.moving:
         return Outcome.STALLED, why
     if len(learnt) >= problem.planner.max_steps:
@@ -114,38 +97,13 @@ def goal_ending(
     return None
 
 
-def standstill(
-    problem: Problem,
-    track: Sequence[NDArray[np.float64]],
-    learnt: Sequence[bool],
-    plan: Plan,
-    *,
-    alone: bool = True,
-) -> str | None:
-    """Return why a robot will stay or circle from now on; None if it may make progress."""
-    unit = np.array(problem.robots[0].dynamics.unit_m(problem.planner.step_s))
-    stood = bool(np.linalg.norm((track[-1] - track[-2]) * unit) <= STANDSTILL_M)
-    # A plan that moves after waiting gives the next plan another initial guess.
-    waits = np.linalg.norm(plan.positions_m - plan.positions_m[0], axis=1).max() > STANDSTILL_M
-    # With the same position, belief and obstacles, the next plan is the same.
-    again = plan.rung is not Rung.SHIFTED and not problem.workspace.moving and alone
-    again &= problem.planner.budget_s is None
-    if stood and not waits and not learnt[-1] and again:
-        return f"standing still with nothing new to learn{plan.message and ': ' + plan.message}"
-    return _circling(problem, track, learnt, plan)
-
-
-def _circling(
-    problem: Problem,
-    track: Sequence[NDArray[np.float64]],
-    learnt: Sequence[bool],
-    plan: Plan,
-) -> str | None:
-    """Return why a robot counts as circling near one position; None if it does not."""
-    if any(learnt[-STALL_STEPS:]) or not _stays(track, problem.step_length_m):
+def _circling(robot: Progress) -> str | None:
+    """Return the reason if a robot stays near one position without new measurements, else None."""
+    step_m, plan = robot.problem.step_length_m, robot.plans[-1]
+    if any(robot.learnt[-STALL_STEPS:]) or not _stays(robot.states, step_m):
         return None
     return (
-        f"within {2 * problem.step_length_m:g} m of one place for {STALL_STEPS} steps, "
+        f"within {2 * step_m:g} m of one place for {STALL_STEPS} steps, "
         f"with nothing new to learn{plan.message and ': ' + plan.message}"
     )
 
@@ -161,7 +119,7 @@ def _stays(track: Sequence[NDArray[np.float64]], step_length_m: float) -> bool:
 def terms_ending(
     problem: Problem, connected: NDArray[np.bool_], robots: Sequence[Progress]
 ) -> tuple[Outcome, str] | None:
-    """Return the outcome of a run for a sum of terms, as :func:`run_ending`.
+    """Return the outcome of a run for a sum of terms and the reason; None if it continues.
 
     The run ends if all robots that have to connect are connected, if all with goals have arrived,
     if no robot can make progress, or after `planner.max_steps`. It has stalled if all robots are
@@ -186,7 +144,7 @@ def terms_ending(
         stuck = [
             (robot, why)
             for robot, why in stuck
-            if not learns(robot.problem) or _has_left(robot, _others_of(problem, robots, robot))
+            if not learns(robot.problem) or _has_left(problem, robots, robot)
         ]
         if stuck:
             return Outcome.STALLED, _in_words(problem, stuck)
@@ -207,7 +165,7 @@ def _has_arrived(problem: Problem, state: NDArray[np.float64]) -> bool:
 
 
 def _stuck(problem: Problem, connected: NDArray[np.bool_], robot: Progress) -> str | None:
-    """Return why a robot can make no further progress; None if it can.
+    """Return why a robot can make no further progress: it stands or circles; None if it can.
 
     A stationary tracking robot does its task as long as packets arrive. For custom terms, standing
     still may be optimal if plans are verified.
@@ -222,21 +180,26 @@ def _stuck(problem: Problem, connected: NDArray[np.bool_], robot: Progress) -> s
     interacts = problem.constraints.separation_m > 0.0 or counts_others(problem)
     apart = len(problem.robots) > 1 and interacts
     alone = not apart and term.sensor is None and problem.planner.name != "random"
-    return standstill(robot.problem, robot.states, robot.learnt, robot.plans[-1], alone=alone)
+    own, track, plan = robot.problem, robot.states, robot.plans[-1]
+    unit = np.array(own.robots[0].dynamics.unit_m(own.planner.step_s))
+    stood = bool(np.linalg.norm((track[-1] - track[-2]) * unit) <= STANDSTILL_M)
+    # A plan that moves after waiting gives the next plan another initial guess.
+    waits = np.linalg.norm(plan.positions_m - plan.positions_m[0], axis=1).max() > STANDSTILL_M
+    # At the same position, belief, obstacles and time, the next plan is the same.
+    again = plan.rung is not Rung.SHIFTED and not own.workspace.moving and alone
+    again &= own.planner.budget_s is None
+    if stood and not waits and not robot.learnt[-1] and again:
+        return f"standing still with nothing new to learn{plan.message and ': ' + plan.message}"
+    return _circling(robot)
 
 
-def _others_of(problem: Problem, robots: Sequence[Progress], robot: Progress) -> Pending:
-    """Return the other robots' past positions, if their measurements affect the objective."""
-    if not counts_others(problem):
-        return NOTHING_PENDING
-    driven = [np.array(each.states)[1:, :2] for each in robots]
-    number = next(number for number, each in enumerate(robots) if each is robot)
-    return Pending((), places_of_others(driven, number))
-
-
-def _has_left(robot: Progress, others: Pending) -> bool:
-    """Return whether positions are left that neither the robot nor the others have measured."""
-    problem, states = robot.problem, robot.states
+def _has_left(team: Problem, robots: Sequence[Progress], robot: Progress) -> bool:
+    """Return whether a robot has positions left to measure, in addition to those of the others."""
+    problem, states, others = robot.problem, robot.states, NOTHING_PENDING
+    if counts_others(team):
+        driven = [np.array(each.states)[1:, :2] for each in robots]
+        number = next(number for number, each in enumerate(robots) if each is robot)
+        others = Pending((), places_of_others(driven, number))
     spacing = problem.channel.measure_spacing_m
     posteriors = anticipated(robot.posteriors, others, states[-1][:2], spacing)
     lattice = build_lattice(
@@ -303,7 +266,7 @@ def drive(
     on_start: Callable[[Sequence[Plan]], None] | None = None,
     on_step: Callable[[int], None] | None = None,
 ) -> Run:
-    """Return the run of a closed loop, which :func:`run_ending` terminates."""
+    """Run the loop until its task is done, the robots stall, or the step limit is reached."""
     robots = Stepper(problem, belief, planning, target)
     # Errors over the whole workspace are slow to compute and not needed for runs to a goal.
     known_at = None if problem.task == "reach" else workspace_region(problem).grid_m
@@ -343,7 +306,7 @@ def drive(
         beliefs=tuple(robots.beliefs),
         first_measurements=len(belief.posterior.measurements),
         target=target_log(robots.watches, robots.connected),
-        channel=channel_log(rows) if rows else None,
+        channel=ChannelLog(*np.asarray(rows, dtype=np.float64).T) if rows else None,
         costs=world.costs(tracks, ended[0]),
         blocked=blocked,
     )
@@ -405,4 +368,7 @@ def _ending(robots: Stepper) -> tuple[Outcome, str] | None:
             robots.owns, robots.states, robots.learnt, robots.plans, robots.beliefs, strict=True
         )
     ]
-    return run_ending(robots.problem, robots.connected, progress)
+    if robots.problem.task == "reach":
+        return goals_ending(robots.problem, progress)
+    connected = robots.connected
+    return terms_ending(robots.problem, connected, progress) if len(connected) else None

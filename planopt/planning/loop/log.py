@@ -230,11 +230,6 @@ def channel_row(
     )
 
 
-def channel_log(rows: Sequence[tuple[float, ...]]) -> ChannelLog:
-    """Return the channel log whose rows are results of :func:`channel_row`."""
-    return ChannelLog(*np.asarray(rows, dtype=np.float64).T)
-
-
 def target_log(
     watches: Iterable[TargetWatch | None],
     delivered: NDArray[np.bool_],  # (steps, robots)

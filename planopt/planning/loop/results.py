@@ -144,9 +144,8 @@ class Result(ABC):
             The folder cannot be written.
         """
         masks = import_module("planopt.planning.files.nav2")
-        limits = masks.limits_of(self.problem, keepout_below, p_min)
-        belief = self._belief_of(robot)
-        masks.save_masks(self.problem, belief, path_of("folder", folder, A_FOLDER), limits, cell_m)
+        belief, place = self._belief_of(robot), path_of("folder", folder, A_FOLDER)
+        masks.save_masks(self.problem, belief, place, keepout_below, p_min, cell_m)
 
     def save_path(
         self,

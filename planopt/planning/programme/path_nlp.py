@@ -31,6 +31,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import casadi as ca
@@ -233,21 +234,15 @@ def build_path_nlp(
     limit = {} if budget_s is None else {"ipopt.max_wall_time": budget_s}
     solver = _exact_solver(shape, callbacks, OPTIONS | own | limit)
     functions = nlp_functions(solver)
-    solve = _solve_by(method, solver, functions, shape, budget_s)
-    kept = tuple(each for three in callbacks.values() for each in three)
-    return PathNlp(shape, source, functions, solve, kept)
-
-
-def _solve_by(
-    method: Method, solver: Any, functions: NlpFunctions, shape: PathShape, budget_s: float | None
-) -> SolveNlp:
-    """Return the function that solves by IPOPT or by sequential convex programming."""
     if method == "scp":
         # Imported here because only this planner needs Clarabel.
         from planopt.planning.programme.scp import scp_solve
 
-        return scp_solve(functions, shape, budget_s)
-    return lambda *arguments: call_nlp(solver, shape.horizon, *arguments)
+        solve = scp_solve(functions, shape, budget_s)
+    else:
+        solve = partial(call_nlp, solver, shape.horizon)
+    kept = tuple(each for three in callbacks.values() for each in three)
+    return PathNlp(shape, source, functions, solve, kept)
 
 
 def _exact_solver(

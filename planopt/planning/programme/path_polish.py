@@ -86,13 +86,17 @@ def polish_path(nlp: PathNlp, task: PathTask) -> RefinedPath:
     driven, own = np.zeros(0), np.zeros(0)
     motion_bounds = np.zeros(0), np.zeros(0)
     if motion is not None:
-        driven = motion.shape.variables_of(motion.drive)
+        driven = np.hstack([motion.drive.states[1:, 2:], motion.drive.inputs]).ravel()
         stop, states = motion.stop_lines.rows(kept).ravel(), motion.drive.states
         own = np.concatenate([states[0, 2:], stop])
         every = np.concatenate([line, stop])
         rows = motion_rows(motion.shape, states[1:, :2].ravel(), driven, tuple(states[0]), every)
         motion_bounds = rows.bounds(task.bounds_m)
-    lower, upper = _position_bounds(task, n)
+    x_min, y_min, x_max, y_max = task.bounds_m
+    lower, upper = np.tile([x_min, y_min], n), np.tile([x_max, y_max], n)
+    if task.arrival is not None:
+        arrived = slice(2 * (task.arrival - 1), 2 * n)
+        lower[arrived] = upper[arrived] = task.path_m[task.arrival - 1 :].ravel()
     free = np.full(len(driven), np.inf)
     variables = Bounds(
         np.concatenate([lower, np.zeros(shape.slacks), -free]),
@@ -120,6 +124,9 @@ def polish_path(nlp: PathNlp, task: PathTask) -> RefinedPath:
     guess = np.concatenate([task.path_m.ravel(), np.minimum(missing, slack_limit), driven])
     point = nlp.solve(guess, parameters, variables, row_bounds)
     slack, driven = np.split(point.others, [shape.slacks])
+    inputs = None
+    if motion is not None:
+        inputs = driven.reshape(n, motion.shape.per_step)[:, motion.shape.rest :]
     return RefinedPath(
         path_m=point.positions_m,
         slack_db=slack,
@@ -127,18 +134,8 @@ def polish_path(nlp: PathNlp, task: PathTask) -> RefinedPath:
         iterations=point.iterations,
         kkt_residual=_residual(nlp, point, parameters, variables, row_bounds),
         multipliers=_named_multipliers(point.row_multipliers, shape),
-        inputs=None if motion is None else motion.shape.inputs_of(driven),
+        inputs=inputs,
     )
-
-
-def _position_bounds(task: PathTask, n: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return bounds of positions (2 N,): the workspace; after arrival, the guess's positions."""
-    x_min, y_min, x_max, y_max = task.bounds_m
-    lower, upper = np.tile([x_min, y_min], n), np.tile([x_max, y_max], n)
-    if task.arrival is not None:
-        arrived = slice(2 * (task.arrival - 1), 2 * n)
-        lower[arrived] = upper[arrived] = task.path_m[task.arrival - 1 :].ravel()
-    return lower, upper
 
 
 def _residual(

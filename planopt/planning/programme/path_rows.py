@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.objectives.terms.term import Structure
-from planopt.robots.dynamics import Components, Drive, Dynamics
+from planopt.robots.dynamics import Components, Dynamics
 
 
 @dataclass(frozen=True)
@@ -58,14 +58,6 @@ class MotionShape:
     def parameters(self) -> int:
         """Return the number of parameters: initial state without position, lines for braking."""
         return self.rest + 4 * self.lines
-
-    def variables_of(self, drive: Drive) -> NDArray[np.float64]:
-        """Return the variables w that describe a drive (states and inputs)."""
-        return np.hstack([drive.states[1:, 2:], drive.inputs]).ravel()
-
-    def inputs_of(self, w: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the inputs ``(N, m)`` that variables w contain."""
-        return w.reshape(self.horizon, self.per_step)[:, self.rest :]
 
 
 @dataclass(frozen=True)

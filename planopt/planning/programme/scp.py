@@ -381,7 +381,10 @@ class _Climb:
             merit = self._merit(value, rows)
             share = self._share(merit, new_value, new_rows, predicted)
             if share < TAKEN_SHARE and np.isfinite(new_rows).all():
-                again = self._corrected(model, found.step, new_rows)
+                # Second-order correction of the rows (section 18.3 of [NW06]).
+                there = new_rows - model.jacobian @ found.step
+                there[self._cones.row] = model.rows[self._cones.row]
+                again = convex_step(replace(model, rows=there))
                 if again.usable:
                     probed = x + again.step
                     new_value, new_rows = self._at(probed)
@@ -401,14 +404,6 @@ class _Climb:
         """Return the achieved share of the merit function's predicted decrease."""
         gained = merit - self._merit(value, rows)
         return gained / predicted if np.isfinite(gained) else -np.inf
-
-    def _corrected(
-        self, model: Model, step: NDArray[np.float64], rows: NDArray[np.float64]
-    ) -> Step:
-        """Return a step with second-order correction of constraints (section 18.3 of [NW06])."""
-        there = rows - model.jacobian @ step
-        there[self._cones.row] = model.rows[self._cones.row]
-        return convex_step(replace(model, rows=there))
 
     def _at(self, x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
         return self._functions.values(x, self._parameters)

@@ -64,8 +64,13 @@ class StageRewards:
             if found is not None:
                 alone = term.weight * found
                 self._alone = alone if self._alone is None else self._alone + alone
-        self._largest = self._largest_reward()
-        # Blocked or unreachable nodes keep these initial values.
+        # The largest reward of a single step.
+        largest = 0.0 if self._alone is None else float(np.nanmax(np.abs(self._alone), initial=0.0))
+        for term in context.problem.terms:
+            with calling(term, "largest_stage_reward", key="objective.terms"):
+                largest += term.weight * term.largest_stage_reward(context)
+        self._largest = max(largest, 1e-9)
+        # Blocked or unreachable nodes keep these values.
         self._chance, self._fixed = np.zeros(shape), np.full(shape, -np.inf)
         # Rewards of unconstrained steps.
         self._unbounded = self._fixed if guide.bounded.all() else self._fixed.copy()
@@ -114,14 +119,6 @@ class StageRewards:
             cost = MISSING_DB_SHARE * missing + problem.planner.horizon * (missing > 0.0)
             fixed = fixed - self._largest * cost
         self._fixed[where] = np.where(known, fixed, -np.inf)
-
-    def _largest_reward(self) -> float:
-        """Return the largest reward of a single step."""
-        largest = 0.0 if self._alone is None else float(np.nanmax(np.abs(self._alone), initial=0.0))
-        for term in self._context.problem.terms:
-            with calling(term, "largest_stage_reward", key="objective.terms"):
-                largest += term.weight * term.largest_stage_reward(self._context)
-        return max(largest, 1e-9)
 
 
 def move_values(problem: Problem, lengths_m: NDArray[np.float64]) -> NDArray[np.float64]:

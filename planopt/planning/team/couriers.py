@@ -80,22 +80,26 @@ class Couriers:
         if courses is None:
             return self._in_turn(at, outlooks, reserved)
         planned = [course.outlook for course in courses]
-        plans = self._in_turn(at, planned, reserved | self._first_steps(courses))
+        horizon = self._problem.planner.horizon
+        # The part of each course within the horizon, if it can be driven.
+        first = {
+            number: TimedMotion(course.places_m[: horizon + 1])
+            for number, course in enumerate(courses)
+            if self._problem.robots[number].moves_freely and course.outlook.start is not None
+        }
+        plans = self._in_turn(at, planned, reserved | first)
         verified = all(plan.verdict is Verdict.VERIFIED for plan in plans)
         if verified and keep_apart(self._problem, plans):
             return plans
         instead = self._in_turn(at, outlooks, reserved)
-        must_move = self._must_move(at, outlooks)
-        return max((plans, instead), key=lambda made: self._rank(made, must_move))
-
-    def _must_move(self, at: TeamMoment, outlooks: Sequence[Outlook]) -> bool:
-        """Return whether a robot short of its goal has wandered or waited too long."""
-        return any(
+        # Whether a robot short of its goal has wandered or waited too long.
+        must_move = any(
             outlook.start is not None
             and outlook.start.is_direct
             and not is_at_goal(planner.problem, state[:2])
             for planner, outlook, state in zip(self._planners, outlooks, at.states, strict=True)
         )
+        return max((plans, instead), key=lambda made: self._rank(made, must_move))
 
     def _rank(self, plans: Sequence[Plan], must_move: bool) -> tuple[bool, int, int]:
         """Return a rank: whether separated, number of moving plans if required, verified plans.
@@ -106,15 +110,6 @@ class Couriers:
         leading = sum(plan.rung not in STAYING for plan in plans) if must_move else 0
         verified = sum(plan.verdict is Verdict.VERIFIED for plan in plans)
         return keep_apart(self._problem, plans), leading, verified
-
-    def _first_steps(self, courses: Sequence[Course]) -> dict[int, TimedMotion]:
-        """Return the motion of each course within the horizon, if it can be driven."""
-        horizon = self._problem.planner.horizon
-        return {
-            number: TimedMotion(course.places_m[: horizon + 1])
-            for number, course in enumerate(courses)
-            if self._problem.robots[number].moves_freely and course.outlook.start is not None
-        }
 
     def _in_turn(
         self, at: TeamMoment, outlooks: Sequence[Outlook], kept: Mapping[int, TimedMotion]

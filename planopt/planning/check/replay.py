@@ -41,7 +41,7 @@ from planopt.planning.reservations import discs_to_avoid, others_of
 from planopt.planning.stepping import Planning, PlanStep, Stepper, TeamMoment, watch_target
 from planopt.planning.values.context import Aim, counts_others, places_of_others, step_context
 from planopt.planning.values.exploration import workspace_region
-from planopt.planning.values.objective_value import ObjectiveValue, ReachCost
+from planopt.planning.values.objective_value import LeadingPivot, ObjectiveValue, ReachCost
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.clearance import index_obstacles
 
@@ -280,10 +280,9 @@ def _verified_again(
             known = np.array_equal(places_m, path_m)
             return power if known else search_prediction(context.law, places_m)
 
-        cost = ReachCost(problem, path_m[0], certified, priced=record.rung is not Rung.DIRECT)
-        if (pivot := saved.pivot) is not None:
-            cost = replace(cost, ahead=lambda _: pivot)
-        objective = cost(path_m[1:], drive)
+        pivot, priced = saved.pivot, record.rung is not Rung.DIRECT
+        ahead: LeadingPivot | None = None if pivot is None else lambda _: pivot
+        objective = ReachCost(problem, path_m[0], certified, ahead, priced)(path_m[1:], drive)
     else:
         step = step_context(replace(context, state=path_m[0]), region, aim)
         objective = ObjectiveValue(step)(path_m[1:])

@@ -151,6 +151,9 @@ def rule_result(at: StepContext, path_m: NDArray[np.float64]) -> RuleResult:
     return whole_plan_result(PathCase(at, places_m, at.power(path_m)))
 
 
+LeadingPivot = Callable[[NDArray[np.float64]], Pivot]
+"""Function from a path's end (2,) to the pivot of the remaining route."""
+
 BRAKING_PLACES = 9
 """Number of positions on the braking path at which outage is evaluated."""
 
@@ -163,9 +166,9 @@ class ReachCost:
     position_m: NDArray[np.float64]  # (2,) position of the robot
     # Maps positions (n, 2) to predicted power, for p_min and outage
     power: Callable[[NDArray[np.float64]], Prediction]
-    # Maps a path's end (2,) to the pivot of the remaining route; None without a cost-to-go
-    ahead: Callable[[NDArray[np.float64]], Pivot] | None = None
-    # Whether outage is priced; False for a robot that takes the shortest path after wandering
+    ahead: LeadingPivot | None = None  # None if no cost-to-go is charged
+    # Whether outage is priced; False for a robot that has wandered and takes the shortest
+    # path
     priced: bool = True
 
     @property

@@ -289,6 +289,9 @@ class Task:
 
     def check(self, file: Path, data: Mapping[str, Any]) -> CheckResult:
         """Recompute and verify a saved result whose JSON object is already loaded."""
+        if data.get("outcome") == "no_plan" or data.get("verdict") == "none":
+            message = data.get("message") or data.get("reason")
+            return CheckResult(Verdict.NONE, (), (f"there is no plan to verify: {message}",))
         reasons = tuple(_reasons_against(file, data))
         return CheckResult(Verdict.VIOLATED if reasons else Verdict.VERIFIED, (), reasons)
 
@@ -547,8 +550,6 @@ def _reasons_against(file: Path, data: Mapping[str, Any]) -> list[str]:
     """
     saved = _read_result(file, data)
     seed = whole_number(file, data, "seed")
-    if saved.data.get("outcome") == "no_plan" or saved.data.get("verdict") == "none":
-        return [f"there is nothing to check: {saved.words[0]}"]
     action: Action = "solve" if file.name == PLAN_FILE else "simulate"
     try:
         follows = "saved" in signature(task_of(saved.problem).function(action)).parameters

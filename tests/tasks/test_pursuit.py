@@ -105,12 +105,15 @@ def test_evader_faster_than_its_pursuer(planner, written, run, tmp_path):
     assert run("check", out)[0] == 0
 
 
-def test_radius_under_the_floor(written, run):
+def test_radius_under_the_floor(written, run, tmp_path):
     """If a guarantee is required there is no plan; otherwise the pursuer drives with a remark."""
     small = ("capture_radius_m = 30.0", "capture_radius_m = 12.0")
     file = written("pursuit_fleeing", small)
-    code, found = run("simulate", file)
+    code, found = run("simulate", file, "--out", tmp_path / "none")
     assert code == 4 and found["outcome"] == "no_plan"
+    code, checked = run("check", tmp_path / "none")
+    assert code == 3 and checked["verdict"] == "none"
+    assert checked["reasons"] == [f"there is no plan to verify: {found['message']}"]
     assert (
         "floor below the capture radius: " in found["reason"]
         and "< 12 m fails by" in found["reason"]

@@ -177,12 +177,6 @@ MOST_TURN_RAD = 2.0 * math.pi
 """Largest turn of a robot in a step: a full circle."""
 
 
-def task_fault(tables: ProblemFile) -> str | None:
-    """Return a message if the tables do not define a problem of their task; otherwise None."""
-    fault = _reach_fault(tables) if tables.problem.task == "reach" else _terms_fault(tables)
-    return fault or _same_name("world.moving", tables.world.moving)
-
-
 def _reach_fault(tables: ProblemFile) -> str | None:
     """Return a message if the tables do not define a problem of the task reach."""
     for number, robot in enumerate(tables.robots):
@@ -374,7 +368,8 @@ class ProblemFile(Table):
 
     @model_validator(mode="after")
     def _fits_the_task(self) -> ProblemFile:
-        fault = task_fault(self)
+        fault = _reach_fault(self) if self.problem.task == "reach" else _terms_fault(self)
+        fault = fault or _same_name("world.moving", self.world.moving)
         if fault is not None:
             raise fault_of(fault)
         return self

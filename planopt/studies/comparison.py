@@ -29,10 +29,11 @@ from planopt.short_repr import short_repr
 from planopt.studies.comparison_rows import (
     Row,
     Setting,
+    SettingKey,
     comparison_rows,
     runs_by_setting,
     runs_reliability,
-    settings_of_runs,
+    setting_of,
 )
 from planopt.studies.study import cpu_name, digest_of_tables, program
 
@@ -153,7 +154,12 @@ class Comparison:
     @property
     def settings(self) -> tuple[Setting, ...]:
         """Return the settings with their runs and rows, in the order of the rows."""
-        return tuple(settings_of_runs(self.runs, self.rows))
+        found: dict[SettingKey, dict[str, Row]] = {setting_of(run): {} for run in self.runs}
+        for row in self.rows:
+            found[setting_of(row)][row.metric] = row
+        # A setting whose runs have no metrics has no rows.
+        every = runs_by_setting(self.runs)
+        return tuple(Setting(each, found[setting_of(each[0])]) for each in every)
 
     @property
     def reliability(self) -> tuple[ReliabilityBin, ...]:

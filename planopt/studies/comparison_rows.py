@@ -72,14 +72,6 @@ class Setting:
         return sum(run.exit_code == NOT_DONE for run in self.runs)
 
 
-def settings_of_runs(runs: Sequence[RunSummary], rows: Sequence[Row]) -> list[Setting]:
-    """Return runs and rows grouped by setting; settings without metrics have no rows."""
-    found: dict[SettingKey, dict[str, Row]] = {setting_of(run): {} for run in runs}
-    for row in rows:
-        found[setting_of(row)][row.metric] = row
-    return [Setting(each, found[setting_of(each[0])]) for each in runs_by_setting(runs)]
-
-
 def comparison_rows(runs: Sequence[RunSummary]) -> list[Row]:
     """Return the rows of all settings, whose runs have the same seeds in the same order.
 

@@ -122,11 +122,6 @@ class MovingObstacle(Part):
     """Minimum probability per step that the error of the centre stays within the growth of the
     radius."""
 
-    @property
-    def is_uncertain(self) -> bool:
-        """Return whether the prediction is uncertain, so that `probability` matters."""
-        return self.position_std_m > 0.0 or self.acceleration_std_m_s2 > 0.0
-
     def to_keys(self) -> dict[str, Any]:
         """Return the keys of the obstacle's table."""
         keys = super().to_keys() | {
@@ -134,7 +129,8 @@ class MovingObstacle(Part):
             "positions_m": list(self.positions_m),
             "velocity_m_s": self.velocity_m_s,
         }
-        if not self.is_uncertain:
+        # The probability matters only for an uncertain prediction.
+        if self.position_std_m == 0.0 and self.acceleration_std_m_s2 == 0.0:
             del keys["probability"]
         return keys
 

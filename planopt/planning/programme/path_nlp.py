@@ -31,7 +31,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Literal
 
 import casadi as ca
@@ -234,15 +233,13 @@ def build_path_nlp(
     limit = {} if budget_s is None else {"ipopt.max_wall_time": budget_s}
     solver = _exact_solver(shape, callbacks, OPTIONS | own | limit)
     functions = nlp_functions(solver)
+    kept = tuple(each for three in callbacks.values() for each in three)
     if method == "scp":
         # Imported here because only this planner needs Clarabel.
         from planopt.planning.programme.scp import scp_solve
 
-        solve = scp_solve(functions, shape, budget_s)
-    else:
-        solve = partial(call_nlp, solver, shape.horizon)
-    kept = tuple(each for three in callbacks.values() for each in three)
-    return PathNlp(shape, source, functions, solve, kept)
+        return PathNlp(shape, source, functions, scp_solve(functions, shape, budget_s), kept)
+    return PathNlp(shape, source, functions, lambda *given: call_nlp(solver, n, *given), kept)
 
 
 def _exact_solver(

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
@@ -341,14 +341,7 @@ def step_context(base: VerifierContext, region: Region, aim: Aim) -> StepContext
     """Return the context of a step with the external inputs of its objective."""
     turns_m = aim.steering_turns_m
     return StepContext(
-        base.problem,
-        base.index,
-        base.posteriors,
-        base.state,
-        base.moving,
-        base.history,
-        base.uncertain,
-        base.goal_grid,
+        **{each.name: getattr(base, each.name) for each in fields(VerifierContext) if each.init},
         region=region,
         target_m=aim.target_m,
         steering=None if turns_m is None else steering_path(base.problem, base.index, turns_m),

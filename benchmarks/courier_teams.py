@@ -22,8 +22,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt import Problem, Robot, load, simulate
-from planopt.planning.free_space import build_roads, node_at
+from planopt.planning.free_space import build_roads
 from planopt.world import index_obstacles, lattice_paths, swept_clearance_m
+from planopt.world.lattice import node_at
 
 PROBLEM = "munich_courier"
 SEPARATION_M = 10.0

@@ -21,7 +21,11 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from planopt.arrays import Floats
-from planopt.channel.connectivity_law import LEAST_DEVIATION_DB, any_score_derivatives
+from planopt.channel.connectivity_law import (
+    LEAST_DEVIATION_DB,
+    ConnectivityLaw,
+    any_score_derivatives,
+)
 from planopt.channel.kriging import LocalChannel
 from planopt.channel.parameters import MIN_DISTANCE_M, ChannelParameters, Station
 from planopt.channel.posterior import ChannelPosterior
@@ -229,3 +233,15 @@ def connectivity_derivatives(
     rows *= (np.exp(-0.5 * z * z) / math.sqrt(2.0 * math.pi))[:, None]
     rows[:, 0] = score_probability(z)
     return Derivatives.of(rows)
+
+
+def stage_predictor(
+    law: ConnectivityLaw,
+    path_m: Floats,
+    neighbours: int,
+) -> StagePredictor | ServingStages:
+    """Return the stage predictor near a path (N, 2), for one station or several."""
+    first, *others = law.posteriors
+    if others:
+        return ServingStages(law.posteriors, law.thresholds_dbm, law.combined, path_m, neighbours)
+    return StagePredictor(LocalChannel.around_each(first, path_m, neighbours))

@@ -19,12 +19,11 @@ from numpy.typing import NDArray
 from planopt.channel.prediction import Prediction
 from planopt.errors import InputError
 from planopt.parts import part_of
-from planopt.planning.certificate import Certificate
+from planopt.planning.certificate import Certificate, margins_asked_db
 from planopt.planning.free_space import leaving_path
 from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_drive, shifted_path
 from planopt.planning.proof.context import VerifierContext
 from planopt.planning.proof.verify import Judgement, verify
-from planopt.planning.tolerances import margins_asked_db
 from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Drive, rolled_out
 from planopt.world.clearance import ObstacleIndex

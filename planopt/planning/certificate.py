@@ -9,9 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.prediction import Prediction, connection_probability
+from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
 from planopt.errors import NoPlanError
-from planopt.planning.tolerances import RULE_TOLERANCE, STANDSTILL_M, margins_asked_db
+from planopt.planning.tolerances import RULE_TOLERANCE, STANDSTILL_M
 from planopt.problems.constraints import rule_kind
 from planopt.problems.problem import Problem
 
@@ -75,6 +75,16 @@ class BlockedError(NoPlanError):
     def __init__(self, message: str, blocked: tuple[BlockedWay, ...]) -> None:
         super().__init__(message)
         self.blocked = blocked
+
+
+def margins_asked_db(problem: Problem, power: Prediction) -> NDArray[np.float64]:
+    """Return the margin (n,) in dB by which each predicted power meets p_min."""
+    return bound_margin_db(
+        power.mean_db,
+        power.deviation_db,
+        problem.stations[0].threshold_dbm,
+        problem.constraints.p_min,
+    )
 
 
 def holes_along(

@@ -26,7 +26,7 @@ from planopt.world.clearance import (
     segment_lines,
     swept_clearance_m,
 )
-from planopt.world.lattice import RoadMap, build_lattice, build_road_map, moves_from, nearest_node
+from planopt.world.lattice import RoadMap, build_lattice, build_road_map
 from planopt.world.moving_discs import MovingDiscs, paths_gap_m
 from planopt.world.workspace import Obstacle
 
@@ -45,28 +45,6 @@ def build_roads(problem: Problem, anchor_m: NDArray[np.float64]) -> RoadMap:
             error.message, file=problem.file, key="planner.step_s", remedy=error.remedy
         ) from None
     return build_road_map(lattice)
-
-
-def node_at(road_map: RoadMap, place_m: NDArray[np.float64]) -> int:
-    """Return the number of the node nearest to `place_m` (2,); negative if the node is blocked."""
-    row, column = nearest_node(road_map.lattice, place_m)
-    return int(road_map.number[row, column])
-
-
-def nodes_in_reach(
-    road_map: RoadMap, index: ObstacleIndex, problem: Problem, position_m: NDArray[np.float64]
-) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
-    """Return the nodes within one step of an off-lattice position, and their distances."""
-    rows, columns, clear = moves_from(
-        index,
-        road_map.lattice,
-        position_m,
-        problem.step_length_m - STEP_PAD_M,
-        problem.constraints.clearance_m,
-    )
-    nodes = road_map.number[rows[clear], columns[clear]]
-    nodes = nodes[nodes >= 0]
-    return nodes, np.linalg.norm(road_map.nodes_m[nodes] - position_m, axis=1)
 
 
 def is_joined(problem: Problem, clearance_m: float, without: Obstacle | None = None) -> bool:

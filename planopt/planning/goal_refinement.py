@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.prediction import Prediction
 from planopt.objectives.reach import cruising_speed_m_s
-from planopt.objectives.stage_power import scores_of
+from planopt.objectives.stage_power import scores_of, stage_predictor
 from planopt.planning.candidates import Budget, Candidate, Scorer
 from planopt.planning.plan import Rung, Verdict
 from planopt.planning.programme.goal_value import GoalValue, OutagePrice, margins_of
@@ -29,7 +29,6 @@ from planopt.planning.search.global_search import GlobalStart
 from planopt.planning.search.pivot import Ahead
 from planopt.planning.tolerances import MARGIN_PAD_DB, STANDSTILL_M, STEP_PAD_M
 from planopt.planning.values.context import StepContext
-from planopt.planning.values.local_value import stage_predictor
 from planopt.planning.values.objective_value import ReachCost
 from planopt.planning.values.rule_rows import RuleRows, step_rows
 from planopt.targets.rounding import Derivatives

@@ -33,9 +33,8 @@ from planopt.channel.measurements import (
     as_received,
 )
 from planopt.channel.parameters import PRIOR_N_PL, ChannelParameters
-from planopt.channel.posterior import EXACT_LIMIT, Belief, ChannelPosterior, condition, update
+from planopt.channel.posterior import EXACT_LIMIT, Belief, ChannelPosterior, condition
 from planopt.errors import InputError
-from planopt.objectives.measuring import MeasuringRule
 from planopt.parts import calling
 from planopt.planning.free_space import free_places
 from planopt.problems.channel_setup import (
@@ -400,12 +399,3 @@ def prepare(
     """Return the initial data of a seed and the belief fitted to the initial measurements."""
     data = draw_initial_data(problem, seed, measurements)
     return Prepared(data.truths, learn_stations(problem, data.measurements))
-
-
-def learn_measured(problem: Problem, belief: Belief, measured: Sequence[Measurements]) -> Belief:
-    """Return a belief updated with new measurements, except those within the spacing."""
-    if not any(len(each) for each in measured):
-        return belief
-    rule = MeasuringRule.of(belief.posteriors, problem.channel.measure_spacing_m)
-    taken = [each.take(rule.takes(each.positions_m)) for each in measured]
-    return update(belief, *taken) if any(map(len, taken)) else belief

@@ -25,11 +25,6 @@ from planopt.world.motion import TimedMotion, step_distances_m
 from planopt.world.moving_discs import MovingDiscs, joined_discs, predicted_discs
 
 
-def has_separation(problem: Problem) -> bool:
-    """Return whether a problem's robots must keep a separation."""
-    return len(problem.robots) > 1 and problem.constraints.separation_m > 0.0
-
-
 def reserved_path(
     position_m: NDArray[np.float64],  # (2,)
     last_path_m: NDArray[np.float64] | None,  # (N + 1, 2)

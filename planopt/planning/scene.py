@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.errors import InputError, NoPlanError
-from planopt.planning.free_space import build_roads, is_joined, nodes_in_reach
-from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M
+from planopt.planning.free_space import build_roads, is_joined
+from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M, STEP_PAD_M
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.clearance import ObstacleIndex, index_obstacles, inside_bounds, segments_clear
 from planopt.world.lattice import (
@@ -26,6 +26,7 @@ from planopt.world.lattice import (
     lattice_paths,
     nearest_node,
     node_positions,
+    nodes_in_reach,
     route_from,
 )
 from planopt.world.separation import PackedPieces, pack_pieces
@@ -59,7 +60,8 @@ def first_moves(
     ground: Ground, problem: Problem, position_m: NDArray[np.float64]
 ) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
     """Return the nodes within one step of an off-lattice position, and their distances."""
-    return nodes_in_reach(ground.road_map, ground.index, problem, position_m)
+    reach_m, clearance_m = problem.step_length_m - STEP_PAD_M, problem.constraints.clearance_m
+    return nodes_in_reach(ground.road_map, ground.index, position_m, reach_m, clearance_m)
 
 
 @dataclass(frozen=True)

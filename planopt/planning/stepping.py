@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 
 from planopt.channel.measurements import Measurements, join
 from planopt.channel.posterior import Belief
+from planopt.channel.posterior import update as update_belief
+from planopt.objectives.measuring import MeasuringRule
 from planopt.objectives.tracking import Held
 from planopt.planning.free_space import free_target_path
-from planopt.planning.initial_data import learn_measured
 from planopt.planning.plan import History, Plan, Rung, history_of
-from planopt.planning.reservations import has_separation
 from planopt.planning.tolerances import STANDSTILL_M
 from planopt.planning.values.context import Aim, target_model
 from planopt.problems.problem import Problem, problem_at, problem_of_robot
@@ -220,6 +220,15 @@ def _counted(
     return update(ahead, measured_m, noise, delivered)
 
 
+def learn_measured(problem: Problem, belief: Belief, measured: Sequence[Measurements]) -> Belief:
+    """Return a belief updated with new measurements, except those within the spacing."""
+    if not any(len(each) for each in measured):
+        return belief
+    rule = MeasuringRule.of(belief.posteriors, problem.channel.measure_spacing_m)
+    taken = [each.take(rule.takes(each.positions_m)) for each in measured]
+    return update_belief(belief, *taken) if any(map(len, taken)) else belief
+
+
 @dataclass(frozen=True, eq=False)
 class TeamMoment:
     """Input of one planning step: states, beliefs, tracks and previous plans of all robots."""
@@ -384,4 +393,4 @@ class Stepper:
         unit = np.array(robot.dynamics.unit_m(step_s))
         if float(np.linalg.norm((state - plan.next_state) * unit)) <= STANDSTILL_M:
             return True
-        return robot.moves_freely and not has_separation(self.problem)
+        return robot.moves_freely and not self.problem.has_separation

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Annotated, Any, Literal, Union
 
 from pydantic import (
@@ -118,7 +118,7 @@ class ReachObjective(Part):
     """Positions at which outage_price applies: everywhere (minimum expected cost), or below_p_min
     (no cost at positions that satisfy p_min)."""
 
-    @property
+    @cached_property
     def charges_everywhere(self) -> bool:
         """Return True if outage_price also applies at positions that satisfy p_min."""
         return self.outage_charge == "everywhere"

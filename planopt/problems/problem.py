@@ -221,6 +221,11 @@ class Problem:
         return self.has_dynamics or not any(term.probes_end for term in self.terms)
 
     @property
+    def has_separation(self) -> bool:
+        """Return whether the robots must keep a separation from each other."""
+        return len(self.robots) > 1 and self.constraints.separation_m > 0.0
+
+    @property
     def has_dynamics(self) -> bool:
         """Return True if any robot has dynamics other than a single integrator."""
         return not all(robot.moves_freely for robot in self.robots)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Annotated, Any, Literal, cast
 
 import numpy as np
@@ -162,7 +163,7 @@ class Robot(Part):
             )
         return None
 
-    @property
+    @cached_property
     def moves_freely(self) -> bool:
         """Return True if the robot is a single integrator, whose state is its position."""
         return isinstance(self.dynamics, SingleIntegrator)

@@ -320,3 +320,19 @@ def route_from(road_map: RoadMap, cost_to_go: CostToGo, node: int, length_m: flo
         )
         nodes.append(following)
     return np.asarray(nodes, dtype=np.intp)
+
+
+def node_at(road_map: RoadMap, place_m: Floats) -> int:
+    """Return the index of the node nearest to `place_m` (2,); negative if that node is blocked."""
+    row, column = nearest_node(road_map.lattice, place_m)
+    return int(road_map.number[row, column])
+
+
+def nodes_in_reach(
+    road_map: RoadMap, index: ObstacleIndex, position_m: Floats, reach_m: float, clearance_m: float
+) -> tuple[Indices, Floats]:
+    """Return the nodes that a straight move from a position (2,) reaches, and their distances."""
+    rows, columns, clear = moves_from(index, road_map.lattice, position_m, reach_m, clearance_m)
+    nodes = road_map.number[rows[clear], columns[clear]]
+    nodes = nodes[nodes >= 0]
+    return nodes, np.linalg.norm(road_map.nodes_m[nodes] - position_m, axis=1)

@@ -245,3 +245,8 @@ def outside_terms() -> tuple[type[Term], ...]:
     """Return the registered term classes from outside planopt, for worker processes."""
     home = f"{own_terms.__name__}."
     return tuple(term for term in registered_terms() if not term.__module__.startswith(home))
+
+
+def explores(term: Term) -> bool:
+    """Return whether a term guides a robot to unmeasured positions."""
+    return term.is_measured or term.steers == "variance"

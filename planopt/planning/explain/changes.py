@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, connection_probability
+from planopt.planning.certificate import margins_asked_db
 from planopt.planning.explanation import Relaxation
 from planopt.planning.plan import BEGINNING, Plan, Verdict
 from planopt.planning.proof.context import (
@@ -30,11 +31,7 @@ from planopt.planning.proof.context import (
 from planopt.planning.proof.rule import PathCase, rule_of, whole_plan_result
 from planopt.planning.proof.searches import best_margins_by_step, build_goal_grid, may_reach_from
 from planopt.planning.proof.verify import is_priced
-from planopt.planning.tolerances import (
-    CLEARANCE_TOLERANCE_M,
-    MARGIN_TOLERANCE_DB,
-    margins_asked_db,
-)
+from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, MARGIN_TOLERANCE_DB
 from planopt.planning.values.rule_rows import common_level
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.robots.dynamics import braked_motion

@@ -19,7 +19,6 @@ from planopt.channel.connectivity_law import serving_power_dbm
 from planopt.channel.ground_truth import Truth, mean_power_dbm, true_power_dbm
 from planopt.channel.joint import longest_run
 from planopt.planning.certificate import Hole, holes_along
-from planopt.planning.free_space import node_at, nodes_in_reach
 from planopt.planning.loop.log import (
     ChannelLog,
     Metrics,
@@ -36,11 +35,12 @@ from planopt.planning.reservations import (
     least_moving_clearances_m,
     least_separations_m,
 )
+from planopt.planning.tolerances import STEP_PAD_M
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.problems.robot import Robot
 from planopt.robots.dynamics import Drive
 from planopt.world.clearance import ObstacleIndex, index_obstacles, segments_clear
-from planopt.world.lattice import RoadMap, cheapest_paths, route_from
+from planopt.world.lattice import RoadMap, cheapest_paths, node_at, nodes_in_reach, route_from
 
 COSTS = ("realised_cost_m", "clairvoyant_cost_m", "cost_ratio")
 """Names of the realised costs of a run to goals (:func:`run_costs`)."""
@@ -327,7 +327,8 @@ def clairvoyant_path(
     moves = cost_m(nodes_m[road_map.edge_from], nodes_m[road_map.edge_to])
     paths = cheapest_paths(road_map, node_at(road_map, np.asarray(problem.goal_m)), moves)
     start = np.asarray(problem.robots[0].start_m, dtype=np.float64)
-    nodes, _ = nodes_in_reach(road_map, index, problem, start)
+    reach_m, clearance_m = problem.step_length_m - STEP_PAD_M, problem.constraints.clearance_m
+    nodes, _ = nodes_in_reach(road_map, index, start, reach_m, clearance_m)
     joining = cost_m(np.broadcast_to(start, (len(nodes), 2)), nodes_m[nodes])
     first = int(nodes[np.argmin(joining + paths.cost_m[nodes])])
     places = np.vstack([start, nodes_m[route_from(road_map, paths, first, np.inf)]])

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from planopt.channel.prediction import bound_margin_db, connection_probability
 from planopt.objectives.reach import charged_length_m, cost_rate_s_m, path_cost_s
-from planopt.planning.free_space import node_at
 from planopt.planning.plan import History
 from planopt.planning.scene import Scene, first_moves
 from planopt.planning.search.lattice_search import first_steps_apart, move_table, search_cheapest
@@ -34,7 +33,7 @@ from planopt.planning.values.context import StepContext
 from planopt.planning.values.objective_value import rule_missing
 from planopt.planning.values.rule_rows import Guide, find_guided, step_rows
 from planopt.problems.problem import Problem
-from planopt.world.lattice import CostToGo, lattice_paths, route_from
+from planopt.world.lattice import CostToGo, lattice_paths, node_at, route_from
 from planopt.world.moving_discs import MovingDiscs
 
 FORBIDDEN = 1e6

@@ -16,7 +16,7 @@ from planopt.channel.neighbours import PlaceTree
 from planopt.objectives.reach import step_cost_s
 from planopt.planning.search.lattice_search import steps_apart
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M
-from planopt.world.lattice import CostToGo, RoadMap, lattice_paths
+from planopt.world.lattice import CostToGo, RoadMap, lattice_paths, route_from
 from planopt.world.motion import closest_approach_m
 from planopt.world.moving_discs import MovingDiscs
 
@@ -43,14 +43,6 @@ class TimedCosts:
     rate_s_m: float  # Cost per metre of the cost-to-go
     # (n + 1,) additional cost per metre at each node and, last, at the robot
     surcharge_s_m: NDArray[np.float64]
-
-
-def route_nodes(cost_to_go: CostToGo, node: int) -> NDArray[np.intp]:
-    """Return the nodes of the shortest path from `node` to the goal, both included."""
-    nodes = [node]
-    while (following := int(cost_to_go.next_node[nodes[-1]])) >= 0:
-        nodes.append(following)
-    return np.asarray(nodes, dtype=np.intp)
 
 
 def timed_places(
@@ -143,8 +135,8 @@ def search_room(
     room = int(np.argmin(cost))
     if not np.isfinite(cost[room]):
         return None
-    nodes = route_nodes(cost_to_go, room)[::-1]
-    # If the robot's own node counted, it would postpone its departure forever.
+    nodes = route_from(road_map, cost_to_go, room, np.inf)[::-1]
+    # A robot already at a node would postpone its departure forever.
     nodes = nodes[1:] if len(nodes) > 1 and first_length_m.min() <= STANDSTILL_M else nodes
     waits = np.repeat(nodes[-1:], max(least_stages - len(nodes), 0))
     return TimedPath(np.concatenate([nodes, waits]), nodes[:0], float(cost[room]), False)
@@ -174,7 +166,7 @@ def _search_within(
             return aside
         if k >= least_stages:
             for row in np.argsort(cost + to_go[nodes], kind="stable")[:ROUTES_TESTED]:
-                route = route_nodes(costs.cost_to_go, int(nodes[row]))
+                route = route_from(costs.road_map, costs.cost_to_go, int(nodes[row]), np.inf)
                 if _is_free(costs, discs, k, route):
                     total = float(cost[row] + to_go[nodes[row]])
                     return TimedPath(_nodes_to(stages, int(row)), route[1:], total)
@@ -189,7 +181,7 @@ def _search_within(
     row = int(np.argmin(total))
     if not np.isfinite(total[row]):
         return aside
-    route = route_nodes(cost_to_go, int(nodes[row]))
+    route = route_from(costs.road_map, cost_to_go, int(nodes[row]), np.inf)
     if not _is_free(costs, discs, last, route):
         return aside
     return TimedPath(_nodes_to(stages, row), route[1:], float(total[row]))

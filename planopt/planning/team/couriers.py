@@ -26,7 +26,7 @@ from planopt.planning.planners import asked_plan, planner_for
 from planopt.planning.proof.context import obstacles_ahead
 from planopt.planning.proof.motion import is_at_goal
 from planopt.planning.reach_planner import Course, Outlook, ReachPlanner
-from planopt.planning.reservations import has_separation, reserved_motion
+from planopt.planning.reservations import reserved_motion
 from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.search.timed_search import DELAYS_STEPS, is_apart, timed_places
 from planopt.planning.stepping import Planning, PlanStep, TeamMoment
@@ -50,7 +50,7 @@ class Couriers:
 
     def __init__(self, problem: Problem, scenes: Sequence[Scene], seeds: TeamSeeds) -> None:
         count = len(problem.robots)
-        others = count - 1 if has_separation(problem) else 0
+        others = count - 1 if problem.has_separation else 0
         self._problem = problem
         self._planners: list[ReachPlanner] = []
         for number, (scene, generator) in enumerate(zip(scenes, seeds.planners, strict=True)):
@@ -67,7 +67,7 @@ class Couriers:
         outlooks = [
             planner.outlook(belief, state, history) for planner, belief, state, history in robots
         ]
-        if not has_separation(self._problem):
+        if not self._problem.has_separation:
             return [
                 planner.release(outlook, warm)
                 for planner, outlook, warm in zip(self._planners, outlooks, at.warm, strict=True)

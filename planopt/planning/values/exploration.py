@@ -22,7 +22,7 @@ from planopt.channel.neighbours import PlaceTree
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.measuring import MeasuringRule
 from planopt.objectives.moments import Region
-from planopt.objectives.terms.term import Term
+from planopt.objectives.terms.term import explores
 from planopt.planning.proof.context import search_power
 from planopt.planning.tolerances import CLEARANCE_PAD_M, CLEARANCE_TOLERANCE_M, STEP_PAD_M
 from planopt.problems.problem import Problem
@@ -200,11 +200,6 @@ def _centres(bounds_m: tuple[float, float, float, float], cell_m: float) -> NDAr
 
 FINER = 4
 """Subdivision of the lattice spacing, for intermediate positions once all nodes are measured."""
-
-
-def explores(term: Term) -> bool:
-    """Return whether a term guides a robot to unmeasured positions."""
-    return term.is_measured or term.steers == "variance"
 
 
 def learns(problem: Problem) -> bool:

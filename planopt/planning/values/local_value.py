@@ -13,12 +13,16 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity_law import ConnectivityLaw
 from planopt.channel.kriging import LocalChannel, LocalGrid
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
 from planopt.objectives.path_derivatives import PathDerivatives, add_own_blocks
-from planopt.objectives.stage_power import ServingStages, StagePredictor, connectivity_derivatives
+from planopt.objectives.stage_power import (
+    ServingStages,
+    StagePredictor,
+    connectivity_derivatives,
+    stage_predictor,
+)
 from planopt.objectives.terms.context import NearPath, Part
 from planopt.objectives.terms.term import Structure, Term
 from planopt.parts import calling, class_name, is_own, returned
@@ -93,18 +97,6 @@ def local_value(
         # A first evaluation outside CasADi, whose callbacks lose Python exceptions.
         evaluated(path_m)
     return evaluated
-
-
-def stage_predictor(
-    law: ConnectivityLaw,
-    path_m: NDArray[np.float64],
-    neighbours: int,
-) -> StagePredictor | ServingStages:
-    """Return the power predictor of all stages near a path (N, 2), for one station or several."""
-    first, *others = law.posteriors
-    if others:
-        return ServingStages(law.posteriors, law.thresholds_dbm, law.combined, path_m, neighbours)
-    return StagePredictor(LocalChannel.around_each(first, path_m, neighbours))
 
 
 def _total(chance: Derivatives, weight: NDArray[np.float64]) -> PathValue:

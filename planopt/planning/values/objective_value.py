@@ -19,10 +19,10 @@ from planopt.errors import InputError
 from planopt.objectives.reach import charged_length_m, cost_rate_s_m, outage_share, path_cost_s
 from planopt.objectives.terms.term import Term
 from planopt.parts import calling, returned
-from planopt.planning.certificate import RuleResult
+from planopt.planning.certificate import RuleResult, margins_asked_db
 from planopt.planning.plan import Pivot
 from planopt.planning.proof.rule import PathCase, rule_of, whole_plan_result
-from planopt.planning.tolerances import MARGIN_TOLERANCE_DB, margins_asked_db
+from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.planning.values.context import StepContext
 from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Drive

@@ -19,10 +19,9 @@ from planopt.channel.prediction import (
     connection_probability,
 )
 from planopt.objectives.moments import LocalPaths, Pull
-from planopt.planning.certificate import RuleResult
+from planopt.planning.certificate import RuleResult, margins_asked_db
 from planopt.planning.plan import History
 from planopt.planning.proof.rule import Rule, rule_of
-from planopt.planning.tolerances import margins_asked_db
 from planopt.planning.values.context import StepContext
 from planopt.planning.values.objective_value import rule_result
 from planopt.problems.problem import Problem

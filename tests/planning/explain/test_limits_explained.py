@@ -13,8 +13,8 @@ from silent_field import TABLES, belief_in
 
 from planopt import Problem, Verdict, explain
 from planopt.channel.kriging import predict
+from planopt.planning.certificate import margins_asked_db
 from planopt.planning.solve import solve_on
-from planopt.planning.tolerances import margins_asked_db
 from planopt.problems.problem import problem_from_tables
 
 GOOD_DBM, BAD_DBM = -60.0, -100.0

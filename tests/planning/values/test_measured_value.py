@@ -8,7 +8,8 @@ from terms_scene import LEARNING, context_of, terms_problem
 
 from planopt.channel import measure
 from planopt.channel.kriging import predict
-from planopt.planning.initial_data import learn_measured, prepare
+from planopt.planning.initial_data import prepare
+from planopt.planning.stepping import learn_measured
 from planopt.planning.values.local_value import local_value
 from planopt.planning.values.objective_value import ObjectiveValue
 

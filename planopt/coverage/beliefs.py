@@ -89,7 +89,7 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """What each of `n` agents knows about one event, with `r` readings in all."""
+    """Knowledge of each of `n` agents about one event, with `r` readings in all."""
 
     steps: Indices  # (r,) step in which each reading was taken
     readings: Readings

@@ -10,6 +10,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from planopt.channel.logs.bag_messages import is_recording
+from planopt.channel.logs.bag_table import read_recording
 from planopt.channel.logs.binary_tables import (
     Ranked,
     read_parquet,
@@ -41,6 +43,8 @@ READERS = Registry(
         "meshtastic": f"{PROGRAMS}.meshtastic:RSSI",
         "meshtastic_snr": f"{PROGRAMS}.meshtastic:SNR",
         "wifi_logger": f"{PROGRAMS}.wifi_logger:WIFI_LOGGER",
+        "recording": f"{PROGRAMS}.recording:METRES",
+        "recording_gps": f"{PROGRAMS}.recording:DEGREES",
     },
     "planopt.log_readers",
 )
@@ -97,6 +101,8 @@ def read_table(source: Path | str | Frame) -> LogTable:
     if not isinstance(source, Path | str):
         return table_of_frame(source)
     path = Path(source)
+    if is_recording(path):
+        return read_recording(path)
     read = KINDS.get(path.suffix.lower())
     if read is not None:
         return read(path, _likeness)

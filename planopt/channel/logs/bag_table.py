@@ -1,0 +1,238 @@
+"""Table of a recording: powers joined by time with positions from odometry, poses, TF or GPS.
+
+Positions are interpolated at the time of each power message. If a recording has several, those in
+the frame ``map`` come first, TF before poses before odometry, and GPS comes last; the others are in
+columns such as ``/odom.x``.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+
+from planopt.arrays import Floats, Mask
+from planopt.channel.logs.bag_messages import Recorded, read_messages
+from planopt.channel.logs.column_names import ALIASES
+from planopt.channel.logs.log_table import LogTable, fold
+from planopt.errors import InputError
+
+LONGEST_GAP_S, STANDING_M = 5.0, 1.0
+"""No position is interpolated in longer gaps, unless the robot is at the same place after it."""
+
+IN_MAP = "map"
+"""Frame of maps, by convention (REP 105)."""
+
+BASES = ("base_footprint", "base_link", "base")
+"""Frames of robots, by convention."""
+
+TRANSFORMS = "TFMessage"
+POSES = ("PoseWithCovarianceStamped", "PoseStamped", "PoseInFrame", "Odometry")
+FIXES = ("NavSatFix", "LocationFix")
+PREFERRED = (TRANSFORMS, *POSES, *FIXES)
+"""Kinds of positions in order of preference."""
+
+NOT_DRIVEN = re.compile("goal|initialpose|target|waypoint")
+"""Topics with poses that are not the robot's."""
+
+COLUMNS = ("stamp_s", "power_dbm", "transmitter", "topic")
+
+
+@dataclass(frozen=True)
+class _Track:
+    """Positions over time from one source."""
+
+    topic: str
+    kind: str
+    frame: str
+    time_s: Floats  # (n,) ascending
+    positions: Floats  # (n, 2) metres, or longitude and latitude
+
+    @property
+    def in_degrees(self) -> bool:
+        return self.kind in FIXES
+
+    @property
+    def rank(self) -> tuple[bool, bool, int]:
+        """Order of preference, the smallest first."""
+        return self.in_degrees, self.frame != IN_MAP, PREFERRED.index(self.kind)
+
+    def at(self, time_s: Floats) -> Floats:
+        """Return interpolated positions; NaN outside the track and in its gaps."""
+        found = _interpolated(time_s, self.time_s, self.positions)
+        after = np.clip(np.searchsorted(self.time_s, time_s), 1, len(self.time_s) - 1)
+        gap_s = self.time_s[after] - self.time_s[after - 1]
+        moved = np.linalg.norm(self.positions[after] - self.positions[after - 1], axis=1)
+        lost = (gap_s > LONGEST_GAP_S) & ((moved > STANDING_M) | self.in_degrees)
+        outside = (time_s < self.time_s[0]) | (time_s > self.time_s[-1])
+        found[lost | outside] = np.nan
+        return found
+
+
+@dataclass(frozen=True)
+class _Reading:
+    time_s: float
+    power: float
+    transmitter: str
+    topic: str
+
+
+def read_recording(path: Path) -> LogTable:
+    """Read the powers of a recording with the positions at their times."""
+    messages = list(read_messages(path, _is_wanted))
+    readings = [one for each in messages if each.kind not in PREFERRED for one in _powers(each)]
+    tracks = sorted(_tracks(messages), key=lambda track: track.rank)
+    for found, what in ((readings, "powers (rssi, signal_level, ...)"), (tracks, "positions")):
+        if not found:
+            seen = ", ".join(sorted({each.topic for each in messages})) or "none"
+            raise InputError(
+                f"has no topic with {what}; topics read: {seen}",
+                file=path,
+                remedy="record a pose, odometry, TF or GPS topic and one with the signal strength",
+            )
+    time_s = np.array([each.time_s for each in readings])
+    placed = [_cells(track.at(time_s)) for track in tracks]
+    names = list(COLUMNS)
+    rows: list[tuple[int, list[str]]] = []
+    for number, track in enumerate(tracks):
+        head = "" if number == 0 else f"{track.topic}."
+        axes = ("longitude", "latitude") if track.in_degrees else ("x", "y")
+        names += [f"{head}{axis}" for axis in axes]
+    for number, each in enumerate(readings):
+        own = [repr(each.time_s), repr(each.power), each.transmitter, each.topic]
+        rows.append((number + 1, own + [cell for cells in placed for cell in cells[number]]))
+    return LogTable(path, tuple(names), rows, header_line=None)
+
+
+def _cells(positions: Floats) -> list[list[str]]:
+    return [["" if math.isnan(x) else repr(x) for x in pair] for pair in positions.tolist()]
+
+
+def _is_wanted(topic: str, kind: str, definition: str) -> bool:
+    """Return whether a topic may have positions or powers."""
+    if kind in PREFERRED:
+        return NOT_DRIVEN.search(topic.lower()) is None
+    words = {fold(word) for word in re.findall(r"\w+", definition)}
+    return _power_name([*words]) is not None or _is_number(topic, words)
+
+
+def _is_number(topic: str, words: set[str]) -> bool:
+    """Return whether a topic with a power's name has plain numbers."""
+    return "data" in words and _power_name(topic.split("/")) is not None
+
+
+def _power_name(names: Sequence[str]) -> str | None:
+    """Return the name of a power among names."""
+    folded = {fold(name.rsplit(".", 1)[-1]): name for name in names}
+    return next((folded[each] for each in ALIASES["power"] if each in folded), None)
+
+
+def _powers(message: Recorded) -> Iterator[_Reading]:
+    """Yield the readings of a message: its own, or one of each entry of a list."""
+    content = message.content
+    lists: list[Any] = [value for _, value in _fields(content) if isinstance(value, list)]
+    entries = [each for one in lists for each in one if isinstance(each, SimpleNamespace)]
+    for entry in (content, *entries):
+        fields = dict(_scalars(entry))
+        name = _power_name(list(fields))
+        if name is None and "data" in fields and _power_name(message.topic.split("/")):
+            name = "data"
+        if name is None or isinstance(fields[name], str):
+            continue
+        last = {fold(key.rsplit(".", 1)[-1]): str(value) for key, value in fields.items()}
+        labels = (last[each] for each in ALIASES["transmitter"] if last.get(each))
+        yield _Reading(
+            message.time_s, float(fields[name]), next(labels, message.topic), message.topic
+        )
+
+
+def _scalars(value: Any, head: str = "") -> Iterator[tuple[str, Any]]:
+    """Yield dotted names and values of numbers and texts, without headers."""
+    for name, each in _fields(value):
+        if isinstance(each, int | float | str):
+            yield head + name, each
+        elif isinstance(each, SimpleNamespace) and name not in ("header", "stamp"):
+            yield from _scalars(each, f"{head}{name}.")
+
+
+def _fields(value: Any) -> list[tuple[str, Any]]:
+    """Return names and values of a message; decoded ROS messages have slots."""
+    names = cast("Iterable[str]", getattr(value, "__slots__", None) or vars(value))
+    return [(name, getattr(value, name)) for name in names]
+
+
+def _tracks(messages: Sequence[Recorded]) -> Iterator[_Track]:
+    """Yield all tracks with at least two positions."""
+    places: dict[tuple[str, str, str], list[tuple[float, float, float]]] = {}
+    for each in messages:
+        content = each.content
+        if each.kind in FIXES:
+            x, y, frame = content.longitude, content.latitude, ""
+            status = getattr(getattr(content, "status", None), "status", 0)
+            if status < 0:
+                continue
+        elif each.kind in POSES:
+            pose = getattr(content.pose, "pose", content.pose)
+            x, y = pose.position.x, pose.position.y
+            frame = getattr(content, "frame_id", "") or content.header.frame_id
+        else:
+            continue
+        if math.isfinite(x) and math.isfinite(y):
+            key = each.topic, each.kind, frame.lstrip("/")
+            places.setdefault(key, []).append((each.time_s, x, y))
+    for (topic, kind, frame), rows in places.items():
+        if len(rows) > 1:
+            table = np.array(sorted(rows))
+            yield _Track(topic, kind, frame, table[:, 0], table[:, 1:])
+    yield from _transformed([each for each in messages if each.kind == TRANSFORMS])
+
+
+def _transformed(messages: Sequence[Recorded]) -> Iterator[_Track]:
+    """Yield the positions of the robot's frame in the frame at the root of the transforms."""
+    links: dict[str, tuple[str, list[list[float]]]] = {}
+    for message in messages:
+        for each in message.content.transforms:
+            move, turn = each.transform.translation, each.transform.rotation
+            numbers = [move.x, move.y, move.z, turn.x, turn.y, turn.z, turn.w]
+            parent, child = (n.lstrip("/") for n in (each.header.frame_id, each.child_frame_id))
+            links.setdefault(child, (parent, []))[1].append([message.time_s, *numbers])
+    frame = next((base for base in BASES if base in links), None)
+    chain: list[Floats] = []
+    while frame in links and len(chain) < len(links):
+        frame, rows = links[frame]
+        chain.append(np.array(sorted(rows)))
+    moving = [table[:, 0] for table in chain if len(table) > 1]
+    if frame is None or not moving:
+        return
+    time_s = np.unique(np.concatenate(moving))
+    time_s = time_s[time_s >= max(table[0, 0] for table in chain if len(table) > 1)]
+    place = np.zeros((len(time_s), 3))
+    for table in chain:
+        found = _interpolated(time_s, table[:, 0], table[:, 1:])
+        place = found[:, :3] + _rotated(found[:, 3:], place)
+    if len(time_s) > 1:
+        yield _Track("/tf", TRANSFORMS, frame, time_s, place[:, :2])
+
+
+def _rotated(turn: Floats, place: Floats) -> Floats:
+    """Return positions (n, 3) rotated by quaternions (n, 4), which need not have length 1."""
+    turn = turn / np.linalg.norm(turn, axis=1, keepdims=True)
+    twice = 2.0 * np.cross(turn[:, :3], place)
+    return place + turn[:, 3:] * twice + np.cross(turn[:, :3], twice)
+
+
+def _interpolated(time_s: Floats, times_s: Floats, values: Floats) -> Floats:
+    """Return values (n, k) at other times, component by component."""
+    # Quaternions of opposite sign are the same rotation.
+    if values.shape[1] > 4:
+        flipped: Mask = np.sum(values[1:, 3:] * values[:-1, 3:], axis=1) < 0.0
+        values = values.copy()
+        values[1:, 3:] *= np.where(np.cumsum(flipped) % 2, -1.0, 1.0)[:, None]
+    columns: list[Floats] = [np.interp(time_s, times_s, column) for column in values.T]
+    return np.column_stack(columns)

@@ -26,7 +26,7 @@ MOST_NESTED = 200
 
 
 def short_repr(self: object) -> str:
-    """Return the fields of a dataclass, wrapped to at most `LINES` lines of `WIDTH` characters."""
+    """Return text that shows a dataclass's fields in at most `LINES` lines of `WIDTH` characters."""
     return wrapped(_fields_of(self))
 
 
@@ -89,5 +89,5 @@ def _short_array(values: NDArray[Any]) -> str:
 
 
 def shown_number(value: float | None, unit: str = "", digits: int = 4) -> str:
-    """Return a number with its unit; a dash for None."""
+    """Return a number with its unit as text; a dash for None."""
     return "-" if value is None else f"{value:.{digits}g}{unit}"

@@ -245,7 +245,7 @@ class Planner:
         return (self.problem,)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return beliefs and plans; solvers and random streams start anew in a copy."""
+        """Return the state to pickle: beliefs and plans, without solvers and random streams."""
         return {**vars(self), "_busy": None, "_robots": self._robots.kept()}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -256,7 +256,7 @@ class Planner:
 
     @property
     def beliefs(self) -> tuple[Belief, ...]:
-        """Current belief of each robot."""
+        """Current channel belief of each robot."""
         return tuple(self._robots.beliefs)
 
     def step(
@@ -480,7 +480,7 @@ def _links(given: Sequence[bool] | NDArray[np.bool_]) -> list[bool]:
 
 
 def _numbers(key: str, given: ArrayLike, shape: tuple[int, ...], names: str) -> NDArray[np.float64]:
-    """Return a finite array of the given shape."""
+    """Return user values as a finite array of a shape; raise an InputError otherwise."""
     try:
         found = np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError):

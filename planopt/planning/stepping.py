@@ -103,7 +103,7 @@ def watch_target(problem: Problem, generator: np.random.Generator) -> TargetWatc
 
 
 def expected_target(problem: Problem) -> TargetWatch | None:
-    """Return the target with the problem's initial estimate, undrawn; None without a target."""
+    """Return the target with the mean initial estimate, without noise; None without a target."""
     return _first_watch(problem, np.zeros((0, 2)), np.zeros(4))
 
 
@@ -145,7 +145,7 @@ def aim_of(watch: TargetWatch | None, robot: int, steps: int) -> Aim:
 
 
 def _held(watch: TargetWatch, robot: int) -> Held | None:
-    """Return a robot's information that the station lacks; None unless packets carry estimates."""
+    """Return a robot's measurements that the station lacks; None unless packets carry estimates."""
     if watch.packets != "estimates":
         return None
     count = len(watch.sent)
@@ -231,7 +231,7 @@ def learn_measured(problem: Problem, belief: Belief, measured: Sequence[Measurem
 
 @dataclass(frozen=True, eq=False)
 class TeamMoment:
-    """Input of one planning step: states, beliefs, tracks and previous plans of all robots."""
+    """Input of a planning step: all robots' states, beliefs, tracks and previous plans."""
 
     beliefs: Sequence[Belief]
     states: Sequence[NDArray[np.float64]]  # (s,)
@@ -242,7 +242,7 @@ class TeamMoment:
 
     @property
     def driven(self) -> int:
-        """Number of steps of the run before this one."""
+        """Number of steps of the run so far."""
         return self.histories[0].steps
 
 
@@ -276,19 +276,19 @@ class Stepper:
         self._warm: list[Plan | None] = [None for _ in numbers]
 
     def kept(self) -> dict[str, Any]:
-        """Return what a copy in another process needs, without the planner."""
+        """Return the state for a copy in another process, without the planner."""
         return {name: value for name, value in vars(self).items() if "_plan" not in name}
 
     @classmethod
     def restored(cls, kept: Mapping[str, Any], planning: Planning) -> Stepper:
-        """Return a copy with a new planner."""
+        """Return a copy from a state that :meth:`kept` returned, with a new planner."""
         made = cls.__new__(cls)
         vars(made).update(kept, _planning=planning)
         made._know(made.problem)
         return made
 
     def plan(self) -> list[Plan]:
-        """Return a plan for each robot."""
+        """Return a plan for each robot, from the current states."""
         now = problem_at(self.problem, len(self.connected))
         if now is not self.problem:
             self._know(now)
@@ -331,7 +331,7 @@ class Stepper:
         self.owns = [problem_of_robot(problem, number) for number in range(len(problem.robots))]
 
     def add_obstacles(self, obstacles: Sequence[Obstacle]) -> None:
-        """Add obstacles that have been discovered."""
+        """Add newly discovered obstacles to the workspace."""
         now_s = len(self.connected) * self.problem.planner.step_s
         workspace = self.problem.workspace
         later = [replace(one, known_from_s=now_s) for one in obstacles]

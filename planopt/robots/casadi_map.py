@@ -147,12 +147,12 @@ class CasadiMap(BaseDynamics):
     def control_points(
         self, state: Components, control: Components, step_s: float
     ) -> tuple[tuple[Any, Any], ...]:
-        """Return the positions at the ends of the substeps, except the last."""
+        """Return the positions between the substeps of a step."""
         samples = self._samples(state, control, step_s, self.substeps)
         return tuple((sample[0], sample[1]) for sample in samples[:-1])
 
     def hull_pad_m(self, step_s: float) -> float:
-        """Return half the maximum path length of a substep."""
+        """Return half a substep's maximum path length, which bounds its distance from the hull."""
         return 0.5 * self.speed_max_m_s * step_s / self.substeps
 
     def stop_rows(self, state: Components, step_s: float) -> Components:
@@ -200,7 +200,7 @@ class CasadiMap(BaseDynamics):
         return np.tile(np.array(self.rest_input), (steps, 1))
 
     def following(self, state: Floats, path_m: Floats, step_s: float) -> Floats:
-        """Return inputs that follow a path; each, held for two steps, gets closest to the path."""
+        """Return inputs that follow a path, selected by comparing input values over two steps."""
         pursuit = PurePursuit(np.vstack([state[:2], path_m]))
         ranges = [
             np.linspace(max(low, rest - 1.0), min(high, rest + 1.0), INPUT_VALUES)
@@ -225,10 +225,10 @@ class CasadiMap(BaseDynamics):
         return inputs
 
     def straight(self, state: Floats, end_m: Floats, step_s: float) -> None:
-        """Return None: a straight drive is unknown for a general map."""
+        """Return None, as a straight drive is unknown for a general map."""
 
     def curves(self, states: Floats, inputs: Floats, step_s: float) -> list[StepCurve]:
-        """Return samples of each step with a bound on the distance from their polyline."""
+        """Return each step as samples, with a bound on the robot's distance from their polyline."""
         count = self.substeps * DENSER if self.continuous else 1
         before, control = tuple(states.T), tuple(inputs.T)
         samples = [before, *self._samples(before, control, step_s, count)]
@@ -256,7 +256,7 @@ class CasadiMap(BaseDynamics):
         return max(over)
 
     def unit_m(self, step_s: float) -> tuple[float, ...]:
-        """Return the metres per unit of state: 1 for positions, the longest step for others."""
+        """Return the displacement in metres per unit of each state component."""
         other = self.speed_max_m_s * step_s
         return (1.0, 1.0, *(other for _ in self.state_names[2:]))
 
@@ -269,7 +269,7 @@ class CasadiMap(BaseDynamics):
 
 
 def check_casadi_map(dynamics: CasadiMap) -> None:
-    """Raise an error for the first invalid entry: function, names, bounds or substeps."""
+    """Raise an InputError for the first invalid attribute of the dynamics."""
     function: object = dynamics.function
     if not isinstance(function, ca.Function):
         raise InputError(
@@ -329,7 +329,7 @@ def check_casadi_map(dynamics: CasadiMap) -> None:
 
 
 def _are_numbers(given: Any, shape: tuple[int, ...]) -> bool:
-    """Return whether values are numbers of `shape`: bounds in order, others finite."""
+    """Return whether values are numbers of `shape`, with ordered bounds or finite values."""
     try:
         found = np.array(given)
     except ValueError:

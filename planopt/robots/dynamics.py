@@ -22,7 +22,7 @@ Components = tuple[Any, ...]
 
 @dataclass(frozen=True)
 class Disc:
-    """Disc constraint on a pair of components, as squared length over squared radius minus 1."""
+    """Disc constraint: the magnitude of two state or input components is at most a radius."""
 
     limit: int  # Index of the constraint among the limits
     names: tuple[str, str]  # Names of the two components, of the next state or the input
@@ -30,7 +30,7 @@ class Disc:
 
 
 class Dynamics(Protocol):
-    """Dynamics of a robot: motion, braking and turning."""
+    """Protocol of a robot's dynamics: motion, limits, braking and turning."""
 
     @property
     def kind(self) -> str:
@@ -54,7 +54,7 @@ class Dynamics(Protocol):
 
     @property
     def discs(self) -> tuple[Disc, ...]:
-        """Disc constraints among the limits."""
+        """Those of the limits that are disc constraints."""
         ...
 
     def step(self, state: Components, control: Components, step_s: float) -> Components:
@@ -62,7 +62,7 @@ class Dynamics(Protocol):
         ...
 
     def limits(self, control: Components, after: Components) -> Components:
-        """Return scaled constraints g <= 0 on the input of a step and the state after it."""
+        """Return scaled limits g <= 0 of the input of a step and the state after the step."""
         ...
 
     def control_points(
@@ -103,7 +103,7 @@ class Dynamics(Protocol):
         ...
 
     def resting_place(self, state: Components) -> tuple[Any, Any]:
-        """Return an approximate rest position after braking, smooth in the state."""
+        """Return the approximate position of rest after braking, a smooth function of the state."""
         ...
 
     def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
@@ -137,7 +137,7 @@ class Dynamics(Protocol):
         ...
 
     def excess_m(self, states: Floats, inputs: Floats, step_s: float) -> float:
-        """Return the largest excess of inputs or speeds over their limits, in metres per step."""
+        """Return the largest violation of input or speed limits, in metres per step."""
         ...
 
     def unit_m(self, step_s: float) -> tuple[float, ...]:
@@ -174,15 +174,15 @@ class BaseDynamics:
         return ()
 
     def stop_steps(self, state: Floats, step_s: float) -> int:
-        """Return 0: the robot stops at once."""
+        """Return 0, as the robot stops at once."""
         return 0
 
     def longest_stop_steps(self, step_s: float) -> int:
-        """Return 0: the robot stops at once."""
+        """Return 0, as the robot stops at once."""
         return 0
 
     def resting_place(self, state: Components) -> tuple[Any, Any]:
-        """Return the current position."""
+        """Return the current position, as the robot stops at once."""
         return state[0], state[1]
 
     def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
@@ -190,7 +190,7 @@ class BaseDynamics:
         return 0.0
 
     def braking(self, state: Floats, step_s: float, steps: int) -> Floats:
-        """Return zero inputs (steps, 2)."""
+        """Return zero inputs (steps, 2), which stop the robot at once."""
         return np.zeros((steps, 2))
 
     def may_reach(self, state: Floats, places_m: Floats, duration_s: float, slack_m: float) -> Mask:
@@ -298,7 +298,7 @@ def state_after(dynamics: Dynamics, state: Floats, control: Floats, step_s: floa
 
 
 def dynamics_defect_m(positions_m: Floats, start_m: Floats, step_length_m: float) -> float:
-    """Return the largest violation of single-integrator motion by a path (n + 1, 2), in metres.
+    """Return the largest violation of single-integrator dynamics by a path (n + 1, 2), in metres.
 
     The path must begin at `start_m`, and no step may be longer than `step_length_m`.
     """

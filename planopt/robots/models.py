@@ -64,7 +64,7 @@ class SingleIntegrator(BaseDynamics):
         return tuple(x + step_s * v for x, v in zip(state, control, strict=True))
 
     def limits(self, control: Components, after: Components) -> Components:
-        """Return the squared ratio of speed to largest speed, minus 1."""
+        """Return the limit of the speed as (|v| / v_max)^2 - 1, which must be <= 0."""
         return ((control[0] ** 2 + control[1] ** 2) / self.speed_max_m_s**2 - 1.0,)
 
     def control_points(
@@ -78,22 +78,22 @@ class SingleIntegrator(BaseDynamics):
         return np.diff(np.vstack([state, path_m]), axis=0) / step_s
 
     def straight(self, state: Floats, end_m: Floats, step_s: float) -> Floats:
-        """Return constant velocities to `end_m`."""
+        """Return constant velocities of a straight drive to `end_m`."""
         offset = end_m - state
         steps = max(1, math.ceil(math.hypot(*offset) / (self.speed_max_m_s * step_s) - 1e-9))
         return np.tile(offset / (steps * step_s), (steps, 1))
 
     def curves(self, states: Floats, inputs: Floats, step_s: float) -> list[StepCurve]:
-        """Return the line segment of each step."""
+        """Return the path of each step, a line segment."""
         ends = states + step_s * inputs
         return [PointCurve(np.array(pair), 0.0) for pair in zip(states, ends, strict=True)]
 
     def excess_m(self, states: Floats, inputs: Floats, step_s: float) -> float:
-        """Return the largest excess of speed, in metres per step; NaN if any is NaN."""
+        """Return the largest excess over the speed limit, in metres per step; NaN if any is NaN."""
         return float(np.max(step_s * (np.hypot(*inputs.T) - self.speed_max_m_s), initial=-np.inf))
 
     def unit_m(self, step_s: float) -> tuple[float, ...]:
-        """Return the length in metres of one unit of each state, 1 for positions."""
+        """Return the displacement in metres per unit of each state component: 1 for positions."""
         return (1.0, 1.0)
 
 
@@ -138,7 +138,7 @@ class DoubleIntegrator(BaseDynamics):
         )
 
     def limits(self, control: Components, after: Components) -> Components:
-        """Return the squared ratios of acceleration and speed to their limits, minus 1."""
+        """Return the limits of acceleration and speed as squared ratios minus 1, to be <= 0."""
         (ax, ay), (_, _, vx, vy) = control, after
         return (
             (ax * ax + ay * ay) / self.acceleration_max_m_s2**2 - 1.0,
@@ -148,12 +148,12 @@ class DoubleIntegrator(BaseDynamics):
     def control_points(
         self, state: Components, control: Components, step_s: float
     ) -> tuple[tuple[Any, Any], ...]:
-        """Return the middle Bezier control point."""
+        """Return the middle Bezier control point of the step's parabola."""
         x, y, vx, vy = state
         return ((x + 0.5 * step_s * vx, y + 0.5 * step_s * vy),)
 
     def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
-        """Return a point straight ahead, at or beyond the rest position of braking."""
+        """Return a point straight ahead, at or beyond the position of rest after braking."""
         # Braking takes n steps of deceleration v / (n h) <= a_max. Its length n h v / 2 is at most
         # v (v / a_max + h) / 2.
         x, y, vx, vy = state
@@ -164,12 +164,12 @@ class DoubleIntegrator(BaseDynamics):
         return ((x + ahead_s * vx, y + ahead_s * vy),)
 
     def stop_curve(self, state: Floats, step_s: float) -> PointCurve:
-        """Return the straight path of braking over a whole number of steps."""
+        """Return the straight braking path over a whole number of steps."""
         stop_s = 0.5 * step_s * self.stop_steps(state, step_s)
         return PointCurve(np.array([state[:2], state[:2] + stop_s * state[2:]]), 0.0)
 
     def stop_steps(self, state: Floats, step_s: float) -> int:
-        """Return the minimum number of braking steps."""
+        """Return the minimum number of steps in which the robot can stop."""
         return self._braking_steps(float(np.hypot(state[2], state[3])), step_s)
 
     def longest_stop_steps(self, step_s: float) -> int:
@@ -183,7 +183,7 @@ class DoubleIntegrator(BaseDynamics):
         return max(1, math.ceil(speed_m_s / (self.acceleration_max_m_s2 * step_s) - 1e-6))
 
     def resting_place(self, state: Components) -> tuple[Any, Any]:
-        """Return the point v^2 / (2 a_max) ahead, smoothed to be differentiable at rest."""
+        """Return the point about v^2 / (2 a_max) ahead, smoothed to be differentiable at rest."""
         x, y, vx, vy = state
         least = ROUNDED_SHARE * self.speed_max_m_s
         ahead_s = 0.5 * (vx * vx + vy * vy + least**2) ** 0.5 / self.acceleration_max_m_s2
@@ -232,13 +232,13 @@ class DoubleIntegrator(BaseDynamics):
         return np.repeat([control, -control], half, axis=0)
 
     def may_reach(self, state: Floats, places_m: Floats, duration_s: float, slack_m: float) -> Mask:
-        """Return a mask of positions within a_max t^2 / 2 of the position after coasting."""
+        """Return a mask of positions within a_max t^2 / 2 of where the robot would coast to."""
         offset = places_m - (state[:2] + duration_s * state[2:])
         radius = 0.5 * self.acceleration_max_m_s2 * duration_s**2
         return np.hypot(offset[:, 0], offset[:, 1]) <= radius + slack_m
 
     def curves(self, states: Floats, inputs: Floats, step_s: float) -> list[StepCurve]:
-        """Return the parabola of each step."""
+        """Return the path of each step, a parabola."""
         half = 0.5 * step_s * step_s
         return [
             Parabola(state[:2], step_s * state[2:], half * control)
@@ -246,13 +246,13 @@ class DoubleIntegrator(BaseDynamics):
         ]
 
     def excess_m(self, states: Floats, inputs: Floats, step_s: float) -> float:
-        """Return the largest excess of acceleration or speed, in metres per step, or NaN."""
+        """Return the largest excess over acceleration and speed limits, in metres per step, or NaN."""
         acceleration = np.hypot(inputs[:, 0], inputs[:, 1]) - self.acceleration_max_m_s2
         speed = np.hypot(states[:, 2], states[:, 3]) - self.speed_max_m_s
         return float(np.max(np.concatenate([0.5 * step_s * step_s * acceleration, step_s * speed])))
 
     def unit_m(self, step_s: float) -> tuple[float, ...]:
-        """Return 1 m per unit of position and `step_s` metres per unit of velocity."""
+        """Return the displacement per unit of state: 1 m for position, `step_s` m for velocity."""
         return (1.0, 1.0, step_s, step_s)
 
 
@@ -293,7 +293,7 @@ class Unicycle(BaseDynamics):
         )
 
     def limits(self, control: Components, after: Components) -> Components:
-        """Return the scaled excesses of both inputs over their limits."""
+        """Return scaled limits of speed and turn rate, which must be <= 0."""
         speed, rate = control
         return (
             (speed - self.speed_max_m_s) / self.speed_max_m_s,
@@ -305,7 +305,7 @@ class Unicycle(BaseDynamics):
     def control_points(
         self, state: Components, control: Components, step_s: float
     ) -> tuple[tuple[Any, Any], ...]:
-        """Return the tangents' intersection of each piece of the arc, and the joints of pieces."""
+        """Return points of the hull: tangent intersections of the arc's pieces, and their joints."""
         pieces = self._pieces(step_s)
         piece_s = step_s / pieces
         speed, rate = control
@@ -324,7 +324,7 @@ class Unicycle(BaseDynamics):
         return max(1, math.ceil(self.turn_rate_max_rad_s * step_s / PIECE_TURN_RAD))
 
     def timed_pad_m(self, step_s: float) -> float:
-        """Return the largest distance between a piece and its Bezier curve at equal times."""
+        """Return the largest distance of the arc's pieces from their Bezier curves at equal times."""
         # Let r be the radius, z half the turn and u in [-1, 1] time. The arc is at ``r sin(u z)``
         # along the chord and ``r (cos(u z) - cos z)`` across it; the curve is at ``r u sin(z)`` and
         # ``r (1 - u^2) sin^2(z) / (2 cos z)``. The difference along the chord is largest if ``cos(u
@@ -337,7 +337,7 @@ class Unicycle(BaseDynamics):
         return speed / self.turn_rate_max_rad_s * math.hypot(along, across)
 
     def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
-        """Return pi / (2 w_max) (1 - cos b) d / (d + r) for bearing b and distance d."""
+        """Return the turning time pi / (2 w_max) (1 - cos b) d / (d + r), bearing b, distance d."""
         # This approximates the turning time; it is less within the turning radius r = v_max /
         # w_max.
         x, y = place[0] - state[0], place[1] - state[1]
@@ -362,7 +362,7 @@ class Unicycle(BaseDynamics):
     def _inputs_towards(
         self, offset_m: Floats, heading: float, left_m: float, step_s: float
     ) -> tuple[float, float]:
-        """Return the inputs of the arc through a point, tangent to the heading."""
+        """Return speed and turn rate of the arc that leads to a point from the current heading."""
         distance = float(np.hypot(*offset_m))
         if distance <= 1e-9 or left_m <= 0.0:
             return 0.0, 0.0
@@ -390,7 +390,7 @@ class Unicycle(BaseDynamics):
         return inputs
 
     def may_reach(self, state: Floats, places_m: Floats, duration_s: float, slack_m: float) -> Mask:
-        """Return a mask of positions that the limited turn rate allows to reach."""
+        """Return a mask of positions that are reachable with the limited turn rate."""
         # Up to a quarter turn, the lateral range is v (1 - cos w t) / w, and a robot that cannot
         # reverse reaches no position behind it.
         rate = self.turn_rate_max_rad_s
@@ -406,21 +406,21 @@ class Unicycle(BaseDynamics):
         return reached
 
     def curves(self, states: Floats, inputs: Floats, step_s: float) -> list[StepCurve]:
-        """Return the arc of each step."""
+        """Return the path of each step, a circular arc."""
         return [
             Arc(state[:2], float(state[2]), step_s * float(speed), step_s * float(rate))
             for state, (speed, rate) in zip(states, inputs, strict=True)
         ]
 
     def excess_m(self, states: Floats, inputs: Floats, step_s: float) -> float:
-        """Return the largest excess of speed or turn rate, in metres per step, or NaN."""
+        """Return the largest excess over speed and turn rate limits, in metres per step, or NaN."""
         speed = np.maximum(inputs[:, 0] - self.speed_max_m_s, self.speed_min_m_s - inputs[:, 0])
         rate = np.abs(inputs[:, 1]) - self.turn_rate_max_rad_s
         sideways = 0.5 * step_s * step_s * self.speed_max_m_s * rate
         return float(np.max(np.concatenate([step_s * speed, sideways])))
 
     def unit_m(self, step_s: float) -> tuple[float, ...]:
-        """Return 1 m per unit of position and the longest step per radian of heading."""
+        """Return the displacement per unit of state: 1 m for position, a longest step for heading."""
         return (1.0, 1.0, self.speed_max_m_s * step_s)
 
 

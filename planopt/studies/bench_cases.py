@@ -53,7 +53,7 @@ HORIZONS = (5, 20)
 """Planning horizons in steps, used in addition to the problem's own."""
 
 OBJECTIVE_SHARE = 0.01
-"""Relative difference above which an objective counts as worse."""
+"""Relative difference above which an objective counts as worse than another."""
 
 PLANNED, NO_PLAN, ERROR = "planned", "no_plan", "error"
 """Outcomes of cases: a plan, a proof that no plan exists, or an error."""
@@ -61,7 +61,7 @@ PLANNED, NO_PLAN, ERROR = "planned", "no_plan", "error"
 
 @dataclass(frozen=True, order=True)
 class Question:
-    """Planning task to which the answers of several planners are compared."""
+    """Planning task of the benchmark, which several planners answer."""
 
     problem: str  # Name in the library, or path of a problem file
     kind: str  # ``plan`` or ``run``
@@ -70,7 +70,7 @@ class Question:
     seed: int  # Random seed
 
     def __str__(self) -> str:
-        """Return the question as text."""
+        """Return text that identifies the question."""
         cost = f"{self.cost_to_go} cost-to-go, " if self.cost_to_go else ""
         return f"{self.problem}, {self.kind}, {cost}horizon {self.horizon}, seed {self.seed}"
 
@@ -85,7 +85,7 @@ class Case:
     states: States = field(default=(), compare=False)
 
     def __str__(self) -> str:
-        """Return the case as text."""
+        """Return text that identifies the case."""
         return f"{self.question}, planner {self.planner}"
 
 
@@ -189,18 +189,18 @@ class Answer:
 
     @property
     def question(self) -> Question:
-        """Return the question of the case."""
+        """Question that this is the answer to."""
         return Question(self.problem, self.kind, self.cost_to_go, self.horizon, self.seed)
 
     @property
     def case(self) -> Case:
-        """Return the case."""
+        """Case that this is the answer to."""
         return Case(self.question, self.planner, self.states)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Row(Answer):
-    """Result row of one case."""
+    """Result row of one benchmark case, with the findings of the check."""
 
     termination: str = ""
     # Whether planopt check accepts the saved files; None if nothing was saved
@@ -222,7 +222,7 @@ def start_of(case: Case) -> Any:
 
 
 def key_of(case: Case) -> dict[str, Any]:
-    """Return everything that determines a row."""
+    """Return the key of a row: all data that determine it."""
     is_motion_planner = case.planner in planner_names()
     return {
         **run_key(problem_of(case), case.question.seed),
@@ -276,12 +276,12 @@ class Manifest:
 
     @property
     def made_by(self) -> str:
-        """Return the program as text, for references."""
+        """Return text on the program that made the rows, for references."""
         return f"planopt {self.program['planopt']}, source {self.program['source'][:12]}"
 
 
 def manifest_of(problems: Sequence[str]) -> Manifest:
-    """Return the manifest for some problems on this machine."""
+    """Return the manifest of the current program, machine and settings for problems."""
     known = {
         name.lower(): float(value)
         for name, value in vars(tolerances).items()
@@ -376,7 +376,7 @@ def rows_csv(rows: Sequence[Row]) -> str:
 
 
 def _require_same(before: Manifest, now: Manifest, folder: Path) -> None:
-    """Reject a folder whose rows are not comparable with new ones."""
+    """Raise an InputError for a folder whose rows are not comparable with new ones."""
     remedy = "choose another --out, or remove this folder"
     changed = [
         f"{name} {old}, this is {now.program.get(name)}"

@@ -105,7 +105,7 @@ def write_references(references: References, file: Path) -> None:
 
 
 def reference_of(row: Row, made_by: str) -> Reference:
-    """Return a row as a reference."""
+    """Return a reference with the results of a row."""
     names = [part.name for part in fields(Reference) if part.name != "made_by"]
     kept: dict[str, Any] = {name: getattr(row, name) for name in names}
     if row.objective is not None:
@@ -260,7 +260,7 @@ CONVERGED = (Termination.CONVERGED.value, Termination.ACCEPTABLE.value)
 
 @dataclass(frozen=True)
 class Score:
-    """Scores of one planner."""
+    """Scores of one planner over all cases of a benchmark."""
 
     planner: str
     cases: int
@@ -282,7 +282,7 @@ class Score:
 
 
 def excess(row: Row, best: Mapping[Question, float]) -> float | None:
-    """Return the relative excess of a row's objective over the best known; None if unknown."""
+    """Return the relative loss of a row's objective to the best known one; None if unknown."""
     known = best.get(row.question)
     if known is None or row.objective is None:
         return None
@@ -319,7 +319,7 @@ def is_wrong(row: Row, best: Mapping[Question, float]) -> bool:
 
 
 def scores(rows: Sequence[Row], best: Mapping[Question, float]) -> list[Score]:
-    """Return the score of every planner, in order of first occurrence."""
+    """Return the scores of all planners, in order of first occurrence."""
     planners = dict.fromkeys(row.planner for row in rows)
     return [_score(name, [row for row in rows if row.planner == name], best) for name in planners]
 

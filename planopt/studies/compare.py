@@ -173,7 +173,7 @@ OWN_OPTIONS = {
     "planner.name": "planners",
     "objective.cost_to_go": "costs_to_go",
 }
-"""Keys that have their own argument, which a sweep may replace."""
+"""Keys with an argument of their own in :func:`compare`; a sweep may contain them instead."""
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,7 @@ class Variant:
 
 @dataclass(frozen=True)
 class Lists:
-    """Lists of values to combine; None keeps the problem's own."""
+    """Lists of values to combine; None stands for the problem's own value."""
 
     horizons: Sequence[int] | None = None
     planners: Sequence[str] | None = None
@@ -215,7 +215,7 @@ def default_seeds(own: ComparisonSettings | None, problems: Sequence[AnyProblem]
 
 
 def several(values: object) -> Sequence[Any] | None:
-    """Return several values as a sequence; a single value, such as a name, as a list."""
+    """Return the values as a sequence, which contains a single value such as a name; None for None."""
     if values is None:
         return None
     if isinstance(values, str | Mapping) or not isinstance(values, Iterable):
@@ -300,7 +300,7 @@ def variants_of(problems: Sequence[AnyProblem], lists: Lists) -> list[Variant]:
 
 
 def _product(problems: Sequence[AnyProblem], lists: Lists) -> list[Variant]:
-    """Return all combinations of the lists."""
+    """Return the variants for all combinations of the lists."""
     swept = dict(lists.sweep or {})
     for key, option in OWN_OPTIONS.items():
         if key in swept and getattr(lists, option) is not None:

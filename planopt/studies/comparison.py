@@ -47,7 +47,7 @@ COMPARISON = (
     *(COMPARISON_FILE, MANIFEST_FILE, RUNS_FILE, PARQUET_FILE),
     *("comparison.png", "reliability.png", "traces.png", "report.html"),
 )
-"""Files of a comparison, including figures."""
+"""Names of all files of a comparison, including figures."""
 
 MACHINE = frozenset(("program", "python", "machine"))
 """Keys of the manifest that describe the software and the machine."""
@@ -232,7 +232,7 @@ def _load_comparison(folder: Path) -> Comparison:
 
 
 def comparison_json(comparison: Comparison) -> dict[str, Any]:
-    """Return the JSON object that ``compare`` prints."""
+    """Return the JSON object that ``planopt compare`` prints."""
     return {
         "problem": comparison.problem.name,
         "outcome": "compared",
@@ -255,7 +255,7 @@ def comparison_json(comparison: Comparison) -> dict[str, Any]:
 
 
 def no_comparison_json(name: str, message: str) -> dict[str, Any]:
-    """Return the JSON object of ``compare`` if there is no plan; `message` is the reason."""
+    """Return the JSON object of ``planopt compare`` if there is no plan; `message` says why."""
     return {
         "problem": name,
         "outcome": "no_plan",

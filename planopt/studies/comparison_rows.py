@@ -86,7 +86,7 @@ def comparison_rows(runs: Sequence[RunSummary]) -> list[Row]:
 
 
 def tabulate(runs: Sequence[RunSummary], reference: Sequence[RunSummary]) -> list[Row]:
-    """Return one row per metric; the runs of the reference must have the same seeds in order."""
+    """Return one row per metric of runs, paired with reference runs of the same seeds in order."""
     one = runs[0]
     steps = np.concatenate([run.step_s for run in runs])
     rates = np.array([run.verified_rate for run in runs])
@@ -141,7 +141,7 @@ def mean_interval(
 ) -> tuple[float | None, float | None]:
     """Return the Student interval of the mean, clipped to the possible values.
 
-    None for fewer than `FEWEST_GROUPS` values.
+    Both ends are None for fewer than `FEWEST_GROUPS` values.
     """
     if values.size < FEWEST_GROUPS:
         return None, None
@@ -177,7 +177,7 @@ def runs_by_setting(runs: Sequence[RunSummary]) -> list[list[RunSummary]]:
 
 
 def setting_of(one: RunSummary | Row) -> SettingKey:
-    """Return the key of a setting."""
+    """Return the key of a run's setting."""
     return one.problem, sweep_words(one), one.cost_to_go, one.planner, one.horizon
 
 
@@ -190,7 +190,7 @@ def has_horizon(one: RunSummary | Row) -> bool:
 def sweep_words(
     one: RunSummary | Row, left_out: str | None = None, names: Mapping[str, str] | None = None
 ) -> str:
-    """Return the changed keys of a setting and their values as text."""
+    """Return text on the changed keys of a run's setting and their values."""
     called = names or {}
     return ", ".join(
         f"{called.get(key, key)} = {value}" for key, value in one.sweep.items() if key != left_out
@@ -200,7 +200,7 @@ def sweep_words(
 def setting_words(
     one: RunSummary | Row, names: Mapping[str, str], *, several_problems: bool
 ) -> str:
-    """Return a setting as text; arguments as for :func:`sweep_words`."""
+    """Return text that identifies a run's setting; arguments as for :func:`sweep_words`."""
     own = {
         "objective.cost_to_go": one.cost_to_go and f"{one.cost_to_go} cost-to-go",
         "planner.name": f"planner {one.planner}",
@@ -215,7 +215,7 @@ def setting_words(
 
 
 def short_keys(settings: Iterable[RunSummary | Row]) -> dict[str, str]:
-    """Return the shortest unambiguous suffix of each swept key."""
+    """Return short names of the swept keys: their shortest unambiguous suffixes."""
     keys = list(dict.fromkeys(key for one in settings for key in one.sweep))
     found = {key: key for key in keys}
     if len(keys) > 1:

@@ -255,7 +255,7 @@ def paths_to_good_place(scorer: Scorer, probed: Sequence[Candidate]) -> list[NDA
 def _good_place(
     scorer: Scorer, routes: ShortestPaths, step: int, clear_m: float
 ) -> NDArray[np.float64] | None:
-    """Return the nearest position (2,) that satisfies p_min, with the planners' pad if possible."""
+    """Return the nearest position (2,) that satisfies p_min, with a safety pad if possible."""
     nodes = FINE_NODES if step <= FINE_STEPS else COARSE_NODES
     spacing = scorer.problem.step_length_m / nodes
     offsets = spacing * np.arange(-nodes * step, nodes * step + 1)
@@ -295,7 +295,7 @@ def _reached(
 
 
 def _promise(margins_db: NDArray[np.float64], length_m: NDArray[np.float64]) -> NDArray[np.intp]:
-    """Return the order of positions: those that satisfy p_min by path length, others by margin."""
+    """Return the order of positions: those that satisfy p_min by length, then others by margin."""
     meets = margins_db >= MARGIN_PAD_DB
     return np.lexsort((np.where(meets, length_m, -margins_db), ~meets))
 
@@ -336,7 +336,7 @@ def _in_fewest_steps(
 def _crossings(
     way_m: NDArray[np.float64], driven_m: NDArray[np.float64], length_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return crossings of legs with later legs extended backwards, and their arc lengths."""
+    """Return crossings of legs with backward extensions of later legs, and path lengths there."""
     legs = np.diff(way_m, axis=0)
     places, along = [np.zeros((0, 2))], [np.zeros(0)]
     for one in range(len(legs)):
@@ -356,5 +356,5 @@ def _crossings(
 
 
 def _padded(path_m: NDArray[np.float64], count: int) -> NDArray[np.float64]:
-    """Return the first `count` positions of a path (n, 2), the last one repeated."""
+    """Return a path of `count` positions: the first ones of a path (n, 2), or its end repeated."""
     return path_m[np.minimum(np.arange(count), len(path_m) - 1)]

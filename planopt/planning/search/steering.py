@@ -44,7 +44,7 @@ NEIGHBOURS = 48
 
 
 class Steering:
-    """Search for the steering cell of high variance; it caches the predicted channel map."""
+    """Search for a workspace cell of high variance to steer to; it caches the channel map."""
 
     def __init__(self, problem: Problem, ground: Ground, term: MappingTerm) -> None:
         self._problem, self._ground, self._term = problem, ground, term
@@ -82,7 +82,7 @@ class Steering:
     def path_to_best(
         self, above_db2: NDArray[np.float64], position_m: NDArray[np.float64]
     ) -> SteeringPath | None:
-        """Return the path to the cell with the largest J_CH for these excess variances."""
+        """Return the path to the cell with the largest J_CH, for excess variances of the cells."""
         paths = PathsFrom(self._problem, self._ground, position_m)
         distance = paths.length_m[self._nearest] + self._away_m
         reachable = np.isfinite(distance)
@@ -154,7 +154,7 @@ class ConnectionSteering:
 
 
 TAUT_SHARE = 1.02
-"""Largest cost of a straight leg relative to the path along the nodes."""
+"""Largest cost of a straight leg relative to the path along the nodes that it replaces."""
 
 
 class GoalSteering:

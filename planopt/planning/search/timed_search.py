@@ -74,7 +74,7 @@ def is_apart(discs: MovingDiscs, places_m: NDArray[np.float64], first: int = 0) 
 
 @dataclass(frozen=True, eq=False)
 class TimedPath:
-    """Timed path that avoids other robots."""
+    """Timed path to a goal or a refuge that avoids other robots."""
 
     nodes: NDArray[np.intp]  # (k,) after each step
     # (r,) nodes of the remaining route to the goal, driven at full speed; empty if the path does
@@ -195,7 +195,7 @@ def _is_free(costs: TimedCosts, discs: MovingDiscs, step: int, route: NDArray[np
 
 
 def _cost_to_go_past_standing(costs: TimedCosts, discs: MovingDiscs) -> CostToGo:
-    """Return the cost-to-go with all discs at rest at their last positions.
+    """Return the cost-to-go around the other robots' last positions, where they rest.
 
     Nodes near a disc are blocked, so that no move between other nodes violates the separation.
     """
@@ -217,9 +217,9 @@ def _next_stage(
     step: int,
     limit_s: float,
 ) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.intp]]:
-    """Return the nodes that step `step` reaches from nodes (m,), their costs and predecessors.
+    """Return the nodes reachable from nodes (m,) in one step, their costs and predecessors.
 
-    Moves of the lattice are symmetric.
+    A node's successors equal its predecessors, since lattice moves are symmetric.
     """
     road_map, count = costs.road_map, len(costs.road_map.nodes_m)
     half, to_go = 0.5 * costs.surcharge_s_m, costs.rate_s_m * costs.cost_to_go.cost_m
@@ -257,7 +257,7 @@ def _next_stage(
 def _nodes_to(
     stages: list[tuple[NDArray[np.intp], NDArray[np.intp]]], row: int
 ) -> NDArray[np.intp]:
-    """Return the nodes of the path that ends at a row of the last stage."""
+    """Return the nodes of a path, traced back from a row of the last stage."""
     path: list[int] = []
     for nodes, came in reversed(stages):
         path.append(int(nodes[row]))

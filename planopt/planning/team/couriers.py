@@ -157,7 +157,7 @@ class Couriers:
     def _with_room(
         self, at: TeamMoment, first: int, alone: Sequence[Course]
     ) -> list[Course] | None:
-        """Return courses on which all other robots make room for robot `first`; None without."""
+        """Return courses on which all others make room for robot `first`; None without any."""
         passing = alone[first].places_m
         steps = len(passing) - 1
         found: dict[int, Course] = {}

@@ -176,7 +176,7 @@ def build_team(
 def plan_together(
     problem: Problem, team: Sequence[Member], moment: TeamMoment
 ) -> tuple[list[Plan], list[Aim]]:
-    """Return a plan for every robot, and its external inputs."""
+    """Return a plan for every robot, and the external inputs of its objective."""
     order = list(range(len(team)))
     kept = {
         number: reserved_motion(problem, number, moment.states[number], moment.warm[number])
@@ -202,7 +202,7 @@ def _in_order(
     order: Sequence[int],
     kept: Mapping[int, TimedMotion],
 ) -> tuple[list[Plan], list[Aim]]:
-    """Return plans made in `order`, which avoid earlier plans and reserved motions, and inputs."""
+    """Return plans made in `order`, which avoid earlier and reserved motions, and their inputs."""
     aims: dict[int, Aim] = {}
 
     def plan_one(
@@ -223,7 +223,7 @@ def _planned(
     reserved_m: NDArray[np.float64],
     made: Mapping[int, Plan],
 ) -> tuple[Plan, Aim]:
-    """Return the plan of one robot, given the others' planned measurements, and its inputs."""
+    """Return one robot's plan, given the others' planned measurements, and external inputs."""
     pending = NOTHING_PENDING
     if counts_others(team[number].problem):
         planned = tuple(made[other].positions_m[1:] for other in sorted(made) if other != number)
@@ -247,7 +247,7 @@ def _again_in_turn(
     plans: Sequence[Plan],
     aims: Sequence[Aim],
 ) -> tuple[list[Plan], list[Aim]]:
-    """Return improved plans: each robot plans again, given all other plans, and keeps the better.
+    """Return improved plans: each robot plans again, given the other plans, and keeps the better.
 
     With F the objective of all plans together, F(p_i | others) = F(all) - F(others). Only a
     verified plan of larger F(p_i | others) replaces a verified plan, so that F(all) never

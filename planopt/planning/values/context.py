@@ -40,7 +40,7 @@ ones hardly affect reachable positions."""
 
 @dataclass(frozen=True, eq=False)
 class Pending:
-    """Positions at which the other robots measure."""
+    """Positions at which the other robots of a team measure or have measured."""
 
     # Positions (N, 2) after each step of every other robot's plan
     planned_m: tuple[NDArray[np.float64], ...] = ()
@@ -70,7 +70,7 @@ def anticipated(
 
 
 def places_of_others(driven_m: Sequence[NDArray[np.float64]], number: int) -> NDArray[np.float64]:
-    """Return the positions (k, 2) of all robots except `number`, in robot order."""
+    """Return the past positions (k, 2) of all robots except robot `number`."""
     others = [places for other, places in enumerate(driven_m) if other != number]
     return np.vstack([np.zeros((0, 2)), *others])
 
@@ -229,7 +229,7 @@ class StepContext(VerifierContext):
 
     @property
     def others_m(self) -> tuple[NDArray[np.float64], ...]:
-        """Planned positions of the other robots."""
+        """Positions (N, 2) of each other robot's plan."""
         return self.pending.planned_m
 
     @property
@@ -238,7 +238,7 @@ class StepContext(VerifierContext):
         return self.posteriors
 
     def combined(self, powers: Sequence[Prediction]) -> Prediction:
-        """Return the power that determines connectivity, from each station's prediction."""
+        """Return the serving power, which determines connection, from each station's prediction."""
         return self.law.combined(powers)
 
     @cached_property
@@ -248,13 +248,13 @@ class StepContext(VerifierContext):
 
     @cached_property
     def near_measuring(self) -> MeasuringRule:
-        """Measuring rule restricted to positions that a plan can reach."""
+        """Measuring rule for positions that a plan can reach, with nearby measurements only."""
         reach = self.problem.planner.horizon * self.problem.step_length_m
         return self.measuring.near(self.position_m[None], reach)
 
     @cached_property
     def near_region(self) -> Region:
-        """Return the region of the map, with a fine grid where a plan can change the map."""
+        """Return the region of the channel map, with a finer grid where a plan can change it."""
         return region_near(self.problem, self.region, self.position_m)
 
     @cached_property
@@ -267,7 +267,7 @@ class StepContext(VerifierContext):
 
     @cached_property
     def _probing(self) -> MeasuringRule:
-        """Rule of :attr:`probing`, except that the start of a run may be connected."""
+        """Rule like :attr:`probing`, but the start of a run counts as possibly connected."""
         lost = self.history.outage_steps > 0
         return self._untried(self.position_m[None] if lost else np.zeros((0, 2)))
 
@@ -320,7 +320,7 @@ class StepContext(VerifierContext):
         return self.position_m[None] if arrived else np.zeros((0, 2))
 
     def chance(self, place_m: NDArray[np.float64]) -> float:
-        """Return the connection probability at a position (2,), predicted individually."""
+        """Return the connection probability at one position (2,), predicted on its own."""
         power = search_prediction(self.law, place_m[None])
         threshold = self.problem.stations[0].threshold_dbm
         return float(connection_probability(power.mean_db, power.deviation_db, threshold)[0])
@@ -338,7 +338,7 @@ class StepContext(VerifierContext):
 
 
 def step_context(base: VerifierContext, region: Region, aim: Aim) -> StepContext:
-    """Return the context of a step with the external inputs of its objective."""
+    """Return the step context for a verification context and the objective's external inputs."""
     turns_m = aim.steering_turns_m
     return StepContext(
         **{each.name: getattr(base, each.name) for each in fields(VerifierContext) if each.init},

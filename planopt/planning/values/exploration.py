@@ -70,8 +70,8 @@ class SteeringPath:
     def next_turns(self, places_m: NDArray[np.float64]) -> NDArray[np.intp]:
         """Return the index of the turn that each position (n, 2) heads for next.
 
-        From the first visible turn on, it is the last one before a hidden turn. Positions that see
-        no turn return to the start of the path.
+        Of the consecutive visible turns from the first visible one on, it is the last. If no turn
+        is visible, it is the start of the path.
         """
         found = np.zeros(len(places_m), dtype=np.intp)
         left = np.arange(len(places_m))
@@ -90,7 +90,7 @@ class SteeringPath:
         return found
 
     def _ends_of_legs(self, places_m: NDArray[np.float64]) -> NDArray[np.intp]:
-        """Return the index of the turn at the end of the leg nearest to each position."""
+        """Return the index of the turn at which the leg nearest to each position ends."""
         starts, legs = self.turns_m[:-1], np.diff(self.turns_m, axis=0)
         offset = places_m[:, None] - starts
         length2 = np.maximum((legs**2).sum(axis=1), np.finfo(float).tiny)
@@ -128,16 +128,16 @@ def steering_path(
     turns_m: NDArray[np.float64],
     lattice_m: NDArray[np.float64] | None = None,
 ) -> SteeringPath:
-    """Return the steering path through `turns_m` (m, 2)."""
+    """Return a steering path with turns `turns_m` (m, 2)."""
     in_order = any(term.steers == "goal" for term in problem.terms)
     return SteeringPath(turns_m, index, problem.constraints.clearance_m, lattice_m, in_order)
 
 
 PLACES = 200
-"""Approximate number of cells that represent the workspace."""
+"""Approximate number of grid cells that represent the workspace."""
 
 NEAR_PLACES = 900
-"""Approximate number of cells in the part of the workspace that a plan can change."""
+"""Approximate number of grid cells where a plan can change the channel map."""
 
 ROOM_STEPS = 5.0
 """Margin around the reachable positions in longest steps, since measurements also reduce variances
@@ -145,7 +145,7 @@ nearby."""
 
 
 def workspace_region(problem: Problem) -> Region:
-    """Return the centres of a square grid outside obstacles, with equal weights."""
+    """Return the workspace as a region: grid positions outside obstacles with equal weights."""
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     grid = _centres((x_min, y_min, x_max, y_max), _coarse_m(problem))
     free = grid[clearance_m(index_obstacles(problem.workspace), grid) > 0.0]
@@ -154,7 +154,7 @@ def workspace_region(problem: Problem) -> Region:
 
 
 def region_near(problem: Problem, whole: Region, position_m: NDArray[np.float64]) -> Region:
-    """Return the workspace with a fine grid near `position_m` (2,), where a plan changes the map.
+    """Return the region `whole` with a fine grid near a robot's position (2,).
 
     The coarse grid alone would strongly overestimate the value of plans through its nodes.
     """
@@ -176,7 +176,7 @@ def region_near(problem: Problem, whole: Region, position_m: NDArray[np.float64]
 
 
 def region_along(problem: Problem, region: Region, path_m: NDArray[np.float64]) -> Region:
-    """Return the part of `region` that paths near `path_m` (N, 2) can change, same weights."""
+    """Return the positions of `region` at which paths near `path_m` (N, 2) can change the map."""
     away = np.linalg.norm(region.grid_m[:, None] - path_m, axis=2).min(axis=1)
     near = away <= ROOM_STEPS * problem.step_length_m
     return Region(region.grid_m[near], region.weight[near]) if near.any() else region
@@ -273,7 +273,7 @@ def _joined(
     nodes_m: NDArray[np.float64],
     places_m: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return those of positions (n, 2) with a collision-free segment from their nearest node."""
+    """Return the positions that have a collision-free segment from their nearest node."""
     places = places_m[inside_bounds(problem.workspace, places_m)]
     if not len(places) or not len(nodes_m):
         return places[:0]

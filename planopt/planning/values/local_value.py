@@ -45,7 +45,7 @@ JOINT_NEIGHBOURS = 128
 def local_value(
     context: StepContext, path_m: NDArray[np.float64], rows: RuleRows | None = None
 ) -> EvaluatePath:
-    """Return the local model near a guess (N, 2): value, and margins or sum for `rows`."""
+    """Return a function that evaluates objective and constraint rows of paths near a guess."""
     problem = context.problem
     structure = structure_of(problem)
 
@@ -111,7 +111,7 @@ def _total(chance: Derivatives, weight: NDArray[np.float64]) -> PathValue:
 def _joint_channels(
     context: StepContext, posteriors: Sequence[ChannelPosterior], path_m: NDArray[np.float64]
 ) -> list[tuple[LocalChannel, LocalGrid | None]]:
-    """Return each station's channel and map if a term couples positions; otherwise none."""
+    """Return local channel and map of each station if terms couple positions; otherwise none."""
     problem = context.problem
     if not shares_places(problem):
         return []
@@ -184,7 +184,7 @@ def _sum(parts: list[Part], stages: int, structure: Structure) -> PathValue:
 
 
 def _chain(hessian: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the nonzero entries of the Hessian of a chain; ``(7 N - 4,)``."""
+    """Return the nonzero entries (7 N - 4,) of a Hessian that couples successive stages."""
     count = len(hessian) // 2
     blocks = hessian.reshape(count, 2, count, 2)
     k = np.arange(count)

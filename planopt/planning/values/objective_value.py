@@ -56,7 +56,7 @@ class ObjectiveValue:
         ]
 
     def _of_term(self, number: int, paths_m: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Return the contribution of one term to several paths; ``(c,)``."""
+        """Return the weighted contribution (c,) of term `number` to the objective of c paths."""
         term, at = self._terms[number], self.context
         if not term.probes_end or not paths_m:
             return np.array([self._contributed(number, path) for path in paths_m])
@@ -81,7 +81,7 @@ class ObjectiveValue:
 def probe_values(
     at: StepContext, number: int, paths_m: NDArray[np.float64], chance: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return the weighted contribution of a term that probes path ends; ``(c,)``."""
+    """Return the weighted contribution (c,) of term `number`, which probes path ends."""
     # Shapes: paths_m (c, N, 2); chance (c, N).
     term, method = at.problem.terms[number], "probe_values"
     words = "one finite number for each path"
@@ -93,7 +93,7 @@ def probe_values(
 
 @contextmanager
 def _named(at: StepContext, number: int) -> Generator[None]:
-    """Add the name of term `number` to its errors."""
+    """Add the name of term `number` to InputErrors that it raises."""
     try:
         yield
     except InputError as error:
@@ -160,7 +160,7 @@ BRAKING_PLACES = 9
 
 @dataclass(frozen=True)
 class ReachCost:
-    """Cost of paths to a goal in one planning step."""
+    """Cost of paths to a goal, in one planning step."""
 
     problem: Problem  # Problem with a goal
     position_m: NDArray[np.float64]  # (2,) position of the robot

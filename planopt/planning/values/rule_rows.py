@@ -62,7 +62,7 @@ class RuleRows:
         return self.margins_db(power) if self.weight is None else np.array([self.sum_of(power)])
 
     def per_db(self, power: Prediction) -> float:
-        """Return the change of a row per dB of a lower threshold; not zero, 1 for margins."""
+        """Return a row's derivative w.r.t. a threshold reduction in dB: 1 for margins, never 0."""
         if self.weight is None:
             return 1.0
         score = (power.mean_db - self.threshold_dbm) / power.deviation_db
@@ -71,7 +71,7 @@ class RuleRows:
         return max(float(self.weight @ density), least)
 
     def shortfall_db(self, power: Prediction) -> NDArray[np.float64]:
-        """Return by how much each row is missed in dB, to first order."""
+        """Return the shortfall of each row in dB, to first order."""
         return (self.total - self.achieved(power)) / self.per_db(power)
 
     def sum_of(self, power: Prediction) -> float:
@@ -116,7 +116,7 @@ def rule_rows(context: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
 
 
 LARGEST_FACTOR = 4.0
-"""Maximum factor on the value's shortfall from its maximum."""
+"""Maximum factor by which a required shortfall from the maximum value is scaled."""
 
 
 def scaled_value(
@@ -148,7 +148,7 @@ def rows_again(
     earlier: list[tuple[float, RuleResult]],
     result: RuleResult,
 ) -> RuleRows | None:
-    """Return rows corrected by the verified result of a path (N, 2); None if risk is used up.
+    """Return constraint rows corrected by a path's verified result; None if risk is used up.
 
     The correction is the secant between the last feasible and the last infeasible path, or half of
     it if two successive paths are on the same side. The path is appended to `earlier`.
@@ -179,7 +179,7 @@ def rows_again(
 
 
 def step_rows(context: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
-    """Return rows that constrain only single steps, near a path (N, 2).
+    """Return constraint rows for single steps, whatever the rule, near a path (N, 2).
 
     A constraint on a sum becomes one per step; the path's surplus or deficit is spread evenly.
     """
@@ -225,7 +225,7 @@ PATTERNS = 4
 def find_guided(
     context: StepContext, search: GuidedSearch, is_kept: IsKept
 ) -> list[NDArray[np.float64]]:
-    """Return the paths (N, 2) of a search under the guides for the rule."""
+    """Return the paths (N, 2) that a search finds with guides for the connectivity rule."""
     problem, history = context.problem, context.history
     rule, count = rule_of(problem), problem.planner.horizon
     no_credit = np.zeros(count)
@@ -257,7 +257,7 @@ def find_guided(
 
 
 def common_level(rule: Rule, p_min: float, history: History, count: int) -> float:
-    """Return the smallest common probability of all steps that satisfies the rule."""
+    """Return the smallest probability, common to all steps, that satisfies the rule."""
     required = rule.required(p_min, history, count)
     low, high = 0.0, 1.0
     for _ in range(LEVEL_HALVINGS):
@@ -268,7 +268,7 @@ def common_level(rule: Rule, p_min: float, history: History, count: int) -> floa
 
 
 def _held_patterns(rule: Rule, context: StepContext, count: int) -> list[NDArray[np.bool_]]:
-    """Return sufficient masks (N,) of constrained steps: as late as possible, earlier, and all."""
+    """Return masks (N,) of steps whose connection satisfies the rule: late, earlier, and all."""
     history, asks = context.history, context.problem.constraints.asks_connection
     every = np.ones(count, dtype=np.bool_)
     latest = rule.held(every, history)
@@ -311,7 +311,7 @@ def _value_of_step(rule: Rule, at: StepContext, shape: tuple[int, ...]) -> NDArr
 
 
 def missing_slope(at: StepContext, batch: LocalPaths) -> Pull:
-    """Return the derivatives of :func:`missing` w.r.t. the powers; zero for outage lengths."""
+    """Return the shortfall's derivatives w.r.t. powers; zero for a limit of outage."""
     problem, history, power = at.problem, at.history, batch.power
     rule, threshold = rule_of(problem), problem.stations[0].threshold_dbm
     if rule.by_step:

@@ -26,7 +26,7 @@ MOST_NESTED = 200
 
 
 def short_repr(self: object) -> str:
-    """Return text that shows a dataclass's fields in at most `LINES` lines of `WIDTH` characters."""
+    """Return the fields of a dataclass as text, at most `LINES` lines of `WIDTH` characters."""
     return wrapped(_fields_of(self))
 
 

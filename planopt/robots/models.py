@@ -246,7 +246,7 @@ class DoubleIntegrator(BaseDynamics):
         ]
 
     def excess_m(self, states: Floats, inputs: Floats, step_s: float) -> float:
-        """Return the largest excess over acceleration and speed limits, in metres per step, or NaN."""
+        """Return the largest excess over the motion limits, in metres per step, or NaN."""
         acceleration = np.hypot(inputs[:, 0], inputs[:, 1]) - self.acceleration_max_m_s2
         speed = np.hypot(states[:, 2], states[:, 3]) - self.speed_max_m_s
         return float(np.max(np.concatenate([0.5 * step_s * step_s * acceleration, step_s * speed])))
@@ -305,7 +305,7 @@ class Unicycle(BaseDynamics):
     def control_points(
         self, state: Components, control: Components, step_s: float
     ) -> tuple[tuple[Any, Any], ...]:
-        """Return points of the hull: tangent intersections of the arc's pieces, and their joints."""
+        """Return points of the hull: joints of the arc's pieces, and tangent intersections."""
         pieces = self._pieces(step_s)
         piece_s = step_s / pieces
         speed, rate = control
@@ -324,7 +324,7 @@ class Unicycle(BaseDynamics):
         return max(1, math.ceil(self.turn_rate_max_rad_s * step_s / PIECE_TURN_RAD))
 
     def timed_pad_m(self, step_s: float) -> float:
-        """Return the largest distance of the arc's pieces from their Bezier curves at equal times."""
+        """Return the largest distance of the arc from its Bezier curves at equal times."""
         # Let r be the radius, z half the turn and u in [-1, 1] time. The arc is at ``r sin(u z)``
         # along the chord and ``r (cos(u z) - cos z)`` across it; the curve is at ``r u sin(z)`` and
         # ``r (1 - u^2) sin^2(z) / (2 cos z)``. The difference along the chord is largest if ``cos(u
@@ -420,7 +420,7 @@ class Unicycle(BaseDynamics):
         return float(np.max(np.concatenate([step_s * speed, sideways])))
 
     def unit_m(self, step_s: float) -> tuple[float, ...]:
-        """Return the displacement per unit of state: 1 m for position, a longest step for heading."""
+        """Return the displacement per unit of state: 1 m for position, a full step for heading."""
         return (1.0, 1.0, self.speed_max_m_s * step_s)
 
 

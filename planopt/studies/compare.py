@@ -215,7 +215,7 @@ def default_seeds(own: ComparisonSettings | None, problems: Sequence[AnyProblem]
 
 
 def several(values: object) -> Sequence[Any] | None:
-    """Return the values as a sequence, which contains a single value such as a name; None for None."""
+    """Return the values as a sequence; a single value, such as a name, becomes one; None stays."""
     if values is None:
         return None
     if isinstance(values, str | Mapping) or not isinstance(values, Iterable):

@@ -27,7 +27,6 @@ EXACT = Tolerance(1e-6, 1e-9)  # Computed from saved numbers; the default
 PREDICTION = Tolerance(1e-3, 1e-9)  # dB or probability: large logs are predicted in groups
 FIT = Tolerance(1e-6, 1e-3)  # Iterative fit
 SITE = Tolerance(1e-5, 1e-5)  # Iteration with a tolerance of 1e-7
-BOUND = Tolerance(1e-3, 1e-3)  # Prices after a fixed number of steps amplify rounding errors
 
 TOLERANCES = {
     **dict.fromkeys(
@@ -41,9 +40,11 @@ TOLERANCES = {
     ),
     **dict.fromkeys(("parameters", "standard_errors", "theta", "theta_covariance"), FIT),
     **dict.fromkeys(("precision", "precision_mean"), SITE),
-    **dict.fromkeys(("bound", "gap"), BOUND),
 }
 """Tolerances of keys and columns that differ from the default `EXACT`."""
+
+REPEATED = TOLERANCES | dict.fromkeys(("bound", "gap"), Tolerance(1e-3, 1e-3))
+"""Tolerances of results whose bounds are proven anew by an iteration, not from a certificate."""
 
 ACCEPTED = frozenset(
     ("bound_wall_s", "iterations", "rung", "solve_s", "step_s", "termination", "wall_s")
@@ -82,6 +83,7 @@ def differences(
     key: str = "",
     name: str = "",
     accepted: frozenset[str] = ACCEPTED,
+    tolerances: Mapping[str, Tolerance] = TOLERANCES,
 ) -> Iterator[Difference]:
     """Yield every leaf that differs, and keys that only one document has."""
     if name in accepted:
@@ -95,15 +97,16 @@ def differences(
             elif part not in other:
                 yield Difference(where, _shown(table[part]), "no such key")
             else:
-                yield from differences(table[part], other[part], where, part, accepted)
+                yield from differences(table[part], other[part], where, part, accepted, tolerances)
     elif isinstance(saved, list) and isinstance(found, list):
         these, those = cast("list[object]", saved), cast("list[object]", found)
         if len(these) != len(those):
             yield Difference(key, _shown(these), _shown(those))
             return
         for index, (one, other_one) in enumerate(zip(these, those, strict=True)):
-            yield from differences(one, other_one, f"{key}[{index}]", name, accepted)
-    elif not _same(cast("object", saved), found, name):
+            where = f"{key}[{index}]"
+            yield from differences(one, other_one, where, name, accepted, tolerances)
+    elif not _same(cast("object", saved), found, tolerances.get(name, EXACT)):
         value = cast("object", saved)
         one, other = _shown(value), _shown(found)
         yield Difference(key, repr(value) if one == other else one, other)
@@ -171,7 +174,7 @@ def _same_shown(saved: str, found: str) -> bool:
     return digits > 0 and abs(float(saved) - float(found)) < 1.5 * 10.0**-digits
 
 
-def _same(saved: object, found: object, name: str) -> bool:
+def _same(saved: object, found: object, tolerance: Tolerance) -> bool:
     if isinstance(saved, bool) or isinstance(found, bool):
         return saved is found
     if isinstance(saved, (int, float)) and isinstance(found, (int, float)):
@@ -181,7 +184,7 @@ def _same(saved: object, found: object, name: str) -> bool:
             one, other = float(saved), float(found)
         except OverflowError:  # An integer with hundreds of digits
             return False
-        absolute, relative = TOLERANCES.get(name, EXACT)
+        absolute, relative = tolerance
         both_none = math.isnan(one) and math.isnan(other)
         return both_none or math.isclose(one, other, rel_tol=relative, abs_tol=absolute)
     if isinstance(saved, str) and isinstance(found, str):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast, get_args
 import numpy as np
 
 from planopt.errors import A_FOLDER, InputError, NoPlanError, path_of
-from planopt.files.compare import differences, in_words
+from planopt.files.compare import REPEATED, differences, in_words
 from planopt.files.tables import Column, Data, comparable, dataframe, read_table, write_tables
 from planopt.files.typed_json import finite, whole_number
 from planopt.files.writing import Patterns, replaced_results, strict_text, write_text
@@ -564,4 +564,5 @@ def _reasons_against(file: Path, data: Mapping[str, Any]) -> list[str]:
             raise InputError("does not exist", file=file.parent / name)
         found = differences(comparable(saved.tables[name]), comparable(table))
         reasons += in_words(name, found)
-    return reasons + in_words(file.name, differences(saved.data, again.data))
+    found = differences(saved.data, again.data, tolerances=REPEATED)
+    return reasons + in_words(file.name, found)

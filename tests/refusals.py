@@ -32,12 +32,13 @@ VARIABLE = (
     (r"([nx])\1{20,}\.\.\.\1+", r"\1..."),
     (r"(?<=while decoding a JSON )(array|object)", "..."),
     (r"(?<=,) '(corridor|sending)',| or (corridor|sending)", ""),
+    (r"(?<=each_step, average, joint, outage, data)(, \w+)+(?= \()", ""),
     (r"line \d+ column \d+ \(char \d+\)", "line N"),
     (r"(?<=\d\.\d{3})\d{6,}", ""),
     (r"\(Possible options?: [^)]*\) ", ""),
     (r"(?<=\(known: connect_rooftop, )[^)]*", "..."),
 )
-"""Parts of messages that depend on the run, on versions, or on registered terms and problems."""
+"""Parts of messages that depend on the run, on versions, or on registered terms, rules and problems."""
 
 recorded: dict[str, str] = {}
 """Messages of this session by test and number within the test."""

@@ -259,7 +259,7 @@ def belt_map(after, bounds: tuple[float, float], inputs: tuple[float, float]) ->
         function=ca.Function("f", [x, u], [ca.vertcat(forward, x[1], speed)]),
         state_names=("x_m", "y_m", "v"),
         input_names=("a",),
-        speed_max_m_s=3.0,
+        speed_max_m_s=2.0,
         state_bounds=((-999.0, 999.0), (-999.0, 999.0), bounds),
         input_bounds=(inputs,),
         rest_input=(0.0,),

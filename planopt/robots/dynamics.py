@@ -54,7 +54,7 @@ class Dynamics(Protocol):
 
     @property
     def discs(self) -> tuple[Disc, ...]:
-        """Those of the limits that are disc constraints."""
+        """Limits that are disc constraints."""
         ...
 
     def step(self, state: Components, control: Components, step_s: float) -> Components:

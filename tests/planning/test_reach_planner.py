@@ -185,7 +185,7 @@ def test_start_below_the_bound():
     # No way out that the verifier finds is cheaper by more than a step.
     assert certificate.path_cost_m <= 1.05 * certificate.best_cost_m + 2.0
     assert f"{max(certificate.relaxation_db):.2f} dB" in plan.message
-    assert "steps 1, 2" in plan.message
+    assert "steps 1 to 2" in plan.message
     assert (plan.connectivity[-2:] >= 0.9 - 1e-6).all()
 
 

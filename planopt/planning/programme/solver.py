@@ -188,7 +188,7 @@ OPTIONS: dict[str, Any] = {
     "ipopt.tol": 1e-4,
     "ipopt.constr_viol_tol": 1e-6,
     "ipopt.acceptable_iter": 0,
-    "ipopt.max_iter": 100,
+    "ipopt.max_iter": 200,
 }
 """Options of every solver. IPOPT's acceptable points are off, as they may violate rows by 1e-2."""
 

@@ -38,7 +38,7 @@ VARIABLE = (
     (r"\(Possible options?: [^)]*\) ", ""),
     (r"(?<=\(known: connect_rooftop, )[^)]*", "..."),
 )
-"""Parts of messages that depend on the run, on versions, or on registered terms, rules and problems."""
+"""Parts of messages that depend on the run, versions, registered terms, rules and problems."""
 
 recorded: dict[str, str] = {}
 """Messages of this session by test and number within the test."""

@@ -1,0 +1,1 @@
+"""Node that plans with planopt."""

@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.measurements import SAME_PLACE_M
 from planopt.channel.neighbours import PlaceTree
 from planopt.channel.posterior import ChannelPosterior
@@ -50,12 +50,12 @@ class MeasuringRule:
     spacing_m: float
     # (n, 2) earlier measuring positions of each station. A position counts as measured once all
     # stations were measured near it.
-    known_m: tuple[NDArray[np.float64], ...]
+    known_m: tuple[Floats, ...]
 
     @staticmethod
     def of(posteriors: Sequence[ChannelPosterior], spacing_m: float) -> MeasuringRule:
         """Return the rule for the earlier measurements of each station and a spacing."""
-        known: list[NDArray[np.float64]] = []
+        known: list[Floats] = []
         for posterior in posteriors:
             places = posterior.measurements.positions_m
             if not any(np.array_equal(places, other) for other in known):
@@ -67,7 +67,7 @@ class MeasuringRule:
         """Distance to other measurements, in metres, from which a gate is fully open."""
         return OPEN_SPACINGS * self.spacing_m
 
-    def near(self, paths_m: NDArray[np.float64], beyond_m: float = 0.0) -> MeasuringRule:
+    def near(self, paths_m: Floats, beyond_m: float = 0.0) -> MeasuringRule:
         """Return an equivalent rule for positions within `beyond_m` of `paths_m` (..., 2)."""
         places = paths_m.reshape(-1, 2)
         if not len(places) or sum(map(len, self.known_m)) <= FEW_KNOWN:
@@ -79,7 +79,7 @@ class MeasuringRule:
             tuple(known[((known >= low) & (known <= high)).all(axis=1)] for known in self.known_m),
         )
 
-    def is_open(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def is_open(self, places_m: Floats) -> Mask:
         """Return a mask (n,) of the positions (n, 2) that yield a measurement if visited alone."""
         found = np.zeros(len(places_m), dtype=np.bool_)
         for known in self.near(places_m).known_m:
@@ -88,7 +88,7 @@ class MeasuringRule:
             found |= ~(distance[:, 0] < self.spacing_m)
         return found
 
-    def takes(self, paths_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def takes(self, paths_m: Floats) -> Mask:
         """Return a mask of the positions of paths, visited in order, that yield a measurement."""
         # Shapes: paths_m (..., N, 2); returns (..., N).
         if not paths_m.size:
@@ -103,7 +103,7 @@ class MeasuringRule:
                 taken[:, k] &= ~(close[:, k, :k] & taken[:, :k]).any(axis=1)
         return taken.reshape(paths_m.shape[:-1])
 
-    def _takes_of_log(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def _takes_of_log(self, places_m: Floats) -> Mask:
         """Return :meth:`takes` for a long list of positions (n, 2), in memory linear in n."""
         rows = np.flatnonzero(self.is_open(places_m))
         taken = rows[:0]
@@ -113,7 +113,7 @@ class MeasuringRule:
             taken = np.concatenate([taken, block[earlier.takes(places_m[block])]])
         return np.isin(np.arange(len(places_m)), taken)
 
-    def gates(self, paths_m: NDArray[np.float64]) -> Gates | None:
+    def gates(self, paths_m: Floats) -> Gates | None:
         """Return smooth gates of paths (c, N, 2); None if all are one, also for nearby paths."""
         count, steps = paths_m.shape[:2]
         places = paths_m.reshape(-1, 2)
@@ -128,22 +128,14 @@ class MeasuringRule:
         known_log = _log_gate((distance * distance).reshape(count, steps, -1), self)
         own_log = _log_gate(squared, self)
         value = np.exp(known_log[0].sum(axis=2) + own_log[0].sum(axis=2))
-        return Gates(
-            value,
-            paths_m,
-            offset.reshape(count, steps, -1, 2),
-            known_log,
-            own_log,
-        )
+        return Gates(value, paths_m, offset.reshape(count, steps, -1, 2), known_log, own_log)
 
-    def _beside(
-        self, places_m: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _beside(self, places_m: Floats) -> tuple[Floats, Floats]:
         """Return distances (n, m) and offsets (n, m, 2) from measurements that may close a gate.
 
         For several stations, use the one whose nearest measurement is farthest away.
         """
-        found: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+        found: tuple[Floats, Floats] | None = None
         for known in self.near(places_m).known_m:
             distance, index = _nearest(places_m, known, MOST_BESIDE, self.open_m)
             offset = np.zeros((*distance.shape, 2))
@@ -170,17 +162,17 @@ class Gates:
     Gates are twice differentiable except where two positions start to close them simultaneously.
     """
 
-    value: NDArray[np.float64]  # (c, N) amplitude of the channel in each measurement, in [0, 1]
-    _paths_m: NDArray[np.float64]
-    _offset_m: NDArray[np.float64]
-    _known: NDArray[np.float64]
-    _own: NDArray[np.float64]
+    value: Floats  # (c, N) amplitude of the channel in each measurement, in [0, 1]
+    _paths_m: Floats
+    _offset_m: Floats
+    _known: Floats
+    _own: Floats
 
-    def jacobian(self) -> NDArray[np.float64]:
+    def jacobian(self) -> Floats:
         """Return gate derivatives w.r.t. path coordinates x_1, y_1, ..; ``(c, N, 2 N)``."""
         return self.value[..., None] * self._log_slopes()
 
-    def curvature(self, by_gate: NDArray[np.float64]) -> NDArray[np.float64]:
+    def curvature(self, by_gate: Floats) -> Floats:
         """Return ``sum_i by_gate_i d^2 gate_i`` for `by_gate` (N,) of one path; ``(2 N, 2 N)``."""
         steps = len(by_gate)
         by_log = by_gate * self.value[0]
@@ -201,7 +193,7 @@ class Gates:
         blocks -= (own + own.transpose(1, 0, 2, 3)).transpose(0, 2, 1, 3)
         return found
 
-    def _log_slopes(self) -> NDArray[np.float64]:
+    def _log_slopes(self) -> Floats:
         """Return the derivatives of log gates w.r.t. path coordinates; ``(c, N, 2 N)``."""
         steps = int(self.value.shape[1])
         found = np.zeros((len(self.value), steps, steps, 2))
@@ -214,7 +206,7 @@ class Gates:
         return found.reshape(-1, steps, 2 * steps)
 
 
-def _log_gate(squared_m2: NDArray[np.float64], rule: MeasuringRule) -> NDArray[np.float64]:
+def _log_gate(squared_m2: Floats, rule: MeasuringRule) -> Floats:
     """Return the log of a gate s and two derivatives w.r.t. squared distance; ``(3, ...)``.
 
     s = u^3 (10 - 15 u + 6 u^2) rises from 0 (closed) to 1 (fully open) with two continuous
@@ -236,7 +228,7 @@ def _log_gate(squared_m2: NDArray[np.float64], rule: MeasuringRule) -> NDArray[n
     return found
 
 
-def _squared_between_m2(paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _squared_between_m2(paths_m: Floats) -> Floats:
     """Return squared distances between a path's positions and its earlier ones; ``(c, N, N)``."""
     steps = paths_m.shape[1]
     x, y = paths_m[..., 0], paths_m[..., 1]
@@ -247,8 +239,8 @@ def _squared_between_m2(paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _nearest(
-    places_m: NDArray[np.float64], known_m: NDArray[np.float64], count: int, within_m: float
-) -> tuple[NDArray[np.float64], NDArray[np.intp]]:
+    places_m: Floats, known_m: Floats, count: int, within_m: float
+) -> tuple[Floats, Indices]:
     """Return distances to the `count` nearest `known_m`, inf beyond `within_m`, and indices."""
     there = min(count, len(known_m))
     if not there:

@@ -23,8 +23,8 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices
 from planopt.channel.measurements import SAME_PLACE_M
 from planopt.channel.parameters import require_finite, require_places
 from planopt.plain_values import require_weights
@@ -42,9 +42,9 @@ class Tracking:
 
     threshold_dbm: float  # Upsilon_TH: packets below this power are dropped
     sensor: Sensor  # Noise model of the measurements
-    target_m: NDArray[np.float64]  # (h, 2) p_hat_{t+k|t}, k = 1 .. h.
+    target_m: Floats  # (h, 2) p_hat_{t+k|t}, k = 1 .. h.
     # (h,) step weights w_k >= 0; all one by default
-    weight: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    weight: Floats = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         require_finite(self.threshold_dbm, "threshold_dbm")
@@ -59,9 +59,9 @@ class Held:
     """Measurements of the target by one robot in the last M steps, which the station lacks."""
 
     # (4, 4) J of the station M steps ago, before the first unsent measurement
-    information: NDArray[np.float64]
-    known: NDArray[np.float64]  # (M,) information per axis that the station has, per m^2
-    sent: NDArray[np.float64]  # (M,) information per axis that only the robot has
+    information: Floats
+    known: Floats  # (M,) information per axis that the station has, per m^2
+    sent: Floats  # (M,) information per axis that only the robot has
 
     @property
     def steps(self) -> int:
@@ -75,7 +75,7 @@ class FilteredTracking:
 
     tracking: Tracking  # Target and sensor
     model: TargetModel  # Motion model of the target
-    information: NDArray[np.float64]  # (4, 4) J_{t|t} at the station
+    information: Floats  # (4, 4) J_{t|t} at the station
     criterion: Criterion = "trace"
     held: Held | None = None  # The robot's unsent measurements, if packets contain estimates
 
@@ -95,12 +95,12 @@ class FilteredTracking:
         tracking = replace(self.tracking, target_m=np.vstack([target, ahead]), weight=weight)
         return replace(self, tracking=tracking)
 
-    def weighted(self, weight: NDArray[np.float64]) -> FilteredTracking:
+    def weighted(self, weight: Floats) -> FilteredTracking:
         """Return the tracking problem with other step weights."""
         return replace(self, tracking=replace(self.tracking, weight=weight))
 
 
-def left(received: NDArray[np.float64], settings: FilteredTracking) -> NDArray[np.float64]:
+def left(received: Floats, settings: FilteredTracking) -> Floats:
     """Return the weighted sum over steps of a criterion of the target's position covariance.
 
     The filter runs in place, because searches evaluate hundreds of paths over all steps.
@@ -117,7 +117,7 @@ def left(received: NDArray[np.float64], settings: FilteredTracking) -> NDArray[n
     return total
 
 
-def criterion_of(variance_m2: NDArray[np.float64], criterion: Criterion) -> NDArray[np.float64]:
+def criterion_of(variance_m2: Floats, criterion: Criterion) -> Floats:
     """Return the trace, determinant or norm of an isotropic covariance, from variances (...)."""
     if criterion == "determinant":
         return np.square(variance_m2)
@@ -128,9 +128,9 @@ def criterion_of(variance_m2: NDArray[np.float64], criterion: Criterion) -> NDAr
 class Axis:
     """Kalman filter of one axis, whose covariance [[a, b], [b, c]] is stored as (a, b, c)."""
 
-    start: NDArray[np.float64]  # (3,)
+    start: Floats  # (3,)
     step_s: float
-    noise: NDArray[np.float64]  # (3,) process noise per step
+    noise: Floats  # (3,) process noise per step
 
     @classmethod
     def of(cls, settings: FilteredTracking) -> Axis:
@@ -139,21 +139,21 @@ class Axis:
         start = _axis(covariance_of(settings.information))
         return cls(start, model.step_s, _axis(model.process_covariance))
 
-    def predict(self, now: NDArray[np.float64]) -> None:
+    def predict(self, now: Floats) -> None:
         """Predict covariances ``(3, ...)`` one step ahead, in place."""
         e = self.step_s
         now[0] += (2.0 * e) * now[1] + (e * e) * now[2] + self.noise[0]
         now[1] += e * now[2] + self.noise[1]
         now[2] += self.noise[2]
 
-    def update(self, now: NDArray[np.float64], information: NDArray[np.float64]) -> None:
+    def update(self, now: Floats, information: Floats) -> None:
         """Update covariances ``(3, ...)`` with packets of `information` (...), in place."""
         divisor = 1.0 + now[0] * information
         now[2] -= now[1] * now[1] * information / divisor
         now[:2] /= divisor
 
 
-def _axis(covariance: NDArray[np.float64]) -> NDArray[np.float64]:
+def _axis(covariance: Floats) -> Floats:
     """Return (3,) entries of the covariance of one axis, averaged from a covariance (4, 4)."""
     blocks = covariance.reshape(2, 2, 2, 2).trace(axis1=1, axis2=3) / 2.0
     return np.array([blocks[0, 0], blocks[0, 1], blocks[1, 1]])
@@ -182,15 +182,13 @@ STEPS_OF_ESTIMATES = 10
 class Retreats:
     """Positions to which a robot may move after the end of its path (equation 4.21)."""
 
-    places_m: NDArray[np.float64]  # (m, 2)
+    places_m: Floats  # (m, 2)
     # (m, k) expected information of a packet from each retreat at each step, per m^2
-    information: NDArray[np.float64]
+    information: Floats
     longest_m: float  # Length of the longest step
     connected: int  # Number of known connected retreats; they come first
 
-    def nearest_connected(
-        self, stops_m: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def nearest_connected(self, stops_m: Floats) -> tuple[Floats, Floats]:
         """Return the known connected positions (c, 2) nearest to stops, and distances in steps.
 
         A stop itself does not count. If there is none, return the stop at infinite distance.
@@ -204,7 +202,7 @@ class Retreats:
         steps = np.ceil(away.min(axis=1) / self.longest_m - WHOLE_STEPS)
         return np.where(np.isfinite(steps)[:, None], places[nearest], stops_m), steps
 
-    def best(self, stops_m: NDArray[np.float64], arrivals: NDArray[np.intp]) -> NDArray[np.float64]:
+    def best(self, stops_m: Floats, arrivals: Indices) -> Floats:
         """Return the largest packet information of the positions reachable by each step; (c, k)."""
         # Shapes: stops_m (c, 2); arrivals (c,).
         found = np.zeros((len(stops_m), self.information.shape[1]))
@@ -218,8 +216,8 @@ class Retreats:
 
 
 def retreats_of(
-    connected_m: NDArray[np.float64],  # (n, 2)
-    target_chance: NDArray[np.float64],  # (k,)
+    connected_m: Floats,  # (n, 2)
+    target_chance: Floats,  # (k,)
     settings: FilteredTracking,
     longest_m: float,
 ) -> Retreats:
@@ -237,12 +235,12 @@ def retreats_of(
 
 
 def recourse_costs(
-    paths_m: NDArray[np.float64],  # (c, N, 2)
-    chance: NDArray[np.float64],  # (c, N) probability of connection after each step
+    paths_m: Floats,  # (c, N, 2)
+    chance: Floats,  # (c, N) probability of connection after each step
     retreats: Retreats,
-    others: NDArray[np.float64],  # (k,) expected information of the other robots' packets, per m^2
+    others: Floats,  # (k,) expected information of the other robots' packets, per m^2
     settings: FilteredTracking,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the expected cost of paths whose ends are probed (equation 4.22); ``(c,)``."""
     steps, tracking = chance.shape[1], settings.tracking
     arrivals = last_arrivals(paths_m)
@@ -258,24 +256,24 @@ def recourse_costs(
     return probed * costs[0] + (1.0 - probed) * costs[1]
 
 
-def last_arrivals(paths_m: NDArray[np.float64]) -> NDArray[np.intp]:
+def last_arrivals(paths_m: Floats) -> Indices:
     """Return the index of the step with which each path (c, N, 2) reaches its end; ``(c,)``."""
     count, steps, _ = paths_m.shape
     moving = np.linalg.norm(paths_m - paths_m[:, -1:], axis=2) > SAME_PLACE_M
     return steps - np.argmax(np.hstack([moving[:, ::-1], np.ones((count, 1), bool)]), axis=1)
 
 
-def stayed_steps(paths_m: NDArray[np.float64]) -> int:
+def stayed_steps(paths_m: Floats) -> int:
     """Return the number of steps that robots stay at path ends (M in equation 4.21)."""
     return min(paths_m.shape[1], STAYED_STEPS)
 
 
 def at_ends(
-    paths_m: NDArray[np.float64],  # (c, N, 2)
-    arrivals: NDArray[np.intp],
+    paths_m: Floats,  # (c, N, 2)
+    arrivals: Indices,
     retreats: Retreats,
     settings: FilteredTracking,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the information per step after a successful and a failed probe (equation 4.21).
 
     Shape (2, c, k). After a successful probe the robot stays during the first `STAYED_STEPS` steps.
@@ -296,12 +294,8 @@ def discounted(settings: FilteredTracking) -> FilteredTracking:
 
 
 def delayed_costs(
-    paths_m: NDArray[np.float64],
-    chance: NDArray[np.float64],
-    retreats: Retreats,
-    others: NDArray[np.float64],
-    settings: FilteredTracking,
-) -> NDArray[np.float64]:
+    paths_m: Floats, chance: Floats, retreats: Retreats, others: Floats, settings: FilteredTracking
+) -> Floats:
     """Return :func:`recourse_costs` if packets contain estimates (equation 4.23); ``(c,)``."""
     held, tracking = settings.held, settings.tracking
     if held is None:
@@ -338,16 +332,16 @@ def delayed_costs(
         axis.update(full, known_then[..., k])
         axis.predict(less)
         axis.update(less, known_before[:, k])
-        failed: NDArray[np.float64] = full[0, 1]
+        failed: Floats = full[0, 1]
         failed = np.where(k < home, less[0], failed)
-        variance: NDArray[np.float64] = probed * full[0, 0] + (1.0 - probed) * failed
+        variance: Floats = probed * full[0, 0] + (1.0 - probed) * failed
         if k < length:
             variance = np.where(on_path[:, k], before[0, k], variance)
         costs += tracking.weight[k] * criterion_of(variance, settings.criterion)
     return costs
 
 
-def arrival_chance(chance: NDArray[np.float64], held: int) -> NDArray[np.float64]:
+def arrival_chance(chance: Floats, held: int) -> Floats:
     """Return P(the station has the measurement of step s by step k); (N, M + N, c).
 
     Correlated shadowing makes packets arrive or fail together. The result is therefore the largest
@@ -364,11 +358,11 @@ def arrival_chance(chance: NDArray[np.float64], held: int) -> NDArray[np.float64
 
 
 def _variance_on_path(
-    sensed: NDArray[np.float64],  # (c, N) information per axis of each step's measurement, per m^2
-    chance: NDArray[np.float64],
-    others: NDArray[np.float64],  # (k,) information of the others' packets
+    sensed: Floats,  # (c, N) information per axis of each step's measurement, per m^2
+    chance: Floats,
+    others: Floats,  # (k,) information of the others' packets
     settings: FilteredTracking,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the station's covariance entries after each step of each path; ``(3, N, c)``."""
     held = settings.held
     if held is None:
@@ -390,8 +384,8 @@ def _variance_on_path(
 
 
 def _return_paths(
-    stops_m: NDArray[np.float64], leaving: NDArray[np.intp], retreats: Retreats, total: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    stops_m: Floats, leaving: Indices, retreats: Retreats, total: int
+) -> tuple[Floats, Floats]:
     """Return straight paths to the nearest connected position ``(c, k, 2)`` and arrival steps.
 
     Each robot stays at its stop until step `leaving` (c,) ends. The arrival step is infinite if no

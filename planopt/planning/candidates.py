@@ -14,8 +14,8 @@ from time import perf_counter
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.channel.prediction import Prediction
 from planopt.errors import InputError
 from planopt.parts import part_of
@@ -81,7 +81,7 @@ def solve_limit_s(problem: Problem) -> float | None:
 class Candidate:
     """Candidate path with its objective value and the verifier's findings."""
 
-    path_m: NDArray[np.float64]  # (N, 2)
+    path_m: Floats  # (N, 2)
     objective: float
     lattice_objective: float  # Objective of the step's initial guess
     rung: Rung
@@ -90,9 +90,7 @@ class Candidate:
     solve_s: float = 0.0
     iterations: int = 0
     kkt_residual: float | None = None
-    multipliers: dict[str, NDArray[np.float64]] = field(
-        default_factory=dict[str, NDArray[np.float64]]
-    )
+    multipliers: dict[str, Floats] = field(default_factory=dict[str, Floats])
     drive: Drive | None = None  # States and inputs; None for the single integrator
 
     @property
@@ -141,7 +139,7 @@ class Candidate:
 class PathValue(Protocol):
     """Protocol of objective functions of a path (N, 2), or of a drive for a robot with dynamics."""
 
-    def __call__(self, path_m: NDArray[np.float64], drive: Drive | None = None) -> float:
+    def __call__(self, path_m: Floats, drive: Drive | None = None) -> float:
         """Return the objective value of a path and the drive along it."""
         ...
 
@@ -153,7 +151,7 @@ class Scorer:
     context: VerifierContext
     objective: PathValue
     # (N, 2) remainder of the previous plan; the other robots avoid it
-    reserved_m: NDArray[np.float64] | None = None
+    reserved_m: Floats | None = None
 
     @property
     def problem(self) -> Problem:
@@ -166,25 +164,21 @@ class Scorer:
         return self.context.index
 
     @property
-    def position_m(self) -> NDArray[np.float64]:
+    def position_m(self) -> Floats:
         """``(2,)`` position of the robot."""
         return self.context.position_m
 
     @property
-    def state(self) -> NDArray[np.float64]:
+    def state(self) -> Floats:
         """``(s,)`` state of the robot."""
         return self.context.state
 
-    def margins_db(self, power: Prediction) -> NDArray[np.float64]:
+    def margins_db(self, power: Prediction) -> Floats:
         """Return the margins in dB by which predicted powers satisfy p_min."""
         return margins_asked_db(self.problem, power)
 
     def candidate(
-        self,
-        path_m: NDArray[np.float64],
-        rung: Rung,
-        termination: Termination,
-        drive: Drive | None = None,
+        self, path_m: Floats, rung: Rung, termination: Termination, drive: Drive | None = None
     ) -> Candidate:
         """Return a path as a candidate, evaluated but not verified."""
         # A failed solve may return NaN.
@@ -248,7 +242,7 @@ class Scorer:
         )
 
 
-def released(scorer: Scorer, path_m: NDArray[np.float64], begun_s: float) -> Plan:
+def released(scorer: Scorer, path_m: Floats, begun_s: float) -> Plan:
     """Return the plan of an unrefined path, or a stationary plan if the path is unsafe.
 
     Parameters
@@ -285,7 +279,7 @@ def released(scorer: Scorer, path_m: NDArray[np.float64], begun_s: float) -> Pla
     return replace(scorer.plan_from(found, wall_s=perf_counter() - begun_s), rejected=rejected)
 
 
-def held(context: VerifierContext, path: list[NDArray[np.float64]]) -> NDArray[np.float64]:
+def held(context: VerifierContext, path: list[Floats]) -> Floats:
     """Return a path of N steps that follows `path` and then waits at its end; (N, 2)."""
     horizon = context.problem.planner.horizon
     last = path[-1] if path else context.position_m

@@ -7,8 +7,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
 from planopt.errors import NoPlanError
 from planopt.planning.tolerances import RULE_TOLERANCE, STANDSTILL_M
@@ -57,7 +57,7 @@ class BlockedWay:
     """
 
     robot: str
-    way_m: NDArray[np.float64]
+    way_m: Floats
     holes: tuple[Hole, ...]
 
 
@@ -77,7 +77,7 @@ class BlockedError(NoPlanError):
         self.blocked = blocked
 
 
-def margins_asked_db(problem: Problem, power: Prediction) -> NDArray[np.float64]:
+def margins_asked_db(problem: Problem, power: Prediction) -> Floats:
     """Return the margin (n,) in dB by which each predicted power meets p_min."""
     return bound_margin_db(
         power.mean_db,
@@ -88,9 +88,9 @@ def margins_asked_db(problem: Problem, power: Prediction) -> NDArray[np.float64]
 
 
 def holes_along(
-    places_m: NDArray[np.float64],  # (n, 2) positions of the path
-    connectivity: NDArray[np.float64],  # (n,) P(connected)
-    is_below: NDArray[np.bool_],  # (n,) whether P(connected) violates the bound
+    places_m: Floats,  # (n, 2) positions of the path
+    connectivity: Floats,  # (n,) P(connected)
+    is_below: Mask,  # (n,) whether P(connected) violates the bound
 ) -> tuple[Hole, ...]:
     """Return the coverage holes of a path with known probabilities of connection."""
     lengths = np.linalg.norm(np.diff(places_m, axis=0), axis=1)
@@ -111,9 +111,7 @@ def holes_along(
     return tuple(holes)
 
 
-def holes_on(
-    problem: Problem, power: Prediction, places_m: NDArray[np.float64]
-) -> tuple[Hole, ...]:
+def holes_on(problem: Problem, power: Prediction, places_m: Floats) -> tuple[Hole, ...]:
     """Return the coverage holes of a path (n, 2) whose predicted power is `power`."""
     threshold = problem.stations[0].threshold_dbm
     chance = connection_probability(power.mean_db, power.deviation_db, threshold)
@@ -269,7 +267,7 @@ class Certificate:
         return path_m - best_m
 
 
-def plan_message(certificate: Certificate, positions_m: NDArray[np.float64]) -> str:
+def plan_message(certificate: Certificate, positions_m: Floats) -> str:
     """Return a description of the faults of a path (N + 1, 2); empty if it has none."""
     parts = list(certificate.reasons)
     rule = certificate.rule

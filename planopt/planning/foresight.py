@@ -13,8 +13,8 @@ from functools import partial
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices
 from planopt.channel.ground_truth import Truth, mean_power_dbm, true_power_dbm
 from planopt.channel.prediction import score_probability
 from planopt.errors import InputError
@@ -34,7 +34,7 @@ ROUNDS = 5
 class FollowingPlanner:
     """Planner that follows a precomputed path for the whole run."""
 
-    def __init__(self, path_m: NDArray[np.float64]) -> None:
+    def __init__(self, path_m: Floats) -> None:
         self._path_m = path_m
 
     def plan(self, context: StepContext, scorer: Scorer, warm: Plan | None = None) -> Plan:
@@ -66,32 +66,27 @@ def require_foreseeable(problem: Problem) -> None:
 
 
 def _paths(
-    problem: Problem,
-    truth: Truth,
-    target_m: NDArray[np.float64],
-    *,
-    knows_multipath: bool,
-    saturates: bool,
-) -> list[NDArray[np.float64]]:
+    problem: Problem, truth: Truth, target_m: Floats, *, knows_multipath: bool, saturates: bool
+) -> list[Floats]:
     """Return the optimal path (T, 2) of each robot for a known target path (T + 1, 2)."""
     require_foreseeable(problem)
     sensor = next(term.sensor for term in problem.terms if term.sensor is not None)
     threshold, ahead = problem.stations[0].true_threshold_dbm, target_m[1:]
     unknown = float(np.std(truth.raster.values - truth.mean_dbm))
 
-    def arriving(places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def arriving(places_m: Floats) -> Floats:
         """Return P(packet delivered) from positions (n, 2)."""
         if knows_multipath or unknown == 0.0:
             return (true_power_dbm(truth, places_m) >= threshold).astype(np.float64)
         return score_probability((mean_power_dbm(truth, places_m) - threshold) / unknown)
 
-    def informing(places_m: NDArray[np.float64], step: int) -> NDArray[np.float64]:
+    def informing(places_m: Floats, step: int) -> Floats:
         """Return the information of packets from positions (n, 2), times the initial variance."""
         sensed = sensing_information(sensor, places_m, ahead[step])
         # Per coordinate, so that it adds to the inverse of the initial variance.
         return 0.5 * problem.targets[0].position_std_m ** 2 * sensed
 
-    roads: list[tuple[RoadMap, int, NDArray[np.float64]]] = []
+    roads: list[tuple[RoadMap, int, Floats]] = []
     for number, robot in enumerate(problem.robots):
         start = np.asarray(robot.start_m)
         road_map = build_ground(problem_of_robot(problem, number), start).road_map
@@ -121,12 +116,12 @@ clairvoyant_paths = partial(_paths, knows_multipath=True, saturates=False)
 clairvoyant_log_paths = partial(_paths, knows_multipath=True, saturates=True)
 
 
-def best_nodes(road_map: RoadMap, first: int, rewards: NDArray[np.float64]) -> NDArray[np.intp]:
+def best_nodes(road_map: RoadMap, first: int, rewards: Floats) -> Indices:
     """Return the node after each step of the lattice path with the largest sum of rewards; (T,)."""
     # Shapes: rewards (T, n).
     rows, columns, lattice = road_map.rows, road_map.columns, road_map.lattice
 
-    def reward(stage: int, window: Window) -> NDArray[np.float64]:
+    def reward(stage: int, window: Window) -> Floats:
         grid = np.full(lattice.shape, -np.inf)
         grid[rows, columns] = rewards[stage - 1]
         return grid[window]

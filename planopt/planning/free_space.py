@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.errors import InputError
 from planopt.planning.tolerances import CLEARANCE_PAD_M, CLEARANCE_TOLERANCE_M, STEP_PAD_M
 from planopt.problems.problem import Problem
@@ -31,7 +31,7 @@ from planopt.world.moving_discs import MovingDiscs, paths_gap_m
 from planopt.world.workspace import Obstacle
 
 
-def build_roads(problem: Problem, anchor_m: NDArray[np.float64]) -> RoadMap:
+def build_roads(problem: Problem, anchor_m: Floats) -> RoadMap:
     """Return the lattice graph of a problem, with a node at `anchor_m` (2,)."""
     try:
         lattice = build_lattice(
@@ -61,7 +61,7 @@ def is_joined(problem: Problem, clearance_m: float, without: Obstacle | None = N
     )
 
 
-def obstacles_met(problem: Problem, index: ObstacleIndex, path_m: NDArray[np.float64]) -> list[str]:
+def obstacles_met(problem: Problem, index: ObstacleIndex, path_m: Floats) -> list[str]:
     """Return a message for each position and segment of a path (n, 2) that violates clearance."""
     reasons: list[str] = []
     inside: set[int] = set()
@@ -93,8 +93,8 @@ NEARER_M = 1e-9
 
 
 def leaving_path(
-    problem: Problem, index: ObstacleIndex, moving: MovingDiscs, position_m: NDArray[np.float64]
-) -> NDArray[np.float64] | None:
+    problem: Problem, index: ObstacleIndex, moving: MovingDiscs, position_m: Floats
+) -> Floats | None:
     """Return a path (N, 2) whose first step leaves violated clearances, bounds or separations.
 
     After drift or next to a new obstacle, a robot may have no safe plan. Of the moves that reduce
@@ -110,9 +110,7 @@ def leaving_path(
     wanted = problem.constraints.clearance_m + CLEARANCE_PAD_M
     away = clearance_m(index, ends)
     low, high = np.reshape(problem.workspace.bounds_m, (2, 2))
-    outside: NDArray[np.float64] = np.linalg.norm(
-        np.maximum(np.maximum(low - ends, ends - high), 0.0), axis=1
-    )
+    outside: Floats = np.linalg.norm(np.maximum(np.maximum(low - ends, ends - high), 0.0), axis=1)
     paths = np.repeat(ends[:, None], horizon + 1, axis=1)
     paths[:, 0] = position_m
     gap = paths_gap_m(moving, paths)
@@ -136,9 +134,7 @@ def leaving_path(
     return None if best == 0 else paths[best, 1:]
 
 
-def _inside_m(
-    index: ObstacleIndex, places_m: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], ObstacleIndex]:
+def _inside_m(index: ObstacleIndex, places_m: Floats) -> tuple[Floats, ObstacleIndex]:
     """Return the depth of each position (n, 2) in an obstacle group, and the other obstacles.
 
     The group contains the obstacles around the first position and all that intersect them.
@@ -157,7 +153,7 @@ def _inside_m(
     return deep, ObstacleIndex(others, polygons, shapely.STRtree(polygons))
 
 
-def _too_near_m(moving: MovingDiscs, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _too_near_m(moving: MovingDiscs, paths_m: Floats) -> Floats:
     """Return the shortfall (c,) of separation from moving discs after the first step of paths."""
     if not len(moving):
         return np.zeros(len(paths_m))
@@ -250,9 +246,7 @@ def _drawn_target(
     )
 
 
-def _is_free(
-    problem: Problem, index: ObstacleIndex, places_m: NDArray[np.float64], clearance: float
-) -> bool:
+def _is_free(problem: Problem, index: ObstacleIndex, places_m: Floats, clearance: float) -> bool:
     """Return whether all positions (n, 2) are in the workspace with this clearance."""
     if not inside_bounds(problem.workspace, places_m).all():
         return False
@@ -260,9 +254,7 @@ def _is_free(
     return bool((away >= clearance).all() and (away > 0.0).all())
 
 
-def free_target_path(
-    problem: Problem, draw_path: Callable[[], NDArray[np.float64]]
-) -> NDArray[np.float64]:
+def free_target_path(problem: Problem, draw_path: Callable[[], Floats]) -> Floats:
     """Return a target's states (n + 1, 4), drawn again until its path is free, if required."""
     if not problem.targets[0].stays_free:
         return draw_path()
@@ -280,13 +272,11 @@ def free_target_path(
     )
 
 
-def free_places(
-    problem: Problem, count: int, generator: np.random.Generator
-) -> NDArray[np.float64]:
+def free_places(problem: Problem, count: int, generator: np.random.Generator) -> Floats:
     """Return positions (count, 2) drawn uniformly from the free workspace."""
     index = index_obstacles(problem.workspace)
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
-    kept: list[NDArray[np.float64]] = []
+    kept: list[Floats] = []
     found = 0
     for _ in range(1000):
         drawn = generator.uniform((x_min, y_min), (x_max, y_max), (max(2 * count, 64), 2))

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.channel.prediction import Prediction
 from planopt.objectives.reach import cruising_speed_m_s
 from planopt.objectives.stage_power import scores_of, stage_predictor
@@ -48,7 +48,7 @@ class GoalRefinement:
     lattice_objective: float
     budget: Budget
 
-    def attempts(self, shifted_m: NDArray[np.float64] | None) -> Iterator[Candidate]:
+    def attempts(self, shifted_m: Floats | None) -> Iterator[Candidate]:
         """Yield verified or rejected candidates, those from the best guess first.
 
         If the shifted last plan costs less than the lattice path, it is the best guess.
@@ -77,7 +77,7 @@ class GoalRefinement:
                     candidate = replace(candidate, solve_s=0.0, iterations=0)
                 yield candidate
 
-    def _drawn_on(self, shifted_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _drawn_on(self, shifted_m: Floats) -> Floats:
         """Return the shifted last plan, whose last step moves towards the terminal waypoint."""
         problem, before = self.scorer.problem, shifted_m[-1]
         to_pivot = self.ahead.leading(before).position_m - before
@@ -113,7 +113,7 @@ class GoalRefinement:
         is_better = better.objective < candidate.objective
         return better if better.verdict is Verdict.VERIFIED and is_better else None
 
-    def _from(self, path_m: NDArray[np.float64], rung: Rung) -> Iterator[Candidate]:
+    def _from(self, path_m: Floats, rung: Rung) -> Iterator[Candidate]:
         """Yield refinements of a path, each with separating lines for its predecessor's collisions.
 
         Steps that satisfy p_min in the guess keep it as a constraint; RELAXED frees the others.
@@ -154,13 +154,7 @@ class GoalRefinement:
                 return
             bound = bound + np.where(lacking > 0.0, lacking + MARGIN_PAD_DB, 0.0)
 
-    def _refined(
-        self,
-        task: PathTask,
-        bound: NDArray[np.float64],
-        rung: Rung,
-        begun_s: float,
-    ) -> Candidate:
+    def _refined(self, task: PathTask, bound: Floats, rung: Rung, begun_s: float) -> Candidate:
         """Return the candidate that refines a task under constraint bounds `bound`, verified."""
         point = polish_path(self.nlp, replace(task, bound=bound))
         solve_s = perf_counter() - begun_s
@@ -170,7 +164,7 @@ class GoalRefinement:
         met_after_all = rung is Rung.RELAXED and not assessed.relaxes
         return replace(assessed, rung=Rung.PLAN) if met_after_all else assessed
 
-    def _task(self, path_m: NDArray[np.float64], rows: RuleRows) -> PathTask:
+    def _task(self, path_m: Floats, rows: RuleRows) -> PathTask:
         """Return the optimisation problem that refines a guess `path_m`."""
         scorer, cost = self.scorer, self.cost
         problem, pivot = scorer.problem, self.ahead.leading(path_m[-1])
@@ -210,13 +204,13 @@ class GoalRefinement:
         )
 
     def _margins_about(
-        self, path_m: NDArray[np.float64], rows: RuleRows
-    ) -> Callable[[NDArray[np.float64]], tuple[Derivatives, Derivatives]]:
+        self, path_m: Floats, rows: RuleRows
+    ) -> Callable[[Floats], tuple[Derivatives, Derivatives]]:
         """Return a function that maps a path to margins and scores, from nearby measurements."""
         law, neighbours = self.scorer.context.law, self.scorer.problem.planner.neighbours
         predict_stages, quantile = stage_predictor(law, path_m, neighbours), rows.quantile
 
-        def margins(positions_m: NDArray[np.float64]) -> tuple[Derivatives, Derivatives]:
+        def margins(positions_m: Floats) -> tuple[Derivatives, Derivatives]:
             power = predict_stages(positions_m)
             scores = scores_of(*power, self.cost.threshold_dbm)
             return margins_of(*power, rows.threshold_dbm, quantile), scores

@@ -11,8 +11,8 @@ from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.planning.candidates import (
     Budget,
     Candidate,
@@ -236,7 +236,7 @@ class HorizonPlanner:
         chosen = self.cascade.first_verified(context, scorer, starts, warm, budget)
         return scorer.plan_from(chosen, wall_s=perf_counter() - begun)
 
-    def _exit_path(self, context: StepContext, starts: list[Guess]) -> NDArray[np.float64] | None:
+    def _exit_path(self, context: StepContext, starts: list[Guess]) -> Floats | None:
         """Return a path (N, 2) to an unmeasured position if no guess yields measurements.
 
         Otherwise None, also if no term uses measurements or no unmeasured position is left.

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.fit import fit_channel
@@ -196,12 +196,7 @@ def draw_truth(problem: Problem, generator: np.random.Generator, station: int = 
         )
         floor = None if setup.floor_db is None else setup.floor_db + radio.transmit_power_dbm
         return model_truth(
-            parameters,
-            problem.workspace.bounds_m,
-            setup.cell_m,
-            floor,
-            generator,
-            setup.multipath,
+            parameters, problem.workspace.bounds_m, setup.cell_m, floor, generator, setup.multipath
         )
     if isinstance(setup, ArrayTruth | FunctionTruth):
         return _python_truth(problem, setup, station)
@@ -266,7 +261,7 @@ def _python_truth(problem: Problem, setup: ArrayTruth | FunctionTruth, station: 
     return truth
 
 
-def _numbers(key: str, values: object) -> NDArray[np.float64]:
+def _numbers(key: str, values: object) -> Floats:
     """Return `values` as an array of real numbers; raise an InputError that names `key`."""
     try:
         found = np.asarray(values)

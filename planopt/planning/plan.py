@@ -13,8 +13,8 @@ from enum import StrEnum
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.bounds.bound import Bound
 from planopt.planning.certificate import Certificate, Hole
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, DYNAMICS_TOLERANCE_M
@@ -91,7 +91,7 @@ class Pivot:
         Cost per metre on the route to the waypoint, at least 1.
     """
 
-    position_m: NDArray[np.float64]
+    position_m: Floats
     cost_m: float
     metre_cost: float = 1.0
 
@@ -142,11 +142,11 @@ class Plan:
     """
 
     robot: str
-    t_s: NDArray[np.float64]
-    positions_m: NDArray[np.float64]
-    mean_dbm: NDArray[np.float64]
-    deviation_db: NDArray[np.float64]
-    connectivity: NDArray[np.float64]
+    t_s: Floats
+    positions_m: Floats
+    mean_dbm: Floats
+    deviation_db: Floats
+    connectivity: Floats
     objective: float
     lattice_objective: float
     termination: Termination
@@ -156,32 +156,30 @@ class Plan:
     wall_s: float = 0.0
     solve_s: float = 0.0
     iterations: int = 0
-    multipliers: dict[str, NDArray[np.float64]] = field(
-        default_factory=dict[str, NDArray[np.float64]]
-    )
+    multipliers: dict[str, Floats] = field(default_factory=dict[str, Floats])
     message: str = ""
     rejected: str = ""
     pivot: Pivot | None = None
     sense: Literal["min", "max"] = "min"
     drive: Drive | None = None
-    route_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+    route_m: Floats = field(default_factory=lambda: np.zeros((0, 2)))
     holes: tuple[Hole, ...] = ()
     bound: Bound | None = None
 
     __repr__ = short_repr
 
     @property
-    def next_state(self) -> NDArray[np.float64]:
+    def next_state(self) -> Floats:
         """``(s,)`` state of the robot after the first step."""
         return self.positions_m[1] if self.drive is None else self.drive.states[1]
 
     @property
-    def next_position_m(self) -> NDArray[np.float64]:
+    def next_position_m(self) -> Floats:
         """``(2,)`` position of the robot after the first step."""
         return self.positions_m[1]
 
     @property
-    def next_input(self) -> NDArray[np.float64]:
+    def next_input(self) -> Floats:
         """``(m,)`` input during the first step; for a single integrator its velocity in m/s."""
         if self.drive is None:
             return (self.positions_m[1] - self.positions_m[0]) / (self.t_s[1] - self.t_s[0])
@@ -206,12 +204,7 @@ def share_gained(gain: float, lattice: float, refined: float) -> float:
     return gain / abs(lattice) if abs(lattice) >= LEAST_BASE * abs(refined) > 0.0 else math.nan
 
 
-def is_sound(
-    problem: Problem,
-    index: ObstacleIndex,
-    position_m: NDArray[np.float64],
-    path_m: NDArray[np.float64],
-) -> bool:
+def is_sound(problem: Problem, index: ObstacleIndex, position_m: Floats, path_m: Floats) -> bool:
     """Return whether a path (N, 2) from `position_m` (2,) satisfies clearance, speed, workspace."""
     whole_m = np.vstack([position_m, path_m])
     clearance = swept_clearance_m(index, whole_m)
@@ -223,8 +216,8 @@ def is_sound(
 
 
 def shifted_path(
-    problem: Problem, index: ObstacleIndex, position_m: NDArray[np.float64], warm: Plan | None
-) -> NDArray[np.float64] | None:
+    problem: Problem, index: ObstacleIndex, position_m: Floats, warm: Plan | None
+) -> Floats | None:
     """Return a verified plan shifted by one step (N, 2), with a waiting step at its end.
 
     None if the plan is unverified, no longer drivable, or for a robot with dynamics.
@@ -268,9 +261,7 @@ class History:
     crossing_cost_m: float = 0.0
     crossing_excess_m: float = 0.0
     # (n, 2) end positions of earlier steps without connection
-    missed_m: NDArray[np.float64] = field(
-        default_factory=lambda: np.zeros((0, 2)), repr=False, compare=False
-    )
+    missed_m: Floats = field(default_factory=lambda: np.zeros((0, 2)), repr=False, compare=False)
 
 
 CIRCLING_STEPS = 15
@@ -282,8 +273,8 @@ BEGINNING = History()
 
 def history_of(
     problem: Problem,
-    track_m: NDArray[np.float64],  # (n + 1, 2) start position first
-    connected: NDArray[np.bool_],  # (n,) true connection after each step
+    track_m: Floats,  # (n + 1, 2) start position first
+    connected: Mask,  # (n,) true connection after each step
     certificates: Iterable[Certificate] = (),
     *,
     gave_way: Sequence[bool] = (),
@@ -308,7 +299,7 @@ def history_of(
     )
 
 
-def _circled(track_m: NDArray[np.float64], step_length_m: float, gave_way: Sequence[bool]) -> bool:
+def _circled(track_m: Floats, step_length_m: float, gave_way: Sequence[bool]) -> bool:
     """Return whether a track (n + 1, 2) ever stayed near one position without giving way."""
     if len(track_m) <= CIRCLING_STEPS:
         return False
@@ -321,7 +312,7 @@ def _circled(track_m: NDArray[np.float64], step_length_m: float, gave_way: Seque
     return bool(circles.any())
 
 
-def data_of_steps_mbit(problem: Problem, first: int, count: int) -> NDArray[np.float64]:
+def data_of_steps_mbit(problem: Problem, first: int, count: int) -> Floats:
     """Return the data that each step after `first` delivers by the deadline if connected; (n,)."""
     rule, step_s = problem.constraints.rule, problem.planner.step_s
     if rule.deadline_s is None or rule.rate_mbit_s is None:

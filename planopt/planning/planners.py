@@ -22,8 +22,8 @@ from time import perf_counter
 from typing import Literal, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters
 from planopt.channel.posterior import condition
@@ -96,16 +96,16 @@ def horizon_planner(problem: Problem, ground: Ground, _generator: np.random.Gene
 RINGS, HEADINGS = 10, 48
 """Number of radii and directions of the grid of positions within a step."""
 
-Score = Callable[[StepContext, NDArray[np.float64]], NDArray[np.float64]]
+Score = Callable[[StepContext, Floats], Floats]
 """Function that maps paths (c, N, 2) to their scores (c,)."""
 
 
-def as_ranked(context: StepContext, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def as_ranked(context: StepContext, paths_m: Floats) -> Floats:
     """Return the objective values (c,) of paths (c, N, 2), as for ranking."""
     return LocalRanking(context, paths_m)(paths_m)
 
 
-def end_deviation(context: StepContext, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def end_deviation(context: StepContext, paths_m: Floats) -> Floats:
     """Return the standard deviations (c,) of predicted power at the ends of paths (c, N, 2)."""
     return context.predicted(paths_m[:, -1]).deviation_db
 
@@ -136,7 +136,7 @@ class OneStepPlanner:
     def plan(self, context: StepContext, scorer: Scorer, warm: Plan | None = None) -> Plan:
         """Return a plan from the robot's position; `warm` is unused."""
         begun = perf_counter()
-        path: list[NDArray[np.float64]] = []
+        path: list[Floats] = []
         for _ in range(self._problem.planner.horizon):
             step = self._best_step(context, path)
             if step is None:
@@ -147,9 +147,7 @@ class OneStepPlanner:
             path = [] if out is None else list(out)
         return released(scorer, held(context, path), begun)
 
-    def _best_step(
-        self, context: StepContext, path: list[NDArray[np.float64]]
-    ) -> NDArray[np.float64] | None:
+    def _best_step(self, context: StepContext, path: list[Floats]) -> Floats | None:
         """Return the best next position after `path`; None if none is free."""
         here = path[-1] if path else context.position_m
         ends = here + self._offsets_m
@@ -187,11 +185,7 @@ class RandomPlanner:
     """Planner of a random walk."""
 
     def __init__(
-        self,
-        problem: Problem,
-        ground: Ground,
-        generator: np.random.Generator,
-        walk: Walk = "full",
+        self, problem: Problem, ground: Ground, generator: np.random.Generator, walk: Walk = "full"
     ) -> None:
         self._problem, self._ground = problem, ground
         self._generator, self._walk = generator, walk
@@ -199,7 +193,7 @@ class RandomPlanner:
     def plan(self, context: StepContext, scorer: Scorer, warm: Plan | None = None) -> Plan:
         """Return a plan from the robot's position."""
         begun = perf_counter()
-        path: list[NDArray[np.float64]] = []
+        path: list[Floats] = []
         heading = None if warm is None else _heading(warm.positions_m[1] - warm.positions_m[0])
         here = context.position_m
         for _ in range(self._problem.planner.horizon):
@@ -215,7 +209,7 @@ class RandomPlanner:
             path.append(here)
         return released(scorer, held(context, path), begun)
 
-    def _offsets(self, heading: float | None) -> NDArray[np.float64]:
+    def _offsets(self, heading: float | None) -> Floats:
         """Return random steps (`DRAWS`, 2) in units of the longest step; `heading` may be None."""
         drawn = self._generator.uniform(-math.pi, math.pi, DRAWS)
         lengths = np.ones(DRAWS)
@@ -232,7 +226,7 @@ disk_walk_planner = partial(RandomPlanner, walk="disk")
 persistent_walk_planner = partial(RandomPlanner, walk="persistent")
 
 
-def _heading(step_m: NDArray[np.float64]) -> float | None:
+def _heading(step_m: Floats) -> float | None:
     """Return the direction of a step (2,) in rad; None for a waiting step."""
     if np.linalg.norm(step_m) <= STANDSTILL_M:
         return None
@@ -250,8 +244,8 @@ class LawnmowerPlanner:
         self, problem: Problem, ground: Ground, _generator: np.random.Generator | None = None
     ) -> None:
         self._problem, self._ground = problem, ground
-        self._tour: NDArray[np.intp] | None = None
-        self._stops_m: NDArray[np.float64] = np.empty((0, 2))
+        self._tour: Indices | None = None
+        self._stops_m: Floats = np.empty((0, 2))
         self._next = 0
 
     def plan(self, context: StepContext, scorer: Scorer, warm: Plan | None = None) -> Plan:
@@ -268,7 +262,7 @@ class LawnmowerPlanner:
         path = self._stops_m[self._next + 1 : self._next + 1 + horizon]
         return released(scorer, held(context, list(path)), begun)
 
-    def _begin(self, here_m: NDArray[np.float64], context: StepContext) -> None:
+    def _begin(self, here_m: Floats, context: StepContext) -> None:
         """Compute the stops of a new tour from `here_m` (2,)."""
         road_map = self._ground.road_map
         nodes, lengths = first_moves(self._ground, self._problem, here_m)
@@ -283,7 +277,7 @@ class LawnmowerPlanner:
         self._stops_m, self._next = stops_along(corners, longest), 0
 
 
-def lawn_tour(road_map: RoadMap, first: int, apart_m: float) -> NDArray[np.intp]:
+def lawn_tour(road_map: RoadMap, first: int, apart_m: float) -> Indices:
     """Return the nodes of a tour in lanes over all space reachable from `first`, move by move.
 
     The lane spacing is `apart_m`, rounded to rows of nodes.
@@ -391,7 +385,7 @@ class StrategyPlanner:
             path = self._planner.plan(seen, assuming, warm).positions_m[1:]
         return released(scorer, path, begun)
 
-    def _home(self, context: StepContext) -> NDArray[np.float64] | None:
+    def _home(self, context: StepContext) -> Floats | None:
         """Return the shortest path (N, 2) to the station; None if a plan can reach contact."""
         believed, station = context.posterior, self._problem.stations[0]
         k_pl_db, n_pl = believed.theta

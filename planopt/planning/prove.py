@@ -18,8 +18,8 @@ from dataclasses import replace
 from time import monotonic
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices
 from planopt.bounds.bound import Bound
 from planopt.bounds.reach import rate_s_m, route_problem, why_unbounded
 from planopt.bounds.route import route_bounds
@@ -29,11 +29,7 @@ from planopt.objectives.reach import integrated_cost_m, step_cost_s
 from planopt.planning.certificate import holes_on
 from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict
 from planopt.planning.proof.bounds import bound_of, metre_cost_of
-from planopt.planning.proof.context import (
-    connectivity_law,
-    search_prediction,
-    verifier_context,
-)
+from planopt.planning.proof.context import connectivity_law, search_prediction, verifier_context
 from planopt.planning.proof.verify import verify
 from planopt.planning.scene import stops_along
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
@@ -41,7 +37,7 @@ from planopt.planning.values.objective_value import ReachCost
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.clearance import ObstacleIndex, index_obstacles, segments_clear
 
-MetreCost = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+MetreCost = Callable[[Floats], Floats]
 """Function that maps positions (n, 2) to the cost per metre there; (n,)."""
 
 PIECES = (8, 16, 32, 64, 128, 256)
@@ -71,8 +67,8 @@ def smooth_route(
     index: ObstacleIndex,
     bounds_m: tuple[float, float, float, float],
     clearance_m: float,
-    corners_m: NDArray[np.float64],  # (n, 2)
-) -> NDArray[np.float64]:
+    corners_m: Floats,  # (n, 2)
+) -> Floats:
     """Return a smoothed route (m, 2) between the same ends, which costs no more."""
     raster = CostRaster(metre_cost, bounds_m)
     total = float(np.linalg.norm(np.diff(corners_m, axis=0), axis=1).sum())
@@ -107,7 +103,7 @@ class CostRaster:
         self._shape = columns, rows
         self._values = np.full(columns * rows, np.nan)
 
-    def __call__(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def __call__(self, places_m: Floats) -> Floats:
         """Return the interpolated costs per metre at positions (n, 2)."""
         at = (places_m - self._low) / self.spacing_m
         columns, rows = self._shape
@@ -122,9 +118,7 @@ class CostRaster:
         weights = np.column_stack([(1 - x) * (1 - y), x * (1 - y), (1 - x) * y, x * y])
         return np.asarray((self._values[corners] * weights).sum(axis=1))
 
-    def legs_m(
-        self, starts_m: NDArray[np.float64], ends_m: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def legs_m(self, starts_m: Floats, ends_m: Floats) -> Floats:
         """Return the costs of straight legs (n, 2), by the midpoint rule."""
         lengths = np.linalg.norm(ends_m - starts_m, axis=1)
         count = max(1, math.ceil(float(lengths.max()) / self.spacing_m))
@@ -134,11 +128,8 @@ class CostRaster:
 
 
 def _taut(
-    raster: CostRaster,
-    index: ObstacleIndex,
-    clearance_m: float,
-    corners_m: NDArray[np.float64],
-) -> NDArray[np.float64]:
+    raster: CostRaster, index: ObstacleIndex, clearance_m: float, corners_m: Floats
+) -> Floats:
     """Return the cheapest route with straight legs between some of the corners (n, 2)."""
     count = len(corners_m)
     cost, before = np.full(count, np.inf), np.zeros(count, dtype=int)
@@ -163,9 +154,9 @@ def _moved(
     index: ObstacleIndex,
     bounds_m: tuple[float, float, float, float],
     clearance_m: float,
-    route_m: NDArray[np.float64],
+    route_m: Floats,
     unit_m: float,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the cheapest route after one pass of sideways moves; its ends stay."""
     along = np.zeros_like(route_m)
     along[1:-1] = route_m[2:] - route_m[:-2]
@@ -211,10 +202,8 @@ STEP_PASSES = 6
 
 
 def smooth_steps(
-    leg_value: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]],
-    places_m: NDArray[np.float64],
-    longest_m: float,
-) -> NDArray[np.float64]:
+    leg_value: Callable[[Floats, Floats], Floats], places_m: Floats, longest_m: float
+) -> Floats:
     """Return positions (k + 1, 2) moved to reduce the cost of the legs; first and last stay.
 
     `leg_value` maps starts and ends (n, k, 2) of the k legs to costs (n, k), infinite if a leg is
@@ -229,7 +218,7 @@ def smooth_steps(
             starts = np.repeat(moved[:-1], choices, axis=1).swapaxes(0, 1)
             values = leg_value(starts, np.tile(moved[1:], (1, choices, 1)).swapaxes(0, 1))
             legs = values.T.reshape(-1, choices, choices)
-            cost, before = legs[0][still], list[NDArray[np.intp]]()
+            cost, before = legs[0][still], list[Indices]()
             for leg in legs[1:]:
                 through = cost[:, None] + leg
                 before.append(through.argmin(axis=0))
@@ -321,9 +310,7 @@ class _Smoothing:
         if problem.reach.cost_to_go == "connected":
             self._metre_cost = metre_cost_of(problem, posteriors)
 
-    def route(
-        self, first_m: NDArray[np.float64], rest_m: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def route(self, first_m: Floats, rest_m: Floats) -> Floats:
         """Return a smoothed route (n, 2) that ends inside the goal."""
         constraints, goal = self._problem.constraints, np.asarray(self._problem.goal_m)
         corners = np.vstack([first_m, rest_m])
@@ -339,7 +326,7 @@ class _Smoothing:
             corners,
         )
 
-    def _thinned(self, route_m: NDArray[np.float64], longest_m: float) -> NDArray[np.float64]:
+    def _thinned(self, route_m: Floats, longest_m: float) -> Floats:
         """Return vertices of a route (n, 2) about `longest_m` apart, with collision-free legs."""
         clearance_m = self._problem.constraints.clearance_m + CLEARANCE_PAD_M
         lengths = np.linalg.norm(np.diff(route_m, axis=0), axis=1)
@@ -354,7 +341,7 @@ class _Smoothing:
             kept.append(int(clear[-1]) if len(clear) else last + 1)
         return route_m[kept]
 
-    def with_route(self, plan: Plan, route_m: NDArray[np.float64]) -> Plan:
+    def with_route(self, plan: Plan, route_m: Floats) -> Plan:
         """Return the plan with another route (n, 2) from its last position, and its new cost."""
         problem = self._problem
         ahead = Pivot(plan.positions_m[-1], integrated_cost_m(self._metre_cost, route_m))
@@ -364,7 +351,7 @@ class _Smoothing:
         objective = cost(plan.positions_m[1:])
         return replace(plan, route_m=route_m[1:], pivot=ahead, objective=objective, holes=holes)
 
-    def cruising(self, plan: Plan, route_m: NDArray[np.float64]) -> Plan:
+    def cruising(self, plan: Plan, route_m: Floats) -> Plan:
         """Return an unverified plan with full steps along a route (n, 2), as an initial guess."""
         problem = self._problem
         clearance_m = problem.constraints.clearance_m + CLEARANCE_PAD_M
@@ -394,9 +381,7 @@ class _Smoothing:
         clearance_m = problem.constraints.clearance_m + CLEARANCE_PAD_M
         low, high = np.reshape(problem.workspace.bounds_m, (2, 2))
 
-        def leg_value(
-            starts_m: NDArray[np.float64], ends_m: NDArray[np.float64]
-        ) -> NDArray[np.float64]:
+        def leg_value(starts_m: Floats, ends_m: Floats) -> Floats:
             shape = starts_m.shape[:2]
             starts, ends = starts_m.reshape(-1, 2), ends_m.reshape(-1, 2)
             lengths = np.linalg.norm(ends - starts, axis=1)

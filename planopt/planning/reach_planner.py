@@ -13,8 +13,8 @@ from functools import partial
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.channel.posterior import Belief
 from planopt.planning.candidates import (
     Budget,
@@ -92,7 +92,7 @@ class Outlook:
     wall_s: float  # Wall time of the search
 
     @property
-    def state(self) -> NDArray[np.float64]:
+    def state(self) -> Floats:
         """``(s,)`` state of the robot."""
         return self.context.state
 
@@ -102,7 +102,7 @@ class Course:
     """Timed path of one robot to its goal."""
 
     outlook: Outlook  # Context with the first steps of the path
-    places_m: NDArray[np.float64]  # (T + 1, 2) initial position and positions after each step
+    places_m: Floats  # (T + 1, 2) initial position and positions after each step
     arrives: bool = True  # False for a path to a refuge, off the other robots' paths
 
 
@@ -137,16 +137,14 @@ class ReachPlanner:
     def plan(
         self,
         belief: Belief,
-        state: NDArray[np.float64],  # (s,)
+        state: Floats,  # (s,)
         warm: Plan | None = None,
         history: History = BEGINNING,
     ) -> Plan:
         """Return a plan from `state` with the current belief."""
         return self.release(self.outlook(belief, state, history), warm)
 
-    def outlook(
-        self, belief: Belief, state: NDArray[np.float64], history: History = BEGINNING
-    ) -> Outlook:
+    def outlook(self, belief: Belief, state: Floats, history: History = BEGINNING) -> Outlook:
         """Return the step context and the lattice path, which ignores other robots."""
         begun = perf_counter()
         context = verifier_context(
@@ -168,9 +166,7 @@ class ReachPlanner:
         search = partial(self._search.clear_course, discs=discs)
         return _course(outlook, search)
 
-    def refuge_course(
-        self, outlook: Outlook, others_m: NDArray[np.float64], steps: int
-    ) -> Course | None:
+    def refuge_course(self, outlook: Outlook, others_m: Floats, steps: int) -> Course | None:
         """Return a timed path to a refuge away from others (k, 2); None if there is none."""
         search = partial(self._search.refuge_course, others_m=others_m, steps=steps)
         return _course(outlook, search)
@@ -180,7 +176,7 @@ class ReachPlanner:
         outlook: Outlook,
         warm: Plan | None = None,
         moving: MovingDiscs | None = None,
-        reserved_m: NDArray[np.float64] | None = None,  # (N, 2)
+        reserved_m: Floats | None = None,  # (N, 2)
     ) -> Plan:
         """Return the plan to execute: the lattice path refined and verified, or a fallback."""
         begun = perf_counter() - outlook.wall_s
@@ -235,11 +231,7 @@ class ReachPlanner:
         return self._routed(replace(plan, rejected=rejected), context, pivot, route)
 
     def _routed(
-        self,
-        plan: Plan,
-        context: VerifierContext,
-        pivot: Pivot | None,
-        route_m: NDArray[np.float64],
+        self, plan: Plan, context: VerifierContext, pivot: Pivot | None, route_m: Floats
     ) -> Plan:
         """Return the plan with its route to the goal, and with coverage holes on path and route."""
         places = np.vstack([plan.positions_m, route_m])
@@ -287,10 +279,7 @@ class ReachPlanner:
 
 def _course(
     outlook: Outlook,
-    search: Callable[
-        [NDArray[np.float64], GlobalStart],
-        tuple[GlobalStart, NDArray[np.float64], TimedPath] | None,
-    ],
+    search: Callable[[Floats, GlobalStart], tuple[GlobalStart, Floats, TimedPath] | None],
 ) -> Course | None:
     """Return the result of a search for a timed path; None if there is none."""
     begun = perf_counter()
@@ -315,7 +304,7 @@ def eased(problem: Problem) -> Problem:
     return replace(problem, stations=lower, constraints=hard)
 
 
-def _moves(scorer: Scorer, path_m: NDArray[np.float64]) -> bool:
+def _moves(scorer: Scorer, path_m: Floats) -> bool:
     """Return whether any step of a path moves, so that a refinement is useful."""
     steps = np.diff(np.vstack([scorer.position_m, path_m]), axis=0)
     return bool((np.linalg.norm(steps, axis=1) > STANDSTILL_M).any())
@@ -335,7 +324,7 @@ class DrivenReach:
         step: StepContext,
         scorer: Scorer,
         start: GlobalStart | None,
-        node_margin_db: NDArray[np.float64] | None,
+        node_margin_db: Floats | None,
         warm: Plan | None,
         budget: Budget,
     ) -> tuple[Candidate, Pivot | None]:
@@ -392,11 +381,11 @@ class DrivenReach:
                 return found
         return without_guess(scorer, warm)
 
-    def _drive(self, scorer: Scorer, inputs: NDArray[np.float64]) -> Drive:
+    def _drive(self, scorer: Scorer, inputs: Floats) -> Drive:
         """Return the trajectory for the inputs (N, m) from the robot's state."""
         return rolled_out(self._dynamics, scorer.state, inputs, self._problem.planner.step_s)
 
-    def _straight(self, scorer: Scorer, end_m: NDArray[np.float64]) -> Drive | None:
+    def _straight(self, scorer: Scorer, end_m: Floats) -> Drive | None:
         """Return an N-step drive from rest to rest at a position (2,); None if unavailable."""
         settings = self._problem.planner
         inputs = self._dynamics.straight(scorer.state, end_m, settings.step_s)
@@ -429,10 +418,7 @@ class DrivenReach:
         return starts
 
     def _pivot(
-        self,
-        start: GlobalStart,
-        places_m: list[NDArray[np.float64]],
-        node_margin_db: NDArray[np.float64] | None,
+        self, start: GlobalStart, places_m: list[Floats], node_margin_db: Floats | None
     ) -> Pivot:
         """Return the visible terminal waypoint with the least cost-to-go from a position (2,)."""
         problem, cost_m = self._problem, start.cost_to_go.cost_m

@@ -6,8 +6,8 @@ from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.channel.prediction import Prediction
 from planopt.planning.candidates import Budget, Candidate, Scorer, solve_limit_s
 from planopt.planning.certificate import RuleResult
@@ -30,9 +30,7 @@ from planopt.planning.proof.context import SEARCH_ERROR_DB, is_search_exact, obs
 from planopt.planning.proof.rule import rule_of
 from planopt.planning.scene import Ground
 from planopt.planning.search.guess_search import Guess
-from planopt.planning.tolerances import (
-    MARGIN_TOLERANCE_DB,
-)
+from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.planning.values.context import StepContext, structure_of
 from planopt.planning.values.local_value import local_value
 from planopt.planning.values.rule_rows import (
@@ -85,9 +83,7 @@ MISSING_DB_COST = 100.0
 """Cost per dB of slack in the solver if the guess violates the constraint beyond the slack."""
 
 
-def tightened(
-    task: PathTask, rows: RuleRows, power: Prediction, *, feasible: bool
-) -> NDArray[np.float64]:
+def tightened(task: PathTask, rows: RuleRows, power: Prediction, *, feasible: bool) -> Floats:
     """Return a task's constraint bounds, tightened by the local model's error at its path.
 
     With `feasible`, constraints that the path satisfies by the exact `power` stay feasible.
@@ -140,9 +136,7 @@ def lacks(
     return bool((short_db[point.slack_db <= GIVEN_UP_DB] > most).any())
 
 
-def moved(
-    task: PathTask, context: StepContext, rows: RuleRows, path_m: NDArray[np.float64]
-) -> PathTask:
+def moved(task: PathTask, context: StepContext, rows: RuleRows, path_m: Floats) -> PathTask:
     """Return the task for another path (N, 2), with the local channel model around this path."""
     return replace(task, path_m=path_m, evaluate=local_value(context, path_m, rows))
 
@@ -308,7 +302,7 @@ class GuessRefinement:
         return replace(task, path_m=path, lines=lines, motion=motion)
 
     def _lines_about(
-        self, context: StepContext, path_m: NDArray[np.float64], drive: Drive | None, count: int
+        self, context: StepContext, path_m: Floats, drive: Drive | None, count: int
     ) -> tuple[SeparatingLines, SeparatingLines]:
         """Return `count` lines per segment of a guess (N, 2), and those of its braking segment.
 

@@ -14,8 +14,8 @@ from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.planning.plan import Plan
 from planopt.planning.proof.context import obstacles_ahead, steps_ahead
 from planopt.planning.proof.motion import verify_apart
@@ -26,19 +26,17 @@ from planopt.world.moving_discs import MovingDiscs, joined_discs, predicted_disc
 
 
 def reserved_path(
-    position_m: NDArray[np.float64],  # (2,)
-    last_path_m: NDArray[np.float64] | None,  # (N + 1, 2)
+    position_m: Floats,  # (2,)
+    last_path_m: Floats | None,  # (N + 1, 2)
     horizon: int,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the reserved positions of a single integrator over the horizon; ``(N + 1, 2)``."""
     if last_path_m is None:
         return np.tile(position_m, (horizon + 1, 1))
     return np.vstack([last_path_m[1:], last_path_m[-1:]])
 
 
-def reserved_motion(
-    problem: Problem, number: int, state: NDArray[np.float64], last: Plan | None
-) -> TimedMotion:
+def reserved_motion(problem: Problem, number: int, state: Floats, last: Plan | None) -> TimedMotion:
     """Return the motion reserved by robot `number`: the rest of its last plan, then braking."""
     step_s, steps = problem.planner.step_s, steps_ahead(problem)
     if last is None:
@@ -87,15 +85,13 @@ def with_separations(problem: Problem, driven: int, plans: Sequence[Plan]) -> li
     return found
 
 
-def least_separations_m(motions: Sequence[TimedMotion]) -> NDArray[np.float64]:
+def least_separations_m(motions: Sequence[TimedMotion]) -> Floats:
     """Return the minimum distance between any two robots in each step; ``(n,)``."""
     steps = motions[0].steps
     return np.min([step_distances_m(a, b, steps) for a, b in combinations(motions, 2)], axis=0)
 
 
-def least_moving_clearances_m(
-    problem: Problem, motions: Sequence[TimedMotion]
-) -> NDArray[np.float64]:
+def least_moving_clearances_m(problem: Problem, motions: Sequence[TimedMotion]) -> Floats:
     """Return the minimum true distance of robots to moving obstacles in each step; ``(n,)``."""
     steps, clearance = motions[0].steps, problem.constraints.clearance_m
     obstacles = problem.workspace.moving
@@ -110,7 +106,7 @@ def least_moving_clearances_m(
     )
 
 
-def driven_motion(track_m: NDArray[np.float64], drive: Drive | None, step_s: float) -> TimedMotion:
+def driven_motion(track_m: Floats, drive: Drive | None, step_s: float) -> TimedMotion:
     """Return the motion over the steps of a track (n + 1, 2), without braking after it."""
     if drive is None:
         return TimedMotion(track_m)

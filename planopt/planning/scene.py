@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.errors import InputError, NoPlanError
 from planopt.planning.free_space import build_roads, is_joined
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M, STEP_PAD_M
@@ -41,9 +41,7 @@ class Ground:
     road_map: RoadMap  # Lattice graph
 
 
-def build_ground(
-    problem: Problem, anchor_m: NDArray[np.float64], shared: Ground | None = None
-) -> Ground:
+def build_ground(problem: Problem, anchor_m: Floats, shared: Ground | None = None) -> Ground:
     """Return the geometry of a problem, with a lattice node at `anchor_m` (2,).
 
     `shared` is the ground of another robot, whose obstacles are reused.
@@ -56,9 +54,7 @@ def build_ground(
     )
 
 
-def first_moves(
-    ground: Ground, problem: Problem, position_m: NDArray[np.float64]
-) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+def first_moves(ground: Ground, problem: Problem, position_m: Floats) -> tuple[Indices, Floats]:
     """Return the nodes within one step of an off-lattice position, and their distances."""
     reach_m, clearance_m = problem.step_length_m - STEP_PAD_M, problem.constraints.clearance_m
     return nodes_in_reach(ground.road_map, ground.index, position_m, reach_m, clearance_m)
@@ -90,7 +86,7 @@ class Scene:
 
 def build_scene(
     problem: Problem,
-    place_m: NDArray[np.float64] | None = None,  # (2,) the robot's position; None: the start
+    place_m: Floats | None = None,  # (2,) the robot's position; None: the start
     shared: Ground | None = None,
 ) -> Scene:
     """Return the geometry of a problem's first robot; raise a NoPlanError if no path exists."""
@@ -125,7 +121,7 @@ def build_scene(
 
 
 def build_scenes(
-    problem: Problem, places_m: Sequence[NDArray[np.float64]] | None = None
+    problem: Problem, places_m: Sequence[Floats] | None = None
 ) -> tuple[Scene, ...] | None:
     """Return the geometry of each robot at positions (2,); None for problems without goals."""
     if problem.task != "reach":
@@ -144,7 +140,7 @@ def build_scenes(
     return tuple(scenes)
 
 
-def _why_no_path(problem: Problem, spacing_m: float, place_m: NDArray[np.float64]) -> str:
+def _why_no_path(problem: Problem, spacing_m: float, place_m: Floats) -> str:
     """Return text on why no path exists: closed obstacles, or too coarse a lattice."""
     start_m = tuple(place_m.tolist())
     what = "the start" if start_m == problem.robots[0].start_m else "the position"
@@ -161,9 +157,7 @@ def _why_no_path(problem: Problem, spacing_m: float, place_m: NDArray[np.float64
     return f"obstacles separate {between}: no path keeps constraints.clearance_m = {clearance:g} m"
 
 
-def free_ends(
-    problem: Problem, ground: Ground, position_m: NDArray[np.float64], ends_m: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def free_ends(problem: Problem, ground: Ground, position_m: Floats, ends_m: Floats) -> Mask:
     """Return a mask (n,) of collision-free segments from a position (2,) to `ends_m` (n, 2).
 
     Raises
@@ -191,11 +185,7 @@ class PathsFrom:
     """Shortest paths from one position to all reachable nodes of a lattice."""
 
     def __init__(
-        self,
-        problem: Problem,
-        ground: Ground,
-        position_m: NDArray[np.float64],
-        limit_m: float = math.inf,
+        self, problem: Problem, ground: Ground, position_m: Floats, limit_m: float = math.inf
     ) -> None:
         self._ground, self._position_m = ground, position_m
         self._wanted_m = problem.constraints.clearance_m + CLEARANCE_PAD_M
@@ -207,12 +197,12 @@ class PathsFrom:
             self._cost_to_go = lattice_paths(ground.road_map, int(nodes[nearest]), limit_m=limit_m)
             self.length_m = self._cost_to_go.cost_m + float(lengths[nearest])
 
-    def straight(self, places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def straight(self, places_m: Floats) -> Mask:
         """Return a mask of positions (n, 2) to which the straight line is collision-free."""
         starts = np.broadcast_to(self._position_m, places_m.shape)
         return segments_clear(self._ground.index, starts, places_m, self._wanted_m)
 
-    def turns_m(self, node: int, end_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def turns_m(self, node: int, end_m: Floats) -> Floats:
         """Return start, turns and end (m, 2) of the path to a position (2,) next to `node`."""
         if self._cost_to_go is None:
             raise AssertionError("no node is reachable")
@@ -224,9 +214,9 @@ class PathsFrom:
 def taut_turns(
     ground: Ground,
     clearance_m: float,
-    corners_m: NDArray[np.float64],  # (n, 2)
-    is_cheap: Callable[[int], NDArray[np.bool_]] | None = None,
-) -> NDArray[np.float64]:
+    corners_m: Floats,  # (n, 2)
+    is_cheap: Callable[[int], Mask] | None = None,
+) -> Floats:
     """Return the turns (m, 2) of a path, each the farthest corner visible from its predecessor.
 
     `is_cheap` maps a corner's index to a mask of the later corners with a cheap straight leg.
@@ -245,7 +235,7 @@ def taut_turns(
     return np.array(turns)
 
 
-def stops_along(corners_m: NDArray[np.float64], longest_m: float) -> NDArray[np.float64]:
+def stops_along(corners_m: Floats, longest_m: float) -> Floats:
     """Return stops (s, 2) along a path, at its turns and at most `longest_m` apart."""
     legs = np.diff(corners_m, axis=0)
     length = np.linalg.norm(legs, axis=1)
@@ -262,11 +252,11 @@ def stops_along(corners_m: NDArray[np.float64], longest_m: float) -> NDArray[np.
 
 
 def retime(
-    start_m: NDArray[np.float64],  # (2,) position of the robot
-    path_m: NDArray[np.float64],  # (N, 2) its path; final waiting steps mean arrival
-    beyond_m: NDArray[np.float64],  # (b, 2)
+    start_m: Floats,  # (2,) position of the robot
+    path_m: Floats,  # (N, 2) its path; final waiting steps mean arrival
+    beyond_m: Floats,  # (b, 2)
     step_m: float,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return N positions `step_m` apart along the polyline of a path and its route; ``(N, 2)``."""
     horizon = len(path_m)
     arrived = horizon > 1 and bool((path_m[-1] == path_m[-2]).all())

@@ -12,8 +12,9 @@ from dataclasses import replace
 from typing import Any, Self, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from planopt.arrays import Floats, Mask
 from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import Belief
@@ -335,8 +336,8 @@ class Planner:
         states: Sequence[ArrayLike],
         measurements: Sequence[UserMeasurements | None] | None = None,
         *,
-        connected: Sequence[bool] | NDArray[np.bool_] | None = None,
-        target_m: Sequence[ArrayLike | None] | NDArray[np.float64] | None = None,
+        connected: Sequence[bool] | Mask | None = None,
+        target_m: Sequence[ArrayLike | None] | Floats | None = None,
         obstacles: Obstacle | Sequence[Obstacle] = (),
     ) -> tuple[Plan, ...]:
         """Return the plans of all robots; arguments as for :meth:`step`, one entry per robot."""
@@ -355,8 +356,8 @@ class Planner:
         self,
         states: Sequence[ArrayLike],
         measurements: Sequence[UserMeasurements | None] | None,
-        connected: Sequence[bool] | NDArray[np.bool_] | None,
-        target_m: Sequence[ArrayLike | None] | NDArray[np.float64] | None,
+        connected: Sequence[bool] | Mask | None,
+        target_m: Sequence[ArrayLike | None] | Floats | None,
         obstacles: Obstacle | Sequence[Obstacle],
     ) -> tuple[Plan, ...]:
         """Check all arguments, record the outcome of the last step, and return new plans."""
@@ -399,7 +400,7 @@ class Planner:
             self._robots.add_obstacles(later)
         return tuple(self._robots.plan())
 
-    def _state(self, number: int, given: ArrayLike) -> NDArray[np.float64]:
+    def _state(self, number: int, given: ArrayLike) -> Floats:
         """Return the validated state of a robot."""
         robot = self.problem.robots[number]
         key = f"states[{number}]" if len(self.problem.robots) > 1 else "state"
@@ -426,7 +427,7 @@ class Planner:
         return state
 
     def _implausible(
-        self, states: Sequence[NDArray[np.float64]], measured: Sequence[Sequence[Measurements]]
+        self, states: Sequence[Floats], measured: Sequence[Sequence[Measurements]]
     ) -> Iterator[str]:
         """Yield warnings about implausible powers and about robots far from their plans."""
         for taken in (each for stations in measured for each in stations):
@@ -442,7 +443,7 @@ class Planner:
                     f"{step_m:.4g} m in a step (check frame and unit of its position)"
                 )
 
-    def _seen(self, place: ArrayLike | None) -> NDArray[np.float64]:
+    def _seen(self, place: ArrayLike | None) -> Floats:
         """Return the observed position of the target; NaN without an observation."""
         if place is None:
             return np.full(2, np.nan)
@@ -466,7 +467,7 @@ class Planner:
         return bool(plans and plans[-1].connectivity[1] >= 0.5)
 
 
-def _links(given: Sequence[bool] | NDArray[np.bool_]) -> list[bool]:
+def _links(given: Sequence[bool] | Mask) -> list[bool]:
     """Return the robots' connection states; raise an InputError if one is not a boolean."""
     values: Sequence[object] = list(given)
     for number, value in enumerate(values):
@@ -479,7 +480,7 @@ def _links(given: Sequence[bool] | NDArray[np.bool_]) -> list[bool]:
     return [bool(value) for value in values]
 
 
-def _numbers(key: str, given: ArrayLike, shape: tuple[int, ...], names: str) -> NDArray[np.float64]:
+def _numbers(key: str, given: ArrayLike, shape: tuple[int, ...], names: str) -> Floats:
     """Return user values as a finite array of a shape; raise an InputError otherwise."""
     try:
         found = np.asarray(given, dtype=np.float64)

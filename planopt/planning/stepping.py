@@ -16,8 +16,8 @@ from functools import reduce
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.channel.measurements import Measurements, join
 from planopt.channel.posterior import Belief
 from planopt.channel.posterior import update as update_belief
@@ -50,10 +50,10 @@ MOST_HELD = 8
 class Sent:
     """Target measurements after one step, and whether their packets are delivered."""
 
-    measured_m: NDArray[np.float64]  # (n, 2) measured target positions
-    positions_m: NDArray[np.float64]  # (n, 2) positions of the robots
-    seen: NDArray[np.bool_]  # (n,) whether a robot measured the target
-    delivered: NDArray[np.bool_]  # (n,) whether its packet of this step is delivered
+    measured_m: Floats  # (n, 2) measured target positions
+    positions_m: Floats  # (n, 2) positions of the robots
+    seen: Mask  # (n,) whether a robot measured the target
+    delivered: Mask  # (n,) whether its packet of this step is delivered
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,24 +62,24 @@ class TargetWatch:
 
     model: TargetModel
     sensor: Sensor
-    true_m: NDArray[np.float64]  # (max_steps + 1, 2) true positions
+    true_m: Floats  # (max_steps + 1, 2) true positions
     robots: tuple[InformationState, ...]  # Each robot's own filter
     station: InformationState  # The station's filter
     packets: Packets = "measurements"
     delay_steps: int = 0  # Packet delay in steps
     sent: tuple[Sent, ...] = ()  # Measurements and packets after each step
     # (steps, robots) whether the station has received the measurement
-    known: NDArray[np.bool_] = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_))
+    known: Mask = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_))
     # The station's filter at the start and after each step except the last
     past: tuple[InformationState, ...] = ()
 
-    def expected_m(self, robot: int, steps: int) -> NDArray[np.float64]:
+    def expected_m(self, robot: int, steps: int) -> Floats:
         """Return the target track (steps, 2) that a robot predicts for the next steps."""
         state = self.robots[robot]
         return predict_target(self.model, state.mean, state.covariance, steps).positions_m
 
     @property
-    def station_mean_m(self) -> NDArray[np.float64]:
+    def station_mean_m(self) -> Floats:
         """Return the station's estimate (2,) of the target's position."""
         return self.station.mean[:2]
 
@@ -113,9 +113,7 @@ def _sensor(problem: Problem) -> Sensor | None:
     return sensors[0] if sensors else None
 
 
-def _first_watch(
-    problem: Problem, true_m: NDArray[np.float64], error: NDArray[np.float64]
-) -> TargetWatch | None:
+def _first_watch(problem: Problem, true_m: Floats, error: Floats) -> TargetWatch | None:
     """Return the initial state of all filters, for an error (4,) in standard deviations."""
     sensor = _sensor(problem)
     if sensor is None or not problem.targets:
@@ -165,9 +163,9 @@ def _held(watch: TargetWatch, robot: int) -> Held | None:
 
 def counted(
     watch: TargetWatch,
-    measured_m: NDArray[np.float64],  # (n, 2)
-    positions_m: NDArray[np.float64],  # (n, 2) positions of the robots
-    delivered: NDArray[np.bool_],  # (n,) whether a robot's packet reaches the station
+    measured_m: Floats,  # (n, 2)
+    positions_m: Floats,  # (n, 2) positions of the robots
+    delivered: Mask,  # (n,) whether a robot's packet reaches the station
 ) -> TargetWatch:
     """Return the target and all filters one step later, updated with measurements."""
     seen = np.asarray(np.isfinite(measured_m).all(axis=1), dtype=np.bool_)
@@ -188,16 +186,11 @@ def counted(
     for step, arrived in zip(sent[first:], known[first:], strict=True):
         states.append(_counted(watch, states[-1], step.measured_m, step.positions_m, arrived))
     return replace(
-        watch,
-        robots=robots,
-        station=states[-1],
-        sent=sent,
-        known=known,
-        past=tuple(states[:-1]),
+        watch, robots=robots, station=states[-1], sent=sent, known=known, past=tuple(states[:-1])
     )
 
 
-def _known(sent: Sequence[Sent], packets: Packets, delay_steps: int) -> NDArray[np.bool_]:
+def _known(sent: Sequence[Sent], packets: Packets, delay_steps: int) -> Mask:
     """Return a mask (steps, robots) of the measurements that the station has received."""
     arrived = np.array([step.delivered for step in sent])
     arrived[len(sent) - min(delay_steps, len(sent)) :] = False
@@ -210,9 +203,9 @@ def _known(sent: Sequence[Sent], packets: Packets, delay_steps: int) -> NDArray[
 def _counted(
     watch: TargetWatch,
     state: InformationState,
-    measured_m: NDArray[np.float64],
-    positions_m: NDArray[np.float64],
-    delivered: NDArray[np.bool_],
+    measured_m: Floats,
+    positions_m: Floats,
+    delivered: Mask,
 ) -> InformationState:
     """Return a filter one step later, with sensor noise evaluated at its own estimate."""
     ahead = predict(watch.model, state)
@@ -234,11 +227,11 @@ class TeamMoment:
     """Input of a planning step: all robots' states, beliefs, tracks and previous plans."""
 
     beliefs: Sequence[Belief]
-    states: Sequence[NDArray[np.float64]]  # (s,)
+    states: Sequence[Floats]  # (s,)
     watched: Sequence[Aim]  # External inputs of the objectives
     histories: Sequence[History]
     warm: Sequence[Plan | None]  # Previous plans
-    driven_m: Sequence[NDArray[np.float64]] = ()  # (k, 2) positions after the steps so far
+    driven_m: Sequence[Floats] = ()  # (k, 2) positions after the steps so far
 
     @property
     def driven(self) -> int:
@@ -249,7 +242,7 @@ class TeamMoment:
 PlanStep = Callable[[TeamMoment], tuple[list[Plan], list[Aim]]]
 """Function that maps a `TeamMoment` to one plan per robot and its objective's external inputs."""
 
-Planning = Callable[[Problem, Sequence[NDArray[np.float64]]], PlanStep]
+Planning = Callable[[Problem, Sequence[Floats]], PlanStep]
 """Function that maps a problem with the obstacles known so far, and all states, to a `PlanStep`."""
 
 
@@ -257,11 +250,7 @@ class Stepper:
     """State of all robots of one run, updated by alternate planning and observation."""
 
     def __init__(
-        self,
-        problem: Problem,
-        belief: Belief,
-        planning: Planning,
-        watch: TargetWatch | None,
+        self, problem: Problem, belief: Belief, planning: Planning, watch: TargetWatch | None
     ) -> None:
         numbers = range(len(problem.robots))
         self.states = [[robot.start_state] for robot in problem.robots]
@@ -338,19 +327,17 @@ class Stepper:
         more = replace(workspace, timed=(*workspace.timed, *later))
         self.problem = replace(self.problem, workspace=more)
 
-    def place(
-        self, states: Sequence[NDArray[np.float64]], measured: Sequence[Sequence[Measurements]]
-    ) -> None:
+    def place(self, states: Sequence[Floats], measured: Sequence[Sequence[Measurements]]) -> None:
         """Set the initial states, and add measurements at the start."""
         self.beliefs = self._learnt(measured)
         self.states = [[state] for state in states]
 
     def observe(
         self,
-        states: Sequence[NDArray[np.float64]],
+        states: Sequence[Floats],
         measured: Sequence[Sequence[Measurements]],
-        connected: Sequence[bool] | NDArray[np.bool_],
-        target_m: NDArray[np.float64] | None = None,  # (robots, 2)
+        connected: Sequence[bool] | Mask,
+        target_m: Floats | None = None,  # (robots, 2)
     ) -> None:
         """Record the outcome of a step; an error leaves all robots unchanged."""
         beliefs = self._learnt(measured)
@@ -380,7 +367,7 @@ class Stepper:
             for belief, taken in zip(self.beliefs, measured, strict=True)
         ]
 
-    def _goes_on(self, number: int, state: NDArray[np.float64]) -> bool:
+    def _goes_on(self, number: int, state: Floats) -> bool:
         """Return whether a robot is on its previous plan and may continue it.
 
         Off its plan, a robot with dynamics cannot drive the remainder, and other robots do not

@@ -8,10 +8,10 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
-import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field, ValidatorFunctionWrapHandler, WrapValidator, model_validator
 
+from planopt.arrays import Floats
 from planopt.channel.estimation.channel_fit import FitMethod
 from planopt.channel.ground_truth import (
     Lognormal,
@@ -276,7 +276,7 @@ class FunctionTruth:
     >>> truth = FunctionTruth(power_dbm=lambda places_m: -50.0 - 0.2 * places_m[:, 0], cell_m=0.5)
     """
 
-    power_dbm: Callable[[NDArray[np.float64]], ArrayLike]
+    power_dbm: Callable[[Floats], ArrayLike]
     cell_m: float = 1.0
     floor_dbm: float | None = None
 
@@ -360,12 +360,7 @@ LOG_KEYS = tuple(LogKeys.model_fields)
 class MeasurementsTable(LogKeys):
     """Table ``[channel.measurements]``: exactly one of ``count`` and ``file``."""
 
-    count: int | None = Field(
-        default=None,
-        ge=0,
-        le=100_000,
-        description=COUNT_WORDS,
-    )
+    count: int | None = Field(default=None, ge=0, le=100_000, description=COUNT_WORDS)
     file: FilePath | None = None
     """Log of initial measurements, relative to the problem file: CSV, or of a known program."""
     transmitter_column: str | None = Field(default=None, min_length=1)
@@ -415,9 +410,7 @@ def _read_truth(value: object, handler: ValidatorFunctionWrapHandler) -> Any:
 
 
 AnyTruth = Annotated[
-    RasterTruth | ModelTruth | FittedTruth,
-    Field(discriminator="kind"),
-    WrapValidator(_read_truth),
+    RasterTruth | ModelTruth | FittedTruth, Field(discriminator="kind"), WrapValidator(_read_truth)
 ]
 
 
@@ -502,9 +495,7 @@ class ChannelSetup(Part):
 def raster_truth_of(truth: RasterTruth, radio: BaseStation) -> RasterTruth:
     """Return the map of a station: the common one, overridden by the station's own keys."""
     return replace(
-        truth,
-        file=radio.gain_file or truth.file,
-        variable=radio.gain_variable or truth.variable,
+        truth, file=radio.gain_file or truth.file, variable=radio.gain_variable or truth.variable
     )
 
 

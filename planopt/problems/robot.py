@@ -7,9 +7,9 @@ from functools import cached_property
 from typing import Annotated, Any, Literal, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, Strict, model_validator
 
+from planopt.arrays import Floats
 from planopt.errors import InputError, listed
 from planopt.keys import Name, Pair, Part, Table, fault_of
 from planopt.parts import class_name
@@ -169,7 +169,7 @@ class Robot(Part):
         return isinstance(self.dynamics, SingleIntegrator)
 
     @property
-    def start_state(self) -> NDArray[np.float64]:
+    def start_state(self) -> Floats:
         """Return the initial state ``(s,)``, position first."""
         return np.array([*self.start_m, *self.start_rest], dtype=np.float64)
 

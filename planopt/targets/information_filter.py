@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.errors import InputError
 
 
@@ -21,7 +21,7 @@ class TargetModel:
 
     step_s: float  # epsilon: the time step
     # (2, 2) Theta; B Theta B' is singular, of rank 2
-    acceleration_covariance_m2_s4: NDArray[np.float64]
+    acceleration_covariance_m2_s4: Floats
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.step_s) and self.step_s > 0.0):
@@ -31,19 +31,19 @@ class TargetModel:
         require_covariance(self.acceleration_covariance_m2_s4, 2, "acceleration_covariance_m2_s4")
 
     @cached_property
-    def transition(self) -> NDArray[np.float64]:
+    def transition(self) -> Floats:
         """``(4, 4)`` transition matrix A."""
         found = np.eye(4)
         found[:2, 2:] = self.step_s * np.eye(2)
         return found
 
     @cached_property
-    def noise_gain(self) -> NDArray[np.float64]:
+    def noise_gain(self) -> Floats:
         """``(4, 2)`` noise input matrix B."""
         return np.vstack([0.5 * self.step_s**2 * np.eye(2), self.step_s * np.eye(2)])
 
     @cached_property
-    def process_covariance(self) -> NDArray[np.float64]:
+    def process_covariance(self) -> Floats:
         """``(4, 4)`` process noise covariance B Theta B'."""
         return self.noise_gain @ self.acceleration_covariance_m2_s4 @ self.noise_gain.T
 
@@ -52,21 +52,21 @@ class TargetModel:
 class TargetPrediction:
     """Prediction of the target over h steps without further measurements."""
 
-    mean: NDArray[np.float64]  # (h, 4) x_hat_{t+k|t}, k = 1 .. h: metres and metres per second.
-    covariance: NDArray[np.float64]  # (h, 4, 4) P_{t+k|t}
+    mean: Floats  # (h, 4) x_hat_{t+k|t}, k = 1 .. h: metres and metres per second.
+    covariance: Floats  # (h, 4, 4) P_{t+k|t}
 
     @property
-    def positions_m(self) -> NDArray[np.float64]:
+    def positions_m(self) -> Floats:
         """``(h, 2)`` predicted positions p_hat_{t+k|t}."""
         return self.mean[:, :2]
 
 
 def simulate_target(
     model: TargetModel,
-    start: NDArray[np.float64],  # (4,) x_0: position in metres, velocity in metres per second
+    start: Floats,  # (4,) x_0: position in metres, velocity in metres per second
     steps: int,
     generator: np.random.Generator,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return simulated states x_0 .. x_steps of one target; ``(steps + 1, 4)``."""
     state = require_state(start)
     if steps < 0:
@@ -84,7 +84,7 @@ def simulate_target(
 
 
 def predict_target(
-    model: TargetModel, mean: NDArray[np.float64], covariance: NDArray[np.float64], steps: int
+    model: TargetModel, mean: Floats, covariance: Floats, steps: int
 ) -> TargetPrediction:
     """Return the prediction over `steps` >= 1 steps: A^k x_hat and P+ = A P A' + B Theta B'."""
     # Shapes: mean (4,); covariance (4, 4).
@@ -104,7 +104,7 @@ def predict_target(
     return TargetPrediction(means, covariances)
 
 
-def require_state(state: NDArray[np.float64]) -> NDArray[np.float64]:
+def require_state(state: Floats) -> Floats:
     """Return `state` as four finite floats, or raise an :class:`planopt.errors.InputError`."""
     found = np.asarray(state, dtype=np.float64)
     if found.shape != (4,) or not np.isfinite(found).all():
@@ -115,7 +115,7 @@ def require_state(state: NDArray[np.float64]) -> NDArray[np.float64]:
     return found
 
 
-def require_covariance(matrix: NDArray[np.float64], size: int, key: str) -> NDArray[np.float64]:
+def require_covariance(matrix: Floats, size: int, key: str) -> Floats:
     """Return `matrix` as a covariance ``(size, size)`` of floats, or raise an InputError."""
     found = np.asarray(matrix, dtype=np.float64)
     if found.shape != (size, size) or not np.isfinite(found).all():
@@ -133,23 +133,21 @@ def require_covariance(matrix: NDArray[np.float64], size: int, key: str) -> NDAr
 class InformationState:
     """Target estimate in information form (equation 4.9)."""
 
-    vector: NDArray[np.float64]  # (4,) chi = J x_hat
-    matrix: NDArray[np.float64]  # (4, 4) J = P^-1; zero without prior knowledge
+    vector: Floats  # (4,) chi = J x_hat
+    matrix: Floats  # (4, 4) J = P^-1; zero without prior knowledge
 
     @property
-    def mean(self) -> NDArray[np.float64]:
+    def mean(self) -> Floats:
         """``(4,)`` estimate x_hat; raises an InputError while J is singular."""
         return self.covariance @ self.vector
 
     @property
-    def covariance(self) -> NDArray[np.float64]:
+    def covariance(self) -> Floats:
         """``(4, 4)`` covariance P; raises an InputError while J is singular."""
         return covariance_of(self.matrix)
 
 
-def information_state(
-    mean: NDArray[np.float64], covariance: NDArray[np.float64]
-) -> InformationState:
+def information_state(mean: Floats, covariance: Floats) -> InformationState:
     """Return the information form of mean ``(4,)`` and invertible covariance ``(4, 4)``."""
     state, spread = require_state(mean), require_covariance(covariance, 4, "covariance")
     matrix = covariance_of(spread)
@@ -165,12 +163,11 @@ def predict(model: TargetModel, state: InformationState) -> InformationState:
     gain, _ = _gain(model, moved)
     vector = np.linalg.solve(model.transition.T, state.vector)
     return InformationState(
-        vector - gain @ (model.noise_gain.T @ vector),
-        predicted_information(model, state.matrix),
+        vector - gain @ (model.noise_gain.T @ vector), predicted_information(model, state.matrix)
     )
 
 
-def predicted_information(model: TargetModel, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def predicted_information(model: TargetModel, matrix: Floats) -> Floats:
     """Return J_{t+1|t} = (A J^-1 A' + B Theta B')^-1 for a batch ``(..., 4, 4)``.
 
     With M = A^-T J A^-1, T = (I + B' M B Theta)^-1 and K = M B Theta T, it is computed as
@@ -188,9 +185,9 @@ def predicted_information(model: TargetModel, matrix: NDArray[np.float64]) -> ND
 
 def update(
     state: InformationState,
-    measured_m: NDArray[np.float64],  # (n, 2)
-    noise_covariance_m2: NDArray[np.float64],  # (n, 2, 2) Lambda_i
-    delivered: NDArray[np.bool_],  # (n,) lambda_i
+    measured_m: Floats,  # (n, 2)
+    noise_covariance_m2: Floats,  # (n, 2, 2) Lambda_i
+    delivered: Mask,  # (n,) lambda_i
 ) -> InformationState:
     """Return the update by delivered packets: chi += H' Lambda^-1 z and J += H' Lambda^-1 H."""
     count = len(delivered)
@@ -211,7 +208,7 @@ def update(
     return InformationState(vector, matrix)
 
 
-def covariance_of(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def covariance_of(matrix: Floats) -> Floats:
     """Return the inverse of information matrices ``(..., 4, 4)``, or raise an InputError."""
     smallest = np.linalg.eigvalsh(matrix)[..., 0]
     largest = np.abs(matrix).max(axis=(-1, -2))
@@ -225,22 +222,20 @@ def covariance_of(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
     return 0.5 * (found + np.swapaxes(found, -1, -2))
 
 
-def position_variance_m2(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def position_variance_m2(matrix: Floats) -> Floats:
     """Return the trace of the position block of P for information matrices ``(..., 4, 4)``."""
     covariance = covariance_of(matrix)
     return covariance[..., 0, 0] + covariance[..., 1, 1]
 
 
-def _moved(model: TargetModel, matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+def _moved(model: TargetModel, matrix: Floats) -> Floats:
     """Return M = A^-T J A^-1, the information after a step without process noise."""
     back = model.transition.copy()
     back[:2, 2:] *= -1.0
     return back.T @ matrix @ back
 
 
-def _gain(
-    model: TargetModel, moved: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _gain(model: TargetModel, moved: Floats) -> tuple[Floats, Floats]:
     """Return K = M B Theta T and T = (I + B' M B Theta)^-1."""
     noise_gain, theta = model.noise_gain, model.acceleration_covariance_m2_s4
     seen = noise_gain.T @ moved @ noise_gain

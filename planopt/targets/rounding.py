@@ -10,45 +10,41 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+
+from planopt.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False)
 class Derivatives:
     """Values at positions with their first and second derivatives."""
 
-    value: NDArray[np.float64]  # (...)
-    gradient: NDArray[np.float64]  # (..., 2) per metre
-    hessian: NDArray[np.float64]  # (..., 3) per square metre: xx, xy, yy
+    value: Floats  # (...)
+    gradient: Floats  # (..., 2) per metre
+    hessian: Floats  # (..., 3) per square metre: xx, xy, yy
 
     @staticmethod
-    def of(rows: NDArray[np.float64]) -> Derivatives:
+    def of(rows: Floats) -> Derivatives:
         """Return derivatives stored in `rows` (..., 6), without a copy; see :attr:`rows`."""
         found = Derivatives(rows[..., 0], rows[..., 1:3], rows[..., 3:])
         object.__setattr__(found, "_rows", rows)
         return found
 
     @property
-    def rows(self) -> NDArray[np.float64]:
+    def rows(self) -> Floats:
         """``(..., 6)`` value and derivatives x, y, xx, xy, yy in one array."""
-        rows: NDArray[np.float64] | None = getattr(self, "_rows", None)
+        rows: Floats | None = getattr(self, "_rows", None)
         if rows is None:
             return np.concatenate([self.value[..., None], self.gradient, self.hessian], axis=-1)
         return rows
 
 
-def rounded_length(offset_m: NDArray[np.float64], width_m: float) -> Derivatives:
+def rounded_length(offset_m: Floats, width_m: float) -> Derivatives:
     """Return the length of `offset_m` (..., 2), smoothed within `width_m` > 0 of zero."""
     distance = np.hypot(offset_m[..., 0], offset_m[..., 1])
     return radial(offset_m, *rounded_radius(distance, width_m))
 
 
-def radial(
-    offset_m: NDArray[np.float64],
-    value: NDArray[np.float64],
-    slope: NDArray[np.float64],
-    bend: NDArray[np.float64],
-) -> Derivatives:
+def radial(offset_m: Floats, value: Floats, slope: Floats, bend: Floats) -> Derivatives:
     """Return a radial function f(|x|) with derivatives w.r.t. x at offsets (..., 2)."""
     # Shapes: value f, slope f' / r, bend (f'' - f' / r) / r^2, all (...).
     rows = np.empty((*value.shape, 6))
@@ -62,9 +58,7 @@ def radial(
     return Derivatives.of(rows)
 
 
-def add_products(
-    hessian: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float64]
-) -> None:
+def add_products(hessian: Floats, a: Floats, b: Floats) -> None:
     """Add a b' + b a' to `hessian` (..., 3) with entries xx, xy, yy; a and b are (..., 2)."""
     crossed = a * b
     crossed += crossed
@@ -73,9 +67,7 @@ def add_products(
     hessian[..., 1] += a[..., 1] * b[..., 0]
 
 
-def rounded_positive_part(
-    x: NDArray[np.float64], width: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def rounded_positive_part(x: Floats, width: float) -> tuple[Floats, Floats, Floats]:
     """Return max{0, x}, smoothed for ``|x| < width``, and its first and second derivatives.
 
     The result exceeds max{0, x} by at most 3/16 of `width`. Shapes are those of `x`.
@@ -84,9 +76,7 @@ def rounded_positive_part(
     return 0.5 * (x + value), 0.5 * (1.0 + slope * x), 0.5 * (slope + bend * x * x)
 
 
-def rounded_radius(
-    r: NDArray[np.float64], width: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def rounded_radius(r: Floats, width: float) -> tuple[Floats, Floats, Floats]:
     """Return a smoothed radius rho(r) with slope and bend for :func:`radial`; finite at 0."""
     if r.min(initial=np.inf) >= width:
         inverse = 1.0 / r

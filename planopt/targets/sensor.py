@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.errors import InputError
 from planopt.targets.rounding import Derivatives, radial, rounded_radius
 
@@ -35,9 +35,7 @@ class Sensor:
                 )
 
 
-def sensing_information(
-    sensor: Sensor, positions_m: NDArray[np.float64], target_m: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def sensing_information(sensor: Sensor, positions_m: Floats, target_m: Floats) -> Floats:
     """Return the information of a packet, ``tr Phi^-1(q, p) = 1 / g(|q - p|)``, per m^2."""
     # Shapes: positions_m (..., 2); target_m (..., 2).
     # Computed in place, because searches evaluate all reachable nodes at every step.
@@ -54,9 +52,7 @@ def sensing_information(
     return 1.0 / found
 
 
-def noise_covariance_m2(
-    sensor: Sensor, positions_m: NDArray[np.float64], target_m: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def noise_covariance_m2(sensor: Sensor, positions_m: Floats, target_m: Floats) -> Floats:
     """Return the noise covariance Lambda = Phi(q, p) = 2 g I_2; ``(..., 2, 2)``."""
     information = sensing_information(sensor, positions_m, target_m)
     return (2.0 / information)[..., None, None] * np.eye(2)
@@ -64,18 +60,16 @@ def noise_covariance_m2(
 
 def sense(
     sensor: Sensor,
-    positions_m: NDArray[np.float64],  # (n, 2) positions of the robots
-    target_m: NDArray[np.float64],  # (2,) position of the target
+    positions_m: Floats,  # (n, 2) positions of the robots
+    target_m: Floats,  # (2,) position of the target
     generator: np.random.Generator,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return a drawn target measurement per robot, z = p + noise of covariance Phi(q, p)."""
     deviation = np.sqrt(2.0 / sensing_information(sensor, positions_m, target_m))
     return target_m + deviation[:, None] * generator.standard_normal(positions_m.shape)
 
 
-def sensing_derivatives(
-    sensor: Sensor, positions_m: NDArray[np.float64], target_m: NDArray[np.float64]
-) -> Derivatives:
+def sensing_derivatives(sensor: Sensor, positions_m: Floats, target_m: Floats) -> Derivatives:
     """Return the information 1 / g of a packet with gradient and Hessian w.r.t. q.
 
     The result is exact at distances of at least `CUSP_SHARE` r_s from the target. At smaller

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from typing import Annotated, ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, Strict
 
+from planopt.arrays import Floats, Indices
 from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
 from planopt.objectives.stage_power import connectivity_derivatives
@@ -155,18 +155,18 @@ class TrackingTerm(Term):
             ),
         )
 
-    def weights_of(self, steps: int) -> NDArray[np.float64]:
+    def weights_of(self, steps: int) -> Floats:
         """Return the step weights of a plan, including the terminal weight; ``(steps,)``."""
         found = self._step_weights_of(steps)
         found[-1] *= self.terminal_weight
         return found
 
-    def _step_weights_of(self, steps: int) -> NDArray[np.float64]:
+    def _step_weights_of(self, steps: int) -> Floats:
         """Return the step weights without the terminal weight; ``(steps,)``."""
         weights = np.array(self.step_weights or (1.0,))
         return weights[np.minimum(np.arange(steps), len(weights) - 1)]
 
-    def value(self, at: TermContext, path_m: NDArray[np.float64]) -> float:
+    def value(self, at: TermContext, path_m: Floats) -> float:
         """Return the information, or covariance reduction, from the packets of one path."""
         chance = _chance(at, path_m)
         if self.probes_end:
@@ -175,9 +175,7 @@ class TrackingTerm(Term):
         sensing = sensing_information(settings.sensor, path_m, settings.target_m)
         return float(settings.weight @ (chance * sensing))
 
-    def probe_values(
-        self, at: TermContext, paths_m: NDArray[np.float64], chance: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def probe_values(self, at: TermContext, paths_m: Floats, chance: Floats) -> Floats:
         """Return the values of paths with recourse, for connection probabilities (c, N)."""
         settings, retreats, others, idle = at.once(
             (TrackingTerm, "probes", self), lambda: self._probing(at)
@@ -185,9 +183,7 @@ class TrackingTerm(Term):
         costs = recourse_costs if settings.held is None else delayed_costs
         return idle - costs(paths_m, at.probed(paths_m, chance), retreats, others, settings)
 
-    def _probing(
-        self, at: TermContext
-    ) -> tuple[FilteredTracking, Retreats, NDArray[np.float64], float]:
+    def _probing(self, at: TermContext) -> tuple[FilteredTracking, Retreats, Floats, float]:
         """Return data for recourse: filter, retreats, others' information, cost without packets."""
         own = self._filtered(at)
         target_m = own.tracking.target_m
@@ -217,7 +213,7 @@ class TrackingTerm(Term):
         found = found.weighted(np.append(settings.weight, beyond))
         return found if at.held is None else discounted(found)
 
-    def values(self, paths: Paths) -> NDArray[np.float64]:
+    def values(self, paths: Paths) -> Floats:
         """Return the information or covariance reduction by many paths."""
         if self.probes_end:
             return self.probe_values(paths.at, paths.paths_m, paths.chance)
@@ -240,12 +236,8 @@ class TrackingTerm(Term):
         return Derivatives.of(rows)
 
     def stage_reward(
-        self,
-        at: TermContext,
-        places_m: NDArray[np.float64],
-        stage: int | NDArray[np.intp],
-        chance: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+        self, at: TermContext, places_m: Floats, stage: int | Indices, chance: Floats
+    ) -> Floats:
         """Return the expected weighted information of a packet sent at each position."""
         settings = self.settings(at)
         reward = sensing_information(settings.sensor, places_m, settings.target_m[stage])
@@ -259,7 +251,7 @@ class TrackingTerm(Term):
         return heaviest / self.noise_floor_m2
 
 
-def _chance(at: TermContext, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _chance(at: TermContext, places_m: Floats) -> Floats:
     """Return the predicted probability of connection at positions (n, 2)."""
     power = at.power(places_m)
     return connection_probability(power.mean_db, power.deviation_db, at.thresholds_dbm[0])

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.channel.ground_truth import Truth
 from planopt.channel.measurements import SAME_PLACE_M, Measurements
 from planopt.channel.posterior import Belief, condition
@@ -68,9 +69,7 @@ def _with_parameters(belief: Belief, saved: SavedBelief) -> Belief:
     if saved.parameters == learnt.parameters:
         return belief
     posterior = condition(
-        saved.parameters,
-        learnt.measurements,
-        theta="known" if learnt.theta_known else "estimated",
+        saved.parameters, learnt.measurements, theta="known" if learnt.theta_known else "estimated"
     )
     return replace(belief, posterior=posterior)
 
@@ -153,14 +152,14 @@ def _saved_world(saved: Saved) -> World:
     """Return a simulated world that reproduces true powers, measurements and costs from files."""
     problem = saved.problem
 
-    def serving_dbm(number: int, step: int, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def serving_dbm(number: int, step: int, places_m: Floats) -> Floats:
         steps = saved.tables[STEPS_FILE]
         rows = steps["true_db"][steps["robot"] == problem.robots[number].name][step:]
         found = np.full(len(places_m), np.nan)
         found[: len(rows)] = rows[: len(places_m)]
         return found
 
-    def measured(step: int, places_m: NDArray[np.float64]) -> list[list[Measurements]]:
+    def measured(step: int, places_m: Floats) -> list[list[Measurements]]:
         shared = problem.channel.share_measurements
         return [
             [_taken(own, step, place) for own in saved.beliefs[0 if shared else number].stations]
@@ -179,7 +178,7 @@ def _saved_world(saved: Saved) -> World:
     return World((), serving_dbm, measured, row, costs)
 
 
-def _taken(own: SavedBelief, step: int, place_m: NDArray[np.float64]) -> Measurements:
+def _taken(own: SavedBelief, step: int, place_m: Floats) -> Measurements:
     """Return the saved measurements of a step at a position."""
     counts = [*own.known_before_step.tolist(), len(own.measurements)]
     rows = np.arange(*(counts[step - 1 : step + 1] if step < len(counts) else (0, 0)))
@@ -191,7 +190,7 @@ def _planning(saved: Saved) -> Planning:
     """Return a planning function that yields the saved trajectories, each verified again."""
     by_robot = saved.plans
 
-    def made(problem: Problem, states: Sequence[NDArray[np.float64]]) -> PlanStep:
+    def made(problem: Problem, states: Sequence[Floats]) -> PlanStep:
         owns = [problem_of_robot(problem, number) for number in range(len(problem.robots))]
         index = index_obstacles(problem.workspace)
         region = None if problem.task == "reach" else workspace_region(problem)
@@ -230,9 +229,7 @@ def _planning(saved: Saved) -> Planning:
     return made
 
 
-def _no_plan(
-    saved: Saved, owns: Sequence[Problem], states: Sequence[NDArray[np.float64]]
-) -> BlockedError:
+def _no_plan(saved: Saved, owns: Sequence[Problem], states: Sequence[Floats]) -> BlockedError:
     """Return the error that ended a run, with the saved reason if it can be verified.
 
     Valid reasons are obstacles that cut off a goal and a blocked path from a robot's position.
@@ -276,7 +273,7 @@ def _verified_again(
         raise AssertionError("saved places are finite")
     if region is None:
 
-        def certified(places_m: NDArray[np.float64]) -> Prediction:
+        def certified(places_m: Floats) -> Prediction:
             known = np.array_equal(places_m, path_m)
             return power if known else search_prediction(context.law, places_m)
 
@@ -287,13 +284,7 @@ def _verified_again(
         step = step_context(replace(context, state=path_m[0]), region, aim)
         objective = ObjectiveValue(step)(path_m[1:])
     plan = verification.plan(
-        problem,
-        path_m,
-        objective,
-        record.lattice_objective,
-        record.rung,
-        record.termination,
-        drive,
+        problem, path_m, objective, record.lattice_objective, record.rung, record.termination, drive
     )
     plan = replace(plan, pivot=saved.pivot)
     if not isinstance(record, RobotPlan):

@@ -13,8 +13,8 @@ from time import process_time
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.planning.certificate import margins_asked_db
@@ -259,7 +259,7 @@ class Fault:
     unit: str  # Unit of the shortfall; empty for a probability
 
     @classmethod
-    def at(cls, missed: Missed, steps: NDArray[np.bool_], shortfall: float, unit: str) -> Fault:
+    def at(cls, missed: Missed, steps: Mask, shortfall: float, unit: str) -> Fault:
         """Return the violation at the steps that a mask (N,) marks."""
         return cls(missed, tuple((np.flatnonzero(steps) + 1).tolist()), shortfall, unit)
 
@@ -328,9 +328,7 @@ def _distances(case: Case) -> list[Fault]:
 
 
 def _best_score(
-    problem: Problem,
-    posteriors: Sequence[ChannelPosterior],
-    score: Callable[[Prediction], NDArray[np.float64]],
+    problem: Problem, posteriors: Sequence[ChannelPosterior], score: Callable[[Prediction], Floats]
 ) -> float:
     """Return the largest connectivity score that a counted step attains at a reachable position.
 

@@ -11,8 +11,8 @@ from functools import partial
 from time import process_time
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices
 from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.posterior import Belief, ChannelPosterior
 from planopt.channel.prediction import connection_probability
@@ -198,12 +198,8 @@ def explain_crossing(
 
 
 def _cheapest_path(
-    problem: Problem,
-    scene: Scene,
-    margins: NodeMargins,
-    start_m: NDArray[np.float64],
-    surcharge: NDArray[np.float64],
-) -> tuple[float, NDArray[np.float64]]:
+    problem: Problem, scene: Scene, margins: NodeMargins, start_m: Floats, surcharge: Floats
+) -> tuple[float, Floats]:
     """Return cost and positions (n, 2) of the cheapest path from a position to the goal.
 
     The cost per metre at each node is one plus its `surcharge` (n,).
@@ -341,9 +337,9 @@ def explain_blocked(
 
 def _widest(
     road_map: RoadMap,
-    first: NDArray[np.intp],
+    first: Indices,
     goal: int,
-    score: NDArray[np.float64],  # (n,)
+    score: Floats,  # (n,)
 ) -> float:
     """Return the maximum over paths to the goal of the minimum score along the path."""
     levels = np.unique(score)

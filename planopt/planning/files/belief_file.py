@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.bounds.bound import Potential
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
@@ -124,8 +125,7 @@ def beliefs_of_run(run: Run) -> list[Arrays]:
     shared = run.problem.channel.share_measurements
     return [
         belief_arrays_of(
-            belief,
-            partial(known_before_steps, tracks_m=tracks if shared else [track]),
+            belief, partial(known_before_steps, tracks_m=tracks if shared else [track])
         )
         for belief, track in zip(run.beliefs, tracks, strict=True)
     ]
@@ -146,7 +146,7 @@ def belief_arrays_of(
 def known_before_steps(
     belief: Belief,
     first: int,
-    tracks_m: Sequence[NDArray[np.float64]],  # (steps + 1, 2) each
+    tracks_m: Sequence[Floats],  # (steps + 1, 2) each
 ) -> NDArray[np.int64]:
     """Return the number of measurements known when each step was planned; (steps,).
 

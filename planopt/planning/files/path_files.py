@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.errors import InputError
 from planopt.files.tables import Column, table_text
 from planopt.files.writing import write_text
@@ -40,16 +40,16 @@ class RobotPath:
     """Path of a robot for export: times, positions and probabilities of connection."""
 
     robot: str
-    t_s: NDArray[np.float64]  # (n,)
-    positions_m: NDArray[np.float64]  # (n, 2)
-    connectivity: NDArray[np.float64]  # (n,) predicted probability of connection; NaN if unknown
+    t_s: Floats  # (n,)
+    positions_m: Floats  # (n, 2)
+    connectivity: Floats  # (n,) predicted probability of connection; NaN if unknown
     speed_m_s: float
     frame: str = "map"
     altitude_m: float = 0.0
     origin_deg: Origin | None = None  # Latitude and longitude of (0, 0)
 
     @property
-    def degrees(self) -> NDArray[np.float64]:
+    def degrees(self) -> Floats:
         """Return longitude and latitude of each position; ``(n, 2)``."""
         if self.origin_deg is None:
             raise InputError(
@@ -60,7 +60,7 @@ class RobotPath:
         return np.round(longitude_latitude_deg(self.positions_m, self.origin_deg), 9)
 
     @property
-    def headings_rad(self) -> NDArray[np.float64]:
+    def headings_rad(self) -> Floats:
         """Return the heading at each position; a stationary robot keeps its last heading."""
         steps = np.diff(self.positions_m, axis=0)
         moves = np.linalg.norm(steps, axis=1) > STILL_M
@@ -162,10 +162,7 @@ PATH_COLUMNS = (
     Column("heading_rad", "direction of motion from the x axis", "rad"),
     Column("connectivity", "predicted probability of connection"),
 )
-DEGREE_COLUMNS = (
-    Column("latitude_deg", "WGS 84", "deg"),
-    Column("longitude_deg", "WGS 84", "deg"),
-)
+DEGREE_COLUMNS = (Column("latitude_deg", "WGS 84", "deg"), Column("longitude_deg", "WGS 84", "deg"))
 
 
 def csv_text(path: RobotPath) -> str:
@@ -238,5 +235,5 @@ def save_path(
     write_text(file, write(replace(path, altitude_m=float(altitude_m))))
 
 
-def _known(values: NDArray[np.float64]) -> list[float | None]:
+def _known(values: Floats) -> list[float | None]:
     return [value if math.isfinite(value) else None for value in values.tolist()]

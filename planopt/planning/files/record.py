@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 from pydantic_core import PydanticCustomError
 
+from planopt.arrays import Floats
 from planopt.files.tables import LARGEST, REMEDY
 from planopt.files.typed_json import encoded
 from planopt.keys import input_error
@@ -76,11 +76,11 @@ class Places(Record):
         return self
 
     @property
-    def positions_m(self) -> NDArray[np.float64]:
+    def positions_m(self) -> Floats:
         """Return the positions (n, 2)."""
         return np.stack([self.x_m, self.y_m], axis=1).reshape(-1, 2)
 
 
-def xy(positions_m: NDArray[np.float64]) -> dict[str, NDArray[np.float64]]:
+def xy(positions_m: Floats) -> dict[str, Floats]:
     """Return positions (n, 2) as JSON data with separate keys for x and y."""
     return {"x_m": positions_m[:, 0], "y_m": positions_m[:, 1]}

@@ -12,9 +12,9 @@ from enum import StrEnum
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import BeforeValidator, Field, TypeAdapter
 
+from planopt.arrays import Floats
 from planopt.channel.calibration import ReliabilityBin
 from planopt.files.typed_json import encoded
 from planopt.planning.certificate import (
@@ -64,10 +64,7 @@ class AimRecord(Record):
 
     target_x_m: Annotated[Computed, Source(lambda aim: _part(aim.target_m, np.s_[:, 0]))]
     target_y_m: Annotated[Computed, Source(lambda aim: _part(aim.target_m, np.s_[:, 1]))]
-    steering_m: Annotated[
-        Computed,
-        Source(lambda aim: _part(aim.steering_turns_m, -1)),
-    ]
+    steering_m: Annotated[Computed, Source(lambda aim: _part(aim.steering_turns_m, -1))]
     # In the order of travel
     steering_turns_m: Annotated[list[Place], Field(min_length=2)] | None = None
     # Positions of other robots' plans that affect the objective
@@ -76,7 +73,7 @@ class AimRecord(Record):
     ] = Field(default=[])
 
 
-def _part(array: NDArray[np.float64] | None, at: Any) -> NDArray[np.float64] | None:
+def _part(array: Floats | None, at: Any) -> Floats | None:
     return None if array is None else array[at]
 
 
@@ -481,7 +478,7 @@ def reliability_json(bins: Iterable[ReliabilityBin]) -> list[dict[str, Any]]:
     return [BinRecord.written(one) for one in bins]
 
 
-def step_times_json(seconds: NDArray[np.float64]) -> dict[str, float | None]:
+def step_times_json(seconds: Floats) -> dict[str, float | None]:
     """Return median, 95 % quantile and maximum of planning times; None without steps."""
     if seconds.size == 0:
         return {"p50": None, "p95": None, "max": None}

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.errors import InputError
 from planopt.files.tables import REMEDY, Column, Data, dataframe, table_of
 from planopt.planning.loop.log import StepLog, TargetLog
@@ -45,10 +46,7 @@ STEP_COLUMNS = (
     Column("deviation_db", "standard deviation of the predicted power", "dB"),
     Column("connectivity", "predicted probability of connection"),
     Column(
-        "true_db",
-        "true received power; empty for a plan",
-        "dBm",
-        source=lambda log: log.true_dbm,
+        "true_db", "true received power; empty for a plan", "dBm", source=lambda log: log.true_dbm
     ),
     Column(
         "connected", "whether the true power reaches the threshold", kind="flag", source=_connected
@@ -100,7 +98,7 @@ def target_columns(problem: Problem) -> tuple[Column, ...]:
     """Return the columns of ``target.csv``."""
     true, estimated = "true position of the target", "position estimated by the station"
 
-    def arrived(number: int, log: TargetLog) -> NDArray[np.float64]:
+    def arrived(number: int, log: TargetLog) -> Floats:
         return np.concatenate([[np.nan], log.delivered[:, number]])
 
     return (
@@ -131,7 +129,7 @@ def drive_names(dynamics: Dynamics) -> tuple[str, ...]:
     return (*dynamics.state_names[2:], *dynamics.input_names)
 
 
-def drive_table(drive: Drive | None) -> dict[str, NDArray[np.float64]]:
+def drive_table(drive: Drive | None) -> dict[str, Floats]:
     """Return states and inputs of a drive as columns (N + 1,); the first row has no input."""
     if drive is None:
         return {}
@@ -142,7 +140,7 @@ def drive_table(drive: Drive | None) -> dict[str, NDArray[np.float64]]:
 
 def drive_of(
     robot: Robot,
-    positions_m: NDArray[np.float64],  # (N + 1, 2)
+    positions_m: Floats,  # (N + 1, 2)
     table: Mapping[str, Sequence[float | None]] | None,
     file: Path,
     key: str,
@@ -151,7 +149,7 @@ def drive_of(
     if robot.moves_freely:
         return None
     dynamics = robot.dynamics
-    columns: list[NDArray[np.float64]] = []
+    columns: list[Floats] = []
     for name in drive_names(dynamics):
         column = None if table is None else table.get(name)
         if column is None or len(column) != len(positions_m):

@@ -15,6 +15,7 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.bounds.bound import Potential
 from planopt.errors import InputError
 from planopt.files.compare import DIGEST, digest
@@ -137,7 +138,7 @@ class SavedPlan:
     """Plan of one robot as read from a file."""
 
     record: RobotPlan | ReleasedPlan  # Data known only to the planner
-    path_m: NDArray[np.float64]  # (N + 1, 2)
+    path_m: Floats  # (N + 1, 2)
     drive: Drive | None
     motion: TimedMotion  # Motion along the path, and braking after it
     potential: Potential | None = None  # Certificate of its bound

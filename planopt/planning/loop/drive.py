@@ -10,8 +10,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.channel.ground_truth import Truth, measure
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import Belief, ChannelPosterior
@@ -47,7 +47,7 @@ class Progress:
 
     problem: Problem  # Problem restricted to this robot
     # States (s,), position first: at the start and after each step
-    states: Sequence[NDArray[np.float64]]
+    states: Sequence[Floats]
     learnt: Sequence[bool]  # Whether each step yielded a measurement
     plans: Sequence[Plan]  # The plan whose first step was executed, by step
     posteriors: Sequence[ChannelPosterior]  # Current belief about each station's channel
@@ -108,7 +108,7 @@ def _circling(robot: Progress) -> str | None:
     )
 
 
-def _stays(track: Sequence[NDArray[np.float64]], step_length_m: float) -> bool:
+def _stays(track: Sequence[Floats], step_length_m: float) -> bool:
     """Return whether a robot stayed within two step lengths of a position for `STALL_STEPS`."""
     if len(track) <= STALL_STEPS:
         return False
@@ -117,7 +117,7 @@ def _stays(track: Sequence[NDArray[np.float64]], step_length_m: float) -> bool:
 
 
 def terms_ending(
-    problem: Problem, connected: NDArray[np.bool_], robots: Sequence[Progress]
+    problem: Problem, connected: Mask, robots: Sequence[Progress]
 ) -> tuple[Outcome, str] | None:
     """Return the outcome of a run for a sum of terms and the reason; None if it continues.
 
@@ -159,12 +159,12 @@ def terms_ending(
     return Outcome.COMPLETED, f"all {steps} steps driven"
 
 
-def _has_arrived(problem: Problem, state: NDArray[np.float64]) -> bool:
+def _has_arrived(problem: Problem, state: Floats) -> bool:
     """Return whether a robot is at rest at its goal."""
     return is_at_goal(problem, state[:2]) and stands(problem, state)
 
 
-def _stuck(problem: Problem, connected: NDArray[np.bool_], robot: Progress) -> str | None:
+def _stuck(problem: Problem, connected: Mask, robot: Progress) -> str | None:
     """Return why a robot can make no further progress: it stands or circles; None if it can.
 
     A stationary tracking robot does its task as long as packets arrive. For custom terms, standing
@@ -228,13 +228,13 @@ class World:
 
     truths: tuple[Truth, ...]  # Ground truth by station; empty if unknown
     # Maps robot number, step and positions (n, 2) from that step on to serving power (n,)
-    serving_dbm: Callable[[int, int, NDArray[np.float64]], NDArray[np.float64]]
+    serving_dbm: Callable[[int, int, Floats], Floats]
     # Maps step and robot positions (robots, 2) to measurements by robot and station
-    measured: Callable[[int, NDArray[np.float64]], list[list[Measurements]]]
+    measured: Callable[[int, Floats], list[list[Measurements]]]
     # Maps step, posteriors by station and positions (n, 2) to a row of the channel log
-    channel_row: Callable[[int, Sequence[ChannelPosterior], NDArray[np.float64]], tuple[float, ...]]
+    channel_row: Callable[[int, Sequence[ChannelPosterior], Floats], tuple[float, ...]]
     # Maps tracks (steps + 1, 2) by robot to true costs by metric; empty without goals
-    costs: Callable[[Sequence[NDArray[np.float64]], Outcome], dict[str, float]]
+    costs: Callable[[Sequence[Floats], Outcome], dict[str, float]]
 
 
 def true_world(
@@ -321,7 +321,7 @@ def first_steps(
     generator: np.random.Generator,
     count: int,
     recorded: Sequence[Sequence[Sequence[float]]] = (),  # (steps, robots, state)
-) -> tuple[list[list[Plan]], list[list[NDArray[np.float64]]]]:
+) -> tuple[list[list[Plan]], list[list[Floats]]]:
     """Return the plans and states of the first steps of a run, by step and robot.
 
     Robots are set to recorded states, if any, so that rounding errors do not accumulate.
@@ -343,10 +343,7 @@ def first_steps(
 
 
 def _observe(
-    robots: Stepper,
-    states: Sequence[NDArray[np.float64]],
-    world: World,
-    generator: np.random.Generator,
+    robots: Stepper, states: Sequence[Floats], world: World, generator: np.random.Generator
 ) -> None:
     """Set the robots to new states, and update their beliefs with measurements there."""
     step, watch = len(robots.connected) + 1, robots.watches[-1]

@@ -8,8 +8,8 @@ from enum import StrEnum
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.channel.ground_truth import Truth, mean_power_dbm, true_power_dbm
 from planopt.channel.parameters import regressors
 from planopt.channel.posterior import ChannelPosterior
@@ -55,16 +55,16 @@ class StepLog:
         Shortfall of this step from p_min in dB; 0 if p_min is met.
     """
 
-    t_s: NDArray[np.float64]
-    positions_m: NDArray[np.float64]
-    predicted_dbm: NDArray[np.float64]
-    deviation_db: NDArray[np.float64]
-    connectivity: NDArray[np.float64]
-    true_dbm: NDArray[np.float64]
-    connected: NDArray[np.bool_]
-    step_s: NDArray[np.float64]
-    polish_gain_s: NDArray[np.float64]
-    relaxation_db: NDArray[np.float64]
+    t_s: Floats
+    positions_m: Floats
+    predicted_dbm: Floats
+    deviation_db: Floats
+    connectivity: Floats
+    true_dbm: Floats
+    connected: Mask
+    step_s: Floats
+    polish_gain_s: Floats
+    relaxation_db: Floats
     rung: tuple[Rung, ...]
     verdict: tuple[Verdict, ...]
 
@@ -150,17 +150,17 @@ class TargetLog:
     """Log of the target's track and its estimates over a run; row 0 is the start."""
 
     # (steps + 1, 2) true position, and the station's estimate
-    true_m: NDArray[np.float64]
-    station_mean_m: NDArray[np.float64]
+    true_m: Floats
+    station_mean_m: Floats
     # (steps + 1,) trace of the covariance of the station's position estimate
-    station_variance_m2: NDArray[np.float64]
-    station_determinant_m4: NDArray[np.float64]  # (steps + 1,) determinant of this covariance
+    station_variance_m2: Floats
+    station_determinant_m4: Floats  # (steps + 1,) determinant of this covariance
     # (steps + 1,) e' P^-1 e with the error e of the station's position estimate
-    nees: NDArray[np.float64]
+    nees: Floats
     # (steps, robots) nu' S^-1 nu with innovation nu and innovation covariance S of each robot's
     # filter; NaN without measurement
-    nis: NDArray[np.float64]
-    delivered: NDArray[np.bool_]  # (steps, robots) whether the packet arrived
+    nis: Floats
+    delivered: Mask  # (steps, robots) whether the packet arrived
 
     __repr__ = short_repr
 
@@ -169,7 +169,7 @@ class TargetLog:
         return len(self.true_m)
 
     @property
-    def normalised_trace_p(self) -> NDArray[np.float64]:
+    def normalised_trace_p(self) -> Floats:
         """Return the station's trace of P divided by its initial value; (steps + 1,)."""
         return self.station_variance_m2 / self.station_variance_m2[0]
 
@@ -179,17 +179,17 @@ class ChannelLog:
     """Errors of the first robot's channel estimate after each step; row 0 is the start."""
 
     # (steps + 1,) root mean square error of the predicted power over the workspace
-    rms_db: NDArray[np.float64]
+    rms_db: Floats
     # (steps + 1,) average normalised mean square error of [GM11] in dB; unreliable near 0 dBm
-    anmse_db: NDArray[np.float64]
+    anmse_db: Floats
     # (steps + 1,) tr(M) / |theta|^2 in dB (Fig. 2 of [GM11]); NaN for known path loss
-    theta_variance_db: NDArray[np.float64]
+    theta_variance_db: Floats
     # (steps + 1,) log det M in nats (criterion D); NaN if a path loss parameter is known
-    log_det_m: NDArray[np.float64]
+    log_det_m: Floats
     # (steps + 1,) as `rms_db`, against path loss and shadowing without multipath
-    rms_without_multipath_db: NDArray[np.float64]
+    rms_without_multipath_db: Floats
     # (steps + 1,) mean over the workspace of the path loss variance gamma^T M gamma
-    path_loss_variance_db2: NDArray[np.float64]
+    path_loss_variance_db2: Floats
 
     __repr__ = short_repr
 
@@ -201,7 +201,7 @@ class ChannelLog:
 def channel_row(
     posteriors: Sequence[ChannelPosterior],
     truths: Sequence[Truth],
-    places_m: NDArray[np.float64],  # (n, 2) positions of the predictions
+    places_m: Floats,  # (n, 2) positions of the predictions
 ) -> tuple[float, ...]:
     """Return a row of the channel log over all stations, in the order of :class:`ChannelLog`."""
     power = np.stack([true_power_dbm(truth, places_m) for truth in truths])
@@ -232,7 +232,7 @@ def channel_row(
 
 def target_log(
     watches: Iterable[TargetWatch | None],
-    delivered: NDArray[np.bool_],  # (steps, robots)
+    delivered: Mask,  # (steps, robots)
 ) -> TargetLog | None:
     """Return the log of a target at the start and after each step; None without a target."""
     known = [watch for watch in watches if watch is not None]
@@ -270,6 +270,6 @@ def _innovations(before: TargetWatch, after: TargetWatch) -> list[float]:
     return found
 
 
-def _squared(error: NDArray[np.float64], covariance: NDArray[np.float64]) -> float:
+def _squared(error: Floats, covariance: Floats) -> float:
     """Return the squared Mahalanobis distance e' P^-1 e."""
     return float(error @ np.linalg.solve(covariance, error))

@@ -11,22 +11,15 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import chdtri  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.arrays import Floats, Mask
 from planopt.channel.calibration import ReliabilityBin, reliability
 from planopt.channel.connectivity_law import serving_power_dbm
 from planopt.channel.ground_truth import Truth, mean_power_dbm, true_power_dbm
 from planopt.channel.joint import longest_run
 from planopt.planning.certificate import Hole, holes_along
-from planopt.planning.loop.log import (
-    ChannelLog,
-    Metrics,
-    Outcome,
-    RobotRun,
-    StepLog,
-    TargetLog,
-)
+from planopt.planning.loop.log import ChannelLog, Metrics, Outcome, RobotRun, StepLog, TargetLog
 from planopt.planning.plan import Plan, Rung, Verdict
 from planopt.planning.proof.motion import is_at_goal, stands
 from planopt.planning.proof.rule import rule_of
@@ -66,10 +59,7 @@ ANY = (-np.inf, np.inf)
 
 
 def metrics_of(
-    log: StepLog,
-    plans: Sequence[Plan],
-    learnt: Sequence[bool],
-    arrival: int | None,
+    log: StepLog, plans: Sequence[Plan], learnt: Sequence[bool], arrival: int | None
 ) -> Metrics:
     """Return the metrics of a robot; metrics over steps are NaN if there are none.
 
@@ -169,9 +159,7 @@ def run_holes(run: RobotRun) -> tuple[Hole, ...]:
     return holes_along(log.positions_m, log.connectivity, log.relaxation_db > 0.0)
 
 
-def true_serving_dbm(
-    problem: Problem, truths: Sequence[Truth], positions_m: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def true_serving_dbm(problem: Problem, truths: Sequence[Truth], positions_m: Floats) -> Floats:
     """Return the true serving power (n,) at positions (n, 2), on the scale of the first station.
 
     A robot is connected if this power reaches ``problem.stations[0].true_threshold_dbm``.
@@ -182,14 +170,14 @@ def true_serving_dbm(
 
 def step_log(
     problem: Problem,
-    track_m: NDArray[np.float64],  # (steps + 1, 2) robot positions, the start first
-    true_dbm: NDArray[np.float64],  # (steps + 1,) true power there
+    track_m: Floats,  # (steps + 1, 2) robot positions, the start first
+    true_dbm: Floats,  # (steps + 1,) true power there
     plans: Sequence[Plan],
 ) -> StepLog:
     """Return the step log of a robot; the prediction of row 0 is that of the first plan."""
     first = plans[:1]
 
-    def column(at_start: float, values: list[float]) -> NDArray[np.float64]:
+    def column(at_start: float, values: list[float]) -> Floats:
         return np.array([at_start, *values], dtype=float)
 
     relaxation = [
@@ -234,8 +222,8 @@ def driven(robot: Robot, plans: Sequence[Plan]) -> Drive | None:
 
 def robot_run(
     problem: Problem,
-    track_m: NDArray[np.float64],
-    true_dbm: NDArray[np.float64],
+    track_m: Floats,
+    true_dbm: Floats,
     plans: Sequence[Plan],
     learnt: Sequence[bool],
     ended: tuple[Outcome, str],
@@ -266,7 +254,7 @@ COST_CELLS = 0.1
 SEARCHED_CELLS = 0.5
 """Sampling interval of costs in the clairvoyant search, in cells of the true map."""
 
-IsOut = Callable[[NDArray[np.float64]], NDArray[np.bool_]]
+IsOut = Callable[[Floats], Mask]
 """Function that maps positions (n, 2) to a mask (n,) of those out of contact."""
 
 
@@ -274,7 +262,7 @@ def run_costs(
     problem: Problem,
     road_maps: Sequence[RoadMap],
     truths: Sequence[Truth],
-    tracks_m: Sequence[NDArray[np.float64]],  # (n + 1, 2) positions of each robot
+    tracks_m: Sequence[Floats],  # (n + 1, 2) positions of each robot
     outcome: Outcome,
 ) -> dict[str, float]:
     """Return the cost of a run to goals, of the clairvoyant paths, and their ratio.
@@ -295,12 +283,10 @@ def run_costs(
     return dict(zip(COSTS, (driven, least, ratio), strict=True))
 
 
-def realised_cost_m(
-    problem: Problem, truths: Sequence[Truth], places_m: NDArray[np.float64]
-) -> float:
+def realised_cost_m(problem: Problem, truths: Sequence[Truth], places_m: Floats) -> float:
     """Return the length of a path (n + 1, 2) plus the outage price of its metres out of contact."""
 
-    def is_out(places: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def is_out(places: Floats) -> Mask:
         return true_serving_dbm(problem, truths, places) < problem.stations[0].true_threshold_dbm
 
     spacing = COST_CELLS * _cell_m(truths)
@@ -308,19 +294,16 @@ def realised_cost_m(
 
 
 def clairvoyant_path(
-    problem: Problem,
-    road_map: RoadMap,
-    index: ObstacleIndex,
-    truths: Sequence[Truth],
-) -> NDArray[np.float64]:
+    problem: Problem, road_map: RoadMap, index: ObstacleIndex, truths: Sequence[Truth]
+) -> Floats:
     """Return waypoints (k, 2) of the cheapest path to the goal for a known ground truth."""
     thresholds = [radio.true_threshold_dbm for radio in problem.stations]
 
-    def is_out(places: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def is_out(places: Floats) -> Mask:
         powers = np.stack([mean_power_dbm(truth, places) for truth in truths])
         return serving_power_dbm(powers, thresholds) < thresholds[0]
 
-    def cost_m(begins: NDArray[np.float64], ends: NDArray[np.float64]) -> NDArray[np.float64]:
+    def cost_m(begins: Floats, ends: Floats) -> Floats:
         return _costs_m(problem, is_out, begins, ends, SEARCHED_CELLS * _cell_m(truths))
 
     nodes_m = road_map.nodes_m
@@ -341,12 +324,8 @@ def _cell_m(truths: Sequence[Truth]) -> float:
 
 
 def _costs_m(
-    problem: Problem,
-    is_out: IsOut,
-    begins_m: NDArray[np.float64],
-    ends_m: NDArray[np.float64],
-    spacing_m: float,
-) -> NDArray[np.float64]:
+    problem: Problem, is_out: IsOut, begins_m: Floats, ends_m: Floats, spacing_m: float
+) -> Floats:
     """Return the costs (n,) of straight segments, integrated at intervals of `spacing_m`."""
     lengths = np.linalg.norm(ends_m - begins_m, axis=1)
     counts = np.maximum(np.ceil(lengths / spacing_m), 1.0).astype(np.intp)
@@ -361,9 +340,9 @@ def _costs_m(
 def _straightened(
     problem: Problem,
     index: ObstacleIndex,
-    places_m: NDArray[np.float64],
-    cost_m: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]],
-) -> NDArray[np.float64]:
+    places_m: Floats,
+    cost_m: Callable[[Floats, Floats], Floats],
+) -> Floats:
     """Return the cheapest collision-free path through a subset of a path's points (n, 2)."""
     count = len(places_m)
     first, second = np.triu_indices(count, 1)

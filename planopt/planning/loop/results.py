@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.bounds.bound import Bound, total_bound
 from planopt.channel.ground_truth import Truth
 from planopt.channel.posterior import Belief
@@ -424,19 +424,17 @@ class RunSummary:
     rungs: dict[str, int] = field(default_factory=dict[str, int])
     verified_rate: float = math.nan  # Share of steps with a verified plan
     # (steps x robots,) wall time of planning per step and robot
-    step_s: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    step_s: Floats = field(default_factory=lambda: np.zeros(0))
     # (steps x robots,) predicted probability of connection after each step, and true connection;
     # empty for tasks without a channel
-    connectivity: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
-    connected: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    connectivity: Floats = field(default_factory=lambda: np.zeros(0))
+    connected: Mask = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     problem: str = ""  # Name of the problem
     # Keys of the problem changed by a study, with their values
     sweep: Mapping[str, Any] = field(default_factory=dict[str, Any])
     # Series (steps + 1,) by name: trace_p in m^2 and normalised_trace_p of the station's target
     # estimate; rms_db, rms_without_multipath_db and path_loss_variance_db2 of the channel
-    traces: Mapping[str, NDArray[np.float64]] = field(
-        default_factory=dict[str, NDArray[np.float64]]
-    )
+    traces: Mapping[str, Floats] = field(default_factory=dict[str, Floats])
 
 
 NOT_DONE = 4
@@ -445,9 +443,9 @@ NOT_DONE = 4
 CHANNEL_TRACES = ("rms_db", "rms_without_multipath_db", "path_loss_variance_db2")
 
 
-def _traces(run: Run) -> dict[str, NDArray[np.float64]]:
+def _traces(run: Run) -> dict[str, Floats]:
     """Return series of target and channel estimation errors over the steps of a run, by name."""
-    found = dict[str, NDArray[np.float64]]()
+    found = dict[str, Floats]()
     if run.target is not None:
         found["trace_p"] = run.target.station_variance_m2
         found["normalised_trace_p"] = run.target.normalised_trace_p

@@ -29,19 +29,16 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from planopt.arrays import Floats
 from planopt.planning.programme.path_rows import MotionShape
 from planopt.robots.dynamics import Components
 from planopt.targets.rounding import Derivatives, add_products
 
 
 def margins_of(
-    mean: Derivatives,
-    deviation: Derivatives,
-    threshold_dbm: float,
-    z: float | NDArray[np.float64],
+    mean: Derivatives, deviation: Derivatives, threshold_dbm: float, z: float | Floats
 ) -> Derivatives:
     """Return ``mean - threshold - z deviation`` of all stages in dB; z is a scalar or ``(N,)``."""
     rows = mean.rows - np.reshape(z, (-1, 1)) * deviation.rows
@@ -54,10 +51,10 @@ class PathValue:
     """Scalar function of a path of N steps, with first and second derivatives."""
 
     value: float
-    gradient: NDArray[np.float64]  # (N, 2)
+    gradient: Floats  # (N, 2)
     # (N, 3), xx, xy and yy of each stage, if stagewise. (7 N - 4,) for a chain: these, then xx, xy,
     # yx and yy between each stage and the next. Else (2 N, 2 N).
-    hessian: NDArray[np.float64]
+    hessian: Floats
 
 
 @dataclass(frozen=True)
@@ -69,7 +66,7 @@ class Evaluation:
     total: PathValue | None = None  # Sum over stages with Hessian (N, 3)
 
     @property
-    def rows(self) -> NDArray[np.float64]:
+    def rows(self) -> Floats:
         """Return the values that constraints bound: N margins, or one sum."""
         if self.margins is not None:
             return self.margins.value
@@ -78,7 +75,7 @@ class Evaluation:
         return np.array([self.total.value])
 
 
-EvaluatePath = Callable[[NDArray[np.float64]], Evaluation]
+EvaluatePath = Callable[[Floats], Evaluation]
 """Function that maps positions (N, 2) to their evaluation."""
 
 
@@ -89,7 +86,7 @@ def remembering(evaluate: EvaluatePath) -> EvaluatePath:
     """
     key, last = b"", None
 
-    def remembered(places_m: NDArray[np.float64]) -> Evaluation:
+    def remembered(places_m: Floats) -> Evaluation:
         nonlocal key, last
         requested = places_m.tobytes()
         if last is None or requested != key:
@@ -109,7 +106,7 @@ class ValueSource:
         """Set the evaluation function, with an empty cache."""
         self._evaluate = remembering(evaluate)
 
-    def __call__(self, flat: NDArray[np.float64]) -> Evaluation:
+    def __call__(self, flat: Floats) -> Evaluation:
         """Return the evaluation at positions flattened to (2 N,)."""
         if self._evaluate is None:
             raise AssertionError("a solver was called before its value was set")
@@ -131,27 +128,27 @@ class OutagePrice:
     price_s_m: float  # Cost of a metre out of contact
     share_before: float  # Penalised fraction of a metre at the start
     # (N,) penalised fraction after each step if it is certainly out of contact
-    charged: NDArray[np.float64]
+    charged: Floats
 
 
 @dataclass(frozen=True, eq=False)
 class GoalValue:
     """Objective of a single integrator's path to a goal, with connectivity margins."""
 
-    start_m: NDArray[np.float64]  # (2,) position of the robot
-    pivot_m: NDArray[np.float64]  # (2,) terminal waypoint of the cost-to-go
+    start_m: Floats  # (2,) position of the robot
+    pivot_m: Floats  # (2,) terminal waypoint of the cost-to-go
     effort_s_m2: float  # Cost per squared step length, and per metre beyond the horizon
     rate_s_m: float
     outage: OutagePrice
     # Maps positions to each stage's connectivity margin and its normal score of connection
-    margins: Callable[[NDArray[np.float64]], tuple[Derivatives, Derivatives]]
+    margins: Callable[[Floats], tuple[Derivatives, Derivatives]]
 
-    def __call__(self, places_m: NDArray[np.float64]) -> Evaluation:
+    def __call__(self, places_m: Floats) -> Evaluation:
         """Return objective value and margins of a path (N, 2)."""
         margins, scores = self.margins(places_m)
         return Evaluation(self._value(places_m, scores), margins)
 
-    def _value(self, places_m: NDArray[np.float64], score: Derivatives) -> PathValue:
+    def _value(self, places_m: Floats, score: Derivatives) -> PathValue:
         outage, half, effort = self.outage, 0.5 * self.outage.price_s_m, 2.0 * self.effort_s_m2
         steps = places_m.copy()
         steps[0] -= self.start_m
@@ -198,7 +195,7 @@ class GoalValue:
         return PathValue(-float(cost), -gradient, -hessian)
 
 
-def _square(a: NDArray[np.float64]) -> NDArray[np.float64]:
+def _square(a: Floats) -> Floats:
     """Return the entries xx, xy, yy of the outer products a a' of vectors a (..., 2)."""
     return a[..., [0, 0, 1]] * a[..., [0, 1, 1]]
 
@@ -214,7 +211,7 @@ PARAMETERS = 7
 class GoalCharge:
     """Parameters of the cost of reaching a goal, for a robot with dynamics."""
 
-    pivot_m: NDArray[np.float64]  # (2,)
+    pivot_m: Floats  # (2,)
     # Cost per squared step length, per metre beyond the horizon, and per metre of the braking
     # distance
     effort_s_m2: float
@@ -224,7 +221,7 @@ class GoalCharge:
     rounding_m: float  # Smoothing width of the distance to the pivot
 
     @property
-    def numbers(self) -> NDArray[np.float64]:
+    def numbers(self) -> Floats:
         """Return the parameters as an array (7,) for :func:`goal_cost_s`."""
         costs = (self.effort_s_m2, self.rate_s_m, self.braking_s_m)
         return np.array([*self.pivot_m, *costs, self.each_step, self.rounding_m])

@@ -35,8 +35,8 @@ from typing import Any, Literal
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.objectives.terms.term import Structure
 from planopt.planning.programme.goal_value import PARAMETERS, Evaluation, ValueSource, goal_cost_s
 from planopt.planning.programme.path_rows import PathShape, motion_rows, path_rows
@@ -66,11 +66,7 @@ class PathCallback(ca.Callback):
     """CasADi function that calls a NumPy function of the flattened positions (2 N,)."""
 
     def __init__(
-        self,
-        name: str,
-        stages: int,
-        size: int,
-        evaluate: Callable[[NDArray[np.float64]], Any],
+        self, name: str, stages: int, size: int, evaluate: Callable[[Floats], Any]
     ) -> None:
         ca.Callback.__init__(self)
         self._sizes = 2 * stages, size
@@ -96,7 +92,7 @@ class PathCallback(ca.Callback):
 
 
 def path_callbacks(
-    name: str, stages: int, values: int, curved: int, evaluate: Callable[[NDArray[np.float64]], Any]
+    name: str, stages: int, values: int, curved: int, evaluate: Callable[[Floats], Any]
 ) -> list[PathCallback]:
     """Return CasADi callbacks for value, gradient and Hessian of one quantity."""
     sizes = {"value": values, "gradient": 2 * max(values, stages), "hessian": curved}

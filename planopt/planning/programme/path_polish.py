@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.planning.plan import Termination
 from planopt.planning.programme.goal_value import EvaluatePath, GoalCharge
 from planopt.planning.programme.path_nlp import PathNlp
@@ -39,22 +40,22 @@ class MotionTask:
 class RefinedPath:
     """Path that a solver returned, with multipliers and status, not yet verified."""
 
-    path_m: NDArray[np.float64]  # (N, 2)
-    slack_db: NDArray[np.float64]  # (N,) shortfall in dB
+    path_m: Floats  # (N, 2)
+    slack_db: Floats  # (N,) shortfall in dB
     termination: Termination
     iterations: int
     kkt_residual: float  # KKT residual of the unscaled programme
     # By row: speed (N,), line_end (N, lines), line_start (N - 1, lines), connectivity (N,)
-    multipliers: dict[str, NDArray[np.float64]]
-    inputs: NDArray[np.float64] | None = None  # (N, m) inputs of a robot with dynamics
+    multipliers: dict[str, Floats]
+    inputs: Floats | None = None  # (N, m) inputs of a robot with dynamics
 
 
 @dataclass(frozen=True)
 class PathTask:
     """Optimisation problem that refines one initial guess."""
 
-    start_m: NDArray[np.float64]  # (2,) the robot's position
-    path_m: NDArray[np.float64]  # (N, 2) the guess
+    start_m: Floats  # (2,) the robot's position
+    path_m: Floats  # (N, 2) the guess
     lines: SeparatingLines  # Separating lines of the guess's N segments
     clearance_m: float
     step_length_m: float
@@ -62,9 +63,9 @@ class PathTask:
     evaluate: EvaluatePath  # Maps a path to its value and margins
     scale: float  # Factor of the value, as solver tolerances are absolute
     # (N,) lower bounds of the margins in dB, or (1,) of their sum; None without connectivity rows
-    bound: NDArray[np.float64] | None = None
+    bound: Floats | None = None
     per_db: float = 1.0  # Change of a row per dB of slack
-    slack_limit_db: NDArray[np.float64] | None = None  # Upper bounds of the slack; 0 if hard
+    slack_limit_db: Floats | None = None  # Upper bounds of the slack; 0 if hard
     slack_weight: float = 0.0  # Cost per dB of slack
     motion: MotionTask | None = None  # None for the single integrator
     charge: GoalCharge | None = None  # Goal cost; None without a goal
@@ -106,12 +107,7 @@ def polish_path(nlp: PathNlp, task: PathTask) -> RefinedPath:
     row_bounds = Bounds(
         np.concatenate([-none, apart, motion_bounds[0], bound]),
         np.concatenate(
-            [
-                np.full(n, longest**2),
-                apart + np.inf,
-                motion_bounds[1],
-                np.full(len(bound), np.inf),
-            ]
+            [np.full(n, longest**2), apart + np.inf, motion_bounds[1], np.full(len(bound), np.inf)]
         ),
     )
     head = np.array([*task.start_m, task.scale, task.slack_weight, task.per_db])
@@ -139,11 +135,7 @@ def polish_path(nlp: PathNlp, task: PathTask) -> RefinedPath:
 
 
 def _residual(
-    nlp: PathNlp,
-    point: NlpPoint,
-    parameters: NDArray[np.float64],
-    variable_bounds: Bounds,
-    row_bounds: Bounds,
+    nlp: PathNlp, point: NlpPoint, parameters: Floats, variable_bounds: Bounds, row_bounds: Bounds
 ) -> float:
     """Return the KKT residual at a solver's point; infinite if it is not finite."""
     at = np.concatenate([point.positions_m.ravel(), point.others])
@@ -163,9 +155,7 @@ def _residual(
     )
 
 
-def _named_multipliers(
-    rows: NDArray[np.float64], shape: PathShape
-) -> dict[str, NDArray[np.float64]]:
+def _named_multipliers(rows: Floats, shape: PathShape) -> dict[str, Floats]:
     """Return the multipliers of the geometric and connectivity rows by name."""
     n, lines = shape.horizon, shape.lines
     speed, line_end, line_start = np.split(
@@ -203,7 +193,7 @@ def lines_about(
     problem: Problem,
     pieces: PackedPieces,
     discs: MovingDiscs,
-    path_m: NDArray[np.float64],  # (N + 1, 2) the robot's position, then the guess
+    path_m: Floats,  # (N + 1, 2) the robot's position, then the guess
     count: int,
 ) -> SeparatingLines:
     """Return `count` separating lines per segment for nearby convex pieces and moving discs."""
@@ -218,8 +208,8 @@ def lines_with_violated(
     pieces: PackedPieces,
     discs: MovingDiscs,
     lines: SeparatingLines,
-    guess_m: NDArray[np.float64],
-    path_m: NDArray[np.float64],
+    guess_m: Floats,
+    path_m: Floats,
 ) -> SeparatingLines | None:
     """Return the guess's lines plus lines for collisions of a path; None if there are none."""
     # Shapes: guess_m, path_m (N + 1, 2).
@@ -243,10 +233,7 @@ def lines_with_violated(
 
 
 def _moving_lines(
-    problem: Problem,
-    discs: MovingDiscs,
-    path_m: NDArray[np.float64],
-    needed: NDArray[np.bool_] | None = None,
+    problem: Problem, discs: MovingDiscs, path_m: Floats, needed: Mask | None = None
 ) -> SeparatingLines:
     """Return separating lines for the moving discs nearest to a path, and for required ones."""
     reach = LINE_REACH_STEPS * problem.step_length_m
@@ -256,9 +243,7 @@ def _moving_lines(
     return moving_lines(discs, path_m, clearance, count, reach, needed, pad_m)
 
 
-def _discs_met(
-    discs: MovingDiscs, chosen: NDArray[np.int64], path_m: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def _discs_met(discs: MovingDiscs, chosen: NDArray[np.int64], path_m: Floats) -> Mask:
     """Return a mask (m, N) of discs that a path collides with in steps without their line."""
     if not len(discs):
         return np.zeros((0, len(path_m) - 1), dtype=np.bool_)

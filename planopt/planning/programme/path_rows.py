@@ -24,8 +24,8 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.objectives.terms.term import Structure
 from planopt.robots.dynamics import Components, Dynamics
 
@@ -94,7 +94,7 @@ class PathShape:
         return 2 * self.horizon + self.slacks + self.driven
 
     @property
-    def per_m(self) -> NDArray[np.float64]:
+    def per_m(self) -> Floats:
         """Return the trust-region width of each variable per metre of a position; ``(variables,)``.
 
         The width is infinite for slacks and inputs, which the other variables determine.
@@ -138,9 +138,7 @@ class MotionRows:
         """Return all constraint rows in one list, in the order of the fields."""
         return [row for each in fields(self) for row in getattr(self, each.name)]
 
-    def bounds(
-        self, bounds_m: tuple[float, float, float, float]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def bounds(self, bounds_m: tuple[float, float, float, float]) -> tuple[Floats, Floats]:
         """Return lower and upper bounds of all constraint rows in the workspace `bounds_m`."""
         x_min, y_min, x_max, y_max = bounds_m
         limits = {

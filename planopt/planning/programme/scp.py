@@ -28,8 +28,8 @@ from typing import Any
 import clarabel
 import numpy as np
 import scipy.sparse as sp
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices
 from planopt.planning.plan import Termination
 from planopt.planning.programme.path_rows import PathShape
 from planopt.planning.programme.solver import (
@@ -49,22 +49,22 @@ NO_VARIABLE = -1
 class ConeRows:
     """Constraint rows of a programme that are second-order cones."""
 
-    row: NDArray[np.intp]  # (k,) row indices
+    row: Indices  # (k,) row indices
     # (k, 2) column indices of the pairs in z, and of the subtracted pairs; `NO_VARIABLE` if there
     # is none
-    own: NDArray[np.intp]
-    less: NDArray[np.intp]
-    weight: NDArray[np.float64]  # (k,) weight of the row
-    constant: NDArray[np.float64]
+    own: Indices
+    less: Indices
+    weight: Floats  # (k,) weight of the row
+    constant: Floats
 
     def __len__(self) -> int:
         return len(self.row)
 
-    def pairs(self, jacobian: NDArray[np.float64]) -> NDArray[np.float64]:
+    def pairs(self, jacobian: Floats) -> Floats:
         """Return the vectors z (k, 2) of the cones from the Jacobian (m, n) of all rows."""
         return jacobian[self.row[:, None], self.own] / (2.0 * self.weight[:, None])
 
-    def radii(self, upper: NDArray[np.float64]) -> NDArray[np.float64]:
+    def radii(self, upper: Floats) -> Floats:
         """Return the cones' radii (k,), the limits of |z|, from upper bounds (m,) of all rows."""
         return np.sqrt((upper[self.row] - self.constant) / self.weight)
 
@@ -144,14 +144,14 @@ USABLE = (Termination.CONVERGED, Termination.ACCEPTABLE)
 class Model:
     """Convex approximation of a nonlinear programme at a point."""
 
-    rows: NDArray[np.float64]
-    jacobian: NDArray[np.float64]
-    gradient: NDArray[np.float64]
-    curvature: NDArray[np.float64]
+    rows: Floats
+    jacobian: Floats
+    gradient: Floats
+    curvature: Floats
     row_bounds: Bounds
     cones: ConeRows
-    lowest: NDArray[np.float64]
-    highest: NDArray[np.float64]
+    lowest: Floats
+    highest: Floats
     penalty: float
 
 
@@ -163,9 +163,9 @@ class Step:
     squared form.
     """
 
-    step: NDArray[np.float64]
-    row_multipliers: NDArray[np.float64]
-    variable_multipliers: NDArray[np.float64]
+    step: Floats
+    row_multipliers: Floats
+    variable_multipliers: Floats
     termination: Termination
 
     @property
@@ -245,9 +245,7 @@ def convex_step(model: Model) -> Step:
     return Step(step, rows, variables, TERMINATIONS[str(solution.status)])
 
 
-def _cone_block(
-    model: Model, missing: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def _cone_block(model: Model, missing: int) -> tuple[Floats, Floats, Floats]:
     """Return the cone constraints for Clarabel: coefficients of step and violations, constants."""
     cones, count = model.cones, len(model.cones)
     every = np.arange(count)
@@ -296,10 +294,7 @@ def scp_solve(functions: NlpFunctions, shape: PathShape, budget_s: float | None 
     cones = step_cones(horizon) if motion is None else motion_cones(shape)
 
     def solve(
-        start: NDArray[np.float64],
-        parameters: NDArray[np.float64],
-        variable_bounds: Bounds,
-        row_bounds: Bounds,
+        start: Floats, parameters: Floats, variable_bounds: Bounds, row_bounds: Bounds
     ) -> NlpPoint:
         bounds = (variable_bounds.lower, variable_bounds.upper, row_bounds.lower, row_bounds.upper)
         if any(np.isnan(bound).any() for bound in bounds):
@@ -330,8 +325,8 @@ class _Climb:
         functions: NlpFunctions,
         horizon: int,
         cones: ConeRows,
-        reach: NDArray[np.float64],
-        parameters: NDArray[np.float64],
+        reach: Floats,
+        parameters: Floats,
         variable_bounds: Bounds,
         row_bounds: Bounds,
     ) -> None:
@@ -344,7 +339,7 @@ class _Climb:
         self._row_bounds = row_bounds
         self._penalty = FIRST_PENALTY
 
-    def run(self, start: NDArray[np.float64], until: float) -> NlpPoint:
+    def run(self, start: Floats, until: float) -> NlpPoint:
         """Return the solution, once the model predicts no decrease or `until` has passed."""
         x = np.clip(start, self._variable_bounds.lower, self._variable_bounds.upper)
         value, rows = self._at(x)
@@ -398,38 +393,30 @@ class _Climb:
         multipliers = last.row_multipliers, last.variable_multipliers
         return nlp_point(self._horizon, x, *multipliers, termination, iterations)
 
-    def _share(
-        self, merit: float, value: float, rows: NDArray[np.float64], predicted: float
-    ) -> float:
+    def _share(self, merit: float, value: float, rows: Floats, predicted: float) -> float:
         """Return the achieved share of the merit function's predicted decrease."""
         gained = merit - self._merit(value, rows)
         return gained / predicted if np.isfinite(gained) else -np.inf
 
-    def _at(self, x: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    def _at(self, x: Floats) -> tuple[float, Floats]:
         return self._functions.values(x, self._parameters)
 
-    def _excess(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _excess(self, rows: Floats) -> Floats:
         """Return the amount by which each row violates its bounds; cones are left out."""
         lower, upper = self._row_bounds.lower, self._row_bounds.upper
         return np.delete(np.maximum(np.maximum(lower - rows, rows - upper), 0.0), self._cones.row)
 
-    def _merit(self, value: float, rows: NDArray[np.float64]) -> float:
+    def _merit(self, value: float, rows: Floats) -> float:
         return value + self._penalty * float(self._excess(rows).sum())
 
-    def _predicted(self, model: Model, step: NDArray[np.float64]) -> float:
+    def _predicted(self, model: Model, step: Floats) -> float:
         """Return the decrease of the merit function that the model predicts."""
         slope = float(model.gradient @ step + 0.5 * step @ (model.curvature @ step))
         rows = model.rows + model.jacobian @ step
         before, after = self._excess(model.rows).sum(), self._excess(rows).sum()
         return -slope + self._penalty * float(before - after)
 
-    def _model(
-        self,
-        x: NDArray[np.float64],
-        rows: NDArray[np.float64],
-        multipliers: NDArray[np.float64],
-        region: float,
-    ) -> Model:
+    def _model(self, x: Floats, rows: Floats, multipliers: Floats, region: float) -> Model:
         """Return the convex model at x, with a trust region in longest steps."""
         curving = multipliers.copy()
         curving[self._cones.row] = 0.0
@@ -449,7 +436,7 @@ class _Climb:
         )
 
 
-def _convex(hessian: NDArray[np.float64]) -> NDArray[np.float64]:
+def _convex(hessian: Floats) -> Floats:
     """Return the positive semidefinite matrix nearest to a symmetric one."""
     active = np.nonzero(hessian.any(axis=1))[0]
     convex = np.zeros_like(hessian)

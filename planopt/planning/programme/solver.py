@@ -12,38 +12,38 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.planning.plan import Termination
 
-Point = NDArray[np.float64]
+Point = Floats
 
 
 @dataclass(frozen=True)
 class Bounds:
     """Lower and upper bounds of rows or variables."""
 
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
+    lower: Floats
+    upper: Floats
 
 
 @dataclass(frozen=True)
 class NlpPoint:
     """Point returned by a solver, with its multipliers and status."""
 
-    positions_m: NDArray[np.float64]  # (N, 2)
-    others: NDArray[np.float64]  # Slacks in dB, then variables of the dynamics
-    row_multipliers: NDArray[np.float64]
-    variable_multipliers: NDArray[np.float64]
+    positions_m: Floats  # (N, 2)
+    others: Floats  # Slacks in dB, then variables of the dynamics
+    row_multipliers: Floats
+    variable_multipliers: Floats
     termination: Termination
     iterations: int
 
 
 def nlp_point(
     horizon: int,
-    variables: NDArray[np.float64],
-    row_multipliers: NDArray[np.float64],
-    variable_multipliers: NDArray[np.float64],
+    variables: Floats,
+    row_multipliers: Floats,
+    variable_multipliers: Floats,
     termination: Termination,
     iterations: int,
 ) -> NlpPoint:
@@ -102,7 +102,7 @@ def nlp_functions(solver: Any) -> NlpFunctions:
     return NlpFunctions(values, slopes, hessian)
 
 
-def _dense(matrix: Any) -> NDArray[np.float64]:
+def _dense(matrix: Any) -> Floats:
     """Return a CasADi matrix as an array, faster than CasADi's own conversion."""
     found = np.zeros(matrix.shape)
     rows, columns = matrix.sparsity().get_triplet()
@@ -111,14 +111,14 @@ def _dense(matrix: Any) -> NDArray[np.float64]:
 
 
 def kkt_residual(
-    gradient: NDArray[np.float64],
-    jacobian: NDArray[np.float64],
-    rows: NDArray[np.float64],
+    gradient: Floats,
+    jacobian: Floats,
+    rows: Floats,
     row_bounds: Bounds,
-    row_multipliers: NDArray[np.float64],
-    variables: NDArray[np.float64],
+    row_multipliers: Floats,
+    variables: Floats,
     variable_bounds: Bounds,
-    variable_multipliers: NDArray[np.float64],
+    variable_multipliers: Floats,
 ) -> float:
     """Return the unscaled KKT residual at a point; infinite if any part is NaN.
 
@@ -141,7 +141,7 @@ def kkt_residual(
     return worst if np.isfinite(worst) else float("inf")
 
 
-def _gap(distance: NDArray[np.float64]) -> NDArray[np.float64]:
+def _gap(distance: Floats) -> Floats:
     """Return finite distances to bounds: 1 for an infinite bound, because 0 * inf is NaN."""
     return np.where(np.isfinite(distance), np.abs(distance), 1.0)
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.bounds.bound import Bound, Potential
 from planopt.bounds.reach import rate_s_m, relaxed_constraints, route_problem, why_unbounded
 from planopt.bounds.route import route_bounds, verified_value
@@ -61,12 +61,12 @@ def verified_bound(
 
 def metre_cost_of(
     problem: Problem, posteriors: Sequence[ChannelPosterior]
-) -> Callable[[NDArray[np.float64]], NDArray[np.float64]]:
+) -> Callable[[Floats], Floats]:
     """Return a function that maps positions (n, 2) to the cost per metre there (equation 4.17)."""
     law, reach = connectivity_law(problem, posteriors), problem.reach
     slack_db = problem.constraints.rule.slack_max_db or 0.0
 
-    def metre_cost(places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def metre_cost(places_m: Floats) -> Floats:
         chance = law.probability(places_m, slack_db)
         below = chance < problem.constraints.p_min
         return 1.0 + reach.outage_price * outage_share(chance, below, reach.charges_everywhere)

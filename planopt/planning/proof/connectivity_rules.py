@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import betaincinv  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.arrays import Floats, Mask
 from planopt.channel.joint import JointPrediction, longest_run
 from planopt.channel.path_connectivity import JointConnectivity, joint_connectivity
 from planopt.errors import InputError
@@ -39,7 +39,7 @@ class EachStep(Rule):
     stated: tuple[int, ...] = ()  # Counted steps of the run (1 is the first); empty: all
 
     @classmethod
-    def of(cls, problem: Problem, legs_m: NDArray[np.float64]) -> EachStep:
+    def of(cls, problem: Problem, legs_m: Floats) -> EachStep:
         """Return the rule for the steps that end at the times stated in the problem."""
         times_s = np.array(problem.constraints.rule.connected_times_s)
         return cls(tuple(np.rint(times_s / problem.planner.step_s).astype(int).tolist()))
@@ -67,19 +67,17 @@ class EachStep(Rule):
                     remedy="give times at which a step ends",
                 )
 
-    def counted(self, history: History, count: int) -> NDArray[np.bool_]:
+    def counted(self, history: History, count: int) -> Mask:
         """Return a mask (count,) of the plan's steps for which p_min is required."""
         steps = history.steps + 1 + np.arange(count)
         return np.isin(steps, self.stated) if self.stated else np.ones(count, dtype=np.bool_)
 
-    def achieved(
-        self, probability: NDArray[np.float64], history: History
-    ) -> float | NDArray[np.float64]:
+    def achieved(self, probability: Floats, history: History) -> float | Floats:
         """Return the minimum probability of the counted steps; 1 if there are none."""
         counted = self.counted(history, probability.shape[-1])
         return np.where(counted, probability, 1.0).min(axis=-1)
 
-    def held(self, keeps: NDArray[np.bool_], history: History) -> NDArray[np.bool_]:
+    def held(self, keeps: Mask, history: History) -> Mask:
         """Return a mask of the steps for which p_min is required."""
         return self.counted(history, len(keeps))
 
@@ -87,13 +85,11 @@ class EachStep(Rule):
         """Raise an AssertionError; single steps have their own verification."""
         raise AssertionError("a rule on single steps")
 
-    def run_metrics(
-        self, problem: Problem, connected: Sequence[NDArray[np.bool_]]
-    ) -> dict[str, float]:
+    def run_metrics(self, problem: Problem, connected: Sequence[Mask]) -> dict[str, float]:
         """Return the fraction of stated times with connection, as a metric, if times are stated."""
         return super().run_metrics(problem, connected) if self.stated else {}
 
-    def over_run(self, problem: Problem, connected: NDArray[np.bool_]) -> float:
+    def over_run(self, problem: Problem, connected: Mask) -> float:
         """Return the fraction of the stated times reached so far with connection."""
         stated = np.unique(np.array(self.stated))
         return super().over_run(problem, connected[stated[stated <= len(connected)] - 1])
@@ -108,9 +104,7 @@ class Average(Rule):
     subject: ClassVar[str] = "the share of steps connected on average"
     metric: ClassVar[str] = "least_connected_share"
 
-    def achieved(
-        self, probability: NDArray[np.float64], history: History
-    ) -> float | NDArray[np.float64]:
+    def achieved(self, probability: Floats, history: History) -> float | Floats:
         """Return the expected fraction of connected steps."""
         steps = history.steps + probability.shape[-1]
         return (history.connected_steps + probability.sum(axis=-1)) / steps
@@ -183,9 +177,7 @@ class Joint(Rule):
             words = f"of all steps together with {len(problem.stations)} stations"
             _require_shown(problem, words, "keep only one entry of stations")
 
-    def achieved(
-        self, probability: NDArray[np.float64], history: History
-    ) -> float | NDArray[np.float64]:
+    def achieved(self, probability: Floats, history: History) -> float | Floats:
         """Return Boole's lower bound of the joint probability, which may be negative."""
         return 1.0 - (1.0 - probability).sum(axis=-1)
 
@@ -241,12 +233,12 @@ class Outage(Rule):
     holds_steps: ClassVar[bool] = True
     greatest: ClassVar[bool] = True
     p_min: float
-    sizes: NDArray[np.float64]  # (..., N) length or duration of each step
+    sizes: Floats  # (..., N) length or duration of each step
     limit: float
     step_s: float | None = None  # Step duration; None for an outage in metres
 
     @classmethod
-    def of(cls, problem: Problem, legs_m: NDArray[np.float64]) -> Outage:
+    def of(cls, problem: Problem, legs_m: Floats) -> Outage:
         """Return the rule for steps of these lengths."""
         p_min, rule, step_s = problem.constraints.p_min, problem.constraints.rule, None
         if rule.outage_max_m is None:
@@ -256,9 +248,7 @@ class Outage(Rule):
     def _begun(self, history: History) -> float:
         return history.outage_m if self.step_s is None else history.outage_steps * self.step_s
 
-    def achieved(
-        self, probability: NDArray[np.float64], history: History
-    ) -> float | NDArray[np.float64]:
+    def achieved(self, probability: Floats, history: History) -> float | Floats:
         """Return minus the longest outage, including an outage in progress."""
         below = probability < self.p_min - RULE_TOLERANCE
         return -longest_run(self.sizes, below, self._begun(history))
@@ -267,7 +257,7 @@ class Outage(Rule):
         """Return minus the limit of the outage."""
         return -self.limit
 
-    def held(self, keeps: NDArray[np.bool_], history: History) -> NDArray[np.bool_]:
+    def held(self, keeps: Mask, history: History) -> Mask:
         """Return a mask of steps whose connection keeps all outages short enough: few and late."""
         held = np.zeros(len(keeps), dtype=np.bool_)
         run, last = self._begun(history), -1
@@ -285,7 +275,7 @@ class Outage(Rule):
         result_at, unit = super().by_slack(case), "m" if self.step_s is None else "s"
         return lambda slack_db: replace(result_at(slack_db), unit=unit)
 
-    def over_run(self, problem: Problem, connected: NDArray[np.bool_]) -> float:
+    def over_run(self, problem: Problem, connected: Mask) -> float:
         """Return the longest outage of the run so far, in seconds."""
         longest = longest_run(np.full(len(connected), problem.planner.step_s), ~connected)
         return float(longest) if len(connected) else float("nan")
@@ -306,7 +296,7 @@ class Data(Rule):
     problem: Problem
 
     @classmethod
-    def of(cls, problem: Problem, legs_m: NDArray[np.float64]) -> Data:
+    def of(cls, problem: Problem, legs_m: Floats) -> Data:
         """Return the data rule of a problem for plans."""
         return cls(problem)
 
@@ -315,9 +305,7 @@ class Data(Rule):
         """Raise an InputError for an amount of data that no plan can be proved to deliver."""
         _require_deliverable(problem)
 
-    def achieved(
-        self, probability: NDArray[np.float64], history: History
-    ) -> float | NDArray[np.float64]:
+    def achieved(self, probability: Floats, history: History) -> float | Floats:
         """Return the expected data delivered by the plan."""
         return probability @ data_of_steps_mbit(self.problem, history.steps, probability.shape[-1])
 
@@ -347,7 +335,7 @@ class Data(Rule):
         words = "the expected data delivered by the plan"
         return words, "keeping pace with constraints.data_mbit"
 
-    def over_run(self, problem: Problem, connected: NDArray[np.bool_]) -> float:
+    def over_run(self, problem: Problem, connected: Mask) -> float:
         """Return the data that the run delivered by the deadline."""
         return float(data_of_steps_mbit(problem, 0, len(connected)) @ connected)
 

@@ -8,9 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-import numpy as np
-from numpy.typing import NDArray
-
+from planopt.arrays import Floats
 from planopt.channel.connectivity_law import ConnectivityLaw, UncertainParameters
 from planopt.channel.kriging import NEIGHBOURS_BEYOND, predict, predict_nearby
 from planopt.channel.parameter_uncertainty import marginalise
@@ -37,27 +35,25 @@ def is_search_exact(posterior: ChannelPosterior) -> bool:
     return len(posterior.measurements) <= SEARCH_EXACT_LIMIT
 
 
-def certified_prediction(
-    law: ConnectivityLaw, positions_m: NDArray[np.float64]
-) -> tuple[Prediction, str]:
+def certified_prediction(law: ConnectivityLaw, positions_m: Floats) -> tuple[Prediction, str]:
     """Return the verifier's power prediction at positions (n, 2), and its posterior's name."""
     most = max(len(station.measurements) for station in law.posteriors)
     kind = "exact" if most <= EXACT_LIMIT else f"neighbours:{NEIGHBOURS_BEYOND}"
     return law.power(positions_m, _certified_power), kind
 
 
-def _certified_power(posterior: ChannelPosterior, positions_m: NDArray[np.float64]) -> Prediction:
+def _certified_power(posterior: ChannelPosterior, positions_m: Floats) -> Prediction:
     if len(posterior.measurements) <= EXACT_LIMIT:
         return predict(posterior, positions_m)
     return predict_nearby(posterior, positions_m, NEIGHBOURS_BEYOND)
 
 
-def search_prediction(law: ConnectivityLaw, positions_m: NDArray[np.float64]) -> Prediction:
+def search_prediction(law: ConnectivityLaw, positions_m: Floats) -> Prediction:
     """Return the power prediction that searches use at positions (n, 2)."""
     return law.power(positions_m, search_power)
 
 
-def search_power(posterior: ChannelPosterior, positions_m: NDArray[np.float64]) -> Prediction:
+def search_power(posterior: ChannelPosterior, positions_m: Floats) -> Prediction:
     """Return one station's power prediction that searches use at positions (n, 2)."""
     if is_search_exact(posterior):
         return predict(posterior, positions_m)
@@ -94,7 +90,7 @@ class VerifierContext:
     problem: Problem  # Problem with this robot alone
     index: ObstacleIndex  # Index of the problem's obstacles
     posteriors: tuple[ChannelPosterior, ...]  # Belief of each station's channel
-    state: NDArray[np.float64]  # (s,) the robot's state, its position first
+    state: Floats  # (s,) the robot's state, its position first
     moving: MovingDiscs = NOTHING_MOVES  # Moving obstacles and other robots during the steps
     history: History = BEGINNING  # Executed steps, for rules over the whole run
     uncertain: ConnectivityLaw | None = None  # Model with uncertain parameters, if required
@@ -118,7 +114,7 @@ class VerifierContext:
         return self.uncertain or stations_law(self.problem, self.posteriors)
 
     @property
-    def position_m(self) -> NDArray[np.float64]:
+    def position_m(self) -> Floats:
         """``(2,)`` position of the robot."""
         return self.state[:2]
 
@@ -149,7 +145,7 @@ def verifier_context(
     problem: Problem,
     index: ObstacleIndex,
     posteriors: Sequence[ChannelPosterior],
-    state: NDArray[np.float64],
+    state: Floats,
     history: History = BEGINNING,
     moving: MovingDiscs | None = None,  # None: moving obstacles of the problem
     goal_grid: GoalGrid | None = None,

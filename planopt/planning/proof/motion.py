@@ -14,8 +14,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, DYNAMICS_TOLERANCE_M, STANDSTILL_M
 from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Drive, Dynamics, braked_motion, dynamics_defect_m
@@ -62,13 +62,11 @@ def verify_apart(
     return Apart(_least(gaps[discs.is_robot]), _least(gaps[~discs.is_robot]), tuple(reasons))
 
 
-def _least(away_m: NDArray[np.float64]) -> float | None:
+def _least(away_m: Floats) -> float | None:
     return float(away_m.min()) if away_m.size else None
 
 
-def swept_motion(
-    problem: Problem, positions_m: NDArray[np.float64], drive: Drive | None
-) -> TimedMotion:
+def swept_motion(problem: Problem, positions_m: Floats, drive: Drive | None) -> TimedMotion:
     """Return the first robot's motion along a path of finite numbers, including braking.
 
     If the drive is invalid, which the verifier rejects, straight motion is returned.
@@ -92,8 +90,8 @@ class MotionFinding:
 def verify_motion(
     problem: Problem,
     index: ObstacleIndex,
-    start: NDArray[np.float64],  # (s,) state of the robot
-    positions_m: NDArray[np.float64],  # (N + 1, 2)
+    start: Floats,  # (s,) state of the robot
+    positions_m: Floats,  # (N + 1, 2)
     drive: Drive | None,  # None for the single integrator
 ) -> MotionFinding:
     """Return the verifier's findings on the first robot's motion along a path of finite numbers."""
@@ -106,7 +104,7 @@ def verify_motion(
     return _driven(problem, index, start, positions_m, drive, dynamics)
 
 
-def drive_fault(dynamics: Dynamics, positions_m: NDArray[np.float64], drive: Drive | None) -> str:
+def drive_fault(dynamics: Dynamics, positions_m: Floats, drive: Drive | None) -> str:
     """Return why a drive does not reproduce a path of finite numbers; empty if it does."""
     states, inputs = len(dynamics.state_names), len(dynamics.input_names)
     if (
@@ -121,10 +119,7 @@ def drive_fault(dynamics: Dynamics, positions_m: NDArray[np.float64], drive: Dri
 
 
 def _straight(
-    problem: Problem,
-    index: ObstacleIndex,
-    start_m: NDArray[np.float64],
-    positions_m: NDArray[np.float64],
+    problem: Problem, index: ObstacleIndex, start_m: Floats, positions_m: Floats
 ) -> MotionFinding:
     swept = swept_clearance_m(index, positions_m)
     clearance = float(np.min(swept, initial=np.inf))
@@ -140,8 +135,8 @@ def _straight(
 def _driven(
     problem: Problem,
     index: ObstacleIndex,
-    start: NDArray[np.float64],
-    positions_m: NDArray[np.float64],
+    start: Floats,
+    positions_m: Floats,
     drive: Drive,
     dynamics: Dynamics,
 ) -> MotionFinding:
@@ -180,7 +175,7 @@ def _driven(
     return MotionFinding(clearance, max(jump, off, over, still), tuple(reasons))
 
 
-def _clearance_reasons(problem: Problem, swept: NDArray[np.float64], what: str) -> list[str]:
+def _clearance_reasons(problem: Problem, swept: Floats, what: str) -> list[str]:
     constraints = problem.constraints
     if is_clear(swept, constraints.clearance_m, CLEARANCE_TOLERANCE_M).all():
         return []
@@ -199,13 +194,13 @@ def _within(problem: Problem, curve: Curve) -> bool:
     return bool(low[0] >= x_min and low[1] >= y_min and high[0] <= x_max and high[1] <= y_max)
 
 
-def is_at_goal(problem: Problem, place_m: NDArray[np.float64]) -> bool:
+def is_at_goal(problem: Problem, place_m: Floats) -> bool:
     """Return whether a position (2,) is within the goal's radius."""
     away = float(np.linalg.norm(place_m - np.asarray(problem.goal_m)))
     return away <= problem.constraints.goal_radius_m
 
 
-def stands(problem: Problem, state: NDArray[np.float64]) -> bool:
+def stands(problem: Problem, state: Floats) -> bool:
     """Return whether the first robot is at rest in a state (s,)."""
     dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
     control = dynamics.braking(state, step_s, 1)[0]
@@ -213,7 +208,7 @@ def stands(problem: Problem, state: NDArray[np.float64]) -> bool:
     return float(np.linalg.norm(after[:2] - state[:2])) <= STANDSTILL_M
 
 
-def stops_at_goal(problem: Problem, state: NDArray[np.float64]) -> bool:
+def stops_at_goal(problem: Problem, state: Floats) -> bool:
     """Return whether a robot with dynamics is at the goal and comes to rest there by braking."""
     dynamics = problem.robots[0].dynamics
     if not is_at_goal(problem, state[:2]):

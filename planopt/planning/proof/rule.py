@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.errors import InputError
 from planopt.parts import calling, class_name, returned
@@ -41,7 +41,7 @@ class PathCase:
     """Path to be verified by a connectivity rule over all its steps."""
 
     context: VerifierContext
-    positions_m: NDArray[np.float64]  # (N + 1, 2) positions, the robot's current one first
+    positions_m: Floats  # (N + 1, 2) positions, the robot's current one first
     power: Prediction  # Predicted power after each of the N steps
 
     @property
@@ -54,7 +54,7 @@ class PathCase:
         """Steps executed so far."""
         return self.context.history
 
-    def probability(self, slack_db: float) -> NDArray[np.float64]:
+    def probability(self, slack_db: float) -> Floats:
         """Return the probability of connection after each step (N,), for a threshold with slack."""
         if len(self.context.posteriors) > 1 and slack_db > 0.0:
             return self.context.law.probability(self.positions_m[1:], slack_db)
@@ -85,7 +85,7 @@ class Rule(ABC):
     metric: ClassVar[str] = ""  # Name of the metric of a run; empty if there is none
 
     @classmethod
-    def of(cls, problem: Problem, legs_m: NDArray[np.float64]) -> Rule:
+    def of(cls, problem: Problem, legs_m: Floats) -> Rule:
         """Return the problem's rule for steps of these lengths ``(..., N)``."""
         return cls(**dict(problem.constraints.rule.settings))
 
@@ -106,30 +106,26 @@ class Rule(ABC):
         del problem  # most rules suit every problem
 
     @abstractmethod
-    def achieved(
-        self, probability: NDArray[np.float64], history: History
-    ) -> float | NDArray[np.float64]:
+    def achieved(self, probability: Floats, history: History) -> float | Floats:
         """Return the value ``(...)`` of plans with connection probabilities ``(..., N)``."""
 
     def required(self, p_min: float, history: History, count: int) -> float:
         """Return the value that a plan of `count` steps must reach."""
         return p_min
 
-    def counted(self, history: History, count: int) -> NDArray[np.bool_]:
+    def counted(self, history: History, count: int) -> Mask:
         """Return a mask ``(count,)`` of the steps that must each satisfy p_min."""
         return np.zeros(count, dtype=np.bool_)
 
-    def held(self, keeps: NDArray[np.bool_], history: History) -> NDArray[np.bool_]:
+    def held(self, keeps: Mask, history: History) -> Mask:
         """Return a mask (N,) of steps that satisfy the rule if each satisfies p_min."""
         raise AssertionError("a rule that holds no steps")
 
-    def valued(self, probability: NDArray[np.float64], history: History) -> NDArray[np.float64]:
+    def valued(self, probability: Floats, history: History) -> Floats:
         """Return :meth:`achieved` as an array ``(...)``."""
         return np.asarray(self.achieved(probability, history), dtype=np.float64)
 
-    def slopes(
-        self, probability: NDArray[np.float64], history: History
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def slopes(self, probability: Floats, history: History) -> tuple[Floats, Floats]:
         """Return the values (...) of plans, and gradients w.r.t. their probabilities (..., N)."""
         # Differences point towards 0.5, so that probabilities stay between 0 and 1.
         probe = np.where(probability > 0.5, -PROBE, PROBE)
@@ -170,19 +166,17 @@ class Rule(ABC):
         limit = next((key for key in self.keys if key.endswith(f"_max_{result.unit}")), None)
         return self.subject, "constraints.p_min" if limit is None else f"constraints.{limit}"
 
-    def run_metrics(
-        self, problem: Problem, connected: Sequence[NDArray[np.bool_]]
-    ) -> dict[str, float]:
+    def run_metrics(self, problem: Problem, connected: Sequence[Mask]) -> dict[str, float]:
         """Return the worst robot's metric by name, from one mask (n,) of connection per robot."""
         each = [self.over_run(problem, now) for now in connected]
         return {self.metric: (max if self.greatest else min)(each)} if self.metric else {}
 
-    def over_run(self, problem: Problem, connected: NDArray[np.bool_]) -> float:
+    def over_run(self, problem: Problem, connected: Mask) -> float:
         """Return one robot's metric from its mask of connection (n,); NaN without steps."""
         return float(connected.mean()) if connected.size else float("nan")
 
 
-def rule_of(problem: Problem, legs_m: NDArray[np.float64] | None = None) -> Rule:
+def rule_of(problem: Problem, legs_m: Floats | None = None) -> Rule:
     """Return the problem's rule, for steps of lengths ``(..., N)`` or the longest steps."""
     kind: type[Rule] = problem.constraints.rule.kind
     full = np.full(problem.planner.horizon, problem.step_length_m)
@@ -275,9 +269,7 @@ class OwnRule(Rule):
             register_rule(cls)
 
     @abstractmethod
-    def achieved(
-        self, probability: NDArray[np.float64], history: History
-    ) -> float | NDArray[np.float64]:
+    def achieved(self, probability: Floats, history: History) -> float | Floats:
         """Return the value that the rule assigns to plans; larger values are better.
 
         Parameters
@@ -292,7 +284,7 @@ class OwnRule(Rule):
         """Return the value that a plan must reach."""
         return p_min
 
-    def valued(self, probability: NDArray[np.float64], history: History) -> NDArray[np.float64]:
+    def valued(self, probability: Floats, history: History) -> Floats:
         """Return :meth:`achieved` as a validated array ``(...)``."""
         words = f"{self._number} for each plan of probabilities (..., N)"
         with calling(self, "achieved", key=KEY, remedy=f"return {words}"):
@@ -316,7 +308,7 @@ class OwnRule(Rule):
         is_probability = self.unit == OwnRule.unit
         return "one number from 0 to 1" if is_probability else "one finite number"
 
-    def _within(self, method: str, values: NDArray[np.float64], words: str) -> NDArray[np.float64]:
+    def _within(self, method: str, values: Floats, words: str) -> Floats:
         """Return a method's values; raise an InputError if probabilities are outside [0, 1]."""
         if self.unit != OwnRule.unit:
             return values

@@ -22,6 +22,7 @@ from scipy.ndimage import label  # pyright: ignore[reportUnknownVariableType]
 from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.objectives.reach import charged_length_m
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
 from planopt.problems.problem import Problem
@@ -36,10 +37,10 @@ from planopt.world.shortest_paths import (
 
 def grid_of(
     bounds_m: tuple[float, float, float, float],
-    anchor_m: NDArray[np.float64],
+    anchor_m: Floats,
     spacing_m: float,
     radius_m: float = np.inf,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return grid nodes (rows, columns, 2) within a radius of an anchor, which is one of them."""
     low = np.maximum(np.array(bounds_m[:2]) - anchor_m, -radius_m)
     high = np.minimum(np.array(bounds_m[2:]) - anchor_m, radius_m)
@@ -51,13 +52,13 @@ def grid_of(
     return grid
 
 
-def _steps_within(low: float, high: float, spacing: float) -> NDArray[np.float64]:
+def _steps_within(low: float, high: float, spacing: float) -> Floats:
     """Return the multiples of `spacing` between `low` and `high`."""
     first, last = int(np.ceil(low / spacing)), int(np.floor(high / spacing))
     return spacing * np.arange(first, last + 1, dtype=np.float64)
 
 
-def parts_of(passable: NDArray[np.bool_]) -> NDArray[np.int32]:
+def parts_of(passable: Mask) -> NDArray[np.int32]:
     """Return the label of each grid node's connected component; 0 for blocked nodes."""
     numbered = cast(
         "tuple[object, int]", label(passable, structure=np.ones((3, 3), dtype=np.int32))
@@ -65,21 +66,21 @@ def parts_of(passable: NDArray[np.bool_]) -> NDArray[np.int32]:
     return np.asarray(numbered[0], dtype=np.int32)
 
 
-def may_reach_from(problem: Problem, state: NDArray[np.float64]) -> MayReach | None:
+def may_reach_from(problem: Problem, state: Floats) -> MayReach | None:
     """Return a test of positions reachable from `state`; None for a single integrator (a disc)."""
     if problem.robots[0].moves_freely:
         return None
     dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
 
-    def may_reach(places_m: NDArray[np.float64], step: int, slack_m: float) -> NDArray[np.bool_]:
+    def may_reach(places_m: Floats, step: int, slack_m: float) -> Mask:
         return dynamics.may_reach(state, places_m, step * step_s, slack_m)
 
     return may_reach
 
 
-MarginAt = Callable[[NDArray[np.float64]], NDArray[np.float64]]
+MarginAt = Callable[[Floats], Floats]
 """Function that maps positions (n, 2) to connectivity margins (n,) in dB."""
-Places = tuple[NDArray[np.float64], NDArray[np.float64]]
+Places = tuple[Floats, Floats]
 """Positions (n, 2) and their connectivity margins (n,) in dB."""
 
 FIRST_PATHS = 64
@@ -92,9 +93,9 @@ def best_by_paths(
     index: ObstacleIndex,
     bounds_m: tuple[float, float, float, float],
     margin_db: MarginAt,
-    start_m: NDArray[np.float64],
+    start_m: Floats,
     clearance: float,
-    reach_m: NDArray[np.float64],  # (k,) reachable path lengths, ascending
+    reach_m: Floats,  # (k,) reachable path lengths, ascending
     looked: list[Places],
     spacing_m: float,
 ) -> tuple[float, ...]:
@@ -125,10 +126,10 @@ def best_by_paths(
 def _about(
     index: ObstacleIndex,
     bounds_m: tuple[float, float, float, float],
-    nodes_m: NDArray[np.float64],
+    nodes_m: Floats,
     clearance: float,
     spacing_m: float,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return collision-free positions (m, 2) within half a spacing of nodes (n, 2)."""
     fractions = np.linspace(-0.5, 0.5, 9)
     around = np.stack(np.meshgrid(fractions, fractions), axis=-1).reshape(1, -1, 2)
@@ -139,11 +140,7 @@ def _about(
 
 
 def _best_reached(
-    paths: ShortestPaths,
-    reach_m: NDArray[np.float64],
-    places_m: NDArray[np.float64],
-    margins_db: NDArray[np.float64],
-    bound_db: NDArray[np.float64],
+    paths: ShortestPaths, reach_m: Floats, places_m: Floats, margins_db: Floats, bound_db: Floats
 ) -> tuple[float, ...]:
     """Return the largest margin of positions, sorted best first, within each of k path lengths.
 
@@ -178,7 +175,7 @@ REFINED_NODES = 24
 REFINEMENTS = 2
 """Number of refinements, each with a quarter of the previous spacing."""
 
-MayReach = Callable[[NDArray[np.float64], int, float], NDArray[np.bool_]]
+MayReach = Callable[[Floats, int, float], Mask]
 """Function that returns a mask of positions (n, 2): whether a robot may be within a distance (m) of
 each after a number of steps. It is conservative: never False for a reachable position."""
 
@@ -186,10 +183,10 @@ each after a number of steps. It is conservative: never False for a reachable po
 def best_margins_by_step(
     index: ObstacleIndex,
     bounds_m: tuple[float, float, float, float],
-    margin_db: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    start_m: NDArray[np.float64],  # (2,) position of the robot
+    margin_db: Callable[[Floats], Floats],
+    start_m: Floats,  # (2,) position of the robot
     step_length_m: float,
-    steps: NDArray[np.intp],  # (k,) ascending step numbers; 1 is the first
+    steps: Indices,  # (k,) ascending step numbers; 1 is the first
     clearance: float,
     may_reach: MayReach | None = None,
 ) -> tuple[float, ...]:
@@ -235,11 +232,11 @@ def best_margins_by_step(
 
 
 def _reached(
-    start_m: NDArray[np.float64], radius_m: float, step: int, may_reach: MayReach | None
-) -> Callable[[NDArray[np.float64]], NDArray[np.bool_]]:
+    start_m: Floats, radius_m: float, step: int, may_reach: MayReach | None
+) -> Callable[[Floats], Mask]:
     """Return a function that tests which positions (n, 2) are reachable by a step."""
 
-    def reached(places_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def reached(places_m: Floats) -> Mask:
         near = np.linalg.norm(places_m - start_m, axis=1) <= radius_m
         return near if may_reach is None else near & may_reach(places_m, step, 0.0)
 
@@ -249,10 +246,10 @@ def _reached(
 def _refined(
     index: ObstacleIndex,
     bounds_m: tuple[float, float, float, float],
-    margin_db: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-    reached: Callable[[NDArray[np.float64]], NDArray[np.bool_]],
+    margin_db: Callable[[Floats], Floats],
+    reached: Callable[[Floats], Mask],
     clearance: float,
-    top_m: NDArray[np.float64],
+    top_m: Floats,
     spacing_m: float,
 ) -> list[Places]:
     """Return positions on successively finer grids around the best nodes, with margins."""
@@ -284,7 +281,7 @@ JOINING_SPACINGS = 1.5
 COARSE = 2
 """Stride of rows and columns with predictions; values in between are interpolated."""
 
-ContactAt = Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]]
+ContactAt = Callable[[Floats], tuple[Floats, Floats]]
 """Function that maps positions (n, 2) to the fraction (n,) of a metre that costs the outage price
 and the connectivity margin (n,) in dB."""
 
@@ -294,21 +291,21 @@ class GoalGrid:
     """Grid of nodes and moves that satisfy the clearance; one node is the goal."""
 
     spacing_m: float  # Grid spacing
-    nodes_m: NDArray[np.float64]  # (n, 2)
-    ends: NDArray[np.intp]  # (2, m) end nodes of each move
+    nodes_m: Floats  # (n, 2)
+    ends: Indices  # (2, m) end nodes of each move
     goal: int  # Index of the goal's node
-    coarse_m: NDArray[np.float64]  # (c, 2) positions of the coarse grid
+    coarse_m: Floats  # (c, 2) positions of the coarse grid
     # (n, 4) coarse positions whose weighted mean is the value of each node
-    corners: NDArray[np.intp]
-    weights: NDArray[np.float64]
+    corners: Indices
+    weights: Floats
 
 
 @dataclass(frozen=True, eq=False)
 class GoalCosts:
     """Costs of paths on the goal grid for one channel belief."""
 
-    share: NDArray[np.float64]  # (n,) fraction of a metre out of contact at each node
-    to_goal_m: NDArray[np.float64]  # (n,) cost of the cheapest path to the goal
+    share: Floats  # (n,) fraction of a metre out of contact at each node
+    to_goal_m: Floats  # (n,) cost of the cheapest path to the goal
     best_margin_db: float  # Largest connectivity margin in the workspace
 
 
@@ -339,7 +336,7 @@ def build_goal_grid(problem: Problem, index: ObstacleIndex) -> GoalGrid:
     number = np.full((high, wide), -1)
     number[is_open] = np.arange(int(is_open.sum()))
     nodes = grid[is_open]
-    ends: list[NDArray[np.intp]] = []
+    ends: list[Indices] = []
     for down, right in MOVES:
         left = max(0, -right)
         one = number[: high - down, left : wide - max(0, right)]
@@ -359,14 +356,12 @@ def build_goal_grid(problem: Problem, index: ObstacleIndex) -> GoalGrid:
     return GoalGrid(spacing, nodes, joined[:, kept], at_goal, coarse, corners, weights)
 
 
-def _coarser(
-    grid: NDArray[np.float64], is_open: NDArray[np.bool_]
-) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.float64]]:
+def _coarser(grid: Floats, is_open: Mask) -> tuple[Floats, Indices, Floats]:
     """Return positions of a coarse grid around open nodes, and how nodes are interpolated."""
     rows, columns = np.nonzero(is_open)
     last = (np.array(is_open.shape) - 1) // COARSE
-    corners: list[NDArray[np.intp]] = []
-    weights: list[NDArray[np.float64]] = []
+    corners: list[Indices] = []
+    weights: list[Floats] = []
     for down in (0, 1):
         for right in (0, 1):
             row, column = rows // COARSE + down, columns // COARSE + right
@@ -390,7 +385,7 @@ def goal_costs(grid: GoalGrid, contact_at: ContactAt, price: float) -> GoalCosts
     cost = length * (1.0 + 0.5 * price * (share[one] + share[other]))
     count = len(grid.nodes_m)
     graph = csr_matrix((cost, (one, other)), shape=(count, count))
-    to_goal = cast("NDArray[np.float64]", dijkstra(graph, directed=False, indices=grid.goal))
+    to_goal = cast("Floats", dijkstra(graph, directed=False, indices=grid.goal))
     best = float(margin.max())
     if best < 0.0:
         best = max(best, float(contact_at(grid.nodes_m)[1].max()))
@@ -402,8 +397,8 @@ def price_path(
     index: ObstacleIndex,
     costs: GoalCosts,
     price: float,
-    positions_m: NDArray[np.float64],
-    share: NDArray[np.float64],
+    positions_m: Floats,
+    share: Floats,
 ) -> PricedPath:
     """Return the cost of a path (N + 1, 2), and of the cheapest path from its start."""
 

@@ -14,8 +14,8 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
 from planopt.objectives.reach import outage_share
 from planopt.planning.certificate import Certificate, RuleResult, plan_message
@@ -68,7 +68,7 @@ def is_priced(problem: Problem) -> bool:
 
 
 def verify_single_steps(
-    context: VerifierContext, positions_m: NDArray[np.float64], power: Prediction
+    context: VerifierContext, positions_m: Floats, power: Prediction
 ) -> StepsFinding:
     """Return the findings on p_min at the counted steps of a path (N + 1, 2)."""
     problem = context.problem
@@ -130,11 +130,7 @@ def verify_single_steps(
     return StepsFinding(steps, relaxation, best, reasons=tuple(reasons), rule=result)
 
 
-def _result(
-    problem: Problem,
-    asked: NDArray[np.bool_],
-    relaxation_db: tuple[float, ...],
-) -> RuleResult | None:
+def _result(problem: Problem, asked: Mask, relaxation_db: tuple[float, ...]) -> RuleResult | None:
     """Return the result: the number of steps that satisfy p_min; None for the default rule."""
     rule = problem.constraints.rule
     if rule.is_plain:
@@ -151,9 +147,7 @@ def _result(
     )
 
 
-def _beyond_slack(
-    problem: Problem, missed: NDArray[np.intp], relaxation_db: tuple[float, ...]
-) -> list[str]:
+def _beyond_slack(problem: Problem, missed: Indices, relaxation_db: tuple[float, ...]) -> list[str]:
     """Return the reasons why steps violate p_min beyond the slack; no reasons otherwise."""
     limit = problem.constraints.rule.slack_max_db or 0.0
     return [
@@ -164,14 +158,12 @@ def _beyond_slack(
     ]
 
 
-def _priced(context: VerifierContext, positions_m: NDArray[np.float64]) -> tuple[PricedPath, float]:
+def _priced(context: VerifierContext, positions_m: Floats) -> tuple[PricedPath, float]:
     """Return the costs of a path (N + 1, 2), and the best margin found in the workspace."""
     problem = context.problem
     threshold, p_min = problem.stations[0].threshold_dbm, problem.constraints.p_min
 
-    def contact_at(
-        places_m: NDArray[np.float64],
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def contact_at(places_m: Floats) -> tuple[Floats, Floats]:
         power = search_prediction(context.law, places_m)
         margin = bound_margin_db(power.mean_db, power.deviation_db, threshold, p_min)
         chance = connection_probability(power.mean_db, power.deviation_db, threshold)
@@ -247,7 +239,7 @@ class Judgement:
     def plan(
         self,
         problem: Problem,
-        positions_m: NDArray[np.float64],  # (N + 1, 2)
+        positions_m: Floats,  # (N + 1, 2)
         objective: float,
         lattice_objective: float,
         rung: Rung,
@@ -280,7 +272,7 @@ class Judgement:
 
 def verify(
     context: VerifierContext,
-    positions_m: NDArray[np.float64],
+    positions_m: Floats,
     kkt_residual: float | None = None,  # Copied into the certificate
     drive: Drive | None = None,  # None for the single integrator
 ) -> Judgement:
@@ -331,9 +323,7 @@ def verify(
     return Judgement(certificate, verdict, power, sound)
 
 
-def _gets_nowhere(
-    context: VerifierContext, positions_m: NDArray[np.float64], drive: Drive | None
-) -> bool:
+def _gets_nowhere(context: VerifierContext, positions_m: Floats, drive: Drive | None) -> bool:
     """Return whether a robot waits short of its goal although no obstacle moves."""
     problem = context.problem
     if problem.task != "reach" or len(context.moving) or is_at_goal(problem, positions_m[0]):

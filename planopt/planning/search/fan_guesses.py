@@ -15,8 +15,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.planning.candidates import UNLIMITED, Budget
 from planopt.planning.scene import Ground
 from planopt.planning.search.lattice_search import steps_apart
@@ -45,12 +45,12 @@ MAX_CELLS = 250_000
 class RoughClearance:
     """Raster of clearances at the corners of square cells over the workspace."""
 
-    origin_m: NDArray[np.float64]  # (2,) of corner [0, 0]
+    origin_m: Floats  # (2,) of corner [0, 0]
     cell_m: float  # Side length of a cell
-    distance_m: NDArray[np.float64]  # (ny, nx) distance to the nearest obstacle
+    distance_m: Floats  # (ny, nx) distance to the nearest obstacle
     bounds_m: tuple[float, float, float, float]  # (x_min, y_min, x_max, y_max)
 
-    def is_free(self, places_m: NDArray[np.float64], clearance: float) -> NDArray[np.bool_]:
+    def is_free(self, places_m: Floats, clearance: float) -> Mask:
         """Return a mask of positions (..., 2) that are in bounds with about this clearance."""
         x_min, y_min, x_max, y_max = self.bounds_m
         x, y = places_m[..., 0], places_m[..., 1]
@@ -97,7 +97,7 @@ SAMPLES = (0.5, 1.0)
 
 def fan_paths(
     context: StepContext, index: ObstacleIndex, rough: RoughClearance, horizon: int
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the fan (c, N, 2) of collision-free paths at full speed."""
     heading, turn = (
         grid.ravel()
@@ -115,9 +115,9 @@ def driven_paths(
     context: StepContext,
     index: ObstacleIndex,
     rough: RoughClearance,
-    turn_rad: NDArray[np.float64],  # (N, c) before each step; the first is a heading
-    speed: NDArray[np.float64],  # (N, c) relative to the maximum speed
-) -> NDArray[np.float64]:
+    turn_rad: Floats,  # (N, c) before each step; the first is a heading
+    speed: Floats,  # (N, c) relative to the maximum speed
+) -> Floats:
     """Return c paths that follow commands of turns and speeds around obstacles; ``(c, N, 2)``."""
     problem = context.problem
     clear = problem.constraints.clearance_m + CLEARANCE_PAD_M
@@ -145,11 +145,11 @@ def driven_paths(
 def _turned_aside(
     context: StepContext,
     rough: RoughClearance,
-    paths_m: NDArray[np.float64],
-    heading_rad: NDArray[np.float64],  # (N, c) commanded
-    speed: NDArray[np.float64],  # (N, c) commanded
+    paths_m: Floats,
+    heading_rad: Floats,  # (N, c) commanded
+    speed: Floats,  # (N, c) commanded
     first: int,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the paths (c, N + 1, 2) with turns to avoid obstacles, from step `first` on."""
     problem = context.problem
     clear = problem.constraints.clearance_m + CLEARANCE_PAD_M
@@ -184,9 +184,9 @@ def _stopped(
     context: StepContext,
     index: ObstacleIndex,
     rough: RoughClearance,
-    paths_m: NDArray[np.float64],
+    paths_m: Floats,
     clear_m: float,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the positions (c, N, 2) after each step, with a stop before any blocked step."""
     count, places = len(paths_m), int(paths_m.shape[1])
     starts, ends = paths_m[:, :-1].reshape(-1, 2), paths_m[:, 1:].reshape(-1, 2)
@@ -202,7 +202,7 @@ def _stopped(
     return paths_m[np.arange(count)[:, None], until]
 
 
-def _direction(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+def _direction(angle: Floats) -> Floats:
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
@@ -215,12 +215,12 @@ DETOURS = 2
 HALVINGS = 40
 """Number of bisections for the curvature of an arc."""
 
-Commands = tuple[NDArray[np.float64], NDArray[np.float64]]
+Commands = tuple[Floats, Floats]
 """Commands of c paths: turns and relative speeds ``(N, c)`` of the steps."""
 
 
 def commands_via(
-    start_m: NDArray[np.float64], place_m: NDArray[np.float64], horizon: int, longest_m: float
+    start_m: Floats, place_m: Floats, horizon: int, longest_m: float
 ) -> Commands | None:
     """Return commands that lead to a position, straight or in an arc, and then onward or wait.
 
@@ -284,13 +284,13 @@ SEED, RANKED = 0, 4
 
 
 def varied_paths(
-    start_m: NDArray[np.float64],  # (2,)
-    paths_m: NDArray[np.float64],  # (c, N, 2)
+    start_m: Floats,  # (2,)
+    paths_m: Floats,  # (c, N, 2)
     longest_m: float,
-    drive: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]],
-    value: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    drive: Callable[[Floats, Floats], Floats],
+    value: Callable[[Floats], Floats],
     budget: Budget = UNLIMITED,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the best distinct paths after a few rounds of random bends and shifts of positions.
 
     If terms have no gradients, this finds maxima that the fan misses, such as short first steps.
@@ -320,12 +320,8 @@ def varied_paths(
 
 
 def _nudged(
-    start_m: NDArray[np.float64],
-    paths_m: NDArray[np.float64],
-    longest_m: float,
-    width: float,
-    generator: np.random.Generator,
-) -> NDArray[np.float64]:
+    start_m: Floats, paths_m: Floats, longest_m: float, width: float, generator: np.random.Generator
+) -> Floats:
     """Return paths (c, N, 2) with some positions shifted at random, within the step limit."""
     count, horizon = len(paths_m), int(paths_m.shape[1])
     nudge = NUDGE_SHARE * width * longest_m * generator.normal(size=paths_m.shape)
@@ -341,9 +337,7 @@ def _nudged(
     return found
 
 
-def _bends(
-    horizon: int, count: int, width_rad: float, generator: np.random.Generator
-) -> NDArray[np.float64]:
+def _bends(horizon: int, count: int, width_rad: float, generator: np.random.Generator) -> Floats:
     """Return random turns (N, c): at the first step, equal at all steps, and at a random step."""
     turn = np.zeros((horizon, count))
     turn[0] = FIRST_SHARE * width_rad * generator.normal(size=count)
@@ -370,17 +364,14 @@ class FanGuesses:
         self._rough = rough_clearance(problem, ground.index)
 
     def find_paths(
-        self,
-        context: StepContext,
-        known_m: list[NDArray[np.float64]],
-        budget: Budget = UNLIMITED,
-    ) -> list[NDArray[np.float64]]:
+        self, context: StepContext, known_m: list[Floats], budget: Budget = UNLIMITED
+    ) -> list[Floats]:
         """Return the best distinct paths (N, 2), best first by local ranking."""
         fan = fan_paths(context, self._index, self._rough, self._problem.planner.horizon)
         longest = self._problem.step_length_m - STEP_PAD_M
         climbs = can_climb(self._problem)
 
-        def drive(turn: NDArray[np.float64], speed: NDArray[np.float64]) -> NDArray[np.float64]:
+        def drive(turn: Floats, speed: Floats) -> Floats:
             return driven_paths(context, self._index, self._rough, turn, speed)
 
         paths = np.concatenate([np.asarray(known_m).reshape(-1, *fan.shape[1:]), fan])
@@ -403,7 +394,7 @@ class FanGuesses:
         values = self._if_apart(context, paths, ranking(paths))
         best = paths[distinct(paths, values, apart, CLIMBING)]
 
-        def slopes(moved_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        def slopes(moved_m: Floats) -> tuple[Floats, Floats]:
             value, slope = ranking.slopes(moved_m)
             return self._if_apart(context, moved_m, value), slope
 
@@ -412,9 +403,7 @@ class FanGuesses:
         )
         return list(found)
 
-    def _if_apart(
-        self, context: StepContext, paths_m: NDArray[np.float64], values: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def _if_apart(self, context: StepContext, paths_m: Floats, values: Floats) -> Floats:
         """Return the values of paths (c, N, 2), -inf for those too close to moving obstacles."""
         begin = np.broadcast_to(context.position_m, (len(paths_m), 1, 2))
         whole = np.concatenate([begin, paths_m], axis=1)

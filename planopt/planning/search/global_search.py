@@ -13,8 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices
 from planopt.channel.prediction import bound_margin_db, connection_probability
 from planopt.objectives.reach import charged_length_m, cost_rate_s_m, path_cost_s
 from planopt.planning.plan import History
@@ -57,15 +57,15 @@ CORRECTION_ROUNDS = 8
 class GlobalStart:
     """Initial guess of a plan to a goal, with its route and costs."""
 
-    nodes: NDArray[np.intp]  # (N,) lattice nodes
-    path_m: NDArray[np.float64]  # (N, 2) positions of the nodes
-    margin_db: NDArray[np.float64]  # (N,) connectivity margins of the nodes
-    route_m: NDArray[np.float64]  # (r, 2) route from its end to the goal
+    nodes: Indices  # (N,) lattice nodes
+    path_m: Floats  # (N, 2) positions of the nodes
+    margin_db: Floats  # (N,) connectivity margins of the nodes
+    route_m: Floats  # (r, 2) route from its end to the goal
     # (b, 2) first part of the route: connected and reachable in N steps
-    beyond_m: NDArray[np.float64]
+    beyond_m: Floats
     # Cost-to-go of all nodes, in metres; infinite where it was not computed
     cost_to_go: CostToGo
-    metre_cost: NDArray[np.float64]  # (n,) cost per metre at every node
+    metre_cost: Floats  # (n,) cost per metre at every node
     is_blocked: bool  # Whether path or route violates a hard constraint
     is_direct: bool = False  # Whether it is released unchanged, after detours
     # Whether it is released unchanged, clear of other robots' paths
@@ -124,8 +124,8 @@ class GlobalSearch:
         return self._start(context, cost_to_go, nodes)
 
     def clear_course(
-        self, position_m: NDArray[np.float64], start: GlobalStart, discs: MovingDiscs
-    ) -> tuple[GlobalStart, NDArray[np.float64], TimedPath] | None:
+        self, position_m: Floats, start: GlobalStart, discs: MovingDiscs
+    ) -> tuple[GlobalStart, Floats, TimedPath] | None:
         """Return a timed path to the goal that avoids moving discs; None if there is none."""
         # Shapes: position_m (2,).
         problem, scene = self._problem, self._scene
@@ -147,12 +147,8 @@ class GlobalSearch:
         return None if found is None else self._given(position_m, start, found, discs.steps)
 
     def refuge_course(
-        self,
-        position_m: NDArray[np.float64],
-        start: GlobalStart,
-        others_m: NDArray[np.float64],
-        steps: int,
-    ) -> tuple[GlobalStart, NDArray[np.float64], TimedPath] | None:
+        self, position_m: Floats, start: GlobalStart, others_m: Floats, steps: int
+    ) -> tuple[GlobalStart, Floats, TimedPath] | None:
         """Return a timed path to a refuge away from others (k, 2); as :meth:`clear_course`."""
         problem, scene = self._problem, self._scene
         found = search_room(
@@ -165,8 +161,8 @@ class GlobalSearch:
         return None if found is None else self._given(position_m, start, found, steps)
 
     def _given(
-        self, position_m: NDArray[np.float64], start: GlobalStart, found: TimedPath, steps: int
-    ) -> tuple[GlobalStart, NDArray[np.float64], TimedPath]:
+        self, position_m: Floats, start: GlobalStart, found: TimedPath, steps: int
+    ) -> tuple[GlobalStart, Floats, TimedPath]:
         """Return a timed path in three forms: initial guess, positions over all steps, itself."""
         problem, places = self._problem, self._scene.road_map.nodes_m
         horizon = problem.planner.horizon
@@ -197,7 +193,7 @@ class GlobalSearch:
         allowed = (1.0 + self._problem.reach.outage_price) * self._direct_m
         return history.has_circled or history.steps * self._problem.step_length_m > allowed
 
-    def _cost_to_go_from(self, position_m: NDArray[np.float64]) -> CostToGo:
+    def _cost_to_go_from(self, position_m: Floats) -> CostToGo:
         """Return the cost-to-go to the goal near the robot and near the end of its plan.
 
         The search radius follows from the cost-to-go one step ago. If it is too small, the search
@@ -215,22 +211,22 @@ class GlobalSearch:
         self._here_m = here_m if self._is_alone else np.inf
         return cost_to_go
 
-    def _metre_cost(self) -> NDArray[np.float64]:
+    def _metre_cost(self) -> Floats:
         """Return the cost per metre at every lattice node, including outage."""
         charged = 1.0 + self._problem.reach.outage_price * self.margins.outage_share
         return np.where(self.margins.outside, FORBIDDEN, charged) if self._forbids else charged
 
     def _within_rule(
-        self, context: StepContext, cost_to_go: CostToGo, cheapest: NDArray[np.intp]
-    ) -> NDArray[np.intp]:
+        self, context: StepContext, cost_to_go: CostToGo, cheapest: Indices
+    ) -> Indices:
         """Return the cheapest path that satisfies the rule and makes enough progress.
 
         Without one, return `cheapest`. With a slack limit, the rule has priority over progress.
         """
-        found: dict[bytes, NDArray[np.intp]] = {}
+        found: dict[bytes, Indices] = {}
         places = self._scene.road_map.nodes_m
 
-        def search(guide: Guide) -> list[NDArray[np.float64]]:
+        def search(guide: Guide) -> list[Floats]:
             nodes = self._cheapest(context, cost_to_go, guide, priced=True)
             if nodes is None:
                 return []
@@ -254,7 +250,7 @@ class GlobalSearch:
                 return all_nodes[k]
         return cheapest
 
-    def _cost_s(self, context: StepContext, cost_to_go: CostToGo, nodes: NDArray[np.intp]) -> float:
+    def _cost_s(self, context: StepContext, cost_to_go: CostToGo, nodes: Indices) -> float:
         """Return the cost in seconds of a path and of the route from its end."""
         problem, road_map = self._problem, self._scene.road_map
         places = np.vstack([context.position_m, road_map.nodes_m[nodes]])
@@ -271,7 +267,7 @@ class GlobalSearch:
         charged = problem.reach.outage_price * charged_length_m(lengths, share)
         return cost + self._rate * (charged + float(cost_to_go.cost_m[nodes[-1]]))
 
-    def _shortest(self, context: StepContext, cost_to_go: CostToGo) -> NDArray[np.intp] | None:
+    def _shortest(self, context: StepContext, cost_to_go: CostToGo) -> Indices | None:
         """Return the nodes (N,) of a path to the goal that ignores connection; None without one."""
         places, position = self._scene.road_map.nodes_m, context.position_m
         fastest = self._cheapest(context, cost_to_go, None, priced=False, effort_s2_m2=0.0)
@@ -289,7 +285,7 @@ class GlobalSearch:
         horizon = self._problem.planner.horizon
         return np.append(nodes, np.full(horizon, nodes[-1]))[:horizon]
 
-    def _gets_nowhere(self, context: StepContext, nodes: NDArray[np.intp]) -> bool:
+    def _gets_nowhere(self, context: StepContext, nodes: Indices) -> bool:
         """Return whether a path neither reaches the goal nor makes progress."""
         places = self._scene.road_map.nodes_m[nodes]
         farthest = np.linalg.norm(places - context.position_m, axis=1).max()
@@ -304,7 +300,7 @@ class GlobalSearch:
         *,
         priced: bool,
         effort_s2_m2: float | None = None,
-    ) -> NDArray[np.intp] | None:
+    ) -> Indices | None:
         """Return the nodes (N,) of the cheapest path, with corrected predictions along it.
 
         `effort_s2_m2` replaces the problem's effort weight.
@@ -321,7 +317,7 @@ class GlobalSearch:
         here = problem.reach.outage_price * share_here
         if self._forbids:
             here = np.where(margin_here < 0.0, FORBIDDEN, here)
-        nodes: NDArray[np.intp] | None = None
+        nodes: Indices | None = None
         for _ in range(CORRECTION_ROUNDS):
             surcharge = self._rate * np.concatenate([self._metre_cost() - 1.0, here])
             nodes = search_cheapest(
@@ -344,7 +340,7 @@ class GlobalSearch:
                 break
         return nodes
 
-    def _penalty_s(self, guide: Guide) -> NDArray[np.float64]:
+    def _penalty_s(self, guide: Guide) -> Floats:
         """Return penalties (N, n) in seconds of ending steps at nodes, according to a guide."""
         margins, threshold = self.margins, self._problem.stations[0].threshold_dbm
         penalty = np.zeros((len(guide.bounded), len(margins.mean_db)))
@@ -360,12 +356,7 @@ class GlobalSearch:
         return penalty
 
     def _start(
-        self,
-        context: StepContext,
-        cost_to_go: CostToGo,
-        nodes: NDArray[np.intp],
-        *,
-        direct: bool = False,
+        self, context: StepContext, cost_to_go: CostToGo, nodes: Indices, *, direct: bool = False
     ) -> GlobalStart:
         """Return the initial guess along lattice nodes, with its route and margins."""
         problem, road_map = self._problem, self._scene.road_map

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices
 from planopt.channel.prediction import bound_margin_db, connection_probability
 from planopt.parts import calling
 from planopt.planning.candidates import UNLIMITED, Budget
@@ -41,7 +41,7 @@ from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Drive
 from planopt.world.moving_discs import paths_gap_m
 
-Nodes = tuple[NDArray[np.intp], NDArray[np.intp]]
+Nodes = tuple[Indices, Indices]
 """Rows and columns of individual nodes."""
 
 MISSING_DB_SHARE = 10.0
@@ -57,7 +57,7 @@ class StageRewards:
         self._guide = guide
         self._field = field
         shape = field.mean_db.shape
-        self._alone: NDArray[np.float64] | None = None
+        self._alone: Floats | None = None
         for term in context.problem.terms:
             with calling(term, "node_reward", key="objective.terms"):
                 found = term.node_reward(context, field)
@@ -77,19 +77,19 @@ class StageRewards:
         self._credit = self._largest * guide.credit
         self._look_at(field.window)
 
-    def __call__(self, stage: int, window: Window) -> NDArray[np.float64]:
+    def __call__(self, stage: int, window: Window) -> Floats:
         """Return the reward of ending step `stage` (1..N) at each node of the window."""
         return self._rewards(window, stage - 1)
 
-    def along(self, nodes: NDArray[np.intp]) -> NDArray[np.float64]:
+    def along(self, nodes: Indices) -> Floats:
         """Return the rewards of ending step k at the k-th of `nodes` (N, 2), given as (iy, ix)."""
         return self._rewards((nodes[:, 0], nodes[:, 1]), np.arange(len(nodes)))
 
-    def corrected(self, nodes: NDArray[np.intp]) -> None:
+    def corrected(self, nodes: Indices) -> None:
         """Update the rewards after more accurate power predictions at `nodes` (n, 2)."""
         self._look_at((nodes[:, 0], nodes[:, 1]))
 
-    def _rewards(self, where: Window | Nodes, stage: int | NDArray[np.intp]) -> NDArray[np.float64]:
+    def _rewards(self, where: Window | Nodes, stage: int | Indices) -> Floats:
         reward = np.where(self._guide.bounded[stage], self._fixed[where], self._unbounded[where])
         if self._credit.any():
             reward += self._credit[stage] * self._chance[where]
@@ -121,7 +121,7 @@ class StageRewards:
         self._fixed[where] = np.where(known, fixed, -np.inf)
 
 
-def move_values(problem: Problem, lengths_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def move_values(problem: Problem, lengths_m: Floats) -> Floats:
     """Return the values of moves of these lengths: minus the energy of motion.
 
     Waiting is excluded if another measurement at the same position is redundant.
@@ -155,7 +155,7 @@ EQUAL_M = 1e-6
 class Guess:
     """Initial guess of a refinement, with its objective value."""
 
-    path_m: NDArray[np.float64]  # (N, 2)
+    path_m: Floats  # (N, 2)
     value: float  # Objective value
     missing_db: float  # Violation of the connectivity rule in dB (`rule_missing`)
     drive: Drive | None = None  # Drive of a robot with dynamics
@@ -163,9 +163,7 @@ class Guess:
     charge: GoalCharge | None = None  # Goal cost in a refinement; None without a goal
 
 
-def without_waiting(
-    position_m: NDArray[np.float64], path_m: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def without_waiting(position_m: Floats, path_m: Floats) -> Floats:
     """Return a path (N, 2) with the initial waiting steps moved to its end.
 
     A refinement cannot do this, and a plan that waits first would be postponed at every step.
@@ -195,7 +193,7 @@ class GuessSearch:
     def find_guesses(
         self,
         context: StepContext,
-        shifted_m: NDArray[np.float64] | None,  # (N, 2) the last plan shifted by one step, or None
+        shifted_m: Floats | None,  # (N, 2) the last plan shifted by one step, or None
         budget: Budget = UNLIMITED,
     ) -> list[Guess]:
         """Return initial guesses, best first; guesses that satisfy the rule precede the others."""
@@ -232,9 +230,7 @@ class GuessSearch:
                 kept.append(guess)
         return kept
 
-    def _apart(
-        self, context: StepContext, paths: list[NDArray[np.float64]]
-    ) -> list[NDArray[np.float64]]:
+    def _apart(self, context: StepContext, paths: list[Floats]) -> list[Floats]:
         """Return the paths that avoid moving obstacles; all paths if none does."""
         moving = context.moving
         if not len(moving):
@@ -247,14 +243,14 @@ class GuessSearch:
         ]
         return kept or paths
 
-    def _lattice_paths(self, context: StepContext, budget: Budget) -> list[NDArray[np.float64]]:
+    def _lattice_paths(self, context: StepContext, budget: Budget) -> list[Floats]:
         """Return the best lattice paths, one for each guide of the connectivity rule.
 
         After the first path, the search stops once its time budget is spent.
         """
         found = False
 
-        def search(guide: Guide) -> list[NDArray[np.float64]]:
+        def search(guide: Guide) -> list[Floats]:
             nonlocal found
             if found and budget.searched:
                 return []
@@ -264,9 +260,7 @@ class GuessSearch:
 
         return find_guided(context, search, lambda path: rule_missing(context, path) == 0.0)
 
-    def _guided_paths(
-        self, context: StepContext, guide: Guide, budget: Budget
-    ) -> list[NDArray[np.float64]]:
+    def _guided_paths(self, context: StepContext, guide: Guide, budget: Budget) -> list[Floats]:
         """Return the best lattice path under a guide, as a list that is empty if there is none."""
         nodes, lengths = first_moves(self._ground, self._problem, context.position_m)
         road_map = self._ground.road_map
@@ -278,7 +272,7 @@ class GuessSearch:
         first = np.stack([road_map.rows[nodes], road_map.columns[nodes]], axis=1)
         first_value = move_values(self._problem, lengths)
         rewards = StageRewards(context, self._field, guide)
-        path: NDArray[np.intp] | None = None
+        path: Indices | None = None
         in_step = MovingMoves(road_map.lattice, moving) if len(moving) else None
         moves = MoveValues(self._table, self._move_values, moving=in_step)
         search = LatticeSearch(moves, first, first_value, self._problem.planner.horizon)
@@ -288,7 +282,7 @@ class GuessSearch:
                 break
         return [] if path is None else [self._field.places_m(path)]
 
-    def _loses(self, rewards: StageRewards, path: NDArray[np.intp], guide: Guide) -> bool:
+    def _loses(self, rewards: StageRewards, path: Indices, guide: Guide) -> bool:
         """Return whether a path loses value once its nodes are predicted more accurately."""
         if not (guide.bounded.any() or guide.credit.any()):
             return False

@@ -15,8 +15,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.objectives.reach import step_cost_s
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.world.lattice import MOVES, Lattice, RoadMap
@@ -31,11 +31,11 @@ class MoveTable:
     lattice: Lattice
     # (21, ny + 2 REACH, nx + 2 REACH): 0 for an open move from the node, else minus infinity; has a
     # margin of blocked nodes around the lattice
-    closed: NDArray[np.float64]
+    closed: Floats
     # (ny, nx) free nodes that at least one move from a free node cannot reach
-    hindered: NDArray[np.bool_]
+    hindered: Mask
     # (ny + 2 REACH, nx + 2 REACH) indices of the free nodes in row-major order, -1 elsewhere
-    number: NDArray[np.intp]
+    number: Indices
 
 
 def move_table(lattice: Lattice) -> MoveTable:
@@ -47,10 +47,7 @@ def move_table(lattice: Lattice) -> MoveTable:
     ny, nx = lattice.shape
     hindered = np.zeros(lattice.shape, dtype=np.bool_)
     for move, (dx, dy) in enumerate(MOVES):
-        source = (
-            slice(REACH - dy, REACH - dy + ny),
-            slice(REACH - dx, REACH - dx + nx),
-        )
+        source = (slice(REACH - dy, REACH - dy + ny), slice(REACH - dx, REACH - dx + nx))
         hindered |= free[source] & (closed[move][source] != 0.0)
     number = np.full(free.shape, -1, dtype=np.intp)
     number[free] = np.arange(int(free.sum()))
@@ -64,9 +61,7 @@ REACH = max(max(abs(dx), abs(dy)) for dx, dy in MOVES)
 """Largest number of nodes that a move spans along an axis; also the width of the margin."""
 
 
-def window_around(
-    low: NDArray[np.intp], high: NDArray[np.intp], grown: int, shape: tuple[int, int]
-) -> Window:
+def window_around(low: Indices, high: Indices, grown: int, shape: tuple[int, int]) -> Window:
     """Return the window from `low` to `high`, enlarged by `grown` nodes, in padded indices."""
     rows, columns = (
         slice(
@@ -96,16 +91,12 @@ TINY_M2 = 1e-30
 """Squared length below which a relative motion counts as standstill."""
 
 
-def first_steps_apart(
-    discs: MovingDiscs, position_m: NDArray[np.float64], ends_m: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def first_steps_apart(discs: MovingDiscs, position_m: Floats, ends_m: Floats) -> Mask:
     """Return a mask of collision-free first steps from a position (2,) to `ends_m` (n, 2)."""
     return steps_apart(discs, 0, np.broadcast_to(position_m, ends_m.shape), ends_m)
 
 
-def steps_apart(
-    discs: MovingDiscs, step: int, starts_m: NDArray[np.float64], ends_m: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def steps_apart(discs: MovingDiscs, step: int, starts_m: Floats, ends_m: Floats) -> Mask:
     """Return a mask of straight motions (..., 2) in `step` (0-based) that avoid collisions.
 
     A first step that begins too close to a disc is allowed if it moves away.
@@ -130,12 +121,10 @@ class MovingMoves:
         self._lattice = lattice
         self._discs = discs
 
-    def hindered(
-        self, step: int, rows: slice, columns: slice
-    ) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.bool_]]:
+    def hindered(self, step: int, rows: slice, columns: slice) -> tuple[Indices, Indices, Mask]:
         """Return the nodes of a window that some moves cannot enter, with a mask of the moves."""
-        nodes: list[NDArray[np.intp]] = []
-        moves: list[NDArray[np.bool_]] = []
+        nodes: list[Indices] = []
+        moves: list[Mask] = []
         for number in range(len(self._discs)):
             high, wide = self._about(step, number, rows, columns)
             blocked = self._blocked_by(step, number, high[:, None], wide)
@@ -151,9 +140,7 @@ class MovingMoves:
             begin = end
         return found // self._lattice.shape[1], found % self._lattice.shape[1], together
 
-    def blocked(
-        self, step: int, rows: NDArray[np.intp], columns: NDArray[np.intp]
-    ) -> NDArray[np.bool_]:
+    def blocked(self, step: int, rows: Indices, columns: Indices) -> Mask:
         """Return a mask (21, n) of the moves to nodes (n,) that collide with a disc in a step."""
         found = np.zeros((len(MOVES), len(rows)), dtype=np.bool_)
         for number in range(len(self._discs)):
@@ -162,7 +149,7 @@ class MovingMoves:
 
     def _about(
         self, step: int, number: int, rows: slice, columns: slice
-    ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    ) -> tuple[Indices, Indices]:
         """Return rows and columns of a window at which moves may collide with a disc."""
         lattice, discs = self._lattice, self._discs
         before, centre = discs.centres_m[number, step], discs.centres_m[number, step + 1]
@@ -188,9 +175,7 @@ class MovingMoves:
             ).astype(np.intp),
         )
 
-    def _blocked_by(
-        self, step: int, number: int, rows: NDArray[np.intp], columns: NDArray[np.intp]
-    ) -> NDArray[np.bool_]:
+    def _blocked_by(self, step: int, number: int, rows: Indices, columns: Indices) -> Mask:
         """Return a mask of the moves to nodes that collide with one disc in a step."""
         lattice, discs = self._lattice, self._discs
         before, centre = discs.centres_m[number, step], discs.centres_m[number, step + 1]
@@ -210,7 +195,7 @@ class MovingMoves:
         return np.asarray((x - share * dx) ** 2 + (y - share * dy) ** 2 < limit**2)
 
 
-StageReward = Callable[[int, Window], NDArray[np.float64]]
+StageReward = Callable[[int, Window], Floats]
 """Function that maps stage k = 1..N and a window to the reward of ending step k at each node."""
 
 Node = tuple[int, int]
@@ -228,10 +213,10 @@ class MoveValues:
     """Values and surcharges of the moves of a search, with the open moves."""
 
     table: MoveTable  # Open moves
-    value: NDArray[np.float64]  # (21,)
+    value: Floats  # (21,)
     # Surcharge of a move: its factor, (21,), times the sum of both nodes' charges, (n,)
-    factor: NDArray[np.float64] | None = None
-    charge: NDArray[np.float64] | None = None
+    factor: Floats | None = None
+    charge: Floats | None = None
     rest: Node | None = None  # Node where waiting is free
     moving: MovingMoves | None = None  # Blocks moves in single steps
 
@@ -240,7 +225,7 @@ class MoveValues:
         """Return whether all open moves have zero cost."""
         return not self.value.any() and self.charge is None
 
-    def surcharge(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.float64]:
+    def surcharge(self, rows: Indices, columns: Indices) -> Floats:
         """Return the surcharge (21, n) of each move to nodes (n,), given in padded indices."""
         width, places = self.table.number.shape[1], self.table.number.size
         end = rows * width + columns
@@ -276,18 +261,18 @@ class StageFrame:
         self._top, self._left = windows[-1][0].start - REACH, windows[-1][1].start - REACH
         height, width = window_shape(windows[-1])
         self._value = np.full((height + 2 * REACH, width + 2 * REACH), -np.inf)
-        self._listed: NDArray[np.intp] | None = None
+        self._listed: Indices | None = None
         self._list_nodes()
 
     def clear(self) -> None:
         """Reset all values."""
         self._value.fill(-np.inf)
 
-    def put(self, window: Window, value: NDArray[np.float64]) -> None:
+    def put(self, window: Window, value: Floats) -> None:
         """Set the previous stage's values."""
         self._value[self._at(window)] = value
 
-    def arriving(self, stage: int) -> NDArray[np.float64]:
+    def arriving(self, stage: int) -> Floats:
         """Return the best value of arriving at each node of the window of `stage`."""
         window = self._windows[stage]
         rows, columns = self._at(window)
@@ -316,7 +301,7 @@ class StageFrame:
                 best[row, column] = max(best[row, column], around[row + REACH, column + REACH])
         return best
 
-    def _pass_by(self, moving: MovingMoves, stage: int, best: NDArray[np.float64]) -> None:
+    def _pass_by(self, moving: MovingMoves, stage: int, best: Floats) -> None:
         """Correct the values of nodes with moves that a moving disc blocks."""
         window = self._windows[stage]
         rows, columns, blocked = moving.hindered(stage, *without_margin(window))
@@ -344,7 +329,7 @@ class StageFrame:
         self._surcharge = self._moves.surcharge(rows, columns)
         self._sources = self._sources_of(rows, columns)
 
-    def _sources_of(self, rows: NDArray[np.intp], columns: NDArray[np.intp]) -> NDArray[np.intp]:
+    def _sources_of(self, rows: Indices, columns: Indices) -> Indices:
         """Return the frame's index (21, n) of the node at which each move to nodes (n,) begins."""
         width = self._value.shape[1]
         end = (rows - self._top) * width + columns - self._left
@@ -369,7 +354,7 @@ class StageFrame:
         )
 
 
-def _largest_in_disc(around: NDArray[np.float64]) -> NDArray[np.float64]:
+def _largest_in_disc(around: Floats) -> Floats:
     """Return the maximum over the neighbours with dx^2 + dy^2 <= 5 of each node.
 
     `around` (h + 4, w + 4) is two nodes wider on each side than the result (h, w).
@@ -391,12 +376,12 @@ class LatticeValues:
 
     moves: MoveValues  # Moves of the search
     # Values of each stage's window; windows grow by `REACH` nodes on each side per stage
-    values: tuple[NDArray[np.float64], ...]
+    values: tuple[Floats, ...]
     windows: tuple[Window, ...]  # Windows in the lattice with its margin
     # Surcharge of each move to a node of the last window, indexed with margin
     surcharge: Callable[[int, int], list[float]]
 
-    def best_path(self, cost: NDArray[np.float64] | float = 0.0) -> NDArray[np.intp] | None:
+    def best_path(self, cost: Floats | float = 0.0) -> Indices | None:
         """Return the nodes (N, 2) of the best path, for a terminal `cost`; None without a path."""
         total = self.values[-1] - cost
         row, column = (int(i) for i in np.unravel_index(int(np.argmax(total)), total.shape))
@@ -436,8 +421,8 @@ class LatticeSearch:
     def __init__(
         self,
         moves: MoveValues,
-        first: NDArray[np.intp],  # (n, 2) end nodes (iy, ix) of the first step, n > 0
-        first_value: NDArray[np.float64],  # (n,) value of the first step to each node
+        first: Indices,  # (n, 2) end nodes (iy, ix) of the first step, n > 0
+        first_value: Floats,  # (n,) value of the first step to each node
         horizon: int,
     ) -> None:
         shape = moves.table.lattice.shape
@@ -465,17 +450,17 @@ class LatticeSearch:
 def search_cheapest(
     road_map: RoadMap,
     table: MoveTable,
-    first_nodes: NDArray[np.intp],
-    first_length_m: NDArray[np.float64],
+    first_nodes: Indices,
+    first_length_m: Floats,
     horizon: int,
     step_s: float,
     effort_weight_s2_m2: float,
     goal_node: int,
-    node_penalty_s: NDArray[np.float64],  # (n,) or (N, n)
-    terminal_cost_s: NDArray[np.float64],  # (n,) cost of the last node
-    surcharge_s_m: NDArray[np.float64] | None = None,  # (n + 1,) per metre at nodes and robot
+    node_penalty_s: Floats,  # (n,) or (N, n)
+    terminal_cost_s: Floats,  # (n,) cost of the last node
+    surcharge_s_m: Floats | None = None,  # (n + 1,) per metre at nodes and robot
     moving: MovingDiscs | None = None,
-) -> NDArray[np.intp] | None:
+) -> Indices | None:
     """Return the nodes (N,) of the cheapest path, None without one; rest at the goal is free."""
     if first_nodes.size == 0:
         return None

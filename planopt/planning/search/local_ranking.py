@@ -13,6 +13,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.kriging import LocalChannel, LocalGrid
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.moments import LocalPaths, Pull
@@ -60,7 +61,7 @@ class _Station:
 class LocalRanking:
     """Approximate objective values of many paths in one step context."""
 
-    def __init__(self, context: StepContext, about_m: NDArray[np.float64]) -> None:
+    def __init__(self, context: StepContext, about_m: Floats) -> None:
         self._context = context
         most = MAPPED_NEIGHBOURS if _averages_map(context.problem) else MOST_NEIGHBOURS
         count = min(LEAST_NEIGHBOURS + STEP_NEIGHBOURS * int(about_m.shape[1]), most)
@@ -79,7 +80,7 @@ class LocalRanking:
         same = context.anticipated == context.stations
         self._stations = self._expected if same else [near(each) for each in context.stations]
 
-    def _grid(self, channel: LocalChannel, about_m: NDArray[np.float64]) -> LocalGrid | None:
+    def _grid(self, channel: LocalChannel, about_m: Floats) -> LocalGrid | None:
         """Return the part of the map that paths near `about_m` (a, 2) can change, if needed."""
         at = self._context
         if not _averages_map(at.problem):
@@ -88,7 +89,7 @@ class LocalRanking:
         every = max(1, round(len(region.weight) / CLIMBED_PLACES))
         return LocalGrid.of(channel, region.grid_m[::every], every * region.weight[::every])
 
-    def __call__(self, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def __call__(self, paths_m: Floats) -> Floats:
         """Return objective values of paths (c, N, 2), minus penalties of violated constraints."""
         gate = None
         if self._measures:
@@ -97,16 +98,14 @@ class LocalRanking:
         measured = self._along(self._expected, paths_m, climbed=False)
         return self._value(self._paths(measured, gate, climbed=False))
 
-    def slopes(
-        self, paths_m: NDArray[np.float64]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def slopes(self, paths_m: Floats) -> tuple[Floats, Floats]:
         """Return smoothed values of paths, and their gradients w.r.t. positions ``(c, N, 2)``."""
         at = self._context
         gates = at.near_measuring.gates(paths_m) if self._measures else None
         measured = self._along(self._expected, paths_m, climbed=True)
         paths = self._paths(measured, None if gates is None else gates.value, climbed=True)
         value = self._value(paths)
-        slopes: list[NDArray[np.float64]] = []
+        slopes: list[Floats] = []
         for number, along in enumerate(measured):
             pull = Pull()
             for term in at.problem.terms:
@@ -126,7 +125,7 @@ class LocalRanking:
         return value, slopes[0] if len(slopes) == 1 else np.sum(slopes, axis=0)
 
     def _along(
-        self, stations: Sequence[_Station], paths_m: NDArray[np.float64], *, climbed: bool
+        self, stations: Sequence[_Station], paths_m: Floats, *, climbed: bool
     ) -> list[LocalPaths]:
         """Return each station's predicted power along the paths."""
         return [
@@ -134,15 +133,13 @@ class LocalRanking:
             for own in stations
         ]
 
-    def _paths(
-        self, measured: list[LocalPaths], gate: NDArray[np.float64] | None, *, climbed: bool
-    ) -> Paths:
+    def _paths(self, measured: list[LocalPaths], gate: Floats | None, *, climbed: bool) -> Paths:
         paths_m, stations = measured[0].paths_m, measured
         if self._stations is not self._expected:
             stations = self._along(self._stations, paths_m, climbed=climbed)
         return Paths(self._context, paths_m, stations, [own.moments(gate) for own in measured])
 
-    def _value(self, paths: Paths) -> NDArray[np.float64]:
+    def _value(self, paths: Paths) -> Floats:
         at = self._context
         value = np.zeros(len(paths.paths_m))
         for term in at.problem.terms:
@@ -174,7 +171,7 @@ def _thinned(grid: LocalGrid) -> LocalGrid:
     )
 
 
-def _anchors(paths_m: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+def _anchors(paths_m: Floats, count: int) -> Floats:
     """Return up to `count` evenly selected positions of the paths; (a, 2)."""
     places = paths_m.reshape(-1, 2)
     return places[np.linspace(0, len(places) - 1, min(count, len(places))).astype(np.intp)]
@@ -183,7 +180,7 @@ def _anchors(paths_m: NDArray[np.float64], count: int) -> NDArray[np.float64]:
 APART_STEPS = 0.5
 """Distance, in longest steps, within which corresponding positions of two paths count as equal."""
 
-Drive = Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]]
+Drive = Callable[[Floats, Floats], Floats]
 """Function that maps turns and relative speeds (N, c) to paths (c, N, 2)."""
 
 FIRST_STEP, LONGEST_STEP = 0.3, 0.8
@@ -195,13 +192,11 @@ SHORTER = 0.35
 CURVED_SHARE = 1e-8
 """Minimum cosine between a step and the change of the gradient for a Hessian update."""
 
-Slope = Callable[[NDArray[np.float64]], tuple[NDArray[np.float64], NDArray[np.float64]]]
+Slope = Callable[[Floats], tuple[Floats, Floats]]
 """Function that maps paths (c, N, 2) to their values (c,) and gradients (c, N, 2)."""
 
 
-def distinct(
-    paths_m: NDArray[np.float64], values: NDArray[np.float64], apart_m: float, count: int
-) -> NDArray[np.intp]:
+def distinct(paths_m: Floats, values: Floats, apart_m: float, count: int) -> Indices:
     """Return indices of up to `count` paths, best first, more than `apart_m` from each other."""
     kept: list[int] = []
     left = np.argsort(-values, kind="stable")
@@ -217,21 +212,21 @@ def distinct(
 class _Climbers:
     """State of c paths in gradient ascent; a row of x has N headings, then N speeds."""
 
-    paths_m: NDArray[np.float64]
-    x: NDArray[np.float64]
-    value: NDArray[np.float64]
-    slope: NDArray[np.float64]
-    inverse_hessian: NDArray[np.float64]
-    untouched: NDArray[np.bool_]
-    share: NDArray[np.float64]
+    paths_m: Floats
+    x: Floats
+    value: Floats
+    slope: Floats
+    inverse_hessian: Floats
+    untouched: Mask
+    share: Floats
 
-    def take(self, rows: NDArray[np.intp]) -> _Climbers:
+    def take(self, rows: Indices) -> _Climbers:
         return _Climbers(*(getattr(self, each.name)[rows] for each in fields(self)))
 
 
 def climb_paths(
-    start_m: NDArray[np.float64],  # (2,) common start position
-    paths_m: NDArray[np.float64],
+    start_m: Floats,  # (2,) common start position
+    paths_m: Floats,
     longest_m: float,
     drive: Drive,
     slope: Slope,
@@ -239,7 +234,7 @@ def climb_paths(
     followed: tuple[int, ...],
     apart_m: float,
     budget: Budget = UNLIMITED,
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats]:
     """Return the results of gradient ascent from `paths_m` (c, N, 2), with values, best first."""
     x = headings_and_speeds(start_m, paths_m, longest_m)
     value, by_place = slope(paths_m)
@@ -262,7 +257,7 @@ def climb_paths(
 
 
 def _stepped(
-    at: _Climbers, start_m: NDArray[np.float64], longest_m: float, drive: Drive, slope: Slope
+    at: _Climbers, start_m: Floats, longest_m: float, drive: Drive, slope: Slope
 ) -> _Climbers:
     """Return the state after one ascent step per path, accepted if it increases the value."""
     half = at.x.shape[1] // 2
@@ -289,7 +284,7 @@ def _stepped(
     return replace(moved, share=share)
 
 
-def _direction(at: _Climbers) -> NDArray[np.float64]:
+def _direction(at: _Climbers) -> Floats:
     """Return ascent directions; a speed at its bound does not move beyond the bound."""
     half = at.x.shape[1] // 2
     speed, slope = at.x[:, half:], at.slope.copy()
@@ -308,7 +303,7 @@ def _direction(at: _Climbers) -> NDArray[np.float64]:
     return step * (at.share * length / size)[:, None]
 
 
-def _updated(at: _Climbers, new: _Climbers, gained: NDArray[np.bool_]) -> _Climbers:
+def _updated(at: _Climbers, new: _Climbers, gained: Mask) -> _Climbers:
     """Return the state with BFGS updates of the inverse Hessians of paths that gained."""
     step, change = new.x - at.x, at.slope - new.slope
     along = (step * change).sum(axis=1)
@@ -329,9 +324,7 @@ def _updated(at: _Climbers, new: _Climbers, gained: NDArray[np.bool_]) -> _Climb
     return replace(new, inverse_hessian=hessian, untouched=untouched)
 
 
-def headings_and_speeds(
-    start_m: NDArray[np.float64], paths_m: NDArray[np.float64], longest_m: float
-) -> NDArray[np.float64]:
+def headings_and_speeds(start_m: Floats, paths_m: Floats, longest_m: float) -> Floats:
     """Return the headings (continuous along a path) and relative speeds of paths; (c, 2 N)."""
     begin = np.broadcast_to(start_m, (len(paths_m), 1, 2))
     legs = np.diff(np.concatenate([begin, paths_m], axis=1), axis=1)
@@ -345,9 +338,7 @@ def headings_and_speeds(
     return np.concatenate([np.cumsum(turn, axis=1), np.minimum(length / longest_m, 1.0)], axis=1)
 
 
-def _by_command(
-    by_place: NDArray[np.float64], x: NDArray[np.float64], longest_m: float
-) -> NDArray[np.float64]:
+def _by_command(by_place: Floats, x: Floats, longest_m: float) -> Floats:
     """Return gradients (c, 2 N) w.r.t. headings and speeds, from gradients w.r.t. positions."""
     half = x.shape[1] // 2
     heading, speed = x[:, :half], x[:, half:]

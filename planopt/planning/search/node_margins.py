@@ -10,8 +10,8 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.channel_map import TileMap
 from planopt.channel.connectivity_law import ConnectivityLaw
 from planopt.channel.measurements import SAME_PLACE_M
@@ -42,9 +42,7 @@ class LatticeMap:
         )
 
     def refresh(
-        self,
-        law: ConnectivityLaw,
-        window_m: tuple[float, float, float, float] | None = None,
+        self, law: ConnectivityLaw, window_m: tuple[float, float, float, float] | None = None
     ) -> None:
         """Update the maps to the current belief, within a window or everywhere."""
         while len(self._maps) < len(law.posteriors):
@@ -83,17 +81,15 @@ class NodeMargins:
         self.margin_db, self.outage_share = np.zeros(count), np.zeros(count)
         self._exact = np.zeros(len(road_map.nodes_m), dtype=bool)
         self._nodes = road_map.rows * road_map.lattice.shape[1] + road_map.columns
-        self._power: Callable[[NDArray[np.float64]], Prediction] | None = None
+        self._power: Callable[[Floats], Prediction] | None = None
 
     @property
-    def outside(self) -> NDArray[np.bool_]:
+    def outside(self) -> Mask:
         """Return a mask of nodes (n,) whose margin is less than the planners' safety pad."""
         return self.margin_db < MARGIN_PAD_DB
 
     def refresh(
-        self,
-        law: ConnectivityLaw,
-        power: Callable[[NDArray[np.float64]], Prediction] | None = None,
+        self, law: ConnectivityLaw, power: Callable[[Floats], Prediction] | None = None
     ) -> None:
         """Update margins and fractions to the current belief."""
         self._map.refresh(law)
@@ -105,11 +101,11 @@ class NodeMargins:
         )
         self._exact[:] = False
 
-    def at(self, places_m: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def at(self, places_m: Floats) -> tuple[Floats, Floats]:
         """Return margins and fractions out of contact at arbitrary positions (n, 2)."""
         return self._values(self._predicted(places_m))
 
-    def correct(self, nodes: NDArray[np.intp]) -> bool:
+    def correct(self, nodes: Indices) -> bool:
         """Predict `nodes` more accurately; return whether any of them was not yet corrected."""
         new = np.unique(nodes[~self._exact[nodes]])
         if new.size == 0:
@@ -120,12 +116,12 @@ class NodeMargins:
         self._exact[new] = True
         return True
 
-    def _predicted(self, places_m: NDArray[np.float64]) -> Prediction:
+    def _predicted(self, places_m: Floats) -> Prediction:
         if self._power is None:
             raise AssertionError("refresh first")
         return self._power(places_m)
 
-    def _values(self, power: Prediction) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _values(self, power: Prediction) -> tuple[Floats, Floats]:
         mean, deviation = power.mean_db, power.deviation_db
         margin = bound_margin_db(mean, deviation, self._threshold_dbm, self._p_min)
         probability = connection_probability(mean, deviation, self._threshold_dbm)
@@ -149,8 +145,7 @@ class NodeField:
         """Update the predictions to the belief, within `reach_m` of the robot along both axes."""
         low, high = context.position_m - reach_m, context.position_m + reach_m
         self._map.refresh(
-            context.law,
-            (float(low[0]), float(low[1]), float(high[0]), float(high[1])),
+            context.law, (float(low[0]), float(low[1]), float(high[0]), float(high[1]))
         )
         # Copies, as corrections must not change the stations' own predictions.
         self.mean_db, self.deviation_db = self._map.mean_db.copy(), self._map.deviation_db.copy()
@@ -166,7 +161,7 @@ class NodeField:
         if context.problem.constraints.asks_connection:
             self.correct(self._measured_nodes(context))
 
-    def _measured_nodes(self, context: StepContext) -> NDArray[np.intp]:
+    def _measured_nodes(self, context: StepContext) -> Indices:
         """Return the free nodes (n, 2) near the robot at which measurements exist, as (iy, ix)."""
         lattice, (rows, columns) = self._lattice, self.window
         places = np.vstack([own.measurements.positions_m for own in context.stations])
@@ -178,11 +173,11 @@ class NodeField:
         free = lattice.free[nodes[:, 0], nodes[:, 1]]
         return np.unique(nodes[same & free], axis=0)
 
-    def places_m(self, nodes: NDArray[np.intp]) -> NDArray[np.float64]:
+    def places_m(self, nodes: Indices) -> Floats:
         """Return the positions of `nodes` (n, 2), given as (iy, ix)."""
         return self.grid_m[nodes[:, 0], nodes[:, 1]]
 
-    def nearest(self, places_m: NDArray[np.float64]) -> Prediction:
+    def nearest(self, places_m: Floats) -> Prediction:
         """Return the power at the node nearest to each position; NaN if that node is blocked."""
         lattice, (rows, columns) = self._lattice, self.window
         first = np.array([columns.start, rows.start])
@@ -191,7 +186,7 @@ class NodeField:
         column, row = np.clip(nodes, first, np.minimum(last, np.array(lattice.shape[::-1]) - 1)).T
         return Prediction(self._map.mean_db[row, column], self._map.deviation_db[row, column])
 
-    def correct(self, nodes: NDArray[np.intp]) -> bool:
+    def correct(self, nodes: Indices) -> bool:
         """Predict `nodes` (n, 2) more accurately; return whether any was not yet corrected."""
         if self._context is None:
             raise AssertionError("refresh first")

@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.planning.plan import Pivot
 from planopt.planning.scene import Scene, first_moves
 from planopt.planning.search.global_search import GlobalStart
@@ -32,11 +32,7 @@ class Ahead:
     """Route beyond a path's end, represented by a terminal waypoint (pivot)."""
 
     def __init__(
-        self,
-        problem: Problem,
-        scene: Scene,
-        start: GlobalStart,
-        node_margin_db: NDArray[np.float64] | None,
+        self, problem: Problem, scene: Scene, start: GlobalStart, node_margin_db: Floats | None
     ) -> None:
         self._problem = problem
         self._scene = scene
@@ -48,14 +44,14 @@ class Ahead:
         self._joins: dict[bytes, tuple[int, float, float] | None] = {}
         self._pivots: dict[bytes, Pivot] = {}
 
-    def __call__(self, end_m: NDArray[np.float64]) -> Pivot:
+    def __call__(self, end_m: Floats) -> Pivot:
         """Return the pivot if it is visible from `end_m` (2,) and cheapest, else a node nearby."""
         key = end_m.tobytes()
         if key not in self._pivots:
             self._pivots[key] = self._cheaper(end_m)
         return self._pivots[key]
 
-    def _cheaper(self, end_m: NDArray[np.float64]) -> Pivot:
+    def _cheaper(self, end_m: Floats) -> Pivot:
         problem, pivot = self._problem, self.pivot
         joined = self._joined(end_m)
         if joined is None:
@@ -73,7 +69,7 @@ class Ahead:
         place = self._scene.road_map.nodes_m[node]
         return Pivot(place, float(self._start.cost_to_go.cost_m[node]), metre)
 
-    def leading(self, end_m: NDArray[np.float64]) -> Pivot:
+    def leading(self, end_m: Floats) -> Pivot:
         """Return a pivot of the route from `end_m` (2,) that no path of N steps can reach.
 
         With a reachable pivot, a solver could postpone the departure.
@@ -81,14 +77,14 @@ class Ahead:
         joined = self._joined(end_m)
         return self.pivot if joined is None else self._seen_from(joined[0], end_m)
 
-    def _joined(self, end_m: NDArray[np.float64]) -> tuple[int, float, float] | None:
+    def _joined(self, end_m: Floats) -> tuple[int, float, float] | None:
         """Return the cheapest node within a step, its total cost, and the cost per metre."""
         key = end_m.tobytes()
         if key not in self._joins:
             self._joins[key] = self._join(end_m)
         return self._joins[key]
 
-    def _join(self, end_m: NDArray[np.float64]) -> tuple[int, float, float] | None:
+    def _join(self, end_m: Floats) -> tuple[int, float, float] | None:
         start = self._start
         nodes, lengths = first_moves(self._scene.ground, self._problem, end_m)
         if not len(nodes):
@@ -106,7 +102,7 @@ class Ahead:
             return self._join(end_m)
         return int(nodes[best]), float(total[best]), float(metre[best])
 
-    def _seen_from(self, node: int, origin_m: NDArray[np.float64] | None) -> Pivot:
+    def _seen_from(self, node: int, origin_m: Floats | None) -> Pivot:
         problem = self._problem
         return find_pivot(
             self._scene,
@@ -121,10 +117,10 @@ class Ahead:
 def find_pivot(
     scene: Scene,
     start: GlobalStart,
-    node_margin_db: NDArray[np.float64] | None,
+    node_margin_db: Floats | None,
     step_length_m: float,
     clearance: float,
-    origin_m: NDArray[np.float64] | None = None,  # (2,)
+    origin_m: Floats | None = None,  # (2,)
 ) -> Pivot:
     """Return the farthest route point visible from the guess's end, or one beyond its reach."""
     end = int(start.nodes[-1])

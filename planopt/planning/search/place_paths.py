@@ -18,8 +18,8 @@ from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices
 from planopt.channel.neighbours import PlaceTree
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.planning.candidates import Candidate, Scorer, held
@@ -72,7 +72,7 @@ class ProbedPlaces:
         reach_m = problem.planner.horizon * self._longest_m
         self._offsets_m = offsets[np.linalg.norm(offsets, axis=1) <= reach_m]
 
-    def find_paths(self, context: StepContext, field: NodeField) -> list[NDArray[np.float64]]:
+    def find_paths(self, context: StepContext, field: NodeField) -> list[Floats]:
         """Return the best paths (N, 2) to positions worth probing, best first."""
         places = self._places(context)
         seen = free_ends(self._problem, self._ground, context.position_m, places)
@@ -91,13 +91,7 @@ class ProbedPlaces:
         probed = PROBED if self._alone else COMPARED
         return [paths[i] for i in self._best(context, paths, guessed, probed)]
 
-    def _best(
-        self,
-        context: StepContext,
-        paths: NDArray[np.float64],
-        chance: NDArray[np.float64],
-        count: int,
-    ) -> NDArray[np.intp]:
+    def _best(self, context: StepContext, paths: Floats, chance: Floats, count: int) -> Indices:
         """Return indices of the best paths (c, N, 2), for connection probabilities (c, N)."""
         value = np.zeros(len(paths))
         for number, term in enumerate(context.problem.terms):
@@ -110,7 +104,7 @@ class ProbedPlaces:
             missing = np.maximum(constraints.p_min - each, 0.0).sum(axis=1)
         return np.lexsort((-value, np.round(missing, 3)))[:count]
 
-    def _near_power(self, field: NodeField, places_m: NDArray[np.float64]) -> Prediction:
+    def _near_power(self, field: NodeField, places_m: Floats) -> Prediction:
         """Return the power at the free node nearest to each position (n, 2)."""
         power = field.nearest(places_m)
         blocked = np.flatnonzero(np.isnan(power.mean_db))
@@ -125,10 +119,10 @@ class ProbedPlaces:
         """Return the spatial index of the free nodes."""
         return PlaceTree(self._ground.road_map.nodes_m)
 
-    def _chance(self, context: StepContext, power: Prediction) -> NDArray[np.float64]:
+    def _chance(self, context: StepContext, power: Prediction) -> Floats:
         return connection_probability(power.mean_db, power.deviation_db, context.thresholds_dbm[0])
 
-    def _places(self, context: StepContext) -> NDArray[np.float64]:
+    def _places(self, context: StepContext) -> Floats:
         """Return the robot's position, positions on circles, and reachable connected positions."""
         here, known = context.position_m, context.connected_m
         circles = here + self._offsets_m
@@ -142,9 +136,7 @@ class ProbedPlaces:
         inside[0] = True
         return np.vstack([circles[inside], known])
 
-    def _straight(
-        self, here_m: NDArray[np.float64], places_m: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def _straight(self, here_m: Floats, places_m: Floats) -> Floats:
         """Return straight paths (n, N, 2) at full speed to positions, followed by waiting."""
         horizon = self._problem.planner.horizon
         away = places_m - here_m
@@ -154,9 +146,7 @@ class ProbedPlaces:
         routes = here_m + share[..., None] * away[:, None]
         return np.where((share >= 1.0)[..., None], places_m[:, None], routes)
 
-    def _round(
-        self, context: StepContext, hidden_m: NDArray[np.float64]
-    ) -> list[NDArray[np.float64]]:
+    def _round(self, context: StepContext, hidden_m: Floats) -> list[Floats]:
         """Return paths around obstacles to those of `hidden_m` (n, 2) nearest to the target."""
         target, horizon = context.target_m, self._problem.planner.horizon
         if not len(hidden_m) or target is None:
@@ -167,7 +157,7 @@ class ProbedPlaces:
         routes = PathsFrom(self._problem, self._ground, context.position_m, reach_m)
         nodes = self._ground.road_map.nodes_m
         next_to = self._nodes.nearest(hidden_m, 1)[0][:, 0]
-        found: list[NDArray[np.float64]] = []
+        found: list[Floats] = []
         for node in np.unique(next_to[np.isfinite(routes.length_m[next_to])]):
             turns = routes.turns_m(int(node), nodes[node])
             stops = stops_along(turns, self._longest_m)[1:]
@@ -180,7 +170,7 @@ STEPS_MORE = 2
 """Number of steps by which compared positions may be farther than the nearest one."""
 
 
-def path_to_unmeasured(context: StepContext, ground: Ground) -> NDArray[np.float64] | None:
+def path_to_unmeasured(context: StepContext, ground: Ground) -> Floats | None:
     """Return the first N steps (N, 2) to an unmeasured position; None if there is none."""
     problem, here = context.problem, context.position_m
     lattice, nodes = ground.road_map.lattice, ground.road_map.nodes_m
@@ -203,15 +193,15 @@ def path_to_unmeasured(context: StepContext, ground: Ground) -> NDArray[np.float
 
 def _steps(
     routes: PathsFrom,
-    places_m: NDArray[np.float64],
-    here_m: NDArray[np.float64],
-    next_to: NDArray[np.intp],
-    nodes_m: NDArray[np.float64],
+    places_m: Floats,
+    here_m: Floats,
+    next_to: Indices,
+    nodes_m: Floats,
     longest_m: float,
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the number of steps to each position (n,), straight or via its nearest node."""
-    aside: NDArray[np.float64] = np.linalg.norm(nodes_m[next_to] - places_m, axis=1)
-    straight: NDArray[np.float64] = np.linalg.norm(places_m - here_m, axis=1)
+    aside: Floats = np.linalg.norm(nodes_m[next_to] - places_m, axis=1)
+    straight: Floats = np.linalg.norm(places_m - here_m, axis=1)
     length = np.where(routes.straight(places_m), straight, routes.length_m[next_to] + aside)
     return np.maximum(np.ceil(length / longest_m), 1.0)
 
@@ -229,7 +219,7 @@ REFINEMENTS = 3
 """Number of grid refinements, each with a quarter of the previous spacing."""
 
 
-def paths_to_good_place(scorer: Scorer, probed: Sequence[Candidate]) -> list[NDArray[np.float64]]:
+def paths_to_good_place(scorer: Scorer, probed: Sequence[Candidate]) -> list[Floats]:
     """Return paths (N, 2) to a position that satisfies p_min and is reachable in time."""
     problem, index = scorer.problem, scorer.index
     sound = [candidate for candidate in probed if candidate.sound]
@@ -252,9 +242,7 @@ def paths_to_good_place(scorer: Scorer, probed: Sequence[Candidate]) -> list[NDA
     return [driven, cutting[:horizon]]
 
 
-def _good_place(
-    scorer: Scorer, routes: ShortestPaths, step: int, clear_m: float
-) -> NDArray[np.float64] | None:
+def _good_place(scorer: Scorer, routes: ShortestPaths, step: int, clear_m: float) -> Floats | None:
     """Return the nearest position (2,) that satisfies p_min, with a safety pad if possible."""
     nodes = FINE_NODES if step <= FINE_STEPS else COARSE_NODES
     spacing = scorer.problem.step_length_m / nodes
@@ -262,7 +250,7 @@ def _good_place(
     places = scorer.position_m + np.stack(np.meshgrid(offsets, offsets), axis=-1).reshape(-1, 2)
     fractions = np.array([-0.5, -0.25, 0.0, 0.25, 0.5])
     around = np.stack(np.meshgrid(fractions, fractions), axis=-1).reshape(1, -1, 2)
-    found: list[NDArray[np.float64]] = []
+    found: list[Floats] = []
     for _ in range(REFINEMENTS + 1):
         places, margins, length = _reached(scorer, routes, places, clear_m)
         if not len(places):
@@ -278,8 +266,8 @@ def _good_place(
 
 
 def _reached(
-    scorer: Scorer, routes: ShortestPaths, places_m: NDArray[np.float64], clear_m: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    scorer: Scorer, routes: ShortestPaths, places_m: Floats, clear_m: float
+) -> tuple[Floats, Floats, Floats]:
     """Return the reachable positions (n, 2), their margins and path lengths, best first."""
     away = np.linalg.norm(places_m - routes.start_m, axis=1)
     places = places_m[(away <= routes.radius_m) & inside_bounds(scorer.problem.workspace, places_m)]
@@ -294,15 +282,13 @@ def _reached(
     return places[probed[order]], margins[probed[order]], length[order]
 
 
-def _promise(margins_db: NDArray[np.float64], length_m: NDArray[np.float64]) -> NDArray[np.intp]:
+def _promise(margins_db: Floats, length_m: Floats) -> Indices:
     """Return the order of positions: those that satisfy p_min by length, then others by margin."""
     meets = margins_db >= MARGIN_PAD_DB
     return np.lexsort((np.where(meets, length_m, -margins_db), ~meets))
 
 
-def _in_fewest_steps(
-    scorer: Scorer, turns_m: NDArray[np.float64], length_m: float
-) -> NDArray[np.float64]:
+def _in_fewest_steps(scorer: Scorer, turns_m: Floats, length_m: float) -> Floats:
     """Return the ends (n, 2) of the fewest straight collision-free steps along a path.
 
     Steps end on the path, at its turns, and at crossings of its extended legs, since one step end
@@ -333,9 +319,7 @@ def _in_fewest_steps(
     return places[path[::-1]]
 
 
-def _crossings(
-    way_m: NDArray[np.float64], driven_m: NDArray[np.float64], length_m: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _crossings(way_m: Floats, driven_m: Floats, length_m: float) -> tuple[Floats, Floats]:
     """Return crossings of legs with backward extensions of later legs, and path lengths there."""
     legs = np.diff(way_m, axis=0)
     places, along = [np.zeros((0, 2))], [np.zeros(0)]
@@ -355,6 +339,6 @@ def _crossings(
     return np.concatenate(places), np.concatenate(along)
 
 
-def _padded(path_m: NDArray[np.float64], count: int) -> NDArray[np.float64]:
+def _padded(path_m: Floats, count: int) -> Floats:
     """Return a path of `count` positions: the first ones of a path (n, 2), or its end repeated."""
     return path_m[np.minimum(np.arange(count), len(path_m) - 1)]

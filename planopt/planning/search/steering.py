@@ -16,8 +16,8 @@ import math
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.channel_map import TileMap
 from planopt.channel.neighbours import PlaceTree
 from planopt.channel.prediction import connection_probability
@@ -62,7 +62,7 @@ class Steering:
         # A cell too close to an obstacle is not reachable.
         wanted = problem.constraints.clearance_m + CLEARANCE_PAD_M
         clear = segments_clear(ground.index, next_to, places, wanted)
-        away: NDArray[np.float64] = np.linalg.norm(next_to - places, axis=1)
+        away: Floats = np.linalg.norm(next_to - places, axis=1)
         self._away_m = np.where(clear, away, np.inf)
 
     def find_path(self, context: StepContext) -> SteeringPath | None:
@@ -79,9 +79,7 @@ class Steering:
         counted = np.where(is_open, np.maximum(above, 0.0), 0.0)
         return self.path_to_best(counted, context.position_m)
 
-    def path_to_best(
-        self, above_db2: NDArray[np.float64], position_m: NDArray[np.float64]
-    ) -> SteeringPath | None:
+    def path_to_best(self, above_db2: Floats, position_m: Floats) -> SteeringPath | None:
         """Return the path to the cell with the largest J_CH, for excess variances of the cells."""
         paths = PathsFrom(self._problem, self._ground, position_m)
         distance = paths.length_m[self._nearest] + self._away_m
@@ -140,9 +138,7 @@ class ConnectionSteering:
                 return None
             self._radius_m *= WIDER
 
-    def _chance(
-        self, context: StepContext, nodes: NDArray[np.intp], radius_m: float
-    ) -> NDArray[np.float64]:
+    def _chance(self, context: StepContext, nodes: Indices, radius_m: float) -> Floats:
         """Return the probabilities of connection at nodes within `radius_m` of the robot."""
         low, high = context.position_m - radius_m, context.position_m + radius_m
         window = float(low[0]), float(low[1]), float(high[0]), float(high[1])
@@ -193,7 +189,7 @@ class GoalSteering:
         legs = np.linalg.norm(np.diff(corners, axis=0), axis=1)
         spent = np.append(0.0, np.cumsum(legs * 0.5 * (at_corner[1:] + at_corner[:-1])))
 
-        def is_cheap(corner: int) -> NDArray[np.bool_]:
+        def is_cheap(corner: int) -> Mask:
             allowed = TAUT_SHARE * (spent[corner + 1 :] - spent[corner])
             ahead = corners[corner + 1 :]
             return self._leg_costs_m(corners[corner], ahead, metre_cost) <= allowed
@@ -201,12 +197,7 @@ class GoalSteering:
         turns = taut_turns(self._ground, self._wanted_m, corners, is_cheap)
         return steering_path(self._problem, self._ground.index, turns, lattice)
 
-    def _leg_costs_m(
-        self,
-        start_m: NDArray[np.float64],
-        ends_m: NDArray[np.float64],
-        metre_cost: NDArray[np.float64],
-    ) -> NDArray[np.float64]:
+    def _leg_costs_m(self, start_m: Floats, ends_m: Floats, metre_cost: Floats) -> Floats:
         """Return the costs of straight legs to `ends_m` (n, 2), sampled at the nearest nodes."""
         road_map = self._ground.road_map
         lattice = road_map.lattice

@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices
 from planopt.channel.neighbours import PlaceTree
 from planopt.objectives.reach import step_cost_s
 from planopt.planning.search.lattice_search import steps_apart
@@ -42,12 +42,10 @@ class TimedCosts:
     effort_s2_m2: float
     rate_s_m: float  # Cost per metre of the cost-to-go
     # (n + 1,) additional cost per metre at each node and, last, at the robot
-    surcharge_s_m: NDArray[np.float64]
+    surcharge_s_m: Floats
 
 
-def timed_places(
-    places_m: NDArray[np.float64], route_m: NDArray[np.float64], step_m: float, steps: int
-) -> NDArray[np.float64]:
+def timed_places(places_m: Floats, route_m: Floats, step_m: float, steps: int) -> Floats:
     """Return the positions after each step of a path, then a route at full speed, then waiting."""
     # Shapes: places_m (k + 1, 2); route_m (r, 2).
     route = np.vstack([places_m[-1:], route_m])
@@ -58,7 +56,7 @@ def timed_places(
     return np.vstack([places_m, on])[: steps + 1]
 
 
-def is_apart(discs: MovingDiscs, places_m: NDArray[np.float64], first: int = 0) -> bool:
+def is_apart(discs: MovingDiscs, places_m: Floats, first: int = 0) -> bool:
     """Return whether a timed path avoids all moving discs; its first step may leave one."""
     # Shapes: places_m (T - first + 1, 2).
     if not len(discs):
@@ -76,19 +74,19 @@ def is_apart(discs: MovingDiscs, places_m: NDArray[np.float64], first: int = 0) 
 class TimedPath:
     """Timed path to a goal or a refuge that avoids other robots."""
 
-    nodes: NDArray[np.intp]  # (k,) after each step
+    nodes: Indices  # (k,) after each step
     # (r,) nodes of the remaining route to the goal, driven at full speed; empty if the path does
     # not arrive
-    route: NDArray[np.intp]
+    route: Indices
     cost_s: float  # Total cost in seconds
     arrives: bool = True  # Whether the path ends at the goal, not at a refuge
 
 
 def search_timed(
     costs: TimedCosts,
-    position_m: NDArray[np.float64],  # (2,) position of the robot
-    first_nodes: NDArray[np.intp],
-    first_length_m: NDArray[np.float64],
+    position_m: Floats,  # (2,) position of the robot
+    first_nodes: Indices,
+    first_length_m: Floats,
     discs: MovingDiscs,
     least_stages: int,
 ) -> TimedPath | None:
@@ -118,9 +116,9 @@ def search_timed(
 
 def search_room(
     road_map: RoadMap,
-    first_nodes: NDArray[np.intp],
-    first_length_m: NDArray[np.float64],
-    others_m: NDArray[np.float64],  # (k, 2) positions on the others' paths, at any time
+    first_nodes: Indices,
+    first_length_m: Floats,
+    others_m: Floats,  # (k, 2) positions on the others' paths, at any time
     least_m: float,
     least_stages: int,
 ) -> TimedPath | None:
@@ -144,8 +142,8 @@ def search_room(
 
 def _search_within(
     costs: TimedCosts,
-    nodes: NDArray[np.intp],
-    cost: NDArray[np.float64],
+    nodes: Indices,
+    cost: Floats,
     discs: MovingDiscs,
     least_stages: int,
     limit_s: float,
@@ -155,9 +153,7 @@ def _search_within(
     Once all other robots have stopped, a static search completes the search in space and time.
     """
     to_go = costs.rate_s_m * costs.cost_to_go.cost_m
-    stages: list[tuple[NDArray[np.intp], NDArray[np.intp]]] = [
-        (nodes, np.zeros(len(nodes), dtype=np.intp))
-    ]
+    stages: list[tuple[Indices, Indices]] = [(nodes, np.zeros(len(nodes), dtype=np.intp))]
     moved = (np.abs(np.diff(discs.centres_m, axis=1)) > 0.0).any(axis=(0, 2))
     last = max(least_stages, int(np.flatnonzero(moved).max(initial=0)) + 1)
     aside: TimedPath | None = None
@@ -187,7 +183,7 @@ def _search_within(
     return TimedPath(_nodes_to(stages, row), route[1:], float(total[row]))
 
 
-def _is_free(costs: TimedCosts, discs: MovingDiscs, step: int, route: NDArray[np.intp]) -> bool:
+def _is_free(costs: TimedCosts, discs: MovingDiscs, step: int, route: Indices) -> bool:
     """Return whether a route (r,), driven at full speed after `step` steps, avoids the discs."""
     route_m = costs.road_map.nodes_m[route]
     on = timed_places(route_m[:1], route_m[1:], costs.step_m, discs.steps - step)
@@ -210,13 +206,8 @@ def _cost_to_go_past_standing(costs: TimedCosts, discs: MovingDiscs) -> CostToGo
 
 
 def _next_stage(
-    costs: TimedCosts,
-    nodes: NDArray[np.intp],
-    cost: NDArray[np.float64],
-    discs: MovingDiscs,
-    step: int,
-    limit_s: float,
-) -> tuple[NDArray[np.intp], NDArray[np.float64], NDArray[np.intp]]:
+    costs: TimedCosts, nodes: Indices, cost: Floats, discs: MovingDiscs, step: int, limit_s: float
+) -> tuple[Indices, Floats, Indices]:
     """Return the nodes reachable from nodes (m,) in one step, their costs and predecessors.
 
     A node's successors equal its predecessors, since lattice moves are symmetric.
@@ -254,9 +245,7 @@ def _next_stage(
     return end, value, row
 
 
-def _nodes_to(
-    stages: list[tuple[NDArray[np.intp], NDArray[np.intp]]], row: int
-) -> NDArray[np.intp]:
+def _nodes_to(stages: list[tuple[Indices, Indices]], row: int) -> Indices:
     """Return the nodes of a path, traced back from a row of the last stage."""
     path: list[int] = []
     for nodes, came in reversed(stages):

@@ -18,8 +18,8 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.planning.initial_data import TeamSeeds
 from planopt.planning.plan import Plan, Rung, Verdict
 from planopt.planning.planners import asked_plan, planner_for
@@ -117,7 +117,7 @@ class Couriers:
         """Return plans made in sequence, which avoid earlier plans and reserved motions."""
 
         def plan_one(
-            number: int, moving: MovingDiscs, reserved_m: NDArray[np.float64], _: Mapping[int, Plan]
+            number: int, moving: MovingDiscs, reserved_m: Floats, _: Mapping[int, Plan]
         ) -> Plan:
             planner, warm = self._planners[number], at.warm[number]
             return planner.release(outlooks[number], warm, moving, reserved_m[1:])
@@ -194,7 +194,7 @@ class Couriers:
     def _alone(self, outlooks: Sequence[Outlook]) -> list[Course]:
         """Return each robot's course that ignores the others, all over the same number of steps."""
         horizon = self._problem.planner.horizon
-        paths: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
+        paths: list[tuple[Floats, Floats]] = []
         for outlook in outlooks:
             start, here = outlook.start, outlook.state[None, :2]
             path = np.tile(here, (horizon, 1)) if start is None else start.path_m
@@ -254,14 +254,14 @@ def planning(
     problem: Problem,
     scenes: Sequence[Scene] | None,
     seeds: TeamSeeds,
-    foreseen_m: Sequence[NDArray[np.float64]] | None = None,
+    foreseen_m: Sequence[Floats] | None = None,
 ) -> Planning:
     """Return a function that creates planners; the arguments are those of :func:`plan_step`.
 
     The scenes belong to the initial obstacles and are rebuilt if obstacles change.
     """
 
-    def made(now: Problem, states: Sequence[NDArray[np.float64]]) -> PlanStep:
+    def made(now: Problem, states: Sequence[Floats]) -> PlanStep:
         at_start = now.workspace.obstacles == problem.workspace.obstacles
         places = [state[:2] for state in states]
         known = scenes if at_start else build_scenes(now, places)
@@ -274,7 +274,7 @@ def plan_step(
     problem: Problem,
     scenes: Sequence[Scene] | None,
     seeds: TeamSeeds,
-    foreseen_m: Sequence[NDArray[np.float64]] | None = None,  # (T, 2)
+    foreseen_m: Sequence[Floats] | None = None,  # (T, 2)
 ) -> PlanStep:
     """Return the function that plans a step for all robots, to goals or for a sum of terms."""
     if scenes is not None:

@@ -12,9 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from planopt.arrays import Floats
 from planopt.channel.posterior import Belief
 from planopt.objectives.moments import Region
 from planopt.objectives.terms.term import Steers
@@ -59,7 +57,7 @@ STEERINGS: Mapping[Steers, Callable[[Problem, Ground, Any], Any]] = {
 }
 """Classes that find the steering path of a term, constructed from problem, ground and term."""
 
-PlanOne = Callable[[int, MovingDiscs, NDArray[np.float64], Mapping[int, Plan]], Plan]
+PlanOne = Callable[[int, MovingDiscs, Floats, Mapping[int, Plan]], Plan]
 """Function that plans for one robot: number, moving discs, reservation, earlier plans."""
 
 
@@ -94,7 +92,7 @@ class Member:
     """Robot of a team with its own problem, ground and planner."""
 
     problem: Problem  # Problem with this robot alone
-    start: NDArray[np.float64]  # (s,) initial state
+    start: Floats  # (s,) initial state
     ground: Ground
     planner: Planner
     steer: Steer | None  # None if no term steers
@@ -103,11 +101,11 @@ class Member:
     def plan(
         self,
         belief: Belief,
-        state: NDArray[np.float64],  # (s,)
+        state: Floats,  # (s,)
         watched: Aim,
         warm: Plan | None,
         moving: MovingDiscs = NOTHING_MOVES,
-        reserved_m: NDArray[np.float64] | None = None,  # (N + 1, 2)
+        reserved_m: Floats | None = None,  # (N + 1, 2)
         history: History = BEGINNING,
         pending: Pending = NOTHING_PENDING,
     ) -> tuple[Plan, Aim]:
@@ -151,7 +149,7 @@ def _valued_alone(plan: Plan, context: StepContext) -> Plan:
 def build_team(
     problem: Problem,
     seeds: TeamSeeds,
-    foreseen_m: Sequence[NDArray[np.float64]] | None = None,  # (T, 2) of each robot
+    foreseen_m: Sequence[Floats] | None = None,  # (T, 2) of each robot
 ) -> tuple[Member, ...]:
     """Return the team of a problem; with `foreseen_m`, robots follow these paths."""
     region = workspace_region(problem)
@@ -206,7 +204,7 @@ def _in_order(
     aims: dict[int, Aim] = {}
 
     def plan_one(
-        number: int, moving: MovingDiscs, reserved_m: NDArray[np.float64], made: Mapping[int, Plan]
+        number: int, moving: MovingDiscs, reserved_m: Floats, made: Mapping[int, Plan]
     ) -> Plan:
         plan, aims[number] = _planned(team, moment, number, moving, reserved_m, made)
         return plan
@@ -220,7 +218,7 @@ def _planned(
     moment: TeamMoment,
     number: int,
     moving: MovingDiscs,
-    reserved_m: NDArray[np.float64],
+    reserved_m: Floats,
     made: Mapping[int, Plan],
 ) -> tuple[Plan, Aim]:
     """Return one robot's plan, given the others' planned measurements, and external inputs."""
@@ -256,7 +254,7 @@ def _again_in_turn(
     chosen = list(aims)
 
     def plan_one(
-        number: int, moving: MovingDiscs, reserved_m: NDArray[np.float64], made: Mapping[int, Plan]
+        number: int, moving: MovingDiscs, reserved_m: Floats, made: Mapping[int, Plan]
     ) -> Plan:
         old, known = plans[number], dict(enumerate(plans)) | dict(made)
         plan, aim = _planned(team, moment, number, moving, reserved_m, known)

@@ -18,8 +18,8 @@ from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, TypeVar, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.channel.measurements import SAME_PLACE_M
 from planopt.channel.posterior import ChannelPosterior, with_expected
 from planopt.channel.prediction import Prediction, connection_probability
@@ -43,9 +43,9 @@ class Pending:
     """Positions at which the other robots of a team measure or have measured."""
 
     # Positions (N, 2) after each step of every other robot's plan
-    planned_m: tuple[NDArray[np.float64], ...] = ()
+    planned_m: tuple[Floats, ...] = ()
     # (k, 2) the others' positions after each past step of the run
-    driven_m: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
+    driven_m: Floats = field(default_factory=lambda: np.zeros((0, 2)))
 
 
 NOTHING_PENDING = Pending()
@@ -54,7 +54,7 @@ NOTHING_PENDING = Pending()
 def anticipated(
     posteriors: Sequence[ChannelPosterior],
     pending: Pending,
-    position_m: NDArray[np.float64],  # (2,) position of the robot
+    position_m: Floats,  # (2,) position of the robot
     spacing_m: float,
 ) -> tuple[ChannelPosterior, ...]:
     """Return each station's channel posterior, updated with the others' measurements."""
@@ -69,7 +69,7 @@ def anticipated(
     return tuple(with_expected(posterior, places) for posterior in posteriors)
 
 
-def places_of_others(driven_m: Sequence[NDArray[np.float64]], number: int) -> NDArray[np.float64]:
+def places_of_others(driven_m: Sequence[Floats], number: int) -> Floats:
     """Return the past positions (k, 2) of all robots except robot `number`."""
     others = [places for other, places in enumerate(driven_m) if other != number]
     return np.vstack([np.zeros((0, 2)), *others])
@@ -118,12 +118,12 @@ class Aim:
     """External inputs of one plan's objective, such as the expected target track."""
 
     # (N, 2) expected target position at the end of each step; None without a target
-    target_m: NDArray[np.float64] | None = None
+    target_m: Floats | None = None
     # (m, 2) path of the two-layer steering: the robot's position, turns, and end; None without
     # steering
-    steering_turns_m: NDArray[np.float64] | None = None
+    steering_turns_m: Floats | None = None
     # (4, 4) J_{t|t} of the station's filter at that time; None without a target
-    information: NDArray[np.float64] | None = None
+    information: Floats | None = None
     pending: Pending = NOTHING_PENDING  # Positions at which the other robots measure
     # The robot's unsent target measurements if packets carry estimates; otherwise None
     held: Held | None = None
@@ -143,20 +143,18 @@ class StepContext(VerifierContext):
     """Step context: all inputs on which the objective value of a path depends."""
 
     # (N, 2) expected target position at the end of each step; None without a target
-    target_m: NDArray[np.float64] | None = None
+    target_m: Floats | None = None
     region: Region  # Region of the map, for terms that average over it
     # Steering path; None if no term steers or no steering position is reachable
     steering: SteeringPath | None = None
     # (4, 4) J_{t|t} of the station's filter; None without a target
-    information: NDArray[np.float64] | None = None
+    information: Floats | None = None
     pending: Pending = NOTHING_PENDING  # Positions at which the other robots measure
     held: Held | None = None  # Unsent target measurements if packets carry estimates
     _power: dict[bytes, tuple[float, float]] = field(
         default_factory=dict[bytes, tuple[float, float]], init=False, repr=False
     )
-    _soon: dict[bytes, NDArray[np.float64]] = field(
-        default_factory=dict[bytes, NDArray[np.float64]], init=False, repr=False
-    )
+    _soon: dict[bytes, Floats] = field(default_factory=dict[bytes, Floats], init=False, repr=False)
     _made: dict[Hashable, Any] = field(default_factory=dict[Hashable, Any], init=False, repr=False)
 
     def once(self, key: Hashable, make: Callable[[], Made]) -> Made:
@@ -190,7 +188,7 @@ class StepContext(VerifierContext):
         """Return the motion model of the target."""
         return target_model(self.problem)
 
-    def power(self, places_m: NDArray[np.float64]) -> Prediction:
+    def power(self, places_m: Floats) -> Prediction:
         """Return the power predicted for searches at `places_m` (n, 2), cached by position.
 
         With many measurements the prediction is approximate and depends slightly on the positions
@@ -209,13 +207,13 @@ class StepContext(VerifierContext):
         both = np.array([self._power[key] for key in keys]).reshape(-1, 2)
         return Prediction(both[:, 0], both[:, 1])
 
-    def predicted(self, places_m: NDArray[np.float64]) -> Prediction:
+    def predicted(self, places_m: Floats) -> Prediction:
         """Return :meth:`power` with multipath treated as unknown everywhere, as in solvers."""
         if any(len(known.rows) for known in self.law.known(places_m)):
             return self.law.predicted(places_m, search_power)
         return self.power(places_m)
 
-    def soon(self, places_m: NDArray[np.float64]) -> None:
+    def soon(self, places_m: Floats) -> None:
         """Schedule `places_m` (n, 2) for prediction together with the next new positions."""
         for place in np.asarray(places_m, dtype=np.float64):
             if place.tobytes() not in self._power:
@@ -228,7 +226,7 @@ class StepContext(VerifierContext):
         return anticipated(self.stations, self.pending, self.position_m, spacing)
 
     @property
-    def others_m(self) -> tuple[NDArray[np.float64], ...]:
+    def others_m(self) -> tuple[Floats, ...]:
         """Positions (N, 2) of each other robot's plan."""
         return self.pending.planned_m
 
@@ -271,7 +269,7 @@ class StepContext(VerifierContext):
         lost = self.history.outage_steps > 0
         return self._untried(self.position_m[None] if lost else np.zeros((0, 2)))
 
-    def _untried(self, here_m: NDArray[np.float64]) -> MeasuringRule:
+    def _untried(self, here_m: Floats) -> MeasuringRule:
         """Return the rule that excludes probes near lost packets and near `here_m` (k, 2).
 
         Lost packets are measurements below the threshold, and earlier failures without a
@@ -293,9 +291,7 @@ class StepContext(VerifierContext):
             return rule
         return MeasuringRule(spacing, tuple(np.vstack([places, unmeasured]) for places in known))
 
-    def probed(
-        self, places_m: NDArray[np.float64], predicted: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    def probed(self, places_m: Floats, predicted: Floats) -> Floats:
         """Return the probabilities of connection (...) of probes at positions (..., 2).
 
         The probability is one at known connections and zero at other positions that a robot would
@@ -309,17 +305,17 @@ class StepContext(VerifierContext):
         return np.where(connected, 1.0, found).reshape(predicted.shape)
 
     @property
-    def connected_m(self) -> NDArray[np.float64]:
+    def connected_m(self) -> Floats:
         """Positions (k, 2) known to be connected."""
         return np.vstack([self.law.connected_m, self._connected_here_m])
 
     @property
-    def _connected_here_m(self) -> NDArray[np.float64]:
+    def _connected_here_m(self) -> Floats:
         """Robot's position (1, 2) if its last packet arrived; otherwise empty, (0, 2)."""
         arrived = self.history.steps > 0 and self.history.outage_steps == 0
         return self.position_m[None] if arrived else np.zeros((0, 2))
 
-    def chance(self, place_m: NDArray[np.float64]) -> float:
+    def chance(self, place_m: Floats) -> float:
         """Return the connection probability at one position (2,), predicted on its own."""
         power = search_prediction(self.law, place_m[None])
         threshold = self.problem.stations[0].threshold_dbm

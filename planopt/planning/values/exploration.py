@@ -18,6 +18,7 @@ from scipy.sparse.csgraph import (
     connected_components,  # pyright: ignore[reportUnknownVariableType]
 )
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.neighbours import PlaceTree
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.measuring import MeasuringRule
@@ -47,27 +48,27 @@ class SteeringPath:
     """Path from a robot's position to the position that it is steered to."""
 
     # (m, 2), m at least 2: the robot's position, the turns, and the end
-    turns_m: NDArray[np.float64]
+    turns_m: Floats
     index: ObstacleIndex  # The obstacles
     clearance_m: float  # Minimum distance to obstacles
     # (ny, nx) length of the shortest path to the end from each node of the lattice, if known
-    lattice_m: NDArray[np.float64] | None = None
+    lattice_m: Floats | None = None
     # Whether a position heads at most for the end of its nearest leg, because the path also avoids
     # coverage holes, across which later turns are visible
     in_order: bool = False
 
     @property
-    def end_m(self) -> NDArray[np.float64]:
+    def end_m(self) -> Floats:
         """Return the position (2,) that the robot is steered to."""
         return self.turns_m[-1]
 
     @cached_property
-    def rest_m(self) -> NDArray[np.float64]:
+    def rest_m(self) -> Floats:
         """Return the remaining path length (m,) from each turn."""
         legs = np.linalg.norm(np.diff(self.turns_m, axis=0), axis=1)
         return np.concatenate([np.cumsum(legs[::-1])[::-1], [0.0]])
 
-    def next_turns(self, places_m: NDArray[np.float64]) -> NDArray[np.intp]:
+    def next_turns(self, places_m: Floats) -> Indices:
         """Return the index of the turn that each position (n, 2) heads for next.
 
         Of the consecutive visible turns from the first visible one on, it is the last. If no turn
@@ -89,7 +90,7 @@ class SteeringPath:
                 break
         return found
 
-    def _ends_of_legs(self, places_m: NDArray[np.float64]) -> NDArray[np.intp]:
+    def _ends_of_legs(self, places_m: Floats) -> Indices:
         """Return the index of the turn at which the leg nearest to each position ends."""
         starts, legs = self.turns_m[:-1], np.diff(self.turns_m, axis=0)
         offset = places_m[:, None] - starts
@@ -98,14 +99,14 @@ class SteeringPath:
         away = np.linalg.norm(offset - along[:, :, None] * legs, axis=2)
         return len(legs) - away[:, ::-1].argmin(axis=1)
 
-    def distance_m(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def distance_m(self, places_m: Floats) -> Floats:
         """Return the remaining distance from each position (n, 2) to the end; (n,)."""
         turns = self.next_turns(places_m)
         return np.linalg.norm(places_m - self.turns_m[turns], axis=1) + self.rest_m[turns]
 
-    def path_m(self, steps: int, longest_m: float) -> NDArray[np.float64]:
+    def path_m(self, steps: int, longest_m: float) -> Floats:
         """Return positions along the path, with a step end at every turn; ``(steps, 2)``."""
-        found: list[NDArray[np.float64]] = []
+        found: list[Floats] = []
         here = self.turns_m[0]
         for turn in self.turns_m[1:]:
             count = max(math.ceil(float(np.linalg.norm(turn - here)) / longest_m), 1)
@@ -116,17 +117,14 @@ class SteeringPath:
         found += [here] * (steps - len(found))
         return np.array(found[:steps])
 
-    def gained_m(self, paths_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def gained_m(self, paths_m: Floats) -> Floats:
         """Return the reduction of the distance to the end, summed over positions (..., N, 2)."""
         distance = self.distance_m(paths_m.reshape(-1, 2)).reshape(paths_m.shape[:-1])
         return (self.rest_m[0] - distance).sum(axis=-1)
 
 
 def steering_path(
-    problem: Problem,
-    index: ObstacleIndex,
-    turns_m: NDArray[np.float64],
-    lattice_m: NDArray[np.float64] | None = None,
+    problem: Problem, index: ObstacleIndex, turns_m: Floats, lattice_m: Floats | None = None
 ) -> SteeringPath:
     """Return a steering path with turns `turns_m` (m, 2)."""
     in_order = any(term.steers == "goal" for term in problem.terms)
@@ -153,7 +151,7 @@ def workspace_region(problem: Problem) -> Region:
     return Region(places, np.full(len(places), 1.0 / len(places)))
 
 
-def region_near(problem: Problem, whole: Region, position_m: NDArray[np.float64]) -> Region:
+def region_near(problem: Problem, whole: Region, position_m: Floats) -> Region:
     """Return the region `whole` with a fine grid near a robot's position (2,).
 
     The coarse grid alone would strongly overestimate the value of plans through its nodes.
@@ -175,7 +173,7 @@ def region_near(problem: Problem, whole: Region, position_m: NDArray[np.float64]
     return Region(np.concatenate([near, far]), weight / weight.sum())
 
 
-def region_along(problem: Problem, region: Region, path_m: NDArray[np.float64]) -> Region:
+def region_along(problem: Problem, region: Region, path_m: Floats) -> Region:
     """Return the positions of `region` at which paths near `path_m` (N, 2) can change the map."""
     away = np.linalg.norm(region.grid_m[:, None] - path_m, axis=2).min(axis=1)
     near = away <= ROOM_STEPS * problem.step_length_m
@@ -187,7 +185,7 @@ def _coarse_m(problem: Problem) -> float:
     return math.sqrt((x_max - x_min) * (y_max - y_min) / PLACES)
 
 
-def _centres(bounds_m: tuple[float, float, float, float], cell_m: float) -> NDArray[np.float64]:
+def _centres(bounds_m: tuple[float, float, float, float], cell_m: float) -> Floats:
     """Return the centres of cells of about size `cell_m` in bounds, row by row; (n, 2)."""
     x_min, y_min, x_max, y_max = bounds_m
     x, y = (
@@ -211,9 +209,9 @@ def left_to_learn(
     problem: Problem,
     index: ObstacleIndex,
     lattice: Lattice,
-    here_m: NDArray[np.float64],  # (2,) position of the robot
+    here_m: Floats,  # (2,) position of the robot
     posteriors: Sequence[ChannelPosterior],
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return the reachable positions (k, 2) that are worth measuring.
 
     They are lattice nodes, or intermediate positions if all nodes are measured. If all terms have a
@@ -243,8 +241,8 @@ def left_to_learn(
 
 
 def reachable_nodes(
-    problem: Problem, index: ObstacleIndex, lattice: Lattice, here_m: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+    problem: Problem, index: ObstacleIndex, lattice: Lattice, here_m: Floats
+) -> Mask:
     """Return a mask (ny, nx) of nodes reachable by lattice moves from a position (2,)."""
     found = np.zeros(lattice.shape, dtype=np.bool_)
     reach = problem.step_length_m - STEP_PAD_M
@@ -254,8 +252,8 @@ def reachable_nodes(
     if not clear.any():
         return found
     number = np.arange(found.size).reshape(lattice.shape)
-    begins: list[NDArray[np.intp]] = []
-    ends: list[NDArray[np.intp]] = []
+    begins: list[Indices] = []
+    ends: list[Indices] = []
     for (dx, dy), opened in zip(MOVES, lattice.open_moves, strict=True):
         begin = number[opened]
         begins.append(begin)
@@ -267,12 +265,7 @@ def reachable_nodes(
     return np.isin(part, part[rows[clear], columns[clear]]) & lattice.free
 
 
-def _joined(
-    problem: Problem,
-    index: ObstacleIndex,
-    nodes_m: NDArray[np.float64],
-    places_m: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _joined(problem: Problem, index: ObstacleIndex, nodes_m: Floats, places_m: Floats) -> Floats:
     """Return the positions that have a collision-free segment from their nearest node."""
     places = places_m[inside_bounds(problem.workspace, places_m)]
     if not len(places) or not len(nodes_m):

@@ -11,8 +11,8 @@ from functools import cache
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.channel.kriging import LocalChannel, LocalGrid
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
@@ -42,9 +42,7 @@ JOINT_NEIGHBOURS = 128
 """Number of measurements shared by all positions of a path, for terms that couple them."""
 
 
-def local_value(
-    context: StepContext, path_m: NDArray[np.float64], rows: RuleRows | None = None
-) -> EvaluatePath:
+def local_value(context: StepContext, path_m: Floats, rows: RuleRows | None = None) -> EvaluatePath:
     """Return a function that evaluates objective and constraint rows of paths near a guess."""
     problem = context.problem
     structure = structure_of(problem)
@@ -71,7 +69,7 @@ def local_value(
     z = rows.quantile
     bounded = has_step_rows(problem)
 
-    def evaluate(places_m: NDArray[np.float64]) -> Evaluation:
+    def evaluate(places_m: Floats) -> Evaluation:
         gates = None if rule is None else rule.gates(places_m[None])
         near = NearPath(
             context,
@@ -99,7 +97,7 @@ def local_value(
     return evaluated
 
 
-def _total(chance: Derivatives, weight: NDArray[np.float64]) -> PathValue:
+def _total(chance: Derivatives, weight: Floats) -> PathValue:
     """Return the weighted sum of the stages' connection probabilities, with derivatives."""
     return PathValue(
         float(weight @ chance.value),
@@ -109,7 +107,7 @@ def _total(chance: Derivatives, weight: NDArray[np.float64]) -> PathValue:
 
 
 def _joint_channels(
-    context: StepContext, posteriors: Sequence[ChannelPosterior], path_m: NDArray[np.float64]
+    context: StepContext, posteriors: Sequence[ChannelPosterior], path_m: Floats
 ) -> list[tuple[LocalChannel, LocalGrid | None]]:
     """Return local channel and map of each station if terms couple positions; otherwise none."""
     problem = context.problem
@@ -183,7 +181,7 @@ def _sum(parts: list[Part], stages: int, structure: Structure) -> PathValue:
     return PathValue(value, gradient, _chain(hessian) if structure == "chain" else hessian)
 
 
-def _chain(hessian: NDArray[np.float64]) -> NDArray[np.float64]:
+def _chain(hessian: Floats) -> Floats:
     """Return the nonzero entries (7 N - 4,) of a Hessian that couples successive stages."""
     count = len(hessian) // 2
     blocks = hessian.reshape(count, 2, count, 2)

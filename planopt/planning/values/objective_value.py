@@ -12,8 +12,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
 from planopt.errors import InputError
 from planopt.objectives.reach import charged_length_m, cost_rate_s_m, outage_share, path_cost_s
@@ -34,16 +34,16 @@ class ObjectiveValue:
 
     context: StepContext
 
-    def __call__(self, path_m: NDArray[np.float64], drive: Drive | None = None) -> float:
+    def __call__(self, path_m: Floats, drive: Drive | None = None) -> float:
         """Return the weighted sum of the terms for a path (N, 2), minus the cost of its slack."""
         del drive  # terms depend on positions alone
         return float(sum(self.by_term(path_m))) - slack_cost(self.context, path_m)
 
-    def by_term(self, path_m: NDArray[np.float64]) -> tuple[float, ...]:
+    def by_term(self, path_m: Floats) -> tuple[float, ...]:
         """Return the contribution of each term of the objective, including its weight."""
         return tuple(self._contributed(number, path_m) for number in range(len(self._terms)))
 
-    def of_each(self, paths_m: Sequence[NDArray[np.float64]]) -> list[float]:
+    def of_each(self, paths_m: Sequence[Floats]) -> list[float]:
         """Return the objective values of several paths, with joint predictions."""
         for path in paths_m:
             self.context.soon(path)
@@ -55,7 +55,7 @@ class ObjectiveValue:
             for value, path in zip(total.tolist(), paths_m, strict=True)
         ]
 
-    def _of_term(self, number: int, paths_m: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
+    def _of_term(self, number: int, paths_m: Sequence[Floats]) -> Floats:
         """Return the weighted contribution (c,) of term `number` to the objective of c paths."""
         term, at = self._terms[number], self.context
         if not term.probes_end or not paths_m:
@@ -69,7 +69,7 @@ class ObjectiveValue:
     def _terms(self) -> tuple[Term, ...]:
         return self.context.problem.terms
 
-    def _contributed(self, number: int, path_m: NDArray[np.float64]) -> float:
+    def _contributed(self, number: int, path_m: Floats) -> float:
         term = self._terms[number]
         with _named(self.context, number):
             with calling(term, "value", key="value"):
@@ -78,9 +78,7 @@ class ObjectiveValue:
             return term.weight * float(returned(term, "value", value, (), words=words, key="value"))
 
 
-def probe_values(
-    at: StepContext, number: int, paths_m: NDArray[np.float64], chance: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def probe_values(at: StepContext, number: int, paths_m: Floats, chance: Floats) -> Floats:
     """Return the weighted contribution (c,) of term `number`, which probes path ends."""
     # Shapes: paths_m (c, N, 2); chance (c, N).
     term, method = at.problem.terms[number], "probe_values"
@@ -106,7 +104,7 @@ SHARE_IN_DB = 100.0
 """Cost in dB of a relative shortfall of one, for a rule over a whole plan."""
 
 
-def slack_cost(at: StepContext, path_m: NDArray[np.float64]) -> float:
+def slack_cost(at: StepContext, path_m: Floats) -> float:
     """Return the cost of the slack of a path (N, 2), in the objective's unit."""
     rule = at.problem.constraints.rule
     if rule.slack_price == 0.0:
@@ -118,7 +116,7 @@ def slack_cost(at: StepContext, path_m: NDArray[np.float64]) -> float:
     return rule.slack_price * ((rule.slack_max_db or 0.0) if beyond else result.slack_db)
 
 
-def rule_missing(at: StepContext, path_m: NDArray[np.float64]) -> float:
+def rule_missing(at: StepContext, path_m: Floats) -> float:
     """Return the rule's violation by a path (N, 2) beyond its slack; 0 if it is satisfied.
 
     The unit is dB, summed over steps. For a rule over a whole plan it is the relative shortfall
@@ -136,7 +134,7 @@ def rule_missing(at: StepContext, path_m: NDArray[np.float64]) -> float:
     return SHARE_IN_DB * result.missing / max(result.asked, 1.0)
 
 
-def _missed_db(at: StepContext, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
+def _missed_db(at: StepContext, path_m: Floats) -> Floats:
     """Return the shortfall of p_min in dB at each constrained step; (N,)."""
     power, problem = at.power(path_m), at.problem
     margins = margins_asked_db(problem, power)
@@ -145,13 +143,13 @@ def _missed_db(at: StepContext, path_m: NDArray[np.float64]) -> NDArray[np.float
     return np.where(missed & asked, -margins, 0.0)
 
 
-def rule_result(at: StepContext, path_m: NDArray[np.float64]) -> RuleResult:
+def rule_result(at: StepContext, path_m: Floats) -> RuleResult:
     """Return the verifier's result for a path (N, 2) by a rule over the whole plan."""
     places_m = np.vstack([at.position_m, path_m])
     return whole_plan_result(PathCase(at, places_m, at.power(path_m)))
 
 
-LeadingPivot = Callable[[NDArray[np.float64]], Pivot]
+LeadingPivot = Callable[[Floats], Pivot]
 """Function from a path's end (2,) to the pivot of the remaining route."""
 
 BRAKING_PLACES = 9
@@ -163,9 +161,9 @@ class ReachCost:
     """Cost of paths to a goal, in one planning step."""
 
     problem: Problem  # Problem with a goal
-    position_m: NDArray[np.float64]  # (2,) position of the robot
+    position_m: Floats  # (2,) position of the robot
     # Maps positions (n, 2) to predicted power, for p_min and outage
-    power: Callable[[NDArray[np.float64]], Prediction]
+    power: Callable[[Floats], Prediction]
     ahead: LeadingPivot | None = None  # None if no cost-to-go is charged
     # Whether outage is priced; False for a robot that has wandered and takes the shortest
     # path
@@ -183,7 +181,7 @@ class ReachCost:
             self.problem.reach.effort_weight_s2_m2, self.problem.robots[0].speed_max_m_s
         )
 
-    def __call__(self, path_m: NDArray[np.float64], drive: Drive | None = None) -> float:
+    def __call__(self, path_m: Floats, drive: Drive | None = None) -> float:
         """Return the cost of a path (N, 2) in seconds, including outage price and cost-to-go."""
         problem = self.problem
         resting = None if drive is None else resting_places_m(drive)
@@ -212,7 +210,7 @@ class ReachCost:
             cost += float(drive.dynamics.turning_s(tuple(drive.states[-1]), (x, y)))
         return cost + self.rate_s_m * (pivot.metre_cost * to_pivot + pivot.cost_m)
 
-    def pivot_of(self, path_m: NDArray[np.float64], drive: Drive | None = None) -> Pivot | None:
+    def pivot_of(self, path_m: Floats, drive: Drive | None = None) -> Pivot | None:
         """Return the pivot for the cost-to-go of a path (N, 2)."""
         end = path_m[-1] if drive is None else resting_places_m(drive)[-1]
         return None if self.ahead is None else self.ahead(end)
@@ -223,23 +221,23 @@ class ReachCost:
         slack_db = self.problem.constraints.rule.slack_max_db or 0.0
         return self.problem.stations[0].threshold_dbm - slack_db
 
-    def _charged_m(self, places_m: NDArray[np.float64]) -> float:
+    def _charged_m(self, places_m: Floats) -> float:
         """Return the length out of contact of a path (N + 1, 2), in metres."""
         lengths = np.linalg.norm(np.diff(places_m, axis=0), axis=1)
         return charged_length_m(lengths, self._outage_share(places_m))
 
-    def _outage_share(self, places_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _outage_share(self, places_m: Floats) -> Floats:
         power, threshold = self.power(places_m), self.threshold_dbm
         mean, deviation = power.mean_db, power.deviation_db
         chance = connection_probability(mean, deviation, threshold)
         return outage_share(chance, self._is_below(power), self._everywhere)
 
-    def metre_costs(self, path_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def metre_costs(self, path_m: Floats) -> Floats:
         """Return the cost per metre at the robot and along a path (N, 2); (N + 1,)."""
         places = np.vstack([self.position_m, path_m])
         return 1.0 + self.outage_price * self._outage_share(places)
 
-    def outage_charges(self, path_m: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+    def outage_charges(self, path_m: Floats) -> tuple[float, Floats]:
         """Return the penalised fraction of a metre at the robot, and along a path (N, 2).
 
         The second value, (N,), is the fraction if connection were impossible.
@@ -252,13 +250,13 @@ class ReachCost:
     def _everywhere(self) -> bool:
         return self.problem.reach.charges_everywhere
 
-    def _is_below(self, power: Prediction) -> NDArray[np.bool_]:
+    def _is_below(self, power: Prediction) -> Mask:
         margin = bound_margin_db(
             power.mean_db, power.deviation_db, self.threshold_dbm, self.problem.constraints.p_min
         )
         return margin < 0.0
 
 
-def resting_places_m(drive: Drive) -> NDArray[np.float64]:
+def resting_places_m(drive: Drive) -> Floats:
     """Return the resting position after braking from each state of a drive; (N + 1, 2)."""
     return np.column_stack(drive.dynamics.resting_place(tuple(drive.states.T)))

@@ -11,13 +11,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planopt.channel.prediction import (
-    Prediction,
-    bound_quantile,
-    connection_probability,
-)
+from planopt.arrays import Floats, Mask
+from planopt.channel.prediction import Prediction, bound_quantile, connection_probability
 from planopt.objectives.moments import LocalPaths, Pull
 from planopt.planning.certificate import RuleResult, margins_asked_db
 from planopt.planning.plan import History
@@ -41,23 +37,23 @@ class RuleRows:
     """Constraint rows of the connectivity rule for a path of N steps."""
 
     threshold_dbm: float  # Power threshold of connection
-    level: NDArray[np.float64]  # (N,) required probability of each step
-    bounded: NDArray[np.bool_]  # (N,) whether the step is constrained
+    level: Floats  # (N,) required probability of each step
+    bounded: Mask  # (N,) whether the step is constrained
     # (N,) weights of the probabilities in the sum; None if no sum is bounded
-    weight: NDArray[np.float64] | None = None
+    weight: Floats | None = None
     total: float = 0.0  # Lower bound of the sum
 
     @property
-    def quantile(self) -> NDArray[np.float64]:
+    def quantile(self) -> Floats:
         """Return the normal quantile z_p of each step's required probability; (N,)."""
         return np.array([bound_quantile(level) for level in self.level.tolist()])
 
-    def margins_db(self, power: Prediction) -> NDArray[np.float64]:
+    def margins_db(self, power: Prediction) -> Floats:
         """Return each step's margin in dB at its required probability; inf if unconstrained."""
         margins = power.mean_db - self.quantile * power.deviation_db - self.threshold_dbm
         return np.where(self.bounded, margins, np.inf)
 
-    def achieved(self, power: Prediction) -> NDArray[np.float64]:
+    def achieved(self, power: Prediction) -> Floats:
         """Return the value of each row: the steps' margins (N,), or the sum (1,)."""
         return self.margins_db(power) if self.weight is None else np.array([self.sum_of(power)])
 
@@ -70,7 +66,7 @@ class RuleRows:
         least = max(1e-3 * float(self.weight.max(initial=0.0)), 1e-9)
         return max(float(self.weight @ density), least)
 
-    def shortfall_db(self, power: Prediction) -> NDArray[np.float64]:
+    def shortfall_db(self, power: Prediction) -> Floats:
         """Return the shortfall of each row in dB, to first order."""
         return (self.total - self.achieved(power)) / self.per_db(power)
 
@@ -92,7 +88,7 @@ def has_step_rows(problem: Problem) -> bool:
     return problem.constraints.asks_connection and not has_sum_row(problem)
 
 
-def rule_rows(context: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
+def rule_rows(context: StepContext, path_m: Floats) -> RuleRows:
     """Return the constraint rows for a refinement of `path_m` (N, 2)."""
     problem, history = context.problem, context.history
     legs = np.linalg.norm(np.diff(np.vstack([context.position_m, path_m]), axis=0), axis=1)
@@ -144,7 +140,7 @@ USED_UP_SHARE = 0.97
 def rows_again(
     context: StepContext,
     rows: RuleRows,
-    path_m: NDArray[np.float64],
+    path_m: Floats,
     earlier: list[tuple[float, RuleResult]],
     result: RuleResult,
 ) -> RuleRows | None:
@@ -178,7 +174,7 @@ def rows_again(
     return replace(rows, weight=slope, total=value - float(achieved) + float(slope @ chance))
 
 
-def step_rows(context: StepContext, path_m: NDArray[np.float64]) -> RuleRows:
+def step_rows(context: StepContext, path_m: Floats) -> RuleRows:
     """Return constraint rows for single steps, whatever the rule, near a path (N, 2).
 
     A constraint on a sum becomes one per step; the path's surplus or deficit is spread evenly.
@@ -200,16 +196,16 @@ class Guide:
     """Guide of a lattice search: constrained steps, their level, and credits for connection."""
 
     level: float  # Required probability of the constrained steps
-    bounded: NDArray[np.bool_]  # (N,) mask of the constrained steps
+    bounded: Mask  # (N,) mask of the constrained steps
     # (N,) reward of a connection at each step relative to the largest reward of a step; multiplied
     # by its probability
-    credit: NDArray[np.float64]
+    credit: Floats
 
 
-GuidedSearch = Callable[[Guide], list[NDArray[np.float64]]]
+GuidedSearch = Callable[[Guide], list[Floats]]
 """Function that maps a guide to the best paths (N, 2), best first."""
 
-IsKept = Callable[[NDArray[np.float64]], bool]
+IsKept = Callable[[Floats], bool]
 """Function that returns whether a path (N, 2) satisfies the rule."""
 
 HIGHEST_CREDIT, LOWEST_CREDIT = 10.0, 1e-3
@@ -222,9 +218,7 @@ PATTERNS = 4
 """Maximum number of patterns of constrained steps that are searched."""
 
 
-def find_guided(
-    context: StepContext, search: GuidedSearch, is_kept: IsKept
-) -> list[NDArray[np.float64]]:
+def find_guided(context: StepContext, search: GuidedSearch, is_kept: IsKept) -> list[Floats]:
     """Return the paths (N, 2) that a search finds with guides for the connectivity rule."""
     problem, history = context.problem, context.history
     rule, count = rule_of(problem), problem.planner.horizon
@@ -267,7 +261,7 @@ def common_level(rule: Rule, p_min: float, history: History, count: int) -> floa
     return min(high, 1.0 - LEAST_LEVEL)
 
 
-def _held_patterns(rule: Rule, context: StepContext, count: int) -> list[NDArray[np.bool_]]:
+def _held_patterns(rule: Rule, context: StepContext, count: int) -> list[Mask]:
     """Return masks (N,) of steps whose connection satisfies the rule: late, earlier, and all."""
     history, asks = context.history, context.problem.constraints.asks_connection
     every = np.ones(count, dtype=np.bool_)
@@ -283,7 +277,7 @@ def _held_patterns(rule: Rule, context: StepContext, count: int) -> list[NDArray
     return [*found, every]
 
 
-def missing(at: StepContext, legs_m: NDArray[np.float64], power: Prediction) -> NDArray[np.float64]:
+def missing(at: StepContext, legs_m: Floats, power: Prediction) -> Floats:
     """Return the shortfall (c,) of each path, 0 if it satisfies the rule.
 
     For rules on each step, the unit is dB, summed over steps; otherwise it is the number of missing
@@ -303,7 +297,7 @@ def missing(at: StepContext, legs_m: NDArray[np.float64], power: Prediction) -> 
     return short / _value_of_step(rule, at, shape)
 
 
-def _value_of_step(rule: Rule, at: StepContext, shape: tuple[int, ...]) -> NDArray[np.float64]:
+def _value_of_step(rule: Rule, at: StepContext, shape: tuple[int, ...]) -> Floats:
     """Return the mean increase (c,) of the rule's value per connected step of paths (c, N)."""
     history = at.history
     gained = rule.valued(np.ones(shape), history) - rule.valued(np.zeros(shape), history)

@@ -13,8 +13,8 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 69_900,
-    "lines of code": 50_100,
+    "lines": 70_000,
+    "lines of code": 50_200,
     "files": 296,
     "functions": 3_700,
     "docstring lines": 8_740,

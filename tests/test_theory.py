@@ -18,6 +18,7 @@ CHAPTERS = (
     "planning",
     "coverage",
     "pursuit",
+    "bounds",
 )
 PAGES = [ROOT / "docs" / "theory" / f"{name}.md" for name in CHAPTERS]
 TAG = re.compile(r"\\tag\{(\d+)\.(\d+)\}")

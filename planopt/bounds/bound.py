@@ -24,6 +24,16 @@ class Potential:
     ]  # (s,) at the middles of all sides, in ascending order of their nodes
 
 
+@dataclass(frozen=True, eq=False)
+class Tilts:
+    """Certificate of a bound on a sum over N steps: multipliers of branch and bound."""
+
+    of_steps: NDArray[np.float64]  # (t, N, 2) of the moves
+    of_p_min: NDArray[np.float64]  # (t, N) of the chance constraint, at least 0
+    levels: int  # Number of levels of cells
+    value: float  # Proven bound
+
+
 @dataclass(frozen=True)
 class Bound:
     """Proven bound on the objective of one robot, or of all robots together.
@@ -36,8 +46,8 @@ class Bound:
     value
         Bound in the unit of the objective; None if none is proven.
     cost
-        Objective of the solution to compare with the bound, with the outage integrated along plan
-        and route (equation 6.13).
+        Objective of the solution to compare with the bound. To a goal, the outage is integrated
+        along plan and route (equation 6.13).
     method
         Name of the method, with the size of its problem; None if there is no bound.
     reason
@@ -63,7 +73,7 @@ class Bound:
     reason: str = ""
     relaxed: tuple[str, ...] = ()
     wall_s: float = 0.0
-    certificate: Potential | None = None
+    certificate: Potential | Tilts | None = None
 
     __repr__ = short_repr
 

@@ -62,6 +62,16 @@ class PowerModel:
 
     def probability_above(self, threshold_dbm: float) -> AffineBound:
         """Return upper bounds of P(power >= threshold), affine on each disc (equation 6.15)."""
+        value, slope, most = self.probability_bounds(threshold_dbm)
+        # Far from the centre, the tangent is looser than the largest value over the disc.
+        flat = value + np.hypot(*slope.T) * self.radius_m * 0.5 > most
+        return AffineBound(np.where(flat, most, value), np.where(flat[:, None], 0.0, slope))
+
+    def probability_bounds(self, threshold_dbm: float) -> tuple[Array, Array, Array]:
+        """Return upper bounds of P(power >= threshold) over each disc: affine, and constant.
+
+        The results are values at the centres (n,), slopes (n, 2) and constant bounds (n,).
+        """
         over = self.mean_db - threshold_dbm
         deviation = np.sqrt(self.variance_db2)
         z = over / deviation
@@ -86,9 +96,7 @@ class PowerModel:
         value = ndtr(z) + 0.5 * bend * steep**2
         value += np.where(beyond > 0.0, peak * beyond, 0.0) + ROUNDING
         most = np.minimum(self._largest_probability(threshold_dbm), 1.0)
-        # Far from the centre, the tangent is looser than the largest value over the disc.
-        flat = value + density * steep * 0.5 > most
-        return AffineBound(np.where(flat, most, value), np.where(flat, 0.0, density * slope).T)
+        return value, (density * slope).T, most
 
     def probability(self, threshold_dbm: float) -> Array:
         """Return P(power >= threshold) at the centres; (n,)."""

@@ -25,13 +25,15 @@ SAG_SHARE = 1.001
 
 def why_unbounded(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> str:
     """Return why no bound is proven for the first robot of a problem; empty if one can be."""
-    if problem.task != "reach":
-        return f"no bound is implemented for the task {problem.task}"
-    rule, stations = problem.constraints.rule, len(problem.stations)
-    if rule.parameter_uncertainty != "path_loss":
-        return "no bound is implemented for constraints.parameter_uncertainty = all"
-    if rule.slack_max_db and stations > 1:
+    if problem.constraints.rule.slack_max_db and len(problem.stations) > 1:
         return "no bound is implemented for slack_max_db with several stations"
+    return why_not_enclosed(problem, posteriors)
+
+
+def why_not_enclosed(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> str:
+    """Return why probabilities or moves of the first robot cannot be bounded; empty if they can."""
+    if problem.constraints.rule.parameter_uncertainty != "path_loss":
+        return "no bound is implemented for constraints.parameter_uncertainty = all"
     if any((posterior.measurements.receiver != 0).any() for posterior in posteriors):
         return "no bound is implemented for several receivers"
     if any(not posterior.has_factor for posterior in posteriors):
@@ -50,13 +52,19 @@ def relaxed_constraints(problem: Problem, robots: int) -> tuple[str, ...]:
     if problem.constraints.asks_connection and not rule.is_plain:
         name = "p_min at each step" if rule.by_step else f"the rule {rule.connectivity}"
         found.append(f"{name} (outage is only priced)")
+    return (*found, *ignored_motion(problem, robots))
+
+
+def ignored_motion(problem: Problem, robots: int) -> tuple[str, ...]:
+    """Return the constraints on the motion that no bound considers, in words."""
+    found: list[str] = []
     if problem.workspace.moving:
         found.append("moving obstacles")
     if problem.workspace.timed:
         found.append("obstacles that appear or disappear")
     if not problem.robots[0].moves_freely:
         found.append("inertia and turning")
-    if robots > 1:
+    if robots > 1 and problem.constraints.separation_m > 0.0:
         found.append("the separation of robots")
     return tuple(found)
 

@@ -20,19 +20,23 @@ from time import monotonic
 import numpy as np
 
 from planopt.arrays import Floats, Indices
-from planopt.bounds.bound import Bound
+from planopt.bounds.bound import Bound, Tilts
+from planopt.bounds.multipliers import tilts_near
 from planopt.bounds.reach import rate_s_m, route_problem, why_unbounded
 from planopt.bounds.route import route_bounds
+from planopt.bounds.tube import tube_bounds
 from planopt.channel.posterior import Belief, ChannelPosterior
 from planopt.channel.prediction import connection_probability
 from planopt.objectives.reach import integrated_cost_m, step_cost_s
 from planopt.planning.certificate import holes_on
 from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict
-from planopt.planning.proof.bounds import bound_of, metre_cost_of
+from planopt.planning.proof.bounds import bound_of, bound_of_sum, metre_cost_of, stages_of
 from planopt.planning.proof.context import connectivity_law, search_prediction, verifier_context
 from planopt.planning.proof.verify import verify
 from planopt.planning.scene import stops_along
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
+from planopt.planning.values.context import Aim, step_context
+from planopt.planning.values.exploration import workspace_region
 from planopt.planning.values.objective_value import ReachCost
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.clearance import ObstacleIndex, index_obstacles, segments_clear
@@ -247,16 +251,19 @@ INSIDE_GOAL = 0.999
 
 
 def proven_plans(
-    problem: Problem, belief: Belief, plans: Sequence[Plan], seconds: float
+    problem: Problem, belief: Belief, plans: Sequence[Plan], aims: Sequence[Aim], seconds: float
 ) -> tuple[Plan, ...]:
     """Return the plans with proven bounds, and with smoothed routes if these are cheaper.
 
     Each robot gets the same share of the time.
     """
     found: list[Plan] = []
-    for number, plan in enumerate(plans):
+    for number, (plan, aim) in enumerate(zip(plans, aims, strict=True)):
         own = problem_of_robot(problem, number)
         share = seconds / len(plans)
+        if problem.task != "reach":
+            found.append(with_sum_bound(own, belief, plan, aim, share, len(plans)))
+            continue
         reason = why_unbounded(own, belief.posteriors)
         if reason:
             found.append(replace(plan, bound=Bound(None, plan.objective, reason=reason)))
@@ -269,6 +276,27 @@ def proven_plans(
         bound = bound_of(own, belief.posteriors, plan, best.value_m, best.potential, len(plans))
         found.append(replace(plan, bound=replace(bound, wall_s=best.seconds)))
     return tuple(found)
+
+
+def with_sum_bound(
+    problem: Problem, belief: Belief, plan: Plan, aim: Aim, seconds: float, robots: int
+) -> Plan:
+    """Return the plan of the first robot with a proven bound on its sum of terms."""
+    begun, index = monotonic(), index_obstacles(problem.workspace)
+    start = plan.positions_m[0] if plan.drive is None else plan.drive.states[0]
+    base = verifier_context(problem, index, belief.posteriors, start)
+    at = step_context(base, workspace_region(problem), aim)
+    stages = stages_of(problem, at, plan)
+    if isinstance(stages, str):
+        return replace(plan, bound=Bound(None, plan.objective, reason=stages))
+    kinks = np.vstack([each.measurements.positions_m for each in belief.posteriors])
+    tilts = tilts_near(stages, plan.positions_m[1:], kinks)
+    left = max(LEAST_SHARE * seconds, seconds - (monotonic() - begun))
+    *_, best = tube_bounds(stages, plan.objective, tilts, left)
+    of_steps, of_p_min = (np.array(each) for each in zip(*tilts, strict=True))
+    tilted = Tilts(of_steps, of_p_min, best.levels, best.value)
+    bound = bound_of_sum(problem, plan, tilted, robots)
+    return replace(plan, bound=replace(bound, wall_s=monotonic() - begun))
 
 
 def with_smooth_route(

@@ -79,7 +79,8 @@ def solve(
     # Solvers are imported only if they are used.
     from planopt.planning.prove import proven_plans
 
-    plans = proven_plans(solution.problem, solution.belief, solution.plans, prove_s)
+    problem, belief = solution.problem, solution.belief
+    plans = proven_plans(problem, belief, solution.plans, solution.aims, prove_s)
     return replace(solution, plans=plans)
 
 

@@ -139,7 +139,7 @@ def test_objectives_without_a_bound_say_so() -> None:
     """A mapping objective has no bound yet: the value is null, with a reason."""
     plan = planopt.solve(planopt.load("fig5"), prove_s=0.5).plan
     assert plan.bound is not None and plan.bound.value is None
-    assert "the task" in plan.bound.reason
+    assert "the term" in plan.bound.reason
 
 
 def test_bounds_of_a_team_add_up() -> None:

@@ -13,6 +13,7 @@ from planopt.objectives.moments import TINY_M, Pull, pull_of_lengths
 from planopt.objectives.path_derivatives import PathDerivatives, by_lengths
 from planopt.objectives.terms.context import NearPath, Nodes, Part, Paths, TermContext
 from planopt.objectives.terms.term import Steers, Structure, Term
+from planopt.objectives.upper_bounds import StageBounds, no_reward
 from planopt.targets.rounding import Derivatives, rounded_length
 
 
@@ -117,6 +118,10 @@ class MotionEnergyTerm(Term):
         """Return the adjoints of minus the energy per metre w.r.t. positions."""
         by_length = np.full(paths.shape, -self.per_metre_j_m)
         return pull_of_lengths(paths.at.position_m, paths.paths_m, by_length)
+
+    def stage_bounds(self, at: TermContext) -> StageBounds | str:
+        """Return the costs of moves; no stage has a reward."""
+        return StageBounds(no_reward, self.per_metre_j_m, self.power_w * at.step_s)
 
     def move_reward(self, lengths_m: Floats, step_s: float) -> Floats:
         """Return minus the energy of each move."""

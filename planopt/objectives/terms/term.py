@@ -25,6 +25,7 @@ from planopt.targets.sensor import Sensor
 if TYPE_CHECKING:
     from planopt.objectives.moments import Pull
     from planopt.objectives.terms.context import NearPath, Nodes, Part, Paths, TermContext
+    from planopt.objectives.upper_bounds import StageBounds
 
 Weight = Annotated[
     float,
@@ -193,6 +194,10 @@ class Term:
     def largest_stage_reward(self, at: TermContext) -> float:
         """Return an upper bound of :meth:`stage_reward`."""
         return 0.0
+
+    def stage_bounds(self, at: TermContext) -> StageBounds | str:
+        """Return upper bounds of a value that is a sum over stages, or why there are none."""
+        return "without a proven bound"
 
     def move_reward(self, lengths_m: Floats, step_s: float) -> Floats:
         """Return the rewards of moves of these lengths, independent of position."""

@@ -27,6 +27,7 @@ from planopt.objectives.tracking import (
     recourse_costs,
     retreats_of,
 )
+from planopt.objectives.upper_bounds import Discs, StageBounds, UpperBounds, sensing_bounds
 from planopt.plain_values import make_plain
 from planopt.targets.rounding import Derivatives, add_products
 from planopt.targets.sensor import Sensor, sensing_derivatives, sensing_information
@@ -244,6 +245,18 @@ class TrackingTerm(Term):
         reward *= chance
         reward *= settings.weight[stage]
         return reward
+
+    def stage_bounds(self, at: TermContext) -> StageBounds | str:
+        """Return upper bounds of the form ``additive``; other forms have none."""
+        if self.form != "additive":
+            return f"without a proven bound for form = {self.form}"
+        settings = self.settings(at)
+
+        def reward(stage: int, discs: Discs, chance: UpperBounds) -> UpperBounds:
+            sensing = sensing_bounds(settings.sensor, settings.target_m[stage], discs)
+            return chance.times(sensing).scaled(float(settings.weight[stage]))
+
+        return StageBounds(reward)
 
     def largest_stage_reward(self, at: TermContext) -> float:
         """Return the maximum information of a packet times the largest step weight."""

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.arrays import Floats
+from planopt.bounds.bound import Potential, Tilts
 from planopt.channel.ground_truth import Truth
 from planopt.channel.measurements import SAME_PLACE_M, Measurements
 from planopt.channel.posterior import Belief, condition
@@ -34,13 +35,19 @@ from planopt.planning.loop.log import Outcome
 from planopt.planning.loop.metrics import COSTS
 from planopt.planning.loop.results import Run, Solution
 from planopt.planning.plan import Plan, Rung, Verdict
-from planopt.planning.proof.bounds import verified_bound
+from planopt.planning.proof.bounds import verified_bound, verified_sum
 from planopt.planning.proof.context import VerifierContext, search_prediction, verifier_context
 from planopt.planning.proof.searches import GoalGrid
 from planopt.planning.proof.verify import verify
 from planopt.planning.reservations import discs_to_avoid, others_of
 from planopt.planning.stepping import Planning, PlanStep, Stepper, TeamMoment, watch_target
-from planopt.planning.values.context import Aim, counts_others, places_of_others, step_context
+from planopt.planning.values.context import (
+    Aim,
+    StepContext,
+    counts_others,
+    places_of_others,
+    step_context,
+)
 from planopt.planning.values.exploration import workspace_region
 from planopt.planning.values.objective_value import LeadingPivot, ObjectiveValue, ReachCost
 from planopt.problems.problem import Problem, problem_of_robot
@@ -271,6 +278,7 @@ def _verified_again(
     power = verification.power
     if power is None:
         raise AssertionError("saved places are finite")
+    step: StepContext | None = None
     if region is None:
 
         def certified(places_m: Floats) -> Prediction:
@@ -298,7 +306,12 @@ def _verified_again(
         plan = replace(plan, route_m=route_m, holes=holes)
     if record.bound_cost is None:
         return plan
-    bound = verified_bound(problem, context.posteriors, plan, saved.potential, robots)
+    certificate = saved.certificate
+    if step is not None:
+        tilts = certificate if isinstance(certificate, Tilts) else None
+        return replace(plan, bound=verified_sum(problem, step, plan, tilts, robots))
+    potential = certificate if isinstance(certificate, Potential) else None
+    bound = verified_bound(problem, context.posteriors, plan, potential, robots)
     return replace(plan, bound=bound)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.arrays import Floats
-from planopt.bounds.bound import Potential
+from planopt.bounds.bound import Potential, Tilts
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import Belief
@@ -231,49 +231,59 @@ def _read_station(path: Path, prefix: str, arrays: Arrays) -> SavedBelief:
 
 BOUND_FILE = "bound.npz"
 
-KINDS = {
-    "nodes_m": ("f", 2),
-    "corners": ("iu", 3),
-    "at_nodes": ("f", None),
-    "at_sides": ("f", None),
+KINDS: dict[type[Any], dict[str, tuple[str, tuple[int | None, ...]]]] = {
+    Potential: {
+        "nodes_m": ("f", (None, 2)),
+        "corners": ("iu", (None, 3)),
+        "at_nodes": ("f", (None,)),
+        "at_sides": ("f", (None,)),
+    },
+    Tilts: {
+        "of_steps": ("f", (None, None, 2)),
+        "of_p_min": ("f", (None, None)),
+        "levels": ("iu", ()),
+        "value": ("f", ()),
+    },
 }
-"""NumPy kinds and numbers of columns of a potential's arrays."""
+"""NumPy kinds and shapes of the arrays of each kind of certificate."""
 
 
 def bound_arrays(plans: Sequence[Plan]) -> Arrays:
-    """Return the arrays to save for the potentials that certify the bounds of plans."""
+    """Return the arrays to save for the certificates of the bounds of plans."""
     return {
-        f"{number}_{name}": getattr(plan.bound.certificate, name)
+        f"{number}_{name}": np.asarray(getattr(plan.bound.certificate, name))
         for number, plan in enumerate(plans)
         if plan.bound is not None and plan.bound.certificate is not None
-        for name in KINDS
+        for name in KINDS[type(plan.bound.certificate)]
     }
 
 
-def read_potentials(path: Path, count: int) -> tuple[Potential | None, ...]:
-    """Return the saved potential of each of `count` robots; None for robots without one."""
+def read_certificates(path: Path, count: int) -> tuple[Potential | Tilts | None, ...]:
+    """Return the saved certificate of each of `count` robots; None for robots without one."""
     if not path.is_file():
         return (None,) * count
     arrays = read_npz(path)
-    return tuple(_potential(path, arrays, number) for number in range(count))
+    return tuple(_certificate(path, arrays, number) for number in range(count))
 
 
-def _potential(path: Path, arrays: Arrays, number: int) -> Potential | None:
-    names = {name: f"{number}_{name}" for name in KINDS}
-    if not any(key in arrays for key in names.values()):
-        return None
-    for name, (kinds, columns) in KINDS.items():
-        key = names[name]
-        if key not in arrays:
-            raise InputError("the array is missing", file=path, key=key, remedy=REMEDY)
-        shape = arrays[key].shape
-        fits = len(shape) == 1 if columns is None else shape[1:] == (columns,)
-        if not fits or arrays[key].dtype.kind not in kinds or not len(arrays[key]):
-            message = f"an array of shape {shape} and type {arrays[key].dtype} does not fit"
-            raise InputError(message, file=path, key=key, remedy=REMEDY)
-    nodes, at_nodes, at_sides = (
-        np.asarray(arrays[names[name]], dtype=np.float64)
-        for name in ("nodes_m", "at_nodes", "at_sides")
-    )
-    corners = np.asarray(arrays[names["corners"]], dtype=np.intp)
-    return Potential(nodes, corners, at_nodes, at_sides)
+def _certificate(path: Path, arrays: Arrays, number: int) -> Potential | Tilts | None:
+    for made, kinds in KINDS.items():
+        if not any(f"{number}_{name}" in arrays for name in kinds):
+            continue
+        found: dict[str, Any] = {}
+        for name, (kind, sizes) in kinds.items():
+            key = f"{number}_{name}"
+            if key not in arrays:
+                raise InputError("the array is missing", file=path, key=key, remedy=REMEDY)
+            array = arrays[key]
+            fits = array.ndim == len(sizes) and all(
+                size in (None, own) for size, own in zip(sizes, array.shape, strict=True)
+            )
+            if not fits or array.dtype.kind not in kind or not array.size:
+                message = f"an array of shape {array.shape} and type {array.dtype} does not fit"
+                raise InputError(message, file=path, key=key, remedy=REMEDY)
+            found[name] = array.astype(np.float64 if kind == "f" else np.intp)
+        if made is Tilts:
+            found |= {"levels": int(found["levels"]), "value": float(found["value"])}
+        return made(**found)
+    return None

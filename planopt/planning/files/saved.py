@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.arrays import Floats
-from planopt.bounds.bound import Potential
+from planopt.bounds.bound import Potential, Tilts
 from planopt.errors import InputError
 from planopt.files.compare import DIGEST, digest
 from planopt.files.reading import read_text
@@ -33,7 +33,7 @@ from planopt.planning.files.belief_file import (
     beliefs_of_run,
     bound_arrays,
     read_belief,
-    read_potentials,
+    read_certificates,
     write,
 )
 from planopt.planning.files.result_json import (
@@ -141,7 +141,7 @@ class SavedPlan:
     path_m: Floats  # (N + 1, 2)
     drive: Drive | None
     motion: TimedMotion  # Motion along the path, and braking after it
-    potential: Potential | None = None  # Certificate of its bound
+    certificate: Potential | Tilts | None = None  # Certificate of its bound
 
     @property
     def pivot(self) -> Pivot | None:
@@ -243,15 +243,15 @@ def saved_from(file: Path, data: Mapping[str, Any]) -> Saved:
         raise _damaged(file, key, message)
     if len({len(each) for each in made}) > 1:
         raise _damaged(file, key, f"{[len(each) for each in made]} plans of the robots")
-    potentials = (None,) * len(made)
+    certificates = (None,) * len(made)
     if isinstance(record, PlanRecord):
-        potentials = read_potentials(file.parent / BOUND_FILE, len(made))
+        certificates = read_certificates(file.parent / BOUND_FILE, len(made))
     plans = tuple(
         tuple(
-            replace(_plan(file, where, problem, number, one), potential=potential)
+            replace(_plan(file, where, problem, number, one), certificate=certificate)
             for where, one in each
         )
-        for number, (each, potential) in enumerate(zip(made, potentials, strict=True))
+        for number, (each, certificate) in enumerate(zip(made, certificates, strict=True))
     )
     beliefs = tuple(read_belief(file.parent / name, len(problem.stations)) for name in names)
     read = {name: read_table(file.parent / name, each) for name, each in columns.items()}

@@ -10,11 +10,15 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from planopt.arrays import Floats
-from planopt.bounds.bound import Bound, Potential
+from planopt.bounds.bound import Bound, Potential, Tilts
 from planopt.bounds.reach import rate_s_m, relaxed_constraints, route_problem, why_unbounded
 from planopt.bounds.route import route_bounds, verified_value
+from planopt.bounds.stages import ignored_constraints, stage_problem, summed_terms
+from planopt.bounds.tube import StageProblem, proves
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.reach import integrated_cost_m, outage_share, path_cost_s
+from planopt.objectives.terms.context import TermContext
+from planopt.planning.certificate import margins_asked_db
 from planopt.planning.plan import Plan
 from planopt.planning.proof.context import connectivity_law
 from planopt.problems.problem import Problem
@@ -57,6 +61,43 @@ def verified_bound(
     else:
         value_m = verified_value(route, potential)
     return bound_of(problem, posteriors, plan, value_m, potential, robots)
+
+
+def stages_of(problem: Problem, at: TermContext, plan: Plan) -> StageProblem | str:
+    """Return the stage problem of the first robot's sum of terms, or why it has no bound.
+
+    Every verified plan keeps p_min at the steps at which this one does.
+    """
+    terms, path = summed_terms(problem, at), plan.positions_m[1:]
+    if terms.reason:
+        return terms.reason
+    kept = np.zeros(len(path), dtype=np.bool_)
+    if problem.constraints.p_min > 0.0 and problem.constraints.rule.is_plain:
+        kept = np.asarray(margins_asked_db(problem, at.predicted(path)) >= 0.0)
+    return stage_problem(problem, at, terms, kept)
+
+
+def bound_of_sum(problem: Problem, plan: Plan, tilts: Tilts, robots: int) -> Bound:
+    """Return the bound that a certificate proves for the first robot's sum of terms."""
+    return Bound(
+        tilts.value,
+        plan.objective,
+        f"branch and bound, {tilts.levels} levels of cells",
+        relaxed=ignored_constraints(problem, robots),
+        certificate=tilts,
+    )
+
+
+def verified_sum(
+    problem: Problem, at: TermContext, plan: Plan, tilts: Tilts | None, robots: int
+) -> Bound:
+    """Return the bound that a saved certificate proves for the first robot's sum of terms."""
+    stages = stages_of(problem, at, plan)
+    if isinstance(stages, str):
+        return Bound(None, plan.objective, reason=stages)
+    if tilts is None or not proves(stages, tilts):
+        return Bound(None, plan.objective, reason="the certificate does not prove its bound")
+    return bound_of_sum(problem, plan, tilts, robots)
 
 
 def metre_cost_of(

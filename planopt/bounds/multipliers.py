@@ -1,0 +1,139 @@
+# pyright: basic
+"""Multipliers of a path for tilted bounds: a least-squares solution of its optimality conditions.
+
+At a local optimum the gradient of stage k is ``m_k - m_{k+1}`` minus the forces of p_min and of
+obstacles. Multipliers need not be right: wrong ones only loosen the bound.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy.optimize import minimize, nnls
+
+from planopt.bounds.tube import StageProblem
+from planopt.objectives.upper_bounds import Discs, UpperBounds
+
+Array = NDArray[np.float64]
+
+FULL_STEP = 0.99
+"""Length of a step that may count as full, in lengths of the longest step; solvers stop short."""
+
+LEFT_OUT = 1e-3
+"""Weight of stages whose gradient is not determined: at kinks, and beside obstacles."""
+
+MOST_ITERATIONS = 100
+"""Maximum number of iterations of a local search."""
+
+AT_KINK_M = 0.02
+"""Distance from a position of a measurement at which the gradient is not determined."""
+
+AT_P_MIN = 1e-3
+"""Surplus of the probability of connection up to which p_min counts as active."""
+
+
+def stage_rewards(problem: StageProblem, path_m: Array) -> tuple[Array, Array, UpperBounds]:
+    """Return rewards (N,) and gradients (N, 2) of a path, and its probabilities of connection."""
+    chance = problem.chance(Discs(path_m, 0.0))
+    each = [
+        problem.reward(k, Discs(path_m[[k]], 0.0), chance.at(np.array([k])))
+        for k in range(problem.steps)
+    ]
+    values = np.concatenate([reward.value for reward in each])
+    return values, np.vstack([reward.slope for reward in each]), chance
+
+
+def local_optimum(problem: StageProblem, path_m: Array) -> Array:
+    """Return a path (N, 2) near a locally optimal one, which ignores obstacles and p_min."""
+    shape, scale = path_m.shape, 1.0 / problem.step_m**2
+
+    def loss(flat: Array) -> tuple[float, Array]:
+        values, slopes, _ = stage_rewards(problem, flat.reshape(shape))
+        return -float(values.sum()), -slopes.ravel()
+
+    def room(flat: Array) -> Array:
+        moves = np.diff(np.vstack([problem.start_m, flat.reshape(shape)]), axis=0)
+        return 1.0 - scale * (moves**2).sum(axis=1)
+
+    def room_slope(flat: Array) -> Array:
+        moves = np.diff(np.vstack([problem.start_m, flat.reshape(shape)]), axis=0)
+        found = np.zeros((len(moves), *shape))
+        stage = np.arange(len(moves))
+        found[stage, stage] = -2.0 * scale * moves
+        found[stage[1:], stage[:-1]] = 2.0 * scale * moves[1:]
+        return found.reshape(len(moves), -1)
+
+    limits = {"type": "ineq", "fun": room, "jac": room_slope}
+    options = {"maxiter": MOST_ITERATIONS, "ftol": 1e-9}
+    found = minimize(
+        loss, path_m.ravel(), jac=True, method="SLSQP", constraints=limits, options=options
+    )
+    return np.asarray(found.x, dtype=np.float64).reshape(shape)
+
+
+def tilts_near(problem: StageProblem, path_m: Array, kinks_m: Array) -> list[tuple[Array, Array]]:
+    """Return multipliers of a path (N, 2) and of a local optimum near it, for tilted bounds.
+
+    Gradients jump at `kinks_m` (k, 2), the positions of measurements.
+    """
+    found: list[tuple[Array, Array]] = []
+    for path in (path_m, local_optimum(problem, path_m)):
+        is_free = np.ones(len(path), dtype=np.bool_)
+        if len(kinks_m):
+            is_free &= np.linalg.norm(path[:, None] - kinks_m, axis=2).min(axis=1) > AT_KINK_M
+        for area in problem.blocked:
+            is_free &= shapely.distance(area, shapely.points(path)) > AT_KINK_M
+        found.append(multipliers_of(problem, path, is_free))
+    return found
+
+
+def multipliers_of(
+    problem: StageProblem, path_m: Array, is_free: NDArray[np.bool_]
+) -> tuple[Array, Array]:
+    """Return multipliers of steps (N, 2) and of p_min (N,) for a path (N, 2).
+
+    `is_free` (N,) marks stages whose gradient is determined.
+    """
+    steps = problem.steps
+    _, gradient, chance = stage_rewards(problem, path_m)
+    moves = np.diff(np.vstack([problem.start_m, path_m]), axis=0)
+    length = np.linalg.norm(moves, axis=1)
+    ahead = moves / np.maximum(length, 1e-12)[:, None]
+    moving = length > max(problem.standstill_m, 1e-6 * problem.step_m)
+    fixed = np.where(moving[:, None], problem.per_metre * ahead, 0.0)
+    weight = np.where(is_free, 1.0, LEFT_OUT)
+    columns: list[Array] = []
+    kinds: list[tuple[int, Array | None]] = []
+
+    def add(stage: int, direction: Array) -> None:
+        column = np.zeros((steps, 2))
+        column[stage] += direction
+        if stage:
+            column[stage - 1] -= direction
+        columns.append(column)
+        kinds.append((stage, direction))
+
+    for k in range(steps):
+        if length[k] >= FULL_STEP * problem.step_m:
+            add(k, ahead[k])
+        elif not moving[k] and problem.per_metre > 0.0:
+            for direction in np.vstack([np.eye(2), -np.eye(2)]):
+                add(k, direction)
+        least = 0.0 if problem.p_min is None else float(problem.p_min[k])
+        if least > 0.0 and chance.value[k] <= least + AT_P_MIN:
+            column = np.zeros((steps, 2))
+            column[k] = -chance.slope[k]
+            columns.append(column)
+            kinds.append((k, None))
+    wanted = gradient - fixed + np.vstack([fixed[1:], np.zeros((1, 2))])
+    found, of_p_min = fixed.copy(), np.zeros(steps)
+    if columns:
+        matrix = (np.array(columns) * weight[:, None]).reshape(len(columns), -1).T
+        amounts, _ = nnls(matrix, (wanted * weight[:, None]).ravel())
+        for (k, direction), amount in zip(kinds, amounts, strict=True):
+            if direction is None:
+                of_p_min[k] = amount
+            else:
+                found[k] += amount * direction
+    return found, of_p_min

@@ -1,0 +1,448 @@
+"""Bounds on sums over the stages of a path: branch and bound over tubes of square cells.
+
+A level divides the plane into squares of one size. Each stage has a set of active cells. A dynamic
+programme over pairs of cells within one step gives, for each active cell, an upper bound of all
+paths through it. Cells whose bound is below the best known value are dropped, the others are
+divided in four. If a stage has no cells left, no path is better than the threshold.
+
+Multipliers m_k tilt the problem: the sum of m_k . (q_k - q_{k-1}) telescopes, so that it may be
+added to the moves and subtracted from the stages (equation 9.5). Every choice is valid; those of a
+local optimum make the bound exact up to the square of the cell size.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from time import monotonic
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from planopt.bounds.bound import Tilts
+from planopt.objectives.upper_bounds import Discs, UpperBounds
+
+Array = NDArray[np.float64]
+Cells = NDArray[np.intp]  # (n, 2) indices of cells along x and y
+Tilt = tuple[Array, Array]  # Multipliers of the steps (N, 2) and of p_min (N,)
+
+FIRST_SHARE = 0.5
+"""Side of the cells of the first level, in lengths of the longest step."""
+
+MOST_LEVELS = 30
+"""Maximum number of levels."""
+
+MOST_CELLS = 200_000
+"""Maximum number of cells per level, over all stages."""
+
+MOST_PAIRS = 4_000_000
+"""Maximum number of pairs of cells that are evaluated at once."""
+
+ROUNDING = 1e-10
+"""Relative widening of every bound, far above the rounding errors of its sums."""
+
+LARGEST = 1e12
+"""Limit of the multipliers and the value of a saved certificate."""
+
+MARGIN = 1e-9
+"""Relative margin of a claimed bound; a proof on another processor rounds differently."""
+
+
+@dataclass(frozen=True, eq=False)
+class StageProblem:
+    """Maximisation of a sum over N positions, each at most one step from its predecessor."""
+
+    start_m: Array  # (2,)
+    step_m: float  # Length of the longest step, with the verifier's tolerance
+    steps: int
+    bounds_m: tuple[float, float, float, float]
+    blocked: Sequence[shapely.Polygon]  # Areas that contain no position of any path
+    # Maps discs to bounds of the probability of connection
+    chance: Callable[[Discs], UpperBounds]
+    # Maps a stage (from 0), discs and bounds of the probability to bounds of the stage's reward
+    reward: Callable[[int, Discs, UpperBounds], UpperBounds]
+    sure_m: Array  # (p, 2) positions at which the connection is certain
+    sure_radius_m: float  # Radius within which it is
+    per_metre: float = 0.0  # Cost of a metre
+    per_move: float = 0.0  # Cost of a step longer than `standstill_m`
+    standstill_m: float = 0.0
+    # (N,) least probability of connection at the end of each step; 0 if there is none
+    p_min: Array | None = None
+
+
+@dataclass(frozen=True)
+class TubeBound:
+    """Upper bound of all paths, with its proof's size."""
+
+    value: float
+    cells: int  # Number of cells at the last level, over all stages
+    levels: int
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Level:
+    """Cells of one size, and bounds of their rewards."""
+
+    problem: StageProblem
+    side_m: float
+    active: list[Cells]
+    chances: list[UpperBounds]  # Of the probability of connection, for each stage
+    rewards: list[UpperBounds]
+    # For each stage, pairs of a cell's row and a certain position in it (s, 2), and rewards (s,)
+    sure: list[tuple[Cells, Array]]
+    # For each stage, rows (v,) of cells that blocked areas cut, and corners (v, 2) of what is left
+    # relative to the centre
+    cut: list[tuple[NDArray[np.intp], Array]]
+
+    def offsets_m(self, stage: int) -> Array:
+        """Return the centres of the active cells relative to the start; (n, 2)."""
+        return (self.active[stage].astype(np.float64) + 0.5) * self.side_m
+
+
+def tube_bounds(
+    problem: StageProblem,
+    known: float,
+    tilts: Sequence[Tilt],
+    seconds: float,
+    gap: float = 1e-4,
+) -> Iterator[TubeBound]:
+    """Yield better and better upper bounds of all paths, until the time is over.
+
+    `known` is the value of a feasible path; cells that cannot beat it by the relative `gap` are
+    dropped. Each tilt has multipliers of steps (N, 2) and of p_min (N,).
+    """
+    begun, best = monotonic(), np.inf
+    threshold = known + gap * abs(known)
+    side, active = FIRST_SHARE * problem.step_m, first_cells(problem)
+    for number in range(1, MOST_LEVELS + 1):
+        level_begun = monotonic()
+        level = evaluated(problem, side, active)
+        through = through_bounds(level, [untilted(problem), *tilts])
+        highest = max(threshold, min(float(each.max(initial=-np.inf)) for each in through))
+        best = min(best, highest + MARGIN * abs(highest))
+        cells = sum(map(len, level.active))
+        yield TubeBound(best, cells, number, monotonic() - begun)
+        active = kept_cells(level, through, threshold)
+        left = sum(map(len, active))
+        # The next level takes time about proportional to its cells.
+        ahead = (monotonic() - level_begun) * max(1.0, left / max(cells, 1))
+        late = monotonic() - begun + ahead > seconds
+        if highest <= threshold or left > MOST_CELLS or late:
+            return
+        side *= 0.5
+
+
+def proves(problem: StageProblem, tilts: Tilts) -> bool:
+    """Return whether a certificate proves its value; no multiplier is computed."""
+    of_steps, of_p_min, steps = tilts.of_steps, tilts.of_p_min, problem.steps
+    if of_steps.shape[1:] != (steps, 2) or of_p_min.shape != of_steps.shape[:2]:
+        return False
+    if not all((np.abs(each) < LARGEST).all() for each in (of_steps, of_p_min, tilts.value)):
+        return False
+    limit = tilts.value - 0.5 * MARGIN * abs(tilts.value)
+    every = [untilted(problem), *zip(of_steps, of_p_min, strict=True)]
+    side, active = FIRST_SHARE * problem.step_m, first_cells(problem)
+    for _ in range(min(tilts.levels, MOST_LEVELS)):
+        level = evaluated(problem, side, active)
+        active = kept_cells(level, through_bounds(level, every), limit)
+        if min(map(len, active)) == 0:
+            return True
+        if sum(map(len, active)) > MOST_CELLS:
+            return False
+        side *= 0.5
+    return False
+
+
+def untilted(problem: StageProblem) -> Tilt:
+    """Return multipliers of zero."""
+    return np.zeros((problem.steps, 2)), np.zeros(problem.steps)
+
+
+def kept_cells(level: Level, through: Sequence[Array], limit: float) -> list[Cells]:
+    """Return the cells of the next level: quarters of those whose bound exceeds `limit`."""
+    return [
+        divided(level.problem, cells[~(bound <= limit)], 0.5 * level.side_m, stage)
+        for stage, (cells, bound) in enumerate(zip(level.active, through, strict=True), 1)
+    ]
+
+
+def first_cells(problem: StageProblem) -> list[Cells]:
+    """Return the cells of the first level within reach of the start, for each stage."""
+    found: list[Cells] = []
+    side = FIRST_SHARE * problem.step_m
+    for stage in range(1, problem.steps + 1):
+        count = int(np.ceil(stage * problem.step_m / side)) + 1
+        line = np.arange(-count, count)
+        cells = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+        found.append(open_cells(problem, cells, side, stage))
+    return found
+
+
+def divided(problem: StageProblem, cells: Cells, side: float, stage: int) -> Cells:
+    """Return the quarters (4 n, 2) of cells, with sides of `side`, that a path may contain."""
+    quarters = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
+    return open_cells(problem, (2 * cells[:, None] + quarters).reshape(-1, 2), side, stage)
+
+
+def open_cells(problem: StageProblem, cells: Cells, side: float, stage: int) -> Cells:
+    """Return those cells that meet the reach of a stage, the workspace and no blocked area."""
+    low = cells * side
+    nearest = np.clip(0.0, low, low + side)
+    inside = np.hypot(*nearest.T) <= stage * problem.step_m * (1.0 + ROUNDING)
+    x0, y0, x1, y1 = problem.bounds_m
+    corner = problem.start_m + low
+    slack = 1e-6 * (1.0 + problem.step_m)
+    inside &= (corner <= np.array([x1, y1]) + slack).all(axis=1)
+    inside &= (corner + side >= np.array([x0, y0]) - slack).all(axis=1)
+    cells, corner = cells[inside], corner[inside]
+    if not problem.blocked or not len(cells):
+        return cells
+    boxes = squares(corner, side)
+    hidden, _ = shapely.STRtree(problem.blocked).query(boxes, predicate="covered_by")
+    return np.delete(cells, hidden, axis=0)
+
+
+def squares(corner: Array, side: float) -> NDArray[np.object_]:
+    """Return squares with lower left corners (n, 2) as geometries; (n,)."""
+    (x0, y0), (x1, y1) = corner.T, corner.T + side
+    return np.asarray(shapely.box(x0, y0, x1, y1), dtype=np.object_)
+
+
+def evaluated(problem: StageProblem, side: float, active: Sequence[Cells]) -> Level:
+    """Return a level with bounds of all rewards; each cell's probability is bounded once."""
+    radius = side * np.sqrt(0.5) * (1.0 + 1e-12)
+    cells, place = np.unique(np.vstack(active), axis=0, return_inverse=True)
+    centres = problem.start_m + (cells + 0.5) * side
+    chance = problem.chance(Discs(centres, radius))
+    level = Level(problem, side, [], [], [], [], [])
+    owner, corner = cut_corners(problem, centres, side)
+    ends = np.cumsum([len(each) for each in active])[:-1]
+    for stage, rows in enumerate(np.split(place.ravel(), ends)):
+        own, (pairs, values) = active[stage], sure_rewards(problem, stage, active[stage], side)
+        if problem.p_min is not None:
+            kept = chance.most[rows] >= problem.p_min[stage]
+            kept[pairs[:, 0]] = True
+            pairs[:, 0] = (np.cumsum(kept) - 1)[pairs[:, 0]]
+            own, rows = own[kept], rows[kept]
+        level.active.append(own)
+        level.chances.append(chance.at(rows))
+        discs = Discs(centres[rows], radius)
+        level.rewards.append(problem.reward(stage, discs, level.chances[-1]))
+        level.sure.append((pairs, values))
+        level.cut.append(joined(rows, owner, corner))
+    return level
+
+
+def cut_corners(
+    problem: StageProblem, centres: Array, side: float
+) -> tuple[NDArray[np.intp], Array]:
+    """Return the cells (v,) that blocked areas cut, and corners (v, 2) of their free parts.
+
+    Corners are relative to the centres; those of one cell follow each other.
+    """
+    nothing = np.zeros(0, dtype=np.intp), np.zeros((0, 2))
+    if not problem.blocked:
+        return nothing
+    boxes = squares(centres - 0.5 * side, side)
+    cells, areas = shapely.STRtree(problem.blocked).query(boxes, predicate="intersects")
+    if not len(cells):
+        return nothing
+    parts = shapely.difference(boxes[cells], np.array(problem.blocked)[areas])
+    # A cell that two areas cut is cut by the first only.
+    places, owner = shapely.get_coordinates(parts, return_index=True)
+    first = np.concatenate([[True], cells[1:] != cells[:-1]])
+    kept = first[owner]
+    owner = cells[owner[kept]]
+    return owner, places[kept] - centres[owner]
+
+
+def joined(
+    rows: NDArray[np.intp], owner: NDArray[np.intp], corner: Array
+) -> tuple[NDArray[np.intp], Array]:
+    """Return the corners of the cells `rows` (n,), with the cells' places in `rows`."""
+    first = np.searchsorted(owner, rows, side="left")
+    count = np.searchsorted(owner, rows, side="right") - first
+    which = np.repeat(np.arange(len(rows)), count)
+    begins = np.cumsum(count) - count
+    at = first[which] + np.arange(len(which)) - begins[which]
+    return which, corner[at]
+
+
+def sure_rewards(
+    problem: StageProblem, stage: int, cells: Cells, side: float
+) -> tuple[Cells, Array]:
+    """Return pairs (s, 2) of a cell's row and a certain position in it, and their rewards (s,)."""
+    places = problem.sure_m
+    if not len(places) or not len(cells):
+        return np.zeros((0, 2), dtype=np.intp), np.zeros(0)
+    # A position on a side belongs to all cells that touch it.
+    around = problem.sure_radius_m * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
+    holds = np.floor((places[:, None] + around - problem.start_m) / side).astype(np.intp)
+    low, high = cells.min(axis=0), cells.max(axis=0)
+    width = 1 + int((high - low)[1])
+    inside = np.asarray(((holds >= low) & (holds <= high)).all(axis=2), dtype=np.bool_)
+    keys: Cells = (cells[:, 0] - low[0]) * width + cells[:, 1] - low[1]
+    order = np.argsort(keys)
+    wanted: Cells = (holds[..., 0] - low[0]) * width + holds[..., 1] - low[1]
+    found = np.searchsorted(keys[order], wanted)
+    at = np.minimum(found, len(cells) - 1)
+    inside &= keys[order][at] == wanted
+    number = np.broadcast_to(np.arange(len(places))[:, None], inside.shape)
+    both = np.column_stack([order[at][inside], number[inside]])
+    pairs = np.asarray(np.unique(both, axis=0), dtype=np.intp)
+    held = places[pairs[:, 1]]
+    ones = UpperBounds(
+        np.ones(len(held)), np.zeros((len(held), 2)), np.ones(len(held)), problem.sure_radius_m
+    )
+    return pairs, problem.reward(stage, Discs(held, problem.sure_radius_m), ones).most
+
+
+def through_bounds(level: Level, tilts: Sequence[Tilt]) -> list[Array]:
+    """Return an upper bound of all paths through each active cell of each stage."""
+    best = [np.full(len(each), np.inf) for each in level.active]
+    for of_steps, of_p_min in tilts:
+        own = [tilted(level, k, of_steps, of_p_min) for k in range(level.problem.steps)]
+        moves = [Moves.of(level, of_steps[k]) for k in range(level.problem.steps)]
+        forward = [own[0] + moves[0].first(level)]
+        for k in range(1, len(own)):
+            ahead = moves[k].best(level.active[k - 1], forward[-1], level.active[k], 1)
+            forward.append(own[k] + ahead)
+        back = np.zeros(len(own[-1]))
+        for k in range(len(own) - 1, -1, -1):
+            size = np.abs(forward[k]) + np.abs(back)
+            found = forward[k] + back
+            widened = found + ROUNDING * np.where(np.isfinite(size), size, 0.0)
+            best[k] = np.minimum(best[k], widened)
+            if k:
+                back = moves[k].best(level.active[k], own[k] + back, level.active[k - 1], -1)
+    # An undefined bound proves nothing.
+    return [np.nan_to_num(each, nan=np.inf, posinf=np.inf, neginf=-np.inf) for each in best]
+
+
+def tilted(level: Level, stage: int, of_steps: Array, of_p_min: Array) -> Array:
+    """Return bounds of a stage's rewards minus its tilt over each active cell; (n,)."""
+    reward, chance, half = level.rewards[stage], level.chances[stage], 0.5 * level.side_m
+    (pairs, certain), problem = level.sure[stage], level.problem
+    tilt = of_steps[stage] - (of_steps[stage + 1] if stage + 1 < problem.steps else 0.0)
+    if of_p_min[stage] > 0.0 and problem.p_min is not None:
+        reward = reward.plus(chance.scaled(float(of_p_min[stage])))
+        price = of_p_min[stage] * problem.p_min[stage]
+        certain = certain + of_p_min[stage]
+    else:
+        price = 0.0
+    slope = reward.slope - tilt
+    rise, fall = half * np.abs(slope).sum(axis=1), np.full(len(slope), half * np.abs(tilt).sum())
+    rows, corners = level.cut[stage]
+    if len(rows):
+        # Rounding of the corners
+        slack = ROUNDING * (1.0 + np.abs(problem.start_m).sum()) * np.abs(slope[rows]).sum(axis=1)
+        rise[rows] = fall[rows] = -np.inf
+        np.maximum.at(rise, rows, np.einsum("vd,vd->v", corners, slope[rows]) + slack)
+        np.maximum.at(fall, rows, -corners @ tilt + ROUNDING)
+    found = np.minimum(reward.value + rise, reward.most + fall)
+    found -= level.offsets_m(stage) @ tilt
+    if len(pairs):
+        offset = problem.sure_m[pairs[:, 1]] - problem.start_m
+        spread = problem.sure_radius_m * float(np.abs(tilt).sum())
+        np.maximum.at(found, pairs[:, 0], certain - offset @ tilt + spread)
+    return found - price
+
+
+@dataclass(frozen=True, eq=False)
+class Moves:
+    """Bounds of ``m . x - cost(|x|)`` over the moves x between two cells (equation 9.7)."""
+
+    problem: StageProblem
+    side_m: float
+    multiplier: Array  # (2,)
+    offsets: Cells  # (o, 2) of cells within one step
+    values: Array  # (o,)
+
+    @classmethod
+    def of(cls, level: Level, multiplier: Array) -> Moves:
+        """Return the bounds of all offsets between cells of a level."""
+        side, step = level.side_m, level.problem.step_m
+        count = int(np.ceil(step / side)) + 1
+        line = np.arange(-count, count + 1)
+        offsets = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+        away = np.hypot(*(np.maximum(np.abs(offsets) - 1, 0) * side).T)
+        near = away <= step * (1.0 + ROUNDING)
+        offsets = offsets[near]
+        values = move_bounds(
+            level.problem, multiplier, side * offsets.astype(np.float64), side, away[near]
+        )
+        return cls(level.problem, side, multiplier, offsets, values)
+
+    def first(self, level: Level) -> Array:
+        """Return the bounds of the first step, from the start to each cell; (n,)."""
+        centres, half = level.offsets_m(0), 0.5 * self.side_m
+        away = np.hypot(*np.maximum(np.abs(centres) - half, 0.0).T)
+        found = move_bounds(self.problem, self.multiplier, centres, half, away)
+        return np.where(away <= self.problem.step_m * (1.0 + ROUNDING), found, -np.inf)
+
+    def best(self, known: Cells, values: Array, cells: Cells, sign: int) -> Array:
+        """Return the maximum over the `known` cells of value plus move, for each cell; (n,).
+
+        With `sign` -1 the moves lead from `cells` to the known cells.
+        """
+        found = np.full(len(cells), -np.inf)
+        if not len(known) or not len(cells):
+            return found
+        low = np.minimum(known.min(axis=0), cells.min(axis=0))
+        high = np.maximum(known.max(axis=0), cells.max(axis=0))
+        rows, columns = (high - low + 1).tolist()
+        if len(known) * len(cells) < 4 * len(self.offsets) * rows * columns:
+            return self._by_pairs(known, values, cells, sign)
+        margin = int(np.abs(self.offsets).max())
+        grid = np.full((rows + 2 * margin, columns + 2 * margin), -np.inf)
+        grid[tuple((known - low + margin).T)] = values
+        reached = np.full((rows, columns), -np.inf)
+        for (i, j), value in zip(
+            (margin - sign * self.offsets).tolist(), self.values.tolist(), strict=True
+        ):
+            np.maximum(reached, grid[i : i + rows, j : j + columns] + value, out=reached)
+        return reached[tuple((cells - low).T)]
+
+    def _by_pairs(self, known: Cells, values: Array, cells: Cells, sign: int) -> Array:
+        """Return :meth:`best` from a table of moves, for few cells."""
+        margin = int(np.abs(self.offsets).max())
+        width = 2 * margin + 3  # One more on each side, for offsets out of reach
+        table = np.full((width, width), -np.inf)
+        table[tuple((self.offsets + margin + 1).T)] = self.values
+        flat, found = table.ravel(), np.empty(len(cells))
+        size = max(1, MOST_PAIRS // len(known))
+        for k in range(0, len(cells), size):
+            part = cells[k : k + size]
+            x, y = (
+                np.clip(sign * (part[:, None, axis] - known[:, axis]) + margin + 1, 0, width - 1)
+                for axis in (0, 1)
+            )
+            x *= width
+            x += y
+            found[k : k + size] = (flat[x] + values).max(axis=1)
+        return found
+
+
+def move_bounds(
+    problem: StageProblem, multiplier: Array, offset: Array, half: float, away: Array
+) -> Array:
+    """Return upper bounds of ``m . x - cost(|x|)`` over boxes of moves x, at most one step long.
+
+    Boxes have centres `offset` (n, 2), half sides `half` and least lengths `away` (n,).
+    """
+    size, price = float(np.hypot(*multiplier)), problem.per_metre
+    length = np.hypot(*offset.T)
+    along = offset @ multiplier
+    ahead = multiplier / size if size else np.zeros(2)
+    # Supergradients of -|x|; at zero every vector of length at most one is.
+    resting = ahead * min(1.0, size / price) if price else ahead
+    unit = np.where(length[:, None] > 0.0, offset / np.maximum(length, 1e-300)[:, None], resting)
+    bent = np.abs(unit - ahead).sum(axis=1)
+    behind = np.maximum(length - offset @ ahead - half * bent, 0.0) if size else 0.0
+    by_step = problem.step_m * max(size - price, 0.0) - size * behind
+    slope = np.abs(multiplier - price * unit).sum(axis=1)
+    tangent = along - price * length + half * slope
+    moving = np.where(away > problem.standstill_m, problem.per_move, 0.0)
+    return np.minimum(by_step, tangent) - moving

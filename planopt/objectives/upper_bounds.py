@@ -1,0 +1,105 @@
+"""Affine upper bounds of stage rewards over discs, and their sums and products.
+
+A bound of a function f over the disc with centre c and radius rho has two parts, both valid:
+``f(q) <= value + slope . (q - c)`` and ``f(q) <= most``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from planopt.arrays import Floats, Indices
+from planopt.targets.sensor import Sensor
+
+
+@dataclass(frozen=True, eq=False)
+class Discs:
+    """Discs with n centres and a common radius."""
+
+    centre_m: Floats  # (n, 2)
+    radius_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class UpperBounds:
+    """Upper bounds of one function over n discs of a common radius."""
+
+    value: Floats  # (n,) of the tangent at the centre
+    slope: Floats  # (n, 2)
+    most: Floats  # (n,) over the whole disc
+    radius_m: float
+
+    def at(self, rows: Indices) -> UpperBounds:
+        """Return the bounds over some of the discs."""
+        return UpperBounds(self.value[rows], self.slope[rows], self.most[rows], self.radius_m)
+
+    def scaled(self, factor: float) -> UpperBounds:
+        """Return the bounds of `factor` >= 0 times the function."""
+        value, slope, most = factor * self.value, factor * self.slope, factor * self.most
+        return UpperBounds(value, slope, most, self.radius_m)
+
+    def plus(self, other: UpperBounds) -> UpperBounds:
+        """Return bounds of the sum of two functions."""
+        value, slope = self.value + other.value, self.slope + other.slope
+        return UpperBounds(value, slope, self.most + other.most, self.radius_m)
+
+    def times(self, other: UpperBounds) -> UpperBounds:
+        """Return bounds of the product of two functions >= 0 (equation 9.4)."""
+        # The product of both linear parts is a quadratic form with this largest eigenvalue.
+        along = np.einsum("nd,nd->n", self.slope, other.slope)
+        across = np.hypot(*self.slope.T) * np.hypot(*other.slope.T)
+        return UpperBounds(
+            self.value * other.value + 0.5 * self.radius_m**2 * (along + across),
+            self.value[:, None] * other.slope + other.value[:, None] * self.slope,
+            self.most * other.most,
+            self.radius_m,
+        )
+
+
+@dataclass(frozen=True)
+class StageBounds:
+    """Upper bounds of a term that is a sum over stages, and its costs of moves."""
+
+    # Maps a stage (from 0), discs and bounds of P(connected) to bounds of the stage's reward
+    reward: Callable[[int, Discs, UpperBounds], UpperBounds]
+    per_metre: float = 0.0  # Cost of a metre
+    per_move: float = 0.0  # Cost of a step longer than a standstill
+
+
+def no_reward(stage: int, discs: Discs, chance: UpperBounds | None = None) -> UpperBounds:
+    """Return the bounds of a term without stage rewards."""
+    nothing = np.zeros(len(discs.centre_m))
+    return UpperBounds(nothing, np.zeros_like(discs.centre_m), nothing, discs.radius_m)
+
+
+def sensing_bounds(sensor: Sensor, target_m: Floats, discs: Discs) -> UpperBounds:
+    """Return upper bounds of a packet's information 1 / g(|q - p|) over discs (equation 9.3)."""
+    growth, floor, radius = sensor.growth, sensor.least_noise_m2, discs.radius_m
+    offset = discs.centre_m - target_m
+    distance = np.hypot(*offset.T)
+    off = distance - sensor.sweet_spot_m
+    low = np.maximum(distance - radius, 0.0) - sensor.sweet_spot_m
+    high = off + radius
+    noise = growth * off**2 + floor
+    steep = -2.0 * growth * off / noise**2
+    # The distance exceeds its tangent by at most this much.
+    beyond = radius**2 / (2.0 * np.maximum(distance - radius, 1e-300))
+    beyond = np.minimum(2.0 * radius, beyond) if radius else np.zeros_like(distance)
+
+    def bend(at: Floats) -> Floats:
+        noise = growth * at**2 + floor
+        return 2.0 * growth * (3.0 * growth * at**2 - floor) / noise**3
+
+    peak = np.sqrt(floor / growth)
+    largest = np.maximum(bend(low), bend(high))
+    for each in (-peak, peak):
+        largest = np.where((low <= each) & (each <= high), 0.5 * growth / floor**2, largest)
+    widest = np.maximum(off - low, high - off)
+    value = 1.0 / noise + np.maximum(steep, 0.0) * beyond
+    value += 0.5 * np.maximum(largest, 0.0) * widest**2
+    nearest = np.where((low <= 0.0) & (high >= 0.0), 0.0, np.minimum(np.abs(low), np.abs(high)))
+    slope = (steep / np.maximum(distance, 1e-300))[:, None] * offset
+    return UpperBounds(value, slope, 1.0 / (growth * nearest**2 + floor), radius)

@@ -1,0 +1,216 @@
+"""Attacks on bounds of sums over steps: random paths, enumeration, wrong multipliers."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from sum_scene import STEP_M, random_paths, stages_in, sum_context, values_of
+
+from planopt.bounds.bound import Tilts
+from planopt.bounds.multipliers import local_optimum, tilts_near
+from planopt.bounds.tube import (
+    FIRST_SHARE,
+    StageProblem,
+    evaluated,
+    first_cells,
+    move_bounds,
+    proves,
+    through_bounds,
+    tube_bounds,
+)
+from planopt.objectives.upper_bounds import Discs, UpperBounds, sensing_bounds
+from planopt.planning.values.context import StepContext
+from planopt.targets.sensor import Sensor, sensing_information
+
+
+def tightest(problem: StageProblem, context: StepContext, path: np.ndarray, seconds: float):
+    """The last bound from the multipliers of a path, with its certificate."""
+    kinks = np.vstack([station.measurements.positions_m for station in context.posteriors])
+    tilts = tilts_near(problem, path, kinks)
+    value = float(values_of(context, path[None])[0])
+    *_, last = tube_bounds(problem, value, tilts, seconds)
+    both = [np.array(each) for each in zip(*tilts, strict=True)]
+    return last, Tilts(*both, last.levels, last.value)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_no_cell_hides_a_better_path(seed: int) -> None:
+    """The bound of each cell that a random path visits is at least the path's value."""
+    generator = np.random.default_rng(seed)
+    context = sum_context(seed, 4)
+    problem, paths = stages_in(context), random_paths(context, 100, seed)
+    values, side = values_of(context, paths), FIRST_SHARE * problem.step_m
+    level = evaluated(problem, side, first_cells(problem))
+    size = float(generator.choice([0.0, 0.1, 1.0, 10.0]))
+    tilt = size * generator.normal(size=(4, 2)), np.zeros(4)
+    through, compared = through_bounds(level, [tilt]), 0
+    for k in range(4):
+        rows = {tuple(cell): row for row, cell in enumerate(level.active[k].tolist())}
+        cells = np.floor((paths[:, k] - problem.start_m) / side).astype(int)
+        for cell, value in zip(cells.tolist(), values.tolist(), strict=True):
+            assert through[k][rows[tuple(cell)]] >= value - 1e-9 * abs(value)
+            compared += 1
+    print(f"{compared} comparisons")
+    assert compared == 400
+
+
+def compare(seeds: range, seconds: float) -> int:
+    """Compare bounds with random paths and local optima; return the number of scenes."""
+    compared = 0
+    for seed in seeds:
+        context = sum_context(seed, int(np.random.default_rng(seed).integers(1, 6)))
+        problem, paths = stages_in(context), random_paths(context, 60, seed)
+        values = values_of(context, paths)
+        last, _ = tightest(problem, context, paths[values.argmax()], seconds)
+        assert values.max() <= last.value, f"seed {seed}"
+        compared += 1
+    print(f"{compared} comparisons of the best of 60 paths")
+    return compared
+
+
+def test_no_known_path_is_better() -> None:
+    """Fifteen random scenes; the slow test has ten thousand."""
+    assert compare(range(100, 115), 0.1) == 15
+
+
+@pytest.mark.slow
+def test_no_known_path_is_better_in_ten_thousand_scenes() -> None:
+    """Ten thousand comparisons in random scenes."""
+    assert compare(range(1000, 11_000), 0.1) == 10_000
+
+
+def test_enumeration_of_two_steps() -> None:
+    """All pairs of positions on a grid are below the bound, which is close to their maximum."""
+    compared, gaps = 0, list[float]()
+    for seed in range(6):
+        context = sum_context(seed, 2, plain=True)
+        problem, here = stages_in(context), context.position_m
+        line = np.linspace(-STEP_M, STEP_M, 9)
+        moves = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+        moves = moves[np.hypot(*moves.T) <= STEP_M]
+        first = here + moves
+        paths = np.stack(
+            [np.repeat(first, len(moves), axis=0), (first[:, None] + moves).reshape(-1, 2)], axis=1
+        )
+        values = values_of(context, paths)
+        last, _ = tightest(problem, context, paths[values.argmax()], 0.6)
+        assert values.max() <= last.value
+        gaps.append(last.value / values.max() - 1.0)
+        compared += len(paths)
+    print(f"{compared} comparisons, gaps {np.round(gaps, 4)}")
+    assert compared > 10_000
+    assert np.median(gaps) < 0.05
+
+
+def test_multistart_finds_nothing_better() -> None:
+    """Local optima from random paths stay below the bound of the best of them."""
+    compared = 0
+    for seed in range(4):
+        context = sum_context(seed, 3, energy=False, plain=True)
+        problem = stages_in(context)
+        found = [local_optimum(problem, path) for path in random_paths(context, 8, seed)]
+        paths = np.array([kept_within(path, context.position_m) for path in found])
+        values = values_of(context, paths)
+        last, _ = tightest(problem, context, paths[values.argmax()], 0.5)
+        assert values.max() <= last.value
+        compared += len(paths)
+    print(f"{compared} comparisons")
+    assert compared == 32
+
+
+def kept_within(path: np.ndarray, here: np.ndarray) -> np.ndarray:
+    """A path with its steps shortened to the longest step, inside the workspace."""
+    found = path.copy()
+    for k, place in enumerate(path):
+        move = np.clip(place, 0.0, 40.0) - here
+        here = here + move * min(1.0, STEP_M / max(float(np.hypot(*move)), 1e-12))
+        found[k] = here
+    return found
+
+
+def test_wrong_multipliers_only_loosen() -> None:
+    """A disturbed certificate proves its value only if that is above every known path."""
+    generator = np.random.default_rng(0)
+    compared = proven = 0
+    for seed in range(4):
+        context = sum_context(seed, 3)
+        problem, paths = stages_in(context), random_paths(context, 200, seed)
+        values = values_of(context, paths)
+        last, tilts = tightest(problem, context, paths[values.argmax()], 0.4)
+        assert proves(problem, tilts)
+        assert not proves(
+            problem, Tilts(tilts.of_steps[:, :2], tilts.of_p_min[:, :2], 3, last.value)
+        )
+        for scale in (1e-3, 0.1, 10.0, np.nan):
+            steps = tilts.of_steps + scale * generator.normal(size=tilts.of_steps.shape)
+            p_min = scale * generator.normal(size=tilts.of_p_min.shape)
+            for share in (0.9, 1.0, 1.5):
+                value = values.max() + (share - 1.0) * abs(values.max())
+                if proves(problem, Tilts(steps, p_min, 3, value)):
+                    assert value >= values.max()
+                    proven += 1
+                compared += 1
+    print(f"{compared} comparisons, {proven} of them proven")
+    assert compared == 48 and proven > 0
+
+
+def test_p_min_leaves_connected_paths() -> None:
+    """With p_min, the bound is at least the value of every path that keeps it, and no looser."""
+    compared = 0
+    for seed in range(8):
+        context = sum_context(seed, 3, energy=False)
+        free, bound = stages_in(context), stages_in(context, p_min=0.6)
+        paths = random_paths(context, 300, seed)
+        chance = context.law.probability(paths.reshape(-1, 2)).reshape(len(paths), -1)
+        paths = paths[(chance >= 0.6).all(axis=1)]
+        if not len(paths):
+            continue
+        values = values_of(context, paths)
+        best = paths[values.argmax()]
+        last, tilts = tightest(bound, context, best, 0.3)
+        assert values.max() <= last.value
+        loose, _ = tightest(free, context, best, 0.3)
+        assert tilts.levels == 1 or last.value <= loose.value * 1.01
+        compared += len(paths)
+    print(f"{compared} comparisons")
+    assert compared > 300
+
+
+def test_enclosures_hold_inside_their_discs() -> None:
+    """Samples of sensing, its product with a linear function, and moves stay below the bounds."""
+    generator = np.random.default_rng(0)
+    compared = 0
+    for _ in range(60):
+        sensor = Sensor(*generator.uniform([0.005, 0.05, 0.0], [0.5, 1.0, 5.0]).tolist())
+        target, radius = generator.normal(size=2), float(generator.choice([1e-6, 0.1, 2.0]))
+        centre = target + generator.normal(0.0, 4.0, (5, 2))
+        bounds = sensing_bounds(sensor, target, Discs(centre, radius))
+        slope = generator.normal(size=(5, 2))
+        level = np.hypot(*slope.T) * radius + generator.uniform(size=5)
+        linear = UpperBounds(level, slope, level + np.hypot(*slope.T) * radius, radius)
+        product = bounds.times(linear)
+        angle, share = generator.uniform(0.0, 2.0 * np.pi, 200), generator.uniform(size=200)
+        offset = radius * np.sqrt(share)[:, None] * np.column_stack([np.cos(angle), np.sin(angle)])
+        for row in range(5):
+            value = sensing_information(sensor, centre[row] + offset, target)
+            factor = level[row] + offset @ slope[row]
+            for each, truth in ((bounds, value), (product, value * factor)):
+                assert (truth <= each.value[row] + offset @ each.slope[row] + 1e-9).all()
+                assert (truth <= each.most[row] + 1e-9).all()
+                compared += 2 * len(truth)
+    context = sum_context(0, 2)
+    problem = stages_in(context)
+    for _ in range(200):
+        multiplier = generator.normal(0.0, float(generator.choice([0.0, 0.1, 2.0])), 2)
+        half = float(generator.choice([0.01, 0.3, 1.0]))
+        offset = generator.normal(0.0, 1.0, (1, 2)) * generator.choice([0.0, 1.0])
+        moves = offset + generator.uniform(-half, half, (300, 2))
+        length = np.hypot(*moves.T)
+        moves, length = moves[length <= problem.step_m], length[length <= problem.step_m]
+        away = np.hypot(*np.maximum(np.abs(offset) - half, 0.0).T)
+        worth = moves @ multiplier - problem.per_metre * length
+        worth -= np.where(length > problem.standstill_m, problem.per_move, 0.0)
+        assert (worth <= move_bounds(problem, multiplier, offset, half, away) + 1e-9).all()
+        compared += len(worth)
+    print(f"{compared} comparisons")
+    assert compared > 100_000

@@ -16,9 +16,9 @@ from planopt.planning.plan import Verdict as Verdict
 from planopt.planning.solve import Planner as Planner
 from planopt.problems.channel_setup import BaseStation as BaseStation
 from planopt.problems.channel_setup import ChannelSetup as ChannelSetup
-from planopt.problems.constraints import ConnectivityRule as ConnectivityRule
-from planopt.problems.constraints import Constraints as Constraints
 from planopt.problems.load import load as load
+from planopt.problems.objective import ConnectivityRule as ConnectivityRule
+from planopt.problems.objective import Constraints as Constraints
 from planopt.problems.problem import Problem as Problem
 from planopt.problems.robot import Robot as Robot
 from planopt.problems.settings import PlannerSettings as PlannerSettings

@@ -31,7 +31,7 @@ from planopt.extend import (
 from planopt.objectives import LearningTerm
 from planopt.objectives.path_derivatives import PathDerivatives
 from planopt.objectives.terms import term as terms
-from planopt.problems import FunctionTruth, constraints
+from planopt.problems import FunctionTruth, objective
 from planopt.robots.dynamics import rolled_out
 
 
@@ -39,7 +39,7 @@ from planopt.robots.dynamics import rolled_out
 def forgotten(monkeypatch):
     terms.registered_terms()
     monkeypatch.setattr(terms, "_kinds", dict(terms._kinds))
-    monkeypatch.setattr(constraints.RULES, "registered", dict(constraints.RULES.registered))
+    monkeypatch.setattr(objective.RULES, "registered", dict(objective.RULES.registered))
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Concatenate, ParamSpec, TypeVar, cast, get_ty
 
 import typer
 
-from planopt.problems.planner_kinds import OWN
+from planopt.problems.settings import OWN
 
 PLANNERS = f"{', '.join(OWN)}; networks: law, receding, deploy; pursuits: drive, retarget, receding"
 """Names of planners by task, for help texts."""

@@ -13,10 +13,10 @@ from planopt.planning.plan import Rung as Rung
 from planopt.planning.plan import Termination as Termination
 from planopt.planning.proof.rule import OwnRule as OwnRule
 from planopt.planning.scene import free_ends as free_ends
-from planopt.problems.planner_kinds import PlannerKind as PlannerKind
-from planopt.problems.planner_kinds import register_planner as register_planner
-from planopt.problems.planner_kinds import unregister_planner as unregister_planner
 from planopt.problems.schema import TaskFile as TaskFile
+from planopt.problems.settings import PlannerKind as PlannerKind
+from planopt.problems.settings import register_planner as register_planner
+from planopt.problems.settings import unregister_planner as unregister_planner
 from planopt.robots.casadi_map import CasadiMap as CasadiMap
 from planopt.robots.dynamics import Dynamics as Dynamics
 from planopt.tasks.task import Task as Task

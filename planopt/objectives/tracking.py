@@ -28,8 +28,13 @@ from planopt.arrays import Floats, Indices
 from planopt.channel.measurements import SAME_PLACE_M
 from planopt.channel.parameters import require_finite, require_places
 from planopt.plain_values import require_weights
-from planopt.targets.information_filter import TargetModel, covariance_of, require_covariance
-from planopt.targets.sensor import Sensor, sensing_information
+from planopt.targets.information_filter import (
+    Sensor,
+    TargetModel,
+    covariance_of,
+    require_covariance,
+    sensing_information,
+)
 
 Criterion = Literal["trace", "determinant", "norm"]
 """Scalar criterion of the target position's covariance: trace (m^2), determinant (m^4) or largest

@@ -12,7 +12,7 @@ from planopt.arrays import Floats, Mask
 from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
 from planopt.errors import NoPlanError
 from planopt.planning.tolerances import RULE_TOLERANCE, STANDSTILL_M
-from planopt.problems.constraints import rule_kind
+from planopt.problems.objective import rule_kind
 from planopt.problems.problem import Problem
 
 MOST_IN_WORDS = 4

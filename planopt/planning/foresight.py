@@ -24,7 +24,7 @@ from planopt.planning.scene import build_ground
 from planopt.planning.search.lattice_search import LatticeSearch, MoveValues, Window, move_table
 from planopt.planning.values.context import StepContext
 from planopt.problems.problem import Problem, problem_of_robot
-from planopt.targets.sensor import sensing_information
+from planopt.targets.information_filter import sensing_information
 from planopt.world.lattice import MOVES, RoadMap
 
 ROUNDS = 5

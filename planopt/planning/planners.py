@@ -40,8 +40,8 @@ from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M
 from planopt.planning.values.context import StepContext
 from planopt.planning.values.exploration import learns
 from planopt.planning.values.objective_value import ObjectiveValue
-from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.problem import Problem
+from planopt.problems.settings import planner_kind
 from planopt.world.lattice import RoadMap, lattice_paths, route_from
 
 KEY = "planner.name"

@@ -50,7 +50,7 @@ from planopt.planning.plan import (
 from planopt.planning.programme.goal_value import ROUNDING_STEPS, GoalCharge
 from planopt.planning.programme.path_nlp import GOAL, METHODS, PathNlp, build_path_nlp
 from planopt.planning.programme.path_polish import MOVING_LINES
-from planopt.planning.programme.path_rows import PathShape
+from planopt.planning.programme.solver import PathShape
 from planopt.planning.proof.context import VerifierContext, search_prediction, verifier_context
 from planopt.planning.proof.motion import stands, stops_at_goal
 from planopt.planning.proof.searches import build_goal_grid

@@ -25,7 +25,7 @@ from planopt.planning.programme.path_polish import (
     polish_path,
     tail_count,
 )
-from planopt.planning.programme.path_rows import MotionShape, PathShape
+from planopt.planning.programme.solver import MotionShape, PathShape
 from planopt.planning.proof.context import SEARCH_ERROR_DB, is_search_exact, obstacles_ahead
 from planopt.planning.proof.rule import rule_of
 from planopt.planning.scene import Ground

@@ -36,9 +36,9 @@ from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.stepping import Stepper, expected_target, watch_target
 from planopt.planning.team.couriers import planning
 from planopt.problems.load import require_motion, with_overrides
-from planopt.problems.planner_kinds import planner_kind
 from planopt.problems.plausibility import JUMP_STEPS, measured_warnings
 from planopt.problems.problem import Problem
+from planopt.problems.settings import planner_kind
 from planopt.problems.tasks import TaskProblem, task_of
 from planopt.short_repr import wrapped
 from planopt.world.clearance import containing_obstacle, index_obstacles

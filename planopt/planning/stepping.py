@@ -31,15 +31,17 @@ from planopt.problems.problem import Problem, problem_at, problem_of_robot
 from planopt.problems.settings import Packets
 from planopt.targets.information_filter import (
     InformationState,
+    Sensor,
     TargetModel,
     information_state,
+    noise_covariance_m2,
     position_variance_m2,
     predict,
     predict_target,
+    sensing_information,
     simulate_target,
     update,
 )
-from planopt.targets.sensor import Sensor, noise_covariance_m2, sensing_information
 from planopt.world.workspace import Obstacle
 
 MOST_HELD = 8

@@ -36,7 +36,7 @@ from planopt.channel.logs.stations import read_stations
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import Station
 from planopt.errors import InputError, listed
-from planopt.files.toml_text import toml_text
+from planopt.files.writing import toml_text
 from planopt.problems.plausibility import grid_warnings, log_warnings
 from planopt.problems.problem import Problem, problem_from_tables
 from planopt.problems.schema import MAX_STATIONS, SCHEMA_VERSION

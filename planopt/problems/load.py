@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from planopt.errors import InputError, require_text
-from planopt.files.toml_text import toml_text
-from planopt.files.writing import write_text
+from planopt.files.writing import toml_text, write_text
 from planopt.keys import saved
 from planopt.parts import part_of
 from planopt.problems.channel_setup import (
@@ -25,7 +24,6 @@ from planopt.problems.channel_setup import (
 )
 from planopt.problems.library import find_problem, read_toml
 from planopt.problems.objective import ReachObjective, TermsObjective, term_keys
-from planopt.problems.planner_kinds import names_with, planner_kind
 from planopt.problems.problem import (
     NAME,
     Problem,
@@ -35,6 +33,7 @@ from planopt.problems.problem import (
 )
 from planopt.problems.robot import Robot
 from planopt.problems.schema import world_table
+from planopt.problems.settings import names_with, planner_kind
 from planopt.problems.tasks import MOTION, TaskProblem, problem_from
 from planopt.world.raster_files import raster_ending
 from planopt.world.workspace import Workspace

@@ -19,8 +19,7 @@ from planopt.objectives.terms.term import Term, TermSetting, require_kind
 from planopt.parts import part_of, parts_of
 from planopt.problems.channel_setup import BaseStation, ChannelSetup
 from planopt.problems.checks import check
-from planopt.problems.constraints import Constraints
-from planopt.problems.objective import CostToGo, ReachObjective, TermsObjective
+from planopt.problems.objective import Constraints, CostToGo, ReachObjective, TermsObjective
 from planopt.problems.robot import Robot
 from planopt.problems.schema import SCHEMA_VERSION, ProblemFile, Task
 from planopt.problems.settings import ComparisonSettings, PlannerSettings, ReportSettings, Target

@@ -21,11 +21,16 @@ from planopt.errors import InputError
 from planopt.keys import FileName, Name, Pair, Quad, ReadAs, Table, fault_of, saved
 from planopt.objectives.terms.term import Term, registered_terms
 from planopt.problems.channel_setup import BaseStation, ChannelSetup
-from planopt.problems.constraints import Constraints
-from planopt.problems.objective import OBJECTIVE, ReachObjective, TermsObjective
-from planopt.problems.planner_kinds import names_with, planner_kind
+from planopt.problems.objective import OBJECTIVE, Constraints, ReachObjective, TermsObjective
 from planopt.problems.robot import Robot
-from planopt.problems.settings import ComparisonSettings, PlannerSettings, ReportSettings, Target
+from planopt.problems.settings import (
+    ComparisonSettings,
+    PlannerSettings,
+    ReportSettings,
+    Target,
+    names_with,
+    planner_kind,
+)
 from planopt.robots.models import Unicycle
 from planopt.world.occupancy import UnknownCells, is_grid
 from planopt.world.readers import obstacle_from_wkt, read_obstacles

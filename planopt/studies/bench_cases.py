@@ -30,7 +30,7 @@ from planopt.planning import tolerances
 from planopt.planning.plan import Termination, Verdict
 from planopt.problems.library import list_problems
 from planopt.problems.load import load
-from planopt.problems.planner_kinds import planner_kind, planner_names
+from planopt.problems.settings import planner_kind, planner_names
 from planopt.problems.tasks import task_of
 from planopt.studies.study import (
     AnyProblem,

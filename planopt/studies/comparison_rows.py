@@ -13,7 +13,7 @@ from scipy.special import stdtrit  # pyright: ignore[reportUnknownVariableType]
 from planopt.channel.calibration import FEWEST_GROUPS, ReliabilityBin, reliability
 from planopt.planning.loop.metrics import ANY, POSSIBLE
 from planopt.planning.loop.results import NOT_DONE, RunSummary
-from planopt.problems.planner_kinds import OWN
+from planopt.problems.settings import OWN
 
 CONFIDENCE = 0.95
 

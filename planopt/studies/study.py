@@ -36,14 +36,14 @@ from planopt.files.reading import read_bytes, read_text
 from planopt.files.typed_json import decoded, encoded
 from planopt.files.writing import remove_remains, strict_text, write_text
 from planopt.objectives.terms.term import Term, outside_terms, register
-from planopt.problems.constraints import register_rule, registered_rules
 from planopt.problems.library import FILE_KEYS
-from planopt.problems.planner_kinds import (
+from planopt.problems.objective import register_rule, registered_rules
+from planopt.problems.problem import Problem
+from planopt.problems.settings import (
     PlannerKind,
     register_planner,
     registered_planners,
 )
-from planopt.problems.problem import Problem
 from planopt.problems.tasks import TaskProblem, task_of
 
 UNDECIDING = ("report", "compare")

@@ -20,9 +20,9 @@ from planopt.planning.files.saved import PLAN_FILE, RUN_FILE, save_no_plan
 from planopt.planning.loop.results import Run, RunSummary, Solution, summary_of
 from planopt.planning.plan import Plan, Termination, Verdict
 from planopt.problems.load import problem_to_dict, with_overrides
-from planopt.problems.planner_kinds import planner_kind, planner_names
 from planopt.problems.problem import Problem, problem_from_tables
 from planopt.problems.schema import ProblemFile
+from planopt.problems.settings import planner_kind, planner_names
 from planopt.tasks.task import NO_PLAN, Action, Task, checked_again, save_figures
 
 if TYPE_CHECKING:

@@ -27,8 +27,14 @@ from numpy.typing import NDArray
 
 from planopt.arrays import Floats
 from planopt.errors import InputError, listed
-from planopt.files.npz import npz_names, read_npz
-from planopt.files.reading import csv_rows, foreign_reader, read_bytes, require_array_size
+from planopt.files.reading import (
+    csv_rows,
+    foreign_reader,
+    npz_names,
+    read_bytes,
+    read_npz,
+    require_array_size,
+)
 from planopt.files.writing import write_whole
 from planopt.world.raster import Raster, checked_raster
 

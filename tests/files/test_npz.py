@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from refusals import refused
 
-from planopt.files import npz
-from planopt.files.npz import npz_names, read_npz
+from planopt.files import reading
+from planopt.files.reading import npz_names, read_npz
 
 ARRAYS = {
     "positions": np.arange(6.0).reshape(3, 2),
@@ -92,7 +92,7 @@ def test_a_zip_bomb(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with zipfile.ZipFile(path) as file:
         sizes = {member.filename: member.file_size for member in file.infolist()}
     assert path.stat().st_size < sum(sizes.values()) / 100
-    monkeypatch.setattr(npz, "LARGEST_BINARY_BYTES", sizes["a.npy"] + sizes["c.npy"])
+    monkeypatch.setattr(reading, "LARGEST_BINARY_BYTES", sizes["a.npy"] + sizes["c.npy"])
     assert list(read_npz(path, ("a", "c"))) == ["a", "c"]
     with refused():
         read_npz(path)

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planopt.files.toml_text import toml_text
+from planopt.files.writing import toml_text
 
 KEYS = st.text(min_size=1, max_size=8)
 SCALARS = st.one_of(

@@ -14,7 +14,7 @@ from planopt.channel.kriging import LocalChannel, predict
 from planopt.objectives import TrackingTerm
 from planopt.objectives.stage_power import StagePredictor
 from planopt.objectives.tracking import Tracking
-from planopt.targets.sensor import Sensor, sensing_derivatives, sensing_information
+from planopt.targets.information_filter import Sensor, sensing_derivatives, sensing_information
 
 POSTERIOR = condition(CHANNEL, drawn(15))
 TARGET = PATH + np.array([3.0, -4.0])

@@ -22,8 +22,12 @@ from planopt.objectives.tracking import (
     recourse_costs,
     retreats_of,
 )
-from planopt.targets.information_filter import TargetModel, predicted_information
-from planopt.targets.sensor import Sensor, sensing_information
+from planopt.targets.information_filter import (
+    Sensor,
+    TargetModel,
+    predicted_information,
+    sensing_information,
+)
 
 STEPS, BEYOND, LONGEST_M = 4, 5, 2.0
 SENSOR = Sensor(0.008, 0.08, 1.0)

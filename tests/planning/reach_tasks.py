@@ -7,7 +7,7 @@ import numpy as np
 from planopt.planning.programme.goal_value import GoalValue, OutagePrice
 from planopt.planning.programme.path_nlp import GOAL, build_path_nlp
 from planopt.planning.programme.path_polish import PathTask
-from planopt.planning.programme.path_rows import PathShape
+from planopt.planning.programme.solver import PathShape
 from planopt.targets.rounding import Derivatives
 from planopt.world import empty_lines
 

@@ -18,7 +18,7 @@ from planopt.planning.initial_data import prepare, team_seeds
 from planopt.planning.loop.metrics import true_serving_dbm
 from planopt.planning.stepping import watch_target
 from planopt.problems import Unicycle
-from planopt.targets.sensor import sense
+from planopt.targets.information_filter import sense
 
 SEED = 4
 

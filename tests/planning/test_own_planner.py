@@ -14,9 +14,9 @@ from planopt.extend import PlannerKind, register_planner, released, unregister_p
 from planopt.planning.candidates import held
 from planopt.planning.loop.log import Outcome
 from planopt.planning.planners import LawnmowerPlanner
-from planopt.problems import planner_kinds, problem_to_dict
-from planopt.problems.planner_kinds import OWN, planner_kind, planner_names
+from planopt.problems import problem_to_dict, settings
 from planopt.problems.problem import problem_from_tables
+from planopt.problems.settings import OWN, planner_kind, planner_names
 
 
 class Eastward:
@@ -74,8 +74,8 @@ def test_entry_points(monkeypatch) -> None:
         SimpleNamespace(name="auto", load=lambda: Eastward),
         SimpleNamespace(name="broken", load=lambda: __import__("no_such_module")),
     ]
-    monkeypatch.setattr(planner_kinds.PLANNERS, "installed", {one.name: one for one in points})
-    monkeypatch.setattr(planner_kinds.PLANNERS, "registered", {})
+    monkeypatch.setattr(settings.PLANNERS, "installed", {one.name: one for one in points})
+    monkeypatch.setattr(settings.PLANNERS, "registered", {})
     assert planner_names() == (*OWN, "mower", "east", "broken")
     assert planner_kind("mower") == PlannerKind("mower", LawnmowerPlanner, searches=True)
     assert planner_kind("east") == PlannerKind("east", Eastward)

@@ -24,7 +24,7 @@ from planopt.planning.planners import (
     planner_for,
 )
 from planopt.planning.scene import build_ground
-from planopt.targets.sensor import sensing_information
+from planopt.targets.information_filter import sensing_information
 
 INFORMATION = {"kind": "mapping", "form": "information"}
 PATH = {"kind": "mapping", "form": "path", "variance_threshold_db2": 2.0, "closeness_per_m": 0.02}

@@ -17,8 +17,7 @@ from planopt.cli import main
 from planopt.problems import problem_from_dict, problem_to_dict
 from planopt.problems.library import library_folder
 from planopt.problems.load import with_changes
-from planopt.problems.planner_kinds import planner_kind
-from planopt.problems.settings import ComparisonSettings, SettingGroup
+from planopt.problems.settings import ComparisonSettings, SettingGroup, planner_kind
 from planopt.report import comparison_text, draw_comparison
 from planopt.report.comparison_figure import layout_of
 from planopt.studies.compare import Lists, settings_of

@@ -10,15 +10,17 @@ from refusals import refused
 from planopt import InputError
 from planopt.targets.information_filter import (
     InformationState,
+    Sensor,
     TargetModel,
     information_state,
+    noise_covariance_m2,
     predict,
     predict_target,
     predicted_information,
+    sense,
     simulate_target,
     update,
 )
-from planopt.targets.sensor import Sensor, noise_covariance_m2, sense
 
 MODEL = TargetModel(0.5, np.array([[0.02, 0.005], [0.005, 0.01]]))
 SENSOR = Sensor(0.008, 0.08, 1.0)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from planopt import InputError
-from planopt.targets.sensor import (
+from planopt.targets.information_filter import (
     CUSP_SHARE,
     Sensor,
     noise_covariance_m2,

@@ -20,7 +20,7 @@ import planopt.objectives.terms as own_terms
 from planopt.arrays import Floats, Indices
 from planopt.errors import InputError, listed
 from planopt.parts import class_name, require_name
-from planopt.targets.sensor import Sensor
+from planopt.targets.information_filter import Sensor
 
 if TYPE_CHECKING:
     from planopt.objectives.moments import Pull

@@ -29,8 +29,8 @@ from planopt.objectives.tracking import (
 )
 from planopt.objectives.upper_bounds import Discs, StageBounds, UpperBounds, sensing_bounds
 from planopt.plain_values import make_plain
+from planopt.targets.information_filter import Sensor, sensing_derivatives, sensing_information
 from planopt.targets.rounding import Derivatives, add_products
-from planopt.targets.sensor import Sensor, sensing_derivatives, sensing_information
 
 LONGEST_ADDITIVE = 10
 """Longest horizon at which ``auto`` selects ``additive`` with other terms, a chance constraint or

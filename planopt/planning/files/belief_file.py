@@ -17,7 +17,7 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import Belief
 from planopt.errors import InputError
-from planopt.files.npz import read_npz
+from planopt.files.reading import read_npz
 from planopt.files.tables import LARGEST, REMEDY
 from planopt.files.writing import write_whole
 from planopt.planning.loop.results import Run

@@ -1,7 +1,7 @@
-"""Files of paths by extension: ROS (nav_msgs/Path as JSON), GeoJSON, QGroundControl and CSV.
+"""Files of paths by extension, and Nav2 masks of the channel belief.
 
-GeoJSON and QGroundControl files contain degrees (WGS 84), so they need the latitude and longitude
-of the origin.
+Paths are written for ROS (nav_msgs/Path as JSON), GeoJSON, QGroundControl and CSV. The formats in
+degrees (GeoJSON, QGroundControl; WGS 84) need the latitude and longitude of the origin.
 """
 
 from __future__ import annotations
@@ -16,12 +16,16 @@ from typing import Any, cast
 import numpy as np
 
 from planopt.arrays import Floats
+from planopt.channel.channel_map import default_cell_m, serving_map
+from planopt.channel.posterior import Belief
 from planopt.errors import InputError
 from planopt.files.tables import Column, table_text
 from planopt.files.writing import write_text
 from planopt.planning.loop.results import Result, Run, Solution
 from planopt.problems.channel_setup import LoggedMeasurements
+from planopt.problems.problem import Problem
 from planopt.world.geodesy import Origin, longitude_latitude_deg, require_origin
+from planopt.world.nav2_masks import MaskLimits, write_masks
 
 STILL_M = 1e-9
 """Length of a step below which a robot keeps its heading."""
@@ -237,3 +241,21 @@ def save_path(
 
 def _known(values: Floats) -> list[float | None]:
     return [value if math.isfinite(value) else None for value in values.tolist()]
+
+
+def save_masks(
+    problem: Problem,
+    belief: Belief,
+    folder: Path,
+    keepout_below: float,
+    p_min: float | None,
+    cell_m: float | None,
+) -> None:
+    """Write the masks; `p_min` is by default that of the problem, if it has one."""
+    asked = problem.constraints.p_min or None if p_min is None else p_min
+    limits = MaskLimits(keepout_below) if asked is None else MaskLimits(keepout_below, asked)
+    bounds = problem.workspace.bounds_m
+    thresholds = [station.threshold_dbm for station in problem.stations]
+    cell = default_cell_m(bounds) if cell_m is None else cell_m
+    found = serving_map(belief.posteriors, bounds, cell, thresholds)
+    write_masks(folder, found.connectivity, limits)

@@ -33,7 +33,7 @@ from planopt.planning.values.context import (
 )
 from planopt.planning.values.exploration import learns, left_to_learn, workspace_region
 from planopt.problems.problem import Problem
-from planopt.targets.sensor import sense
+from planopt.targets.information_filter import sense
 from planopt.world.clearance import index_obstacles
 from planopt.world.lattice import RoadMap, build_lattice
 

@@ -18,8 +18,7 @@ from planopt.planning.proof.context import search_power
 from planopt.planning.stepping import TargetWatch
 from planopt.robots.dynamics import Drive
 from planopt.short_repr import short_repr
-from planopt.targets.information_filter import predict
-from planopt.targets.sensor import noise_covariance_m2
+from planopt.targets.information_filter import noise_covariance_m2, predict
 
 
 class Outcome(StrEnum):

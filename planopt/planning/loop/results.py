@@ -143,7 +143,7 @@ class Result(ABC):
         OutputError
             The folder cannot be written.
         """
-        masks = import_module("planopt.planning.files.nav2")
+        masks = import_module("planopt.planning.files.path_files")
         belief, place = self._belief_of(robot), path_of("folder", folder, A_FOLDER)
         masks.save_masks(self.problem, belief, place, keepout_below, p_min, cell_m)
 

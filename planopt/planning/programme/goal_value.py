@@ -32,7 +32,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from planopt.arrays import Floats
-from planopt.planning.programme.path_rows import MotionShape
+from planopt.planning.programme.solver import MotionShape
 from planopt.robots.dynamics import Components
 from planopt.targets.rounding import Derivatives, add_products
 

@@ -16,7 +16,7 @@ to both ends of a segment, so that the whole segment is clear; b and a differ fo
 The connectivity rows are margins, or one total (a sum over stages), or none. The total's slack t is
 in dB; c is the change of the total per dB. A cost exists only for a robot with dynamics and a goal
 (:mod:`planopt.planning.programme.goal_value`). Variables and rows of the dynamics
-(:mod:`planopt.planning.programme.path_rows`) follow the positions and precede "connectivity".
+(:mod:`planopt.planning.programme.solver`) follow the positions and precede "connectivity".
 
 Value v, margins m and total w are callbacks with exact gradients (dv, dm, dw) and the nonzero
 entries of their Hessians (hv, hm, hw); margin callbacks take a fifth of the time of their symbolic
@@ -39,13 +39,15 @@ import numpy as np
 from planopt.arrays import Floats
 from planopt.objectives.terms.term import Structure
 from planopt.planning.programme.goal_value import PARAMETERS, Evaluation, ValueSource, goal_cost_s
-from planopt.planning.programme.path_rows import PathShape, motion_rows, path_rows
 from planopt.planning.programme.solver import (
     OPTIONS,
     NlpFunctions,
+    PathShape,
     SolveNlp,
     call_nlp,
+    motion_rows,
     nlp_functions,
+    path_rows,
 )
 
 Method = Literal["ipopt", "scp"]

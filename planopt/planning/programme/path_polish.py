@@ -11,8 +11,14 @@ from planopt.arrays import Floats, Mask
 from planopt.planning.plan import Termination
 from planopt.planning.programme.goal_value import EvaluatePath, GoalCharge
 from planopt.planning.programme.path_nlp import PathNlp
-from planopt.planning.programme.path_rows import MotionShape, PathShape, motion_rows
-from planopt.planning.programme.solver import Bounds, NlpPoint, kkt_residual
+from planopt.planning.programme.solver import (
+    Bounds,
+    MotionShape,
+    NlpPoint,
+    PathShape,
+    kkt_residual,
+    motion_rows,
+)
 from planopt.planning.tolerances import CLEARANCE_PAD_M, CLEARANCE_TOLERANCE_M, STEP_PAD_M
 from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Drive

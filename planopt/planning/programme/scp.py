@@ -31,11 +31,11 @@ import scipy.sparse as sp
 
 from planopt.arrays import Floats, Indices
 from planopt.planning.plan import Termination
-from planopt.planning.programme.path_rows import PathShape
 from planopt.planning.programme.solver import (
     Bounds,
     NlpFunctions,
     NlpPoint,
+    PathShape,
     SolveNlp,
     lost_point,
     nlp_point,

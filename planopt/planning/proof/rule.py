@@ -20,7 +20,7 @@ from planopt.parts import calling, class_name, returned
 from planopt.planning.certificate import RuleResult
 from planopt.planning.plan import History
 from planopt.planning.proof.context import VerifierContext
-from planopt.problems.constraints import register_rule
+from planopt.problems.objective import register_rule
 from planopt.problems.problem import Problem
 
 BySlack = Callable[[float], RuleResult]

@@ -33,8 +33,8 @@ from planopt.planning.stepping import Planning, PlanStep, TeamMoment
 from planopt.planning.team.team_step import build_team, keep_apart, plan_in_turn, plan_together
 from planopt.planning.tolerances import STEP_PAD_M
 from planopt.planning.values.context import Aim
-from planopt.problems.planner_kinds import OWN
 from planopt.problems.problem import Problem, problem_of_robot
+from planopt.problems.settings import OWN
 from planopt.world.motion import TimedMotion
 from planopt.world.moving_discs import MovingDiscs, joined_discs
 

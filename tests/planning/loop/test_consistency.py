@@ -12,7 +12,7 @@ from planopt import load, simulate
 from planopt.planning.loop.log import target_log
 from planopt.planning.loop.metrics import nis_interval
 from planopt.planning.stepping import counted, watch_target
-from planopt.targets.sensor import noise_covariance_m2, sense
+from planopt.targets.information_filter import noise_covariance_m2, sense
 
 STEPS = 150
 

@@ -15,7 +15,7 @@ from planopt.planning.programme.goal_value import (
 )
 from planopt.planning.programme.path_nlp import build_path_nlp
 from planopt.planning.programme.path_polish import PathTask, polish_path
-from planopt.planning.programme.path_rows import PathShape
+from planopt.planning.programme.solver import PathShape
 from planopt.targets.rounding import Derivatives
 from planopt.world import empty_lines
 

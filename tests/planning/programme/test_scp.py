@@ -20,9 +20,8 @@ from planopt import Verdict
 from planopt.extend import Termination
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.programme.path_polish import polish_path
-from planopt.planning.programme.path_rows import PathShape
 from planopt.planning.programme.scp import scp_solve
-from planopt.planning.programme.solver import Bounds, NlpFunctions
+from planopt.planning.programme.solver import Bounds, NlpFunctions, PathShape
 
 N, LINES = 6, 2
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planopt.arrays import Floats, Indices
-from planopt.targets.sensor import Sensor
+from planopt.targets.information_filter import Sensor
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from planopt.bounds.tube import (
 )
 from planopt.objectives.upper_bounds import Discs, UpperBounds, sensing_bounds
 from planopt.planning.values.context import StepContext
-from planopt.targets.sensor import Sensor, sensing_information
+from planopt.targets.information_filter import Sensor, sensing_information
 
 
 def tightest(problem: StageProblem, context: StepContext, path: np.ndarray, seconds: float):

@@ -17,6 +17,7 @@ import contextlib
 import difflib
 import inspect
 import math
+import os
 import re
 import reprlib
 import sys
@@ -56,6 +57,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError, core_schema
 
 from planopt.errors import InputError
+from planopt.files.reading import DATA_FOLDER, PRIVATE
 from planopt.plain_values import make_plain
 
 LIKE_WORDS = 0.9
@@ -350,7 +352,10 @@ def _text_of(value: object) -> object:
 
 
 def _in_folder(name: str, info: ValidationInfo) -> Path:
-    return _folder(info) / name
+    if not name.startswith(PRIVATE):
+        return _folder(info) / name
+    folder = os.environ.get(DATA_FOLDER)
+    return Path(name) if folder is None else Path(folder).absolute() / name.removeprefix(PRIVATE)
 
 
 FilePath = Annotated[

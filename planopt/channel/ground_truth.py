@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -21,8 +22,9 @@ from scipy.special import (  # pyright: ignore[reportUnknownVariableType]
     zeta,  # pyright: ignore[reportUnknownVariableType]
 )
 
-from planopt.arrays import Floats
+from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.measurements import MAX_POWER_DB, Measurements
+from planopt.channel.neighbours import PlaceTree
 from planopt.channel.parameters import ChannelParameters, regressors, require_places
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.shadow_fields import conditional_field, shadow_field_db
@@ -260,6 +262,28 @@ def multipath_field_db(
 
 
 @dataclass(frozen=True, eq=False)
+class Readings:
+    """Measured powers, and the distance up to which a reading stands for the power there."""
+
+    measured: Measurements
+    within_m: float
+
+    @cached_property
+    def _tree(self) -> PlaceTree:
+        return PlaceTree(self.measured.positions_m)
+
+    def nearest(self, places_m: Floats) -> tuple[Indices, Mask]:
+        """Return the row of the nearest reading of each place (n, 2), and which are in reach."""
+        rows, away_m = self._tree.nearest(places_m, 1)
+        return rows[:, 0], away_m[:, 0] <= self.within_m
+
+    def power_dbm(self, places_m: Floats) -> Floats:
+        """Return the power of the nearest reading, NaN where none is in reach; ``(n,)``."""
+        rows, near = self.nearest(places_m)
+        return np.where(near, self.measured.power_dbm[rows], np.nan)
+
+
+@dataclass(frozen=True, eq=False)
 class Truth:
     """Ground truth of the received power, with fading fixed in each cell.
 
@@ -271,11 +295,15 @@ class Truth:
         Sensitivity floor of the receiver, a lower bound of all values; None without a floor.
     mean_dbm
         ``[iy, ix]`` power without small-scale fading in the same cells.
+    readings
+        Measured power as ground truth (:func:`measured_truth`), None if the power is simulated. A
+        position then has the power of the nearest reading, NaN without one in reach.
     """
 
     raster: Raster
     floor_dbm: float | None
     mean_dbm: Floats
+    readings: Readings | None = None
 
     __repr__ = short_repr
 
@@ -401,20 +429,53 @@ def power_truth(
     return Truth(Raster(raster.x_m, raster.y_m, power), floor_dbm, power)
 
 
+def measured_truth(
+    readings: Measurements,
+    bounds_m: tuple[float, float, float, float],
+    cell_m: float,
+    within_m: float,
+) -> Truth:
+    """Return the ground truth that was measured: the nearest reading within `within_m`.
+
+    Nothing is known elsewhere: the power is NaN there, and a robot measures nothing. The raster
+    has the power at cell centres, for pictures. Of several readings at one position the first
+    counts, and a censored reading remains censored.
+    """
+    _, first = np.unique(readings.positions_m, axis=0, return_index=True)
+    known = Readings(readings.take(np.sort(first)), within_m)
+    x, y = (cell_centres_m(bounds_m[axis], bounds_m[2 + axis], cell_m) for axis in range(2))
+    centres = np.stack(np.meshgrid(x, y), axis=-1)
+    power = known.power_dbm(centres.reshape(-1, 2)).reshape(len(y), len(x))
+    return Truth(Raster(x, y, power), None, power, known)
+
+
 def true_power_dbm(truth: Truth, positions_m: ArrayLike) -> Floats:
     """Return the received power at `positions_m` (n, 2), at least the floor; ``(n,)`` dBm."""
-    iy, ix = nearest_cells(truth.raster, require_places(positions_m, at_least=0))
+    places = require_places(positions_m, at_least=0)
+    if truth.readings is not None:
+        return truth.readings.power_dbm(places)
+    iy, ix = nearest_cells(truth.raster, places)
     return truth.raster.values[iy, ix]
 
 
 def mean_power_dbm(truth: Truth, positions_m: ArrayLike) -> Floats:
     """Return the power without small-scale fading at `positions_m` (n, 2); ``(n,)`` dBm."""
+    if truth.readings is not None:
+        return true_power_dbm(truth, positions_m)
     iy, ix = nearest_cells(truth.raster, require_places(positions_m, at_least=0))
     return truth.mean_dbm[iy, ix]
 
 
 def measure(truth: Truth, positions_m: ArrayLike) -> Measurements:
-    """Measure the power at `positions_m` (n, 2); values at the floor are censored."""
+    """Measure the power at `positions_m` (n, 2); values at the floor are censored.
+
+    Positions without a reading of a measured ground truth are left out.
+    """
+    if truth.readings is not None:
+        places = require_places(positions_m, at_least=0)
+        rows, near = truth.readings.nearest(places)
+        taken = truth.readings.measured.take(rows[near])
+        return Measurements(places[near], taken.power_dbm, taken.censored)
     power = true_power_dbm(truth, positions_m)
     censored = np.zeros(len(power), dtype=bool)
     if truth.floor_dbm is not None:

@@ -16,6 +16,7 @@ from planopt.errors import InputError, OutputError
 
 def list_problems(json: JsonOption = False) -> int:
     """List the problem library."""
+    from planopt.files.reading import DATA_FOLDER
     from planopt.problems.library import list_problems as entries_of_library
 
     entries = entries_of_library()
@@ -26,7 +27,11 @@ def list_problems(json: JsonOption = False) -> int:
         ]
     }
     width = max((len(entry.name) for entry in entries), default=0)
-    text = "\n".join(f"{entry.name:{width}}  {entry.description}" for entry in entries)
+    text = "\n".join(
+        f"{entry.name:{width}}  {entry.description}"
+        + (f" Needs data in {DATA_FOLDER}." if entry.lacks_data else "")
+        for entry in entries
+    )
     show(json, data, text)
     return 0
 

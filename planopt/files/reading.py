@@ -36,6 +36,12 @@ LARGEST_BINARY_BYTES = 512 * MEGABYTE
 LARGEST_ARRAY_VALUES = 25_000_000
 """Maximum number of values in one array of a file, such as a map of 5000 x 5000 cells."""
 
+DATA_FOLDER = "PLANOPT_DATA"
+"""Environment variable with the folder of measurements that planopt may not distribute."""
+
+PRIVATE = f"${DATA_FOLDER}/"
+"""Beginning of the names of files in that folder."""
+
 
 def read_bytes(path: Path, largest: int = LARGEST_BINARY_BYTES) -> bytes:
     """Return the content of a regular file."""

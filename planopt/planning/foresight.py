@@ -72,7 +72,7 @@ def _paths(
     require_foreseeable(problem)
     sensor = next(term.sensor for term in problem.terms if term.sensor is not None)
     threshold, ahead = problem.stations[0].true_threshold_dbm, target_m[1:]
-    unknown = float(np.std(truth.raster.values - truth.mean_dbm))
+    unknown = float(np.nanstd(truth.raster.values - truth.mean_dbm))
 
     def arriving(places_m: Floats) -> Floats:
         """Return P(packet delivered) from positions (n, 2)."""

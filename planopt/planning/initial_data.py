@@ -20,6 +20,7 @@ from planopt.channel.ground_truth import (
     Truth,
     fitted_truth,
     measure,
+    measured_truth,
     model_truth,
     power_truth,
     raster_truth,
@@ -43,6 +44,7 @@ from planopt.problems.channel_setup import (
     FunctionTruth,
     GivenParameters,
     LoggedMeasurements,
+    MeasuredTruth,
     ModelTruth,
     RasterTruth,
     SampledMeasurements,
@@ -198,6 +200,18 @@ def draw_truth(problem: Problem, generator: np.random.Generator, station: int = 
         return model_truth(
             parameters, problem.workspace.bounds_m, setup.cell_m, floor, generator, setup.multipath
         )
+    if isinstance(setup, MeasuredTruth):
+        log, bounds = log_of(setup.log, radio), problem.workspace.bounds_m
+        readings = read_log(log.file, log.log_format)
+        truth = measured_truth(readings, bounds, setup.cell_m, setup.within_m)
+        if np.isnan(truth.raster.values).all():
+            raise InputError(
+                f"has no reading within {setup.within_m:g} m of the workspace",
+                file=log.file,
+                key="channel.truth.file",
+                remedy="check world.bounds_m, the columns and the filter `where`",
+            )
+        return truth
     if isinstance(setup, ArrayTruth | FunctionTruth):
         return _python_truth(problem, setup, station)
     return None

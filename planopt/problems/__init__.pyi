@@ -6,6 +6,7 @@ from planopt.problems.channel_setup import FittedTruth as FittedTruth
 from planopt.problems.channel_setup import FunctionTruth as FunctionTruth
 from planopt.problems.channel_setup import GivenParameters as GivenParameters
 from planopt.problems.channel_setup import LoggedMeasurements as LoggedMeasurements
+from planopt.problems.channel_setup import MeasuredTruth as MeasuredTruth
 from planopt.problems.channel_setup import ModelTruth as ModelTruth
 from planopt.problems.channel_setup import RasterTruth as RasterTruth
 from planopt.problems.channel_setup import SampledMeasurements as SampledMeasurements

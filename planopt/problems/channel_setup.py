@@ -222,6 +222,51 @@ class FittedTruth(Part):
     floor_db: Floor = None
 
 
+LogKeys: Any = table_of(LogFormat)
+"""Table model with the keys of a power log's format."""
+
+LOG_KEYS = tuple(LogKeys.model_fields)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasuredTruth(Part):
+    """Ground truth: the nearest reading of a log, and nothing where no reading is near.
+
+    The table has the keys of a log's format, as ``channel.measurements`` has. A robot measures
+    nothing at positions without a reading, and metrics of connection leave their steps out.
+    """
+
+    at = "channel.truth"
+    kind = "measured"
+    Keys = LogKeys
+    not_keys = frozenset({"log_format"})
+
+    file: FilePath
+    """Log of the readings, relative to the problem file; `$PLANOPT_DATA/...` names a file in the
+    folder of that environment variable."""
+    transmitter_column: Annotated[str, Field(min_length=1)] | None = None
+    """Column of the log that names the transmitter, as in channel.measurements."""
+    within_m: Annotated[float, Field(gt=0, le=1e6)] = 0.5
+    """Distance in metres up to which a reading stands for the power at a position."""
+    cell_m: Cell
+    log_format: LogFormat = DEFAULT_FORMAT
+    """Columns, units and row filter."""
+
+    @property
+    def log(self) -> LoggedMeasurements:
+        """Return the source of the readings."""
+        return LoggedMeasurements(self.file, self.log_format, self.transmitter_column)
+
+    def to_keys(self) -> dict[str, Any]:
+        """Return the keys of the table, with those of the log's format."""
+        return {**super().to_keys(), **self.log_format.to_keys()}
+
+    @classmethod
+    def of_keys(cls, table: Any) -> dict[str, Any]:
+        """Return the fields, with the log's format."""
+        return {**super().of_keys(table), "log_format": LogFormat.of_table(table)}
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class ArrayTruth:
     """Ground truth: arrays of received power. Saved results do not contain them.
@@ -290,7 +335,7 @@ class FunctionTruth:
             )
 
 
-ChannelTruth = RasterTruth | ModelTruth | FittedTruth | ArrayTruth | FunctionTruth
+ChannelTruth = RasterTruth | ModelTruth | FittedTruth | MeasuredTruth | ArrayTruth | FunctionTruth
 """Source of the ground truth."""
 
 
@@ -351,12 +396,6 @@ class GivenParameters(Part):
         return "has one of k_pl_db and n_pl: give both, or none to have path loss estimated"
 
 
-LogKeys: Any = table_of(LogFormat)
-"""Table model with the keys of a power log's format."""
-
-LOG_KEYS = tuple(LogKeys.model_fields)
-
-
 class MeasurementsTable(LogKeys):
     """Table ``[channel.measurements]``: exactly one of ``count`` and ``file``."""
 
@@ -410,7 +449,9 @@ def _read_truth(value: object, handler: ValidatorFunctionWrapHandler) -> Any:
 
 
 AnyTruth = Annotated[
-    RasterTruth | ModelTruth | FittedTruth, Field(discriminator="kind"), WrapValidator(_read_truth)
+    RasterTruth | ModelTruth | FittedTruth | MeasuredTruth,
+    Field(discriminator="kind"),
+    WrapValidator(_read_truth),
 ]
 
 
@@ -451,8 +492,8 @@ class ChannelSetup(Part):
     def __post_init__(self) -> None:
         if self.truth is not None:
             remedy = (
-                "give one ArrayTruth, FunctionTruth, RasterTruth, ModelTruth or FittedTruth; one "
-                "has the powers of all stations, (stations, ...)"
+                "give one ArrayTruth, FunctionTruth, RasterTruth, ModelTruth, FittedTruth or "
+                "MeasuredTruth; one has the powers of all stations, (stations, ...)"
             )
             part_of("channel.truth", self.truth, cast("type[object]", ChannelTruth), remedy)
         part_of(

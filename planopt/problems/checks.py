@@ -24,6 +24,7 @@ from planopt.problems.channel_setup import (
     FittedTruth,
     FunctionTruth,
     LoggedMeasurements,
+    MeasuredTruth,
     ModelTruth,
     RasterTruth,
     SampledMeasurements,
@@ -138,7 +139,7 @@ def check_channel(problem: Problem) -> None:
                 remedy="add [channel.truth], or name a log in channel.measurements.file",
             )
         return
-    if isinstance(truth, ModelTruth | FittedTruth | FunctionTruth):
+    if isinstance(truth, ModelTruth | FittedTruth | MeasuredTruth | FunctionTruth):
         _check_cells(problem, truth.cell_m)
     sampled = isinstance(measurements, SampledMeasurements) and measurements.count > 0
     if isinstance(truth, FittedTruth) and sampled:
@@ -154,7 +155,7 @@ def check_channel(problem: Problem) -> None:
                 "raise the threshold, or lower channel.truth.floor_dbm",
             )
         else:
-            floor_db = truth.floor_db
+            floor_db = None if isinstance(truth, MeasuredTruth) else truth.floor_db
             floor_dbm = None if floor_db is None else station.transmit_power_dbm + floor_db
             remedy = "raise the threshold, or lower channel.truth.floor_db"
         for key in ("threshold_dbm", "receive_threshold_dbm"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import tomllib
 from collections.abc import Mapping
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from planopt.errors import InputError, path_of
-from planopt.files.reading import read_text
+from planopt.files.reading import DATA_FOLDER, PRIVATE, read_text
 
 LARGEST_TOML_BYTES = 2 * 2**20
 """Size limit of problem files in bytes; obstacles and maps have their own files."""
@@ -47,12 +48,15 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def named_files(value: object) -> tuple[str, ...]:
-    """Return the distinct names of other files to which a problem file refers."""
+    """Return the distinct names of other files to which a problem file refers.
+
+    Files in the folder `DATA_FOLDER` are left out.
+    """
     found: list[str] = []
     if isinstance(value, Mapping):
         for key, part in cast("Mapping[str, object]", value).items():
             if key in FILE_KEYS and isinstance(part, str):
-                found.append(part)
+                found += [] if part.startswith(PRIVATE) else [part]
             else:
                 found += named_files(part)
     elif isinstance(value, list):
@@ -85,6 +89,7 @@ class LibraryEntry:
     description: str  # Description in one sentence
     path: Path  # Problem file
     task: str  # Task of the problem
+    lacks_data: bool = False  # True if its measurements need `DATA_FOLDER`, which is not set
 
 
 def library_folder() -> Path:
@@ -102,8 +107,15 @@ def list_problems() -> tuple[LibraryEntry, ...]:
     InputError
         A library file cannot be parsed or has no table ``[problem]`` with a description.
     """
+    is_set = DATA_FOLDER in os.environ
     return tuple(
-        LibraryEntry(path.stem, _text(path, "description", ""), path, _text(path, "task", "reach"))
+        LibraryEntry(
+            path.stem,
+            _text(path, "description", ""),
+            path,
+            _text(path, "task", "reach"),
+            lacks_data=not is_set and PRIVATE in read_text(path, LARGEST_TOML_BYTES),
+        )
         for path in sorted(library_folder().glob(f"*{SUFFIX}"))
     )
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from planopt.errors import InputError, require_text
+from planopt.files.reading import DATA_FOLDER, PRIVATE
 from planopt.files.writing import toml_text, write_text
 from planopt.keys import saved
 from planopt.parts import part_of
@@ -17,6 +18,7 @@ from planopt.problems.channel_setup import (
     ChannelSetup,
     FunctionTruth,
     LoggedMeasurements,
+    MeasuredTruth,
     RasterTruth,
     SampledMeasurements,
     log_of,
@@ -60,6 +62,8 @@ def check_files(problem: Problem) -> None:
             own = radio.gain_file is not None
             key = f"stations[{number}].gain_file" if own else "channel.truth.file"
             _check_file(problem, raster_truth_of(truth, radio).file, key, is_map=True)
+        if isinstance(truth, MeasuredTruth):
+            _check_file(problem, log_of(truth.log, radio).file, "channel.truth.file")
         if isinstance(measurements, LoggedMeasurements):
             own = radio.log_file is not None
             key = f"stations[{number}].log_file" if own else "channel.measurements.file"
@@ -73,11 +77,14 @@ def _check_file(problem: Problem, path: Path, key: str, *, is_map: bool = False)
     except OSError:  # Name not allowed by the file system
         there = False
     if not there:
+        is_private = str(path).startswith(PRIVATE)
         raise InputError(
             f"is {path}, which does not exist",
             file=problem.file,
             key=key,
-            remedy="paths are relative to the folder of the problem file",
+            remedy=f"set the environment variable {DATA_FOLDER} to the folder of these measurements"
+            if is_private
+            else "paths are relative to the folder of the problem file",
         )
     if is_map:
         try:

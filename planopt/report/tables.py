@@ -48,6 +48,7 @@ METRIC_NAMES = {
     "clairvoyant_cost_m": MetricName("clairvoyant cost", "m"),
     "cost_ratio": MetricName("cost ratio to the clairvoyant", "1", digits=3),
     "true_connected_share": MetricName("steps connected", "%", 100.0, most=100.0),
+    "reading_share": MetricName("steps with a reading", "%", 100.0, most=100.0),
     "longest_outage_m": MetricName("longest outage", "m"),
     "longest_outage_s": MetricName("longest outage", "s"),
     "stated_times_connected": MetricName("connected at the stated times", "%", 100.0, most=100.0),

@@ -147,8 +147,12 @@ def library_cases(
 
 
 def library_names(tasks: Collection[str] | None = None) -> list[str]:
-    """Return the names of the library's problems, of all tasks by default."""
-    return [entry.name for entry in list_problems() if tasks is None or entry.task in tasks]
+    """Return the names of the library's problems with data, of all tasks by default."""
+    return [
+        entry.name
+        for entry in list_problems()
+        if not entry.lacks_data and (tasks is None or entry.task in tasks)
+    ]
 
 
 def problem_of(case: Case) -> AnyProblem:

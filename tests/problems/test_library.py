@@ -19,13 +19,16 @@ from planopt.problems.plausibility import problem_warnings
 from planopt.world import clearance_m, index_obstacles
 
 NAMES = [entry.name for entry in list_problems()]
+LACKING = [entry.name for entry in list_problems() if entry.lacks_data]
 
 
 def test_library_lists_its_problems_by_name() -> None:
     """Every problem is there, described, plausible, and as it should be for an override."""
-    assert len(NAMES) == 40 and sorted(NAMES) == NAMES
+    assert len(NAMES) == 43 and sorted(NAMES) == NAMES
     for entry in list_problems():
         assert entry.description.endswith(".")
+        if entry.name in LACKING:
+            continue
         problem = load(entry.name)
         assert (problem.name, problem.description) == (entry.name, entry.description)
         assert problem.file == entry.path

@@ -81,7 +81,7 @@ class Metrics:
     path_m
         Path length.
     true_connected_share
-        Share of steps with a true connection.
+        Share of steps with a true connection, among those whose true power is known.
     longest_outage_m
         Longest path segment without a true connection.
     predicted_min_connectivity
@@ -206,9 +206,11 @@ def channel_row(
     power = np.stack([true_power_dbm(truth, places_m) for truth in truths])
     shadowed = np.stack([mean_power_dbm(truth, places_m) for truth in truths])
     predicted = np.stack([search_power(each, places_m).mean_db for each in posteriors])
-    error = predicted - power
+    # Measured ground truth is unknown between readings.
+    known = np.isfinite(power)
+    error = (predicted - power)[known]
     # [GM11], section III-A2. The ratio is singular at 0 dBm, which never occurs in practice.
-    ratio = error / np.where(power == 0.0, np.finfo(float).tiny, power)
+    ratio = error / np.where(power == 0.0, np.finfo(float).tiny, power)[known]
     covariances = [each.theta_covariance for each in posteriors]
     spread = sum(float(np.trace(covariance)) for covariance in covariances)
     size = sum(float(each.theta @ each.theta) for each in posteriors)
@@ -224,7 +226,7 @@ def channel_row(
         float(10.0 * np.log10((ratio**2).mean())),
         float(10.0 * np.log10(spread / size)) if spread > 0.0 else float("nan"),
         log_det if np.isfinite(log_det) else float("nan"),
-        float(np.sqrt(((predicted - shadowed) ** 2).mean())),
+        float(np.sqrt(((predicted - shadowed)[known] ** 2).mean())),
         float(np.mean(path_loss)),
     )
 

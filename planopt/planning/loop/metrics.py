@@ -29,6 +29,7 @@ from planopt.planning.reservations import (
     least_separations_m,
 )
 from planopt.planning.tolerances import STEP_PAD_M
+from planopt.problems.channel_setup import MeasuredTruth
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.problems.robot import Robot
 from planopt.robots.dynamics import Drive
@@ -40,7 +41,7 @@ COSTS = ("realised_cost_m", "clairvoyant_cost_m", "cost_ratio")
 
 _SHARES = (
     *("true_connected_share", "predicted_min_connectivity", "target_lost", "delivered"),
-    *("stated_times_connected", "least_connected_share"),
+    *("stated_times_connected", "least_connected_share", "reading_share"),
 )
 _NOT_NEGATIVE = (
     *("goal_time_s", "path_m", "longest_outage_m", "longest_outage_s", "measured_steps"),
@@ -66,14 +67,17 @@ def metrics_of(
     `learnt` flags steps with a measurement; `arrival` is the step of arrival at the goal.
     """
     lengths = np.linalg.norm(np.diff(log.positions_m, axis=0), axis=1)
+    # Between the readings of a measured ground truth nothing is known of the connection.
+    known = ~np.isnan(log.true_dbm[1:])
     connected = log.connected[1:]
+    outage_m = longest_run(lengths, known & ~connected)
     gains = [plan.polish_gain for plan in plans]
     nothing = float("nan")
     return Metrics(
         goal_time_s=float(log.t_s[arrival]) if arrival is not None else nothing,
         path_m=float(lengths.sum()),
-        true_connected_share=float(connected.mean()) if connected.size else nothing,
-        longest_outage_m=float(longest_run(lengths, ~connected)) if connected.size else nothing,
+        true_connected_share=float(connected[known].mean()) if known.any() else nothing,
+        longest_outage_m=float(outage_m) if connected.size else nothing,
         predicted_min_connectivity=float(log.connectivity[1:].min()) if connected.size else nothing,
         polish_gain=_mean_of_known(gains),
         measured_steps=sum(learnt),
@@ -115,6 +119,9 @@ def run_metrics(
         found["trace_m_db"] = found.pop("theta_variance_db")
     found["path_m"] = float(sum(m.path_m for m in each))
     found["true_connected_share"] = float(np.mean([m.true_connected_share for m in each]))
+    if isinstance(problem.channel.truth, MeasuredTruth):
+        powers = np.concatenate([run.log.true_dbm[1:] for run in runs])
+        found["reading_share"] = float(np.isfinite(powers).mean()) if powers.size else float("nan")
     found["longest_outage_m"] = float(max(m.longest_outage_m for m in each))
     found["predicted_min_connectivity"] = float(min(m.predicted_min_connectivity for m in each))
     found["polish_gain"] = _mean_of_known([m.polish_gain for m in each])
@@ -148,8 +155,9 @@ def nis_interval(count: int) -> tuple[float, float]:
 
 def run_reliability(runs: Sequence[RobotRun]) -> tuple[ReliabilityBin, ...]:
     """Return bins of predicted against true connection over all steps and robots of a run."""
-    predicted = np.concatenate([run.log.connectivity[1:] for run in runs])
-    connected = np.concatenate([run.log.connected[1:] for run in runs])
+    known = ~np.isnan(np.concatenate([run.log.true_dbm[1:] for run in runs]))
+    predicted = np.concatenate([run.log.connectivity[1:] for run in runs])[known]
+    connected = np.concatenate([run.log.connected[1:] for run in runs])[known]
     return reliability(predicted, connected, np.zeros(len(predicted), dtype=np.intp))
 
 

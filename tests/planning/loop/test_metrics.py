@@ -22,7 +22,7 @@ def log_of(positions, connected, connectivity=None, step_s=0.5):
         predicted_dbm=nan,
         deviation_db=nan,
         connectivity=np.full(count, 0.95) if connectivity is None else np.array(connectivity),
-        true_dbm=nan,
+        true_dbm=np.where(connected, -60.0, -90.0),
         connected=np.array(connected, dtype=bool),
         step_s=nan,
         polish_gain_s=nan,

@@ -286,6 +286,15 @@ Decibels = Annotated[float, Field(ge=-500, le=500)]
 
 # TOML and JSON have only arrays, so the tuple is not strict, but its numbers are.
 Pair = Annotated[tuple[Metres, Metres], Strict(False)]
+# Origin of a frame: latitude, longitude and, if it is not 0, the angle from east to the x axis.
+Latitude = Annotated[float, Field(gt=-90, lt=90)]
+Longitude = Annotated[float, Field(ge=-180, le=180)]
+Angle = Annotated[float, Field(ge=-360, le=360)]
+OriginKey = (
+    Annotated[tuple[Latitude, Longitude], Strict(False)]
+    | Annotated[tuple[Latitude, Longitude, Angle], Strict(False)]
+    | None
+)
 Quad = Annotated[tuple[Metres, Metres, Metres, Metres], Strict(False)]
 
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=100)]

@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
+from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
@@ -30,10 +31,12 @@ from planopt.channel.measurements import (
 from planopt.channel.parameters import regressors
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import KrigingTerms, Prediction, combine, connection_probability
-from planopt.errors import InputError
+from planopt.errors import InputError, path_of
 from planopt.parts import part_of
 from planopt.short_repr import short_repr
+from planopt.world.geodesy import Origin, require_origin
 from planopt.world.raster import Raster, cell_centres_m
+from planopt.world.raster_files import write_rasters
 
 TILES_AT_ONCE = 64
 """Number of tiles solved together, such that their matrices fit into cache."""
@@ -257,6 +260,9 @@ def _columns(posterior: ChannelPosterior, indices: Indices) -> Floats:
 
 Bounds = tuple[float, float, float, float]
 
+MAP_VARIABLES = ("mean_db", "deviation_db", "connectivity")
+"""Variables of a map, as in its files."""
+
 CELLS_ALONG = 200
 """Default number of cells along the longer side."""
 
@@ -301,6 +307,29 @@ class PosteriorMap:
     def _repr_html_(self) -> str:
         """Return the picture and key figures for notebooks."""
         return import_module("planopt.report.notebook").map_html(self)
+
+    def save(self, file: Path | str, *, origin_deg: Origin | None = None) -> None:
+        """Write the map to a file by its ending: ``.csv``, ``.npz``, ``.nc`` or ``.tif``.
+
+        Parameters
+        ----------
+        file
+            File to write, atomically. GeoTIFF needs the extra ``maps``.
+        origin_deg
+            Latitude and longitude of (0, 0), and the angle from east to the x axis if it is not 0,
+            in degrees. If given, GeoTIFF has a reference system, NetCDF and CSV the longitude and
+            latitude of each cell.
+
+        Raises
+        ------
+        InputError
+            The ending is unknown, the origin is invalid, or rasterio is not installed.
+        OutputError
+            The file cannot be written.
+        """
+        place = None if origin_deg is None else require_origin(tuple(origin_deg), "origin_deg")
+        rasters = {name: getattr(self, name) for name in MAP_VARIABLES}
+        write_rasters(path_of("file", file, "give a file name"), rasters, place)
 
     def to_xarray(self) -> Any:
         """Return the map as an ``xarray.Dataset`` with the coordinates ``y_m`` and ``x_m``.

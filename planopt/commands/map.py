@@ -21,10 +21,8 @@ if TYPE_CHECKING:
 
     from planopt.channel.channel_map import Bounds, PosteriorMap
     from planopt.channel.measurements import Measurements
+    from planopt.world.geodesy import Origin
     from planopt.world.nav2_masks import MaskLimits
-
-VARIABLES = ("mean_db", "deviation_db", "connectivity")
-"""Variables of a map."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +33,7 @@ class _Mapped:
     fits: Sequence[dict[str, Any]]  # JSON of each station's fit
     exit_code: int
     draw: Callable[[], Figure]
+    origin_deg: Origin | None = None
     p_min: float | None = None  # Required probability of the problem; None for a log
 
 
@@ -84,7 +83,7 @@ def map_log(
     """
     from planopt.channel.cholesky import one_blas_thread
     from planopt.world.nav2_masks import MaskLimits, write_masks
-    from planopt.world.raster_files import check_raster_output, write_rasters
+    from planopt.world.raster_files import check_raster_output
 
     if out is None and nav2 is None:
         raise InputError("no output is requested", remedy="give --out FILE or --nav2 DIR")
@@ -100,7 +99,7 @@ def map_log(
         maps = found.maps
         with _together(out, picture) as (new_out, new_picture):
             if new_out is not None:
-                write_rasters(new_out, {name: getattr(maps, name) for name in VARIABLES})
+                maps.save(new_out, origin_deg=found.origin_deg)
             if new_picture is not None:
                 from planopt.report import save_figure
 
@@ -142,7 +141,7 @@ def _log_map(
         title = f"{options.log.name}: {len(measurements)} measurements, {found.method} fit"
         return draw_posterior_map(maps, measurements, found.parameters.station, title)
 
-    return _Mapped(maps, [fit_json(fitted)], fitted.exit_code, draw)
+    return _Mapped(maps, [fit_json(fitted)], fitted.exit_code, draw, _origin_deg(options))
 
 
 def _server_map(
@@ -169,7 +168,14 @@ def _server_map(
         return draw_posterior_map(maps, pooled, stations, title)
 
     described = [{**fit_json(each), "station": label} for label, each in fits.items()]
-    return _Mapped(maps, described, max(each.exit_code for each in fits.values()), draw)
+    exit_code = max(each.exit_code for each in fits.values())
+    return _Mapped(maps, described, exit_code, draw, _origin_deg(options))
+
+
+def _origin_deg(options: LogOptions) -> Origin | None:
+    from planopt.world.geodesy import parse_origin
+
+    return None if options.origin is None else parse_origin(options.origin)
 
 
 def _problem_map(
@@ -210,7 +216,8 @@ def _problem_map(
 
     is_degenerate = any(fit.status == "degenerate" for fit in learnt)
     p_min = problem.constraints.p_min or None
-    return _Mapped(maps, fits, DEGENERATE if is_degenerate else 0, draw, p_min)
+    origin_deg = problem.channel.origin_deg
+    return _Mapped(maps, fits, DEGENERATE if is_degenerate else 0, draw, origin_deg, p_min)
 
 
 def _require_no_log_options(options: LogOptions) -> None:
@@ -256,11 +263,13 @@ def parse_bounds(text: str) -> Bounds:
 
 def map_json(maps: PosteriorMap, out: Path | None, picture: Path | None) -> dict[str, Any]:
     """Return the JSON object of ``planopt map`` that describes the map."""
+    from planopt.channel.channel_map import MAP_VARIABLES
+
     raster = maps.mean_db
     return {
         "file": None if out is None else str(out),
         "picture": None if picture is None else str(picture),
-        "variables": list(VARIABLES),
+        "variables": list(MAP_VARIABLES),
         "shape": list(raster.values.shape),
         "cell_m": raster.cell_m[0],
         "x_m": [float(raster.x_m[0]), float(raster.x_m[-1])],

@@ -100,8 +100,8 @@ class FormatOptions:
         str | None,
         option(
             "--origin",
-            "LAT,LON",
-            "x and y of the log are longitude, latitude in degrees; LAT,LON is the origin.",
+            "LAT,LON[,ANGLE]",
+            "The log is in degrees; latitude and longitude of (0, 0), angle from east to x.",
         ),
     ] = None
     power_unit: Annotated[

@@ -25,3 +25,4 @@ from planopt.robots.models import DoubleIntegrator as DoubleIntegrator
 from planopt.robots.models import SingleIntegrator as SingleIntegrator
 from planopt.robots.models import Unicycle as Unicycle
 from planopt.world.occupancy import OccupancyGrid as OccupancyGrid
+from planopt.world.occupancy import read_grid as read_grid

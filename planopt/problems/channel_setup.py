@@ -39,6 +39,7 @@ from planopt.keys import (
 from planopt.parts import part_of
 from planopt.plain_values import make_plain
 from planopt.short_repr import short_repr
+from planopt.world.geodesy import Origin
 
 MIN_DEVIATION_DB = 0.001
 """Standard deviation in dB below which fading counts as absent; m and K would be too large."""
@@ -488,6 +489,12 @@ class ChannelSetup(Part):
     """True if robots share all measurements after each step."""
 
     not_keys = frozenset(__annotations__)
+
+    @property
+    def origin_deg(self) -> Origin | None:
+        """Return the origin of the frame, if the measurements are a log in degrees."""
+        log = self.measurements
+        return log.log_format.origin_deg if isinstance(log, LoggedMeasurements) else None
 
     def __post_init__(self) -> None:
         if self.truth is not None:

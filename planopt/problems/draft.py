@@ -205,7 +205,8 @@ def draft_problem(
         _place(text, f"--{key}", log_format.origin_deg, pooled, grid, notes)
         for key, text in (("start", settings.start), ("goal", settings.goal))
     )
-    workspace = _workspace(map_path, grid, pooled, (start, goal), notes)
+    origin_deg = log_format.origin_deg
+    workspace = _workspace(map_path, grid, pooled, (start, goal), origin_deg, notes)
     _check_alignment(workspace, pooled, notes)
     tables, comments = _tables(
         (log, map_path, file),
@@ -455,10 +456,8 @@ def _place(
     (place,) = east_north_m(np.array([second]), np.array([first]), origin_deg)
     low, high = near_m.min(axis=0), near_m.max(axis=0)
     if grid is not None:
-        rows, columns = grid.occupied.shape
-        corner = np.array(grid.origin_m)
-        low = np.minimum(low, corner)
-        high = np.maximum(high, corner + grid.resolution_m * np.array([columns, rows]))
+        low = np.minimum(low, grid.bounds_m[:2])
+        high = np.maximum(high, grid.bounds_m[2:])
     extent = high - low
     is_near = bool((place >= low - extent).all() and (place <= high + extent).all())
     if match[3] == "deg" or is_near:
@@ -474,20 +473,17 @@ def _workspace(
     grid: OccupancyGrid | None,
     positions_m: np.ndarray[Any, np.dtype[np.float64]],
     places: Sequence[tuple[float, float]],
+    origin_deg: Origin | None,
     notes: _Notes,
 ) -> Workspace:
     """Return the world: the extent of the grid, else of log, start and goal with a margin."""
     if grid is not None and map_path is not None:
-        rows, columns = grid.occupied.shape
-        (x, y), side = grid.origin_m, grid.resolution_m
         unknown = float(grid.unknown.mean())
         notes.warn(*grid_warnings(map_path.name, grid))
         if unknown > 0.0:
             notes.assume(f"unknown cells ({unknown:.0%} of the map) are occupied")
-        return Workspace(
-            (x, y, x + side * columns, y + side * rows), grid_obstacles(grid, map_path.stem)
-        )
-    obstacles = () if map_path is None else read_obstacles(map_path)
+        return Workspace(grid.bounds_m, grid_obstacles(grid, map_path.stem))
+    obstacles = () if map_path is None else read_obstacles(map_path, origin_deg=origin_deg)
     known = Measurements(
         np.vstack([positions_m, np.array(places)]), np.zeros(len(positions_m) + len(places))
     )
@@ -518,8 +514,8 @@ def _check_alignment(
         if blocked > 0.0:
             notes.warn(
                 f"{blocked:.1%} of the measurements on the map are in occupied or unknown "
-                "cells (check --origin and the direction of the map's axes: x should be east, "
-                "y north)"
+                "cells (check --origin LAT,LON,ANGLE; ANGLE is the direction of the map's x axis "
+                "in degrees to the left of east)"
             )
 
 
@@ -560,7 +556,10 @@ def _tables(
         f"transmit powers are {TRANSMIT_POWER_DBM:g} dBm; plans do not depend on them",
         "simulations draw the channel from its fit to the log",
     )
-    obstacles = [] if map_path is None else [{"file": _relative(map_path, folder)}]
+    obstacles: list[dict[str, Any]] = []
+    if map_path is not None:
+        place = None if is_grid(map_path) else log_format.origin_deg
+        obstacles = [{"file": _relative(map_path, folder), "origin_deg": place}]
     tables: dict[str, Any] = {
         "problem": {
             "schema": SCHEMA_VERSION,

@@ -18,7 +18,7 @@ import shapely
 from pydantic import Field, model_validator
 
 from planopt.errors import InputError
-from planopt.keys import FileName, Name, Pair, Quad, ReadAs, Table, fault_of, saved
+from planopt.keys import FileName, Name, OriginKey, Pair, Quad, ReadAs, Table, fault_of, saved
 from planopt.objectives.terms.term import Term, registered_terms
 from planopt.problems.channel_setup import BaseStation, ChannelSetup
 from planopt.problems.objective import OBJECTIVE, Constraints, ReachObjective, TermsObjective
@@ -47,6 +47,9 @@ class ObstacleTable(Table):
     .csv), in metres, relative to the problem file."""
     unknown: UnknownCells = "occupied"
     """State assumed for unknown cells of an occupancy grid: occupied or free."""
+    origin_deg: OriginKey = None
+    """Latitude and longitude in degrees of (0, 0), and the angle in degrees from east to the x axis
+    if it is not 0: GeoJSON in degrees, or with a reference system, becomes metres."""
     polygon: list[Pair] | None = Field(default=None, min_length=3)
     """Outer ring, a list of [x, y] in metres."""
     holes: tuple[Annotated[list[Pair], Field(min_length=3)], ...] = Field(default=(), strict=False)
@@ -137,7 +140,7 @@ def _entry_obstacles(table: ObstacleTable, index: int, folder: Path) -> tuple[Ob
     name = f"obstacle {index}" if table.name is None else table.name
     try:
         if table.file is not None:
-            return read_obstacles(folder / table.file, table.unknown)
+            return read_obstacles(folder / table.file, table.unknown, table.origin_deg)
         if table.wkt is not None:
             return (obstacle_from_wkt(name, table.wkt),)
         return (footprint(name, table.polygon, table.holes),)

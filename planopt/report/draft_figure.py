@@ -105,12 +105,14 @@ def _draw_unknown(panel: Any, draft: Draft) -> list[Artist]:
     """Shade unknown cells and return the legend entry; obstacles are drawn over them."""
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Patch
+    from matplotlib.transforms import Affine2D
 
     grid = draft.grid
     if grid is None or not grid.unknown.any():
         return []
     rows, columns = grid.unknown.shape
     (x, y), side = grid.origin_m, grid.resolution_m
+    turn = Affine2D().rotate_around(x, y, grid.yaw_rad)
     panel.imshow(
         np.where(grid.unknown, 1.0, np.nan),
         origin="lower",
@@ -119,5 +121,6 @@ def _draw_unknown(panel: Any, draft: Draft) -> list[Artist]:
         alpha=0.45,
         interpolation="nearest",
         zorder=PATH_Z - 0.5,
+        transform=turn + panel.transData,
     )
     return [Patch(facecolor=SKY, alpha=0.45, label="unknown, counts as occupied")]

@@ -1,4 +1,4 @@
-"""Positions in degrees (WGS 84) and metres east and north of an origin.
+"""Positions in degrees (WGS 84) and metres along the axes of an origin, by default east and north.
 
 Positions on the ellipsoid are projected orthogonally onto the tangent plane at the origin
 (``+proj=ortho +ellps=WGS84`` of PROJ). A projected distance d from the origin is too short by
@@ -14,7 +14,7 @@ import numpy as np
 from planopt.arrays import Floats
 from planopt.errors import InputError
 
-LARGEST_LATITUDE_DEG, LARGEST_LONGITUDE_DEG = 90.0, 180.0
+LARGEST_LATITUDE_DEG, LARGEST_LONGITUDE_DEG, LARGEST_TURN_DEG = 90.0, 180.0, 360.0
 
 EQUATOR_RADIUS_M = 6_378_137.0
 FLATTENING = 1.0 / 298.257223563
@@ -25,37 +25,45 @@ FARTHEST_M = 100_000.0
 INVERSE_STEPS = 6
 """Newton steps of the inverse projection; four suffice for rounding accuracy at `FARTHEST_M`."""
 
-Origin = tuple[float, float]
-"""Latitude and longitude of the origin (0, 0), in degrees."""
+Origin = tuple[float, float] | tuple[float, float, float]
+"""Latitude and longitude of the origin (0, 0) in degrees, and the angle in degrees from east
+counter-clockwise to the x axis, by default 0."""
 
 
 def parse_origin(text: str, key: str = "--origin") -> Origin:
-    """Return the origin in a text ``LAT,LON`` in degrees."""
+    """Return the origin in a text ``LAT,LON`` or ``LAT,LON,ANGLE`` in degrees."""
     try:
-        latitude, longitude = (float(part) for part in text.split(","))
+        numbers = tuple(float(part) for part in text.split(","))
     except ValueError:
-        latitude = longitude = math.nan
-    return require_origin((latitude, longitude), key, text)
+        numbers = ()
+    return require_origin(numbers, key, text)
 
 
-def require_origin(origin_deg: Origin, key: str, shown: object = None) -> Origin:
+def require_origin(origin_deg: tuple[float, ...], key: str, shown: object = None) -> Origin:
     """Return a validated origin, or raise an InputError, for instance at a pole."""
-    latitude, longitude = origin_deg
-    if not (abs(latitude) < LARGEST_LATITUDE_DEG and abs(longitude) <= LARGEST_LONGITUDE_DEG):
-        raise InputError(
-            f"cannot read {origin_deg if shown is None else shown!r}",
-            key=key,
-            remedy="write LAT,LON in degrees, south and west negative",
-        )
-    return latitude, longitude
+    match origin_deg:
+        case (latitude, longitude, *turn) if (
+            len(turn) < 2
+            and abs(latitude) < LARGEST_LATITUDE_DEG
+            and abs(longitude) <= LARGEST_LONGITUDE_DEG
+            and all(abs(angle) <= LARGEST_TURN_DEG for angle in turn)
+        ):
+            return (latitude, longitude, turn[0]) if turn else (latitude, longitude)
+        case _:
+            raise InputError(
+                f"cannot read {origin_deg if shown is None else shown!r}",
+                key=key,
+                remedy="write LAT,LON in degrees, south and west negative; LAT,LON,ANGLE if the x "
+                "axis points ANGLE degrees to the left of east",
+            )
 
 
 def east_north_m(longitude_deg: Floats, latitude_deg: Floats, origin_deg: Origin) -> Floats:
     """Return positions projected onto the tangent plane at the origin; NaN beyond `FARTHEST_M`."""
-    # Shapes: longitude_deg, latitude_deg (n,); returns (n, 2).
+    # Shapes: longitude_deg, latitude_deg (n,); returns (n, 2) along the axes of the origin.
     axes = _axes(origin_deg)
     away = _geocentric_m(np.radians(longitude_deg), np.radians(latitude_deg))
-    latitude, longitude = np.radians(origin_deg)
+    latitude, longitude = np.radians(origin_deg[:2])
     away -= _geocentric_m(longitude, latitude)
     plane = away @ axes.T
     plane[np.linalg.norm(away, axis=-1) > FARTHEST_M] = np.nan
@@ -66,8 +74,8 @@ def longitude_latitude_deg(positions_m: Floats, origin_deg: Origin) -> Floats:
     """Return longitudes and latitudes of positions east and north of the origin; ``(n, 2)``."""
     # This inverts `east_north_m` by Newton's method.
     axes = _axes(origin_deg)
-    latitude, longitude = (np.full(len(positions_m), value) for value in np.radians(origin_deg))
-    start = _geocentric_m(*np.radians(origin_deg)[::-1])
+    latitude, longitude = (np.full(len(positions_m), each) for each in np.radians(origin_deg[:2]))
+    start = _geocentric_m(*np.radians(origin_deg[:2])[::-1])
     for _ in range(INVERSE_STEPS):
         error = positions_m - (_geocentric_m(longitude, latitude) - start) @ axes.T
         # Unit vectors east and north at the estimate, projected onto the plane
@@ -91,8 +99,8 @@ def longitude_latitude_deg(positions_m: Floats, origin_deg: Origin) -> Floats:
 
 
 def _axes(origin_deg: Origin) -> Floats:
-    """Return the geocentric unit vectors east and north at the origin; ``(2, 3)``."""
-    latitude, longitude = np.radians(origin_deg)
+    """Return the geocentric unit vectors of the x and y axes at the origin; ``(2, 3)``."""
+    latitude, longitude = np.radians(origin_deg[:2])
     east = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
     up = np.array(
         [
@@ -101,7 +109,20 @@ def _axes(origin_deg: Origin) -> Floats:
             np.sin(latitude),
         ]
     )
-    return np.stack([east, np.cross(up, east)])
+    turn = math.radians(turn_deg(origin_deg))
+    turned = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
+    return turned @ np.stack([east, np.cross(up, east)])
+
+
+def turn_deg(origin_deg: Origin) -> float:
+    """Return the angle in degrees from east to the x axis."""
+    return origin_deg[2] if len(origin_deg) == 3 else 0.0
+
+
+def plane_of(origin_deg: Origin) -> str:
+    """Return the plane of positions east and north of an origin as a PROJ text, without turn."""
+    latitude, longitude = origin_deg[:2]
+    return f"+proj=ortho +lat_0={latitude!r} +lon_0={longitude!r} +ellps=WGS84 +units=m +no_defs"
 
 
 def _radii_m(latitude: Floats | np.float64) -> tuple[Floats | np.float64, Floats | np.float64]:

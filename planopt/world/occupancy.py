@@ -51,6 +51,9 @@ MOST_EDGES = 2_000_000
 TILE_CELLS = 32
 """Number of cells per side of the tiles into which obstacles are cut."""
 
+SMALLEST_CORNER = 1e-6
+"""Area in cells below which a corner outside a turned grid is due to rounding."""
+
 
 @dataclass(frozen=True, eq=False)
 class OccupancyGrid:
@@ -64,9 +67,11 @@ class OccupancyGrid:
     resolution_m
         Side of a cell.
     origin_m
-        ``(x, y)`` of the corner of cell [0, 0] with the smallest coordinates.
+        ``(x, y)`` of the outer corner of cell [0, 0].
     grey_free_cells
         Number of free cells with grey value 205, which ROS writes for unknown cells.
+    yaw_rad
+        Angle from the x axis to the rows of the grid, counter-clockwise around `origin_m`.
     """
 
     occupied: Mask
@@ -74,8 +79,29 @@ class OccupancyGrid:
     resolution_m: float
     origin_m: tuple[float, float]
     grey_free_cells: int = 0
+    yaw_rad: float = 0.0
 
     __repr__ = short_repr
+
+    @property
+    def corners_m(self) -> Floats:
+        """Return the corners of the grid along its outline; ``(4, 2)``."""
+        rows, columns = self.occupied.shape
+        return self.placed_m(np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]]))
+
+    @property
+    def bounds_m(self) -> tuple[float, float, float, float]:
+        """Return ``(x_min, y_min, x_max, y_max)`` of the grid."""
+        (x_min, y_min), (x_max, y_max) = self.corners_m.min(axis=0), self.corners_m.max(axis=0)
+        return float(x_min), float(y_min), float(x_max), float(y_max)
+
+    def placed_m(self, corners: Indices) -> Floats:
+        """Return positions of cell corners, given as column and row; ``(n, 2)``."""
+        along = self.resolution_m * corners.astype(np.float64)
+        if self.yaw_rad:
+            cosine, sine = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
+            along = along @ np.array([[cosine, sine], [-sine, cosine]])
+        return np.array(self.origin_m) + along
 
     def __post_init__(self) -> None:
         for key in ("occupied", "unknown"):
@@ -96,13 +122,13 @@ class OccupancyGrid:
                 "known",
             )
         try:
-            numbers = np.array([self.resolution_m, *self.origin_m], dtype=np.float64)
+            numbers = np.array([self.resolution_m, *self.origin_m, self.yaw_rad], dtype=np.float64)
         except (TypeError, ValueError):
-            numbers = np.full(3, np.nan)
-        if numbers.shape != (3,) or not (np.isfinite(numbers).all() and numbers[0] > 0.0):
+            numbers = np.full(4, np.nan)
+        if numbers.shape != (4,) or not (np.isfinite(numbers).all() and numbers[0] > 0.0):
             raise InputError(
-                f"has a grid with a wrong resolution_m ({self.resolution_m!r}) or origin_m "
-                f"({self.origin_m!r})",
+                f"has a grid with a wrong resolution_m ({self.resolution_m!r}), origin_m "
+                f"({self.origin_m!r}) or yaw_rad ({self.yaw_rad!r})",
                 key="world.obstacles",
                 remedy="give a resolution above 0 m, and the corner (x, y) of the grid in metres",
             )
@@ -111,11 +137,16 @@ class OccupancyGrid:
 def grid_obstacles(
     grid: OccupancyGrid, name: str, unknown: UnknownCells = "occupied"
 ) -> tuple[Obstacle, ...]:
-    """Return obstacles that cover exactly the cells of a grid that are closed to robots."""
+    """Return obstacles that cover exactly the cells of a grid that are closed to robots.
+
+    Within the bounds of a turned grid, the corners that it does not cover are unknown.
+    """
     closed = grid.occupied | grid.unknown if unknown == "occupied" else grid.occupied
-    if not closed.any():
-        return ()
-    polygons = _polygons(closed, grid.resolution_m, np.array(grid.origin_m))
+    polygons: list[shapely.Polygon] = list(_polygons(closed, grid)) if closed.any() else []
+    if grid.yaw_rad and unknown == "occupied":
+        outside = shapely.box(*grid.bounds_m) - shapely.Polygon(grid.corners_m)
+        corners = shapely.get_parts(outside)
+        polygons += [each for each in corners if each.area > SMALLEST_CORNER * grid.resolution_m**2]
     return tuple(
         Obstacle(name if len(polygons) == 1 else f"{name} {number}", polygon)
         for number, polygon in enumerate(polygons, start=1)
@@ -202,7 +233,7 @@ def _spread(size: int) -> Indices:
     return line + line // TILE_CELLS
 
 
-def _polygons(closed: Mask, resolution_m: float, origin_m: Floats) -> NDArray[np.object_]:
+def _polygons(closed: Mask, grid: OccupancyGrid) -> NDArray[np.object_]:
     """Return one polygon per component, with a corner at each turn of its outline."""
     edges = _edges(closed)
     order, first = _outlines(edges)
@@ -214,9 +245,7 @@ def _polygons(closed: Mask, resolution_m: float, origin_m: Floats) -> NDArray[np
     # Integer areas have exact signs: positive for outlines, negative for holes.
     outer = np.bincount(ring, across) > 0.0
     component = edges.label[order[first]]
-    rings = cast(
-        "NDArray[np.object_]", shapely.linearrings(origin_m + resolution_m * corners, indices=ring)
-    )
+    rings = cast("NDArray[np.object_]", shapely.linearrings(grid.placed_m(corners), indices=ring))
     shells = rings[outer][np.argsort(component[outer])]
     polygons = cast("NDArray[np.object_]", shapely.polygons(shells))
     inner, of = rings[~outer], component[~outer] - 1
@@ -261,7 +290,8 @@ BYTE_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA")
 DEEP_MODES = ("I", "I;16", "I;16B", "I;16L")
 """Pillow modes of 16-bit pixels; `BYTE_MODES` have 8-bit pixels."""
 
-NO_TURN_RAD = 1e-9
+NO_TURN_RAD, LARGEST_YAW_RAD = 1e-9, 2.0 * math.pi
+"""Limits of the yaw of a map: smaller ones are 0, larger ones probably degrees."""
 
 UNKNOWN_GREY = 205
 """Grey value that ROS mapping packages write for unknown cells."""
@@ -272,8 +302,26 @@ def is_grid(path: Path | str | None) -> bool:
     return path is not None and Path(path).suffix.lower() in GRID_READERS
 
 
-def read_grid(path: Path) -> OccupancyGrid:
-    """Return the occupancy grid in a file, read according to its extension."""
+def read_grid(path: Path | str) -> OccupancyGrid:
+    """Return the occupancy grid in a file, read according to its extension.
+
+    Parameters
+    ----------
+    path
+        YAML file of a ROS or Nav2 map with its image next to it, or CSV file of a grid.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read or is not such a map.
+    """
+    path = Path(path)
+    if not is_grid(path):
+        raise InputError(
+            "is not the name of an occupancy grid",
+            file=path,
+            remedy="give a file that ends in .yaml, .yml or .csv",
+        )
     try:
         return GRID_READERS[path.suffix.lower()](path)
     except InputError as error:
@@ -283,7 +331,8 @@ def read_grid(path: Path) -> OccupancyGrid:
 def _read_ros_map(path: Path) -> OccupancyGrid:
     """Return the occupancy grid of a ROS map (YAML file and image)."""
     table = _yaml_table(path)
-    resolution, (x, y) = _placed(_number(table, "resolution"), *_origin(table))
+    side_m, (x, y, yaw) = _number(table, "resolution"), _origin(table)
+    resolution, (x, y) = _placed(side_m, x, y)
     negate = _one_of(table, "negate", ("0", "1")) == "1"
     mode = _one_of(table, "mode", ("trinary", "scale", "raw"))
     if mode == "raw" and negate:
@@ -316,7 +365,7 @@ def _read_ros_map(path: Path) -> OccupancyGrid:
     free = known & (occupancy < free_to)
     grey = int((free & (np.round(255.0 * shade) == UNKNOWN_GREY)).sum()) if mode != "raw" else 0
     # The first image row has the largest y.
-    return OccupancyGrid(occupied[::-1], ~(occupied | free)[::-1], resolution, (x, y), grey)
+    return OccupancyGrid(occupied[::-1], ~(occupied | free)[::-1], resolution, (x, y), grey, yaw)
 
 
 def _read_csv_grid(path: Path) -> OccupancyGrid:
@@ -419,8 +468,8 @@ def _one_of(table: dict[str, object], key: str, allowed: tuple[str, ...]) -> str
     return word
 
 
-def _origin(table: dict[str, object]) -> tuple[float, float]:
-    """Return x and y of the origin; its yaw must be 0."""
+def _origin(table: dict[str, object]) -> tuple[float, float, float]:
+    """Return x, y and yaw of the origin."""
     origin = table.get("origin")
     values = cast("list[object]", origin if isinstance(origin, list) else [])
     if len(values) not in (2, 3):
@@ -430,13 +479,13 @@ def _origin(table: dict[str, object]) -> tuple[float, float]:
             remedy="give metres and radians, e.g. [0.0, 0.0, 0.0]",
         )
     x, y, yaw = (_number({"origin": value}, "origin") for value in (*values, "0")[:3])
-    if abs(yaw) > NO_TURN_RAD:
+    if abs(yaw) > LARGEST_YAW_RAD:
         raise InputError(
-            f"has a yaw of {yaw:g} rad, but rotated maps are not supported",
+            f"has a yaw of {yaw:g}, which is not an angle in radians",
             key="origin",
-            remedy="rotate the image so that its yaw is 0",
+            remedy="write [x, y, yaw] with the yaw in radians",
         )
-    return x, y
+    return x, y, 0.0 if abs(yaw) <= NO_TURN_RAD else yaw
 
 
 def _placed(resolution_m: float, x_m: float, y_m: float) -> tuple[float, tuple[float, float]]:

@@ -4,8 +4,11 @@
 CSV files have a row per cell with its centre ``x_m, y_m`` and a column per variable. NetCDF files
 have variables on dimensions ``y, x``. They are written as NetCDF-3, which SciPy and all other
 readers support; reading NetCDF-4 needs the extra h5netcdf. GeoTIFF needs the extra rasterio and has
-a band per variable with the northernmost row first. Its coordinates are metres in a local plane;
-reference systems in degrees are rejected. Sionna RT radio maps are saved by
+a band per variable with the row of largest y first. Its coordinates are metres in a local plane;
+reference systems in degrees are rejected. With the origin of the frame, GeoTIFF is written with its
+reference system, and NetCDF with longitude and latitude of each cell as CF describes.
+
+Sionna RT radio maps are saved by
 ``savez(file, path_gain=map.path_gain.numpy(), cell_centers=map.cell_centers.numpy())``. Their gains
 are linear, and zero means that no path was found.
 """
@@ -36,16 +39,18 @@ from planopt.files.reading import (
     require_array_size,
 )
 from planopt.files.writing import write_whole
+from planopt.world.geodesy import Origin, longitude_latitude_deg, plane_of, turn_deg
 from planopt.world.raster import Raster, checked_raster
 
 HDF5_SIGNATURE = b"\x89HDF"
 NETCDF_AXES = ("y", "x")
+DEGREES, DEGREE_UNITS = ("longitude", "latitude"), ("degrees_east", "degrees_north")
 
 BYTES_PER_READ = 1000
 """Upper bound, in bytes, of the memory that SciPy's reader uses per read of a header."""
 
 
-def write_netcdf(path: Path, rasters: Mapping[str, Raster]) -> None:
+def write_netcdf(path: Path, rasters: Mapping[str, Raster], origin_deg: Origin | None) -> None:
     """Write rasters that share axes as NetCDF-3 with coordinates and units."""
     from scipy.io import netcdf_file
 
@@ -57,10 +62,19 @@ def write_netcdf(path: Path, rasters: Mapping[str, Raster]) -> None:
             coordinate[:] = axis
             coordinate.units = "m"
             coordinate.axis = name.upper()
+        if origin_deg is not None:
+            x, y = np.meshgrid(first.x_m, first.y_m)
+            degrees = longitude_latitude_deg(np.stack([x.ravel(), y.ravel()], axis=1), origin_deg)
+            for name, unit, values in zip(DEGREES, DEGREE_UNITS, degrees.T, strict=True):
+                variable = file.createVariable(name, "d", NETCDF_AXES)
+                variable[:] = values.reshape(x.shape)
+                variable.units, variable.standard_name = unit, name
         for name, raster in rasters.items():
             variable = file.createVariable(name, "d", NETCDF_AXES)
             variable[:] = raster.values
             variable.units, variable.long_name = raster.unit, raster.quantity
+            if origin_deg is not None:
+                variable.coordinates = " ".join(DEGREES)
 
 
 def read_netcdf(path: Path, variable: str) -> Raster:
@@ -198,9 +212,14 @@ def import_rasterio(path: Path) -> ModuleType:
     return rasterio
 
 
-def write_geotiff(path: Path, rasters: Mapping[str, Raster]) -> None:
+def write_geotiff(path: Path, rasters: Mapping[str, Raster], origin_deg: Origin | None) -> None:
     """Write rasters that share axes as the bands of one compressed GeoTIFF."""
     rasterio = import_rasterio(path)
+    turn, system = 0.0, None
+    if origin_deg is not None:
+        turn = math.radians(turn_deg(origin_deg))
+        system = rasterio.CRS.from_string(plane_of(origin_deg))
+    cosine, sine = math.cos(turn), math.sin(turn)
     first = next(iter(rasters.values()))
     wide, high = first.cell_m
     west, north = first.x_m[0] - wide / 2, first.y_m[-1] + high / 2
@@ -213,7 +232,11 @@ def write_geotiff(path: Path, rasters: Mapping[str, Raster]) -> None:
         count=len(rasters),
         dtype="float64",
         nodata=np.nan,
-        transform=rasterio.Affine(wide, 0.0, west, 0.0, -high, north),
+        transform=rasterio.Affine(
+            *(cosine * wide, sine * high, cosine * west - sine * north),
+            *(sine * wide, -cosine * high, sine * west + cosine * north),
+        ),
+        crs=system,
         compress="deflate",
     ) as file:
         file.descriptions = tuple(rasters)
@@ -281,13 +304,16 @@ DIGITS = "%.12g"
 """Number format: 12 digits resolve a millimetre in any coordinate."""
 
 
-def write_csv(path: Path, rasters: Mapping[str, Raster]) -> None:
+def write_csv(path: Path, rasters: Mapping[str, Raster], origin_deg: Origin | None) -> None:
     """Write rasters that share axes as CSV, from the smallest y; missing values are ``nan``."""
     first = next(iter(rasters.values()))
     x, y = np.meshgrid(first.x_m, first.y_m)
-    columns = [x, y, *(raster.values for raster in rasters.values())]
-    table = np.column_stack([column.ravel() for column in columns])
+    columns = [each.ravel() for each in (x, y, *(raster.values for raster in rasters.values()))]
     header = ",".join((*AXES, *rasters))
+    if origin_deg is not None:
+        columns += list(longitude_latitude_deg(np.stack(columns[:2], axis=1), origin_deg).T)
+        header += ",longitude_deg,latitude_deg"
+    table = np.column_stack(columns)
     np.savetxt(path, table, fmt=DIGITS, delimiter=",", header=header, comments="")
 
 
@@ -359,11 +385,13 @@ QUANTITIES = "quantities"
 """Name of the npz entry with name, quantity and unit of each variable, as text (k, 3)."""
 
 
-def write_npz(path: Path, rasters: Mapping[str, Raster]) -> None:
+def write_npz(path: Path, rasters: Mapping[str, Raster], origin_deg: Origin | None) -> None:
     """Write rasters that share axes as an ``npz`` file with entries ``x`` and ``y``."""
     first = next(iter(rasters.values()))
     arrays: dict[str, Any] = {name: raster.values for name, raster in rasters.items()}
     arrays[QUANTITIES] = [(name, each.quantity, each.unit) for name, each in rasters.items()]
+    if origin_deg is not None:
+        arrays["origin_deg"] = origin_deg
     # Given a path, NumPy would append .npz to an uppercase extension.
     with path.open("wb") as file:
         np.savez_compressed(file, x=first.x_m, y=first.y_m, **arrays)
@@ -470,7 +498,7 @@ READERS: dict[str, Callable[[Path, str], Raster]] = {
 }
 """Readers of raster files by file extension."""
 
-WRITERS: dict[str, Callable[[Path, Mapping[str, Raster]], None]] = {
+WRITERS: dict[str, Callable[[Path, Mapping[str, Raster], Origin | None], None]] = {
     ".csv": write_csv,
     ".npz": write_npz,
     ".nc": write_netcdf,
@@ -489,11 +517,13 @@ def read_raster(path: Path, variable: str) -> Raster:
         raise error.located(path) from error.__cause__
 
 
-def write_rasters(path: Path, rasters: Mapping[str, Raster]) -> None:
+def write_rasters(
+    path: Path, rasters: Mapping[str, Raster], origin_deg: Origin | None = None
+) -> None:
     """Write rasters that share axes to one file atomically."""
     check_raster_output(path)
     write = WRITERS[raster_ending(path)]
-    write_whole(path, lambda temporary: write(temporary, rasters))
+    write_whole(path, lambda temporary: write(temporary, rasters, origin_deg))
 
 
 def check_raster_output(path: Path) -> None:

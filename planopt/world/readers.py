@@ -1,6 +1,7 @@
 """Readers of obstacles from files (GeoJSON, WKT, ray-tracing scenes, grids) and from objects.
 
-Coordinates are metres in the frame of the problem, also in GeoJSON; there is no projection.
+Coordinates are metres in the frame of the problem. Those of GeoJSON and of frames with a reference
+system become metres by the origin of the frame.
 """
 
 from __future__ import annotations
@@ -8,19 +9,28 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
 from planopt.errors import InputError
 from planopt.files.reading import read_text
+from planopt.world.geodesy import Origin, east_north_m, require_origin
 from planopt.world.occupancy import OccupancyGrid, UnknownCells, grid_obstacles, is_grid, read_grid
 from planopt.world.workspace import Obstacle, footprint
 
 DEEPEST = 32
 """Maximum nesting depth of geometries, which protects the stack of recursive parsers."""
+
+NEAR_DEG = 1.0
+"""Distance from the origin in degrees within which GeoJSON without a system is in degrees."""
+
+EPSG = re.compile(r"EPSG:+(?:[\d.]*:)?(\d{4,6})\b", re.IGNORECASE)
+"""Pattern of the number of a reference system."""
 
 SURELY_DEGREES = 20.0
 """Ratio of distance from the origin to extent above which coordinates within 180 and 90 count as
@@ -33,8 +43,13 @@ _AREAS = "obstacles are polygons; draw the outline of the area"
 _Part = TypeVar("_Part")
 
 
-def read_obstacles(path: Path, unknown: UnknownCells = "occupied") -> tuple[Obstacle, ...]:
-    """Return the obstacles in a file, read according to its extension."""
+def read_obstacles(
+    path: Path, unknown: UnknownCells = "occupied", origin_deg: Origin | None = None
+) -> tuple[Obstacle, ...]:
+    """Return the obstacles in a file, read according to its extension.
+
+    With an origin, GeoJSON in degrees or in another reference system becomes metres.
+    """
     ending = path.suffix.lower()
     try:
         if is_grid(path):
@@ -42,7 +57,7 @@ def read_obstacles(path: Path, unknown: UnknownCells = "occupied") -> tuple[Obst
         if ending == ".wkt":
             return tuple(_from_wkt_file(path.stem, read_text(path)))
         if ending in (".geojson", ".json"):
-            return _from_json(path.stem, read_text(path))
+            return _from_json(path.stem, read_text(path), origin_deg)
     except InputError as error:
         raise error.located(path) from error
     raise InputError(
@@ -125,7 +140,7 @@ def obstacles_of_geometry(name: str, geometry: shapely.Geometry) -> Iterator[Obs
         raise InputError(f"{name}: a {type(geometry).__name__} is not a polygon", remedy=_AREAS)
 
 
-def _from_json(stem: str, text: str) -> tuple[Obstacle, ...]:
+def _from_json(stem: str, text: str, origin_deg: Origin | None) -> tuple[Obstacle, ...]:
     """Return the obstacles of a building file or a GeoJSON text."""
     try:
         data: Any = json.loads(text)
@@ -138,12 +153,91 @@ def _from_json(stem: str, text: str) -> tuple[Obstacle, ...]:
     except (ValueError, RecursionError) as error:
         raise InputError(f"invalid JSON: {error}", remedy=_GEOJSON) from error
     try:
+        if origin_deg is not None:
+            data = _in_metres(data, origin_deg)
         obstacles = list(_areas(stem, data))
     except RecursionError:
         raise InputError("the GeoJSON is nested too deeply", remedy=_GEOJSON) from None
     if "buildings" not in data:
         _require_metres(data, obstacles)
     return tuple(obstacles)
+
+
+def _in_metres(data: Any, origin_deg: Origin) -> Any:
+    """Return GeoJSON with metres from the origin; unchanged if it is in metres without a system."""
+    places = [each for each in _positions(data) if _is_position(each)]
+    if not places or not hasattr(data, "get"):
+        return data
+    corners = np.array([each[:2] for each in places], dtype=np.float64)
+    system = json.dumps(data["crs"]) if data.get("crs") else ""
+    code = EPSG.search(system)
+    degrees = corners
+    if code is not None and not DEGREES.search(system):
+        degrees = _degrees_of(corners, int(code[1]))
+    elif not (DEGREES.search(system) or _is_near(corners, origin_deg)):
+        return data
+    metres = east_north_m(degrees[:, 0], degrees[:, 1], origin_deg)
+    plane: dict[int, list[float]] = dict(zip(map(id, places), metres.tolist(), strict=True))
+    if not np.isfinite(metres).all():
+        raise InputError(
+            "has coordinates far from the origin",
+            key="origin_deg",
+            remedy="give the origin as latitude, longitude, close to the obstacles",
+        )
+    return _replaced({**data, "crs": None}, plane)
+
+
+def _positions(value: Any) -> Iterator[Any]:
+    """Yield all lists within GeoJSON coordinates that contain no lists."""
+    if isinstance(value, dict):
+        for key, each in cast("dict[str, Any]", value).items():
+            if key in ("coordinates", "features", "geometry", "geometries"):
+                yield from _positions(each)
+    elif isinstance(value, list):
+        parts = cast("list[Any]", value)
+        if parts and not any(isinstance(each, list | dict) for each in parts):
+            yield parts
+        for each in parts:
+            yield from _positions(each)
+
+
+def _is_position(value: list[Any]) -> bool:
+    """Return whether a list begins with two numbers."""
+    return len(value) >= 2 and all(type(each) in (int, float) for each in value[:2])
+
+
+def _replaced(value: Any, plane: dict[int, list[float]]) -> Any:
+    """Return GeoJSON with each position, by identity, replaced by its metres."""
+    if id(value) in plane:
+        return plane[id(value)]
+    if isinstance(value, dict):
+        return {key: _replaced(each, plane) for key, each in cast("dict[str, Any]", value).items()}
+    if isinstance(value, list):
+        return [_replaced(each, plane) for each in cast("list[Any]", value)]
+    return value
+
+
+def _is_near(corners: NDArray[np.float64], origin_deg: Origin) -> bool:
+    """Return whether coordinates are longitudes and latitudes within a degree of the origin."""
+    return bool((np.abs(corners - np.array(origin_deg[:2])[::-1]) < NEAR_DEG).all())
+
+
+def _degrees_of(corners: NDArray[np.float64], code: int) -> NDArray[np.float64]:
+    """Return longitudes and latitudes of positions in a reference system; ``(n, 2)``."""
+    try:
+        pyproj: Any = import_module("pyproj")
+    except ImportError:
+        raise InputError(
+            f"has the reference system EPSG:{code}, which needs pyproj",
+            remedy="pip install 'planopt[maps]'",
+        ) from None
+    try:
+        convert = pyproj.Transformer.from_crs(code, 4326, always_xy=True)
+    except pyproj.exceptions.CRSError as error:
+        raise InputError(
+            f"has the unknown reference system EPSG:{code}", remedy="name a system of EPSG"
+        ) from error
+    return np.stack(convert.transform(*corners.T), axis=-1)
 
 
 def _areas(name: str, value: Any) -> Iterator[Obstacle]:
@@ -197,7 +291,8 @@ def _require_metres(table: dict[str, object], obstacles: list[Obstacle]) -> None
     if within and (named or afar):
         raise InputError(
             f"the coordinates, such as {x[0]:g}, {y[0]:g}, are degrees of longitude and latitude",
-            remedy="reproject the file to metres; if these are metres, save them as .wkt",
+            remedy="give the origin of the frame as origin_deg = [LAT, LON]; if these are metres, "
+            "save them as .wkt",
         )
 
 
@@ -226,7 +321,9 @@ def _short(value: object) -> str:
     return text if len(text) <= 40 else f"{text[:40]}..."
 
 
-def obstacles_from(source: Any, name: str = "obstacle") -> tuple[Obstacle, ...]:
+def obstacles_from(
+    source: Any, name: str = "obstacle", *, origin_deg: Origin | None = None
+) -> tuple[Obstacle, ...]:
     """Create obstacles from files, geometries, tables of geometries, corners or grids.
 
     Parameters
@@ -239,6 +336,10 @@ def obstacles_from(source: Any, name: str = "obstacle") -> tuple[Obstacle, ...]:
         Coordinates are metres in the frame of the problem.
     name
         Name of obstacles without their own name; several are numbered.
+    origin_deg
+        Latitude and longitude of (0, 0), and the angle from east to the x axis if it is not 0, in
+        degrees. If given, GeoJSON in degrees or in another reference system, and frames with a
+        reference system, become metres.
 
     Raises
     ------
@@ -252,23 +353,27 @@ def obstacles_from(source: Any, name: str = "obstacle") -> tuple[Obstacle, ...]:
     >>> [each.name for each in obstacles_from([shapely.box(0, 0, 1, 1), [(3, 0), (4, 0), (4, 2)]])]
     ['obstacle 1', 'obstacle 2']
     """
-    return tuple(_obstacles(source, name))
+    origin = None if origin_deg is None else require_origin(tuple(origin_deg), "origin_deg")
+    return tuple(_obstacles(source, name, origin))
 
 
-def _obstacles(source: Any, name: str) -> Iterator[Obstacle]:
+def _obstacles(source: Any, name: str, origin_deg: Origin | None) -> Iterator[Obstacle]:
     if isinstance(source, Obstacle):
         yield source
     elif isinstance(source, str | Path):
-        yield from read_obstacles(Path(source))
+        yield from read_obstacles(Path(source), origin_deg=origin_deg)
     elif isinstance(source, shapely.Geometry):
         yield from obstacles_of_geometry(name, source)
     elif isinstance(source, OccupancyGrid):
         yield from grid_obstacles(source, name)
     elif hasattr(source, "geometry"):
-        geometries = list(cast("Iterable[Any]", source.geometry))
+        if origin_deg is None or getattr(source, "crs", None) is None:
+            geometries = list(cast("Iterable[Any]", source.geometry))
+        else:
+            geometries = [_projected(each, origin_deg) for each in source.to_crs(4326).geometry]
         names = _column_of_names(source, name, len(geometries))
         for own, geometry in zip(names, geometries, strict=True):
-            yield from _obstacles(geometry, own)
+            yield from _obstacles(geometry, own, None)
     elif getattr(source, "dtype", None) == np.bool_:
         raise InputError(
             f"{name}: an array of bool with shape {np.shape(source)} is an occupancy grid, but "
@@ -282,13 +387,23 @@ def _obstacles(source: Any, name: str) -> Iterator[Obstacle]:
     elif isinstance(source, Iterable) and not isinstance(source, bytes):
         entries = list(cast("Iterable[Any]", source))
         for number, entry in enumerate(entries, start=1):
-            yield from _obstacles(entry, name if len(entries) == 1 else f"{name} {number}")
+            own = name if len(entries) == 1 else f"{name} {number}"
+            yield from _obstacles(entry, own, origin_deg)
     else:
         raise InputError(
             f"{name}: an object of type {type(source).__name__} is not a polygon",
             key="world.obstacles",
             remedy="give a file, polygons, a GeoDataFrame, corners (n, 2) or an OccupancyGrid",
         )
+
+
+def _projected(geometry: Any, origin_deg: Origin) -> Any:
+    """Return a geometry in degrees as metres from the origin."""
+
+    def plane(degrees: NDArray[np.float64]) -> NDArray[np.float64]:
+        return east_north_m(degrees[:, 0], degrees[:, 1], origin_deg)
+
+    return shapely.transform(geometry, plane)
 
 
 def _column_of_names(table: Any, name: str, count: int) -> list[str]:

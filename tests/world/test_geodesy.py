@@ -7,6 +7,7 @@ from refusals import refused
 from planopt.world.geodesy import FARTHEST_M, east_north_m, longitude_latitude_deg, parse_origin
 
 ORIGINS = [(48.1374, 11.5755), (0.0, 0.0), (-33.9, 151.2), (78.2, -179.9)]
+TURNED = [*ORIGINS, (48.1374, 11.5755, 30.0), (-33.9, 151.2, -200.0)]
 
 
 @pytest.mark.parametrize("origin", ORIGINS)
@@ -43,7 +44,16 @@ def test_too_far() -> None:
     assert np.isfinite(found[0]).all() and np.isnan(found[1:]).all()
 
 
-@pytest.mark.parametrize("origin", ORIGINS)
+def test_axes_that_are_not_east_and_north() -> None:
+    """The x axis points 90 degrees to the left of east: north is x, west is y."""
+    longitude, latitude = np.array([11.58, 11.57]), np.array([48.14, 48.13])
+    east, north = east_north_m(longitude, latitude, ORIGINS[0]).T
+    x, y = east_north_m(longitude, latitude, (*ORIGINS[0], 90.0)).T
+    np.testing.assert_allclose([x, y], [north, -east], atol=1e-6)
+    assert parse_origin("48.1374, 11.5755, 90") == (*ORIGINS[0], 90.0)
+
+
+@pytest.mark.parametrize("origin", TURNED)
 def test_the_inverse(origin: tuple[float, float]) -> None:
     """Positions up to 90 km away return to a millimetre."""
     generator = np.random.default_rng(1)
@@ -54,7 +64,9 @@ def test_the_inverse(origin: tuple[float, float]) -> None:
     np.testing.assert_allclose(east_north_m(longitude, latitude, origin), places, atol=1e-3)
 
 
-@pytest.mark.parametrize("text", ["", "48", "48,11,5", "a,b", "nan,0", "90,0", "0,181", "inf,0"])
+@pytest.mark.parametrize(
+    "text", ["", "48", "48,1,11,5", "48,11,361", "a,b", "nan,0", "90,0", "0,181", "inf,0"]
+)
 def test_origins_that_are_none(text: str) -> None:
     """Neither is the pole one: it has no east."""
     with refused():

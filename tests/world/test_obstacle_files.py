@@ -10,8 +10,10 @@ import pytest
 import shapely
 from refusals import refused
 
-from planopt import Workspace
+from planopt import Workspace, obstacles_from
+from planopt.problems.schema import ObstacleTable, obstacles_of
 from planopt.world import footprint, obstacle_from_wkt, read_obstacles
+from planopt.world.geodesy import longitude_latitude_deg
 
 SQUARE = [[0, 0], [4, 0], [4, 4], [0, 4], [0, 0]]
 HOLE = [[1, 1], [2, 1], [2, 2], [1, 1]]
@@ -243,6 +245,67 @@ def geojson(folder: Path, name: object = "a", ring: object = TRIANGLE, **more: o
     path = folder / "map.geojson"
     path.write_text(json.dumps(feature))
     return path
+
+
+ORIGIN = (48.1374, 11.5755, 20.0)
+BLOCK = np.array([[10.0, 5.0], [40.0, 5.0], [40.0, 25.0], [10.0, 25.0], [10.0, 5.0]])
+
+
+def in_system(code: int) -> np.ndarray:
+    """The block's corners in a reference system."""
+    degrees = longitude_latitude_deg(BLOCK, ORIGIN)
+    if code == 4326:
+        return degrees
+    pyproj = pytest.importorskip("pyproj")
+    convert = pyproj.Transformer.from_crs(4326, code, always_xy=True)
+    return np.stack(convert.transform(*degrees.T), axis=-1)
+
+
+@pytest.mark.parametrize("code", [None, 4326, 25832, 3857])
+def test_reference_systems_become_metres(code: int | None, tmp_path: Path) -> None:
+    """By the origin of the frame, from degrees by RFC 7946 and from systems by number."""
+    named = {"crs": {"type": "name", "properties": {"name": f"urn:ogc:def:crs:EPSG::{code}"}}}
+    more = {} if code is None else named
+    path = geojson(tmp_path, ring=in_system(code or 4326).tolist(), **more)
+    (found,) = read_obstacles(path, origin_deg=ORIGIN)
+    np.testing.assert_allclose(shapely.get_coordinates(found.polygon), BLOCK, atol=2e-3)
+    (found,) = obstacles_from(path, origin_deg=ORIGIN)
+    assert found.polygon.area == pytest.approx(600.0, rel=1e-4)
+    tables = [{"file": path.name, "origin_deg": list(ORIGIN)}]
+    (found,) = obstacles_of([ObstacleTable.model_validate(each) for each in tables], tmp_path)
+    assert found.polygon.area == pytest.approx(600.0, rel=1e-4)
+
+
+def test_metres_remain_metres(tmp_path: Path) -> None:
+    """A file without a system whose numbers are far from the origin in degrees."""
+    path = geojson(tmp_path, ring=BLOCK.tolist())
+    (found,) = read_obstacles(path, origin_deg=ORIGIN)
+    np.testing.assert_array_equal(shapely.get_coordinates(found.polygon), BLOCK)
+
+
+@pytest.mark.parametrize(("code", "origin"), [(999999, ORIGIN), (25832, (0.0, 90.0))])
+def test_systems_that_do_not_fit(code: int, origin: tuple[float, ...], tmp_path: Path) -> None:
+    """Unknown, or far from the origin."""
+    named = {"crs": {"type": "name", "properties": {"name": f"EPSG:{code}"}}}
+    path = geojson(tmp_path, ring=in_system(25832).tolist(), **named)
+    with refused():
+        read_obstacles(path, origin_deg=origin)
+
+
+def test_lists_that_are_no_geojson(tmp_path: Path) -> None:
+    """Also with an origin."""
+    with refused():
+        read_obstacles(saved(tmp_path, "map.json", [[[1.0, 2.0]]]), origin_deg=ORIGIN)
+
+
+def test_geodataframes_of_any_system() -> None:
+    """GeoPandas reprojects; the origin places."""
+    geopandas = pytest.importorskip("geopandas")
+    polygon = shapely.Polygon(in_system(25832))
+    frame = geopandas.GeoDataFrame({"name": ["block"]}, geometry=[polygon], crs=25832)
+    (found,) = obstacles_from(frame, origin_deg=ORIGIN)
+    assert found.name == "block"
+    np.testing.assert_allclose(shapely.get_coordinates(found.polygon), BLOCK, atol=2e-3)
 
 
 @pytest.mark.parametrize("depth", [1500, 300_000])

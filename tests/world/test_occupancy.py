@@ -45,6 +45,32 @@ def test_trinary(tmp_path: Path) -> None:
     assert (grid.resolution_m, grid.origin_m) == (0.5, (-2.0, 1.0))
 
 
+@pytest.mark.parametrize("yaw", [0.3, -2.0, np.pi / 2])
+@pytest.mark.parametrize("unknown", ["occupied", "free"])
+def test_turned_map(yaw: float, unknown: str, tmp_path: Path) -> None:
+    """A position is closed where its cell is; beyond the map it is unknown."""
+    generator = np.random.default_rng(0)
+    shades = generator.choice(np.array([0, 205, 254], dtype=np.uint8), (40, 45))
+    text = YAML.replace("[-2.0, 1.0, 0.0]", f"[-2.0, 1.0, {yaw}]")
+    path = ros_map(tmp_path, text, shades)
+    grid = read_grid(path)
+    x_min, y_min, x_max, y_max = grid.bounds_m
+    places = generator.uniform((x_min, y_min), (x_max, y_max), (4000, 2))
+    away = places - np.array([-2.0, 1.0])
+    turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
+    column, row = np.floor(away @ turn / 0.5).astype(int).T
+    inside = (0 <= column) & (column < 45) & (0 <= row) & (row < 40)
+    grey = shades[::-1][np.clip(row, 0, 39), np.clip(column, 0, 44)]
+    closed = np.where(inside, grey == 0, False)
+    if unknown == "occupied":
+        closed |= np.where(inside, grey == 205, True)
+    union = shapely.union_all([each.polygon for each in read_obstacles(path, unknown)])
+    found = shapely.contains_xy(union, *places.T)
+    assert (found == closed).mean() > 0.999  # Other points are on an edge.
+    area = sum(each.polygon.area for each in read_obstacles(path, "free"))
+    assert area == pytest.approx(0.25 * (shades == 0).sum())
+
+
 def reference(shade: int, mode: str, negate: int, occupied: float, free: float) -> str:
     """What Nav2's map_io makes of an opaque pixel, written out for one pixel."""
     if mode == "raw":
@@ -115,7 +141,7 @@ def test_pgm_of_other_kinds(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new"),
     [
-        ("origin: [-2.0, 1.0, 0.0]", "origin: [0, 0, 0.1]"),
+        ("origin: [-2.0, 1.0, 0.0]", "origin: [0, 0, 90]"),
         ("origin: [-2.0, 1.0, 0.0]", "origin: [0]"),
         ("origin: [-2.0, 1.0, 0.0]", "origin: [.nan, 0, 0]"),
         ("origin: [-2.0, 1.0, 0.0]", "origin: [1e12, 0, 0]"),

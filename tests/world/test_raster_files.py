@@ -25,6 +25,7 @@ from planopt.world import (
     read_raster,
     write_rasters,
 )
+from planopt.world.geodesy import longitude_latitude_deg
 
 GRID_X = np.array([1.0, 3.0, 5.0])
 GRID_Y = np.array([-4.0, -1.0])
@@ -125,6 +126,53 @@ def test_round_trip(tmp_path: Path, ending: str) -> None:
         meaning = ("", "") if ending == ".csv" else (raster.quantity, raster.unit)
         assert (found.quantity, found.unit) == meaning
     assert [file.name for file in tmp_path.iterdir()] == [path.name]
+
+
+ORIGIN = (48.1374, 11.5755, 25.0)
+
+
+def degrees_of(raster: Raster) -> np.ndarray:
+    """Longitude and latitude of each cell; (ny, nx, 2)."""
+    x, y = np.meshgrid(raster.x_m, raster.y_m)
+    found = longitude_latitude_deg(np.stack([x.ravel(), y.ravel()], axis=1), ORIGIN)
+    return found.reshape(*x.shape, 2)
+
+
+def test_a_geotiff_lies_where_its_cells_are(tmp_path: Path) -> None:
+    """Read by rasterio, and converted to degrees by PROJ."""
+    rasterio = pytest.importorskip("rasterio")
+    warp = pytest.importorskip("rasterio.warp")
+    write_rasters(tmp_path / "map.tif", {"mean_db": MEAN}, ORIGIN)
+    with rasterio.open(tmp_path / "map.tif") as file:
+        assert file.units == (MEAN.unit,)
+        rows, columns = np.indices(MEAN.values.shape)
+        x, y = rasterio.transform.xy(file.transform, rows.ravel(), columns.ravel())
+        found = np.stack(warp.transform(file.crs, "EPSG:4326", x, y), axis=1)
+        np.testing.assert_array_equal(file.read(1), MEAN.values[::-1])
+    expected = degrees_of(MEAN)[::-1].reshape(-1, 2)
+    np.testing.assert_allclose(found, expected, atol=1e-8)
+
+
+@pytest.mark.parametrize("ending", ["nc", "csv", "npz"])
+def test_degrees_of_each_cell(ending: str, tmp_path: Path) -> None:
+    """Beside the map, which is read as before."""
+    path = tmp_path / f"map.{ending}"
+    write_rasters(path, {"mean_db": MEAN}, ORIGIN)
+    np.testing.assert_allclose(read_raster(path, "mean_db").values, MEAN.values)
+    if ending == "npz":
+        np.testing.assert_array_equal(np.load(path)["origin_deg"], ORIGIN)
+    elif ending == "csv":
+        table = np.genfromtxt(path, delimiter=",", names=True)
+        found = np.stack([table["longitude_deg"], table["latitude_deg"]], axis=1)
+        np.testing.assert_allclose(found, degrees_of(MEAN).reshape(-1, 2), atol=1e-9)
+    else:
+        xarray = pytest.importorskip("xarray")
+        with xarray.open_dataset(path, engine="scipy") as data:
+            assert data.mean_db.attrs["units"] == MEAN.unit
+            for number, name in enumerate(("longitude", "latitude")):
+                found = data.mean_db.coords[name]
+                assert found.attrs["standard_name"] == name
+                np.testing.assert_allclose(found.values, degrees_of(MEAN)[..., number])
 
 
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".nc", ".tif"])

@@ -8,11 +8,11 @@ from dataclasses import dataclass, fields
 from typing import Annotated, Any, Literal, cast
 
 import numpy as np
-from pydantic import Field, Strict
+from pydantic import Field
 
 from planopt.channel.parameters import Station
 from planopt.errors import InputError
-from planopt.keys import Decibels, Distance, Part, ReadAs, Table
+from planopt.keys import Decibels, Distance, OriginKey, Part, ReadAs, Table
 from planopt.world.geodesy import FARTHEST_M, Origin, east_north_m
 
 Columns = tuple[str | None, str | None, str | None]
@@ -89,13 +89,9 @@ class LogFormat(Part):
     """Standard deviation in metres of the position error per coordinate."""
     where: tuple[tuple[str, str], ...] = ()
     """Pairs of a column and a text. Only rows with all these texts are read."""
-    origin_deg: Annotated[
-        tuple[Annotated[float, Field(gt=-90, lt=90)], Annotated[float, Field(ge=-180, le=180)]]
-        | None,
-        Strict(False),
-    ] = None
-    """Latitude and longitude in degrees of the origin. If given, positions of the log are in
-    degrees (WGS 84) and become metres east and north of it."""
+    origin_deg: OriginKey = None
+    """Latitude and longitude in degrees of the origin, and the angle in degrees from east to the x
+    axis if it is not 0. If given, positions of the log are degrees (WGS 84) and become metres."""
     accuracy_column: ColumnName | None = None
     """Column of the radius in metres that contains the position with probability 68 %."""
     power_unit: PowerUnit | None = None

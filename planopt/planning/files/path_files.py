@@ -22,7 +22,6 @@ from planopt.errors import InputError
 from planopt.files.tables import Column, table_text
 from planopt.files.writing import write_text
 from planopt.planning.loop.results import Result, Run, Solution
-from planopt.problems.channel_setup import LoggedMeasurements
 from planopt.problems.problem import Problem
 from planopt.world.geodesy import Origin, longitude_latitude_deg, require_origin
 from planopt.world.nav2_masks import MaskLimits, write_masks
@@ -206,7 +205,6 @@ def path_of_result(result: Result, robot: int | str = 0) -> RobotPath:
             remedy=f"give one of {', '.join(names)}, or its number from 0 on",
         )
     source: Any
-    log = result.problem.channel.measurements
     if isinstance(result, Solution):
         source = result.plans[number]
     else:
@@ -217,7 +215,7 @@ def path_of_result(result: Result, robot: int | str = 0) -> RobotPath:
         source.positions_m,
         source.connectivity,
         result.problem.robots[number].speed_max_m_s,
-        origin_deg=log.log_format.origin_deg if isinstance(log, LoggedMeasurements) else None,
+        origin_deg=result.problem.channel.origin_deg,
     )
 
 

@@ -27,6 +27,7 @@ from planopt.planning.values.context import Aim
 from planopt.problems.problem import Problem
 from planopt.problems.tasks import task_of
 from planopt.short_repr import LINES, wrapped
+from planopt.world.geodesy import Origin
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -152,7 +153,7 @@ class Result(ABC):
         file: Path | str,
         *,
         robot: int | str = 0,
-        origin_deg: tuple[float, float] | None = None,
+        origin_deg: Origin | None = None,
         altitude_m: float = 0.0,
     ) -> None:
         """Write the path of a robot for other programs: the plan, or the driven path of a run.

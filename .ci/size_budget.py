@@ -15,10 +15,10 @@ from pathlib import Path
 BUDGET = {
     "lines": 70_000,
     "lines of code": 50_200,
-    "files": 289,
+    "files": 288,
     "functions": 3_700,
     "docstring lines": 8_740,
-    "lines of tests": 48_300,
+    "lines of tests": 47_700,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

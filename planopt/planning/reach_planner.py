@@ -34,7 +34,6 @@ from planopt.planning.certificate import (
     holes_on,
     named_holes,
 )
-from planopt.planning.goal_refinement import GoalRefinement
 from planopt.planning.horizon_planner import FallbackCascade, driven_start, last_drive
 from planopt.planning.plan import (
     BEGINNING,
@@ -54,6 +53,7 @@ from planopt.planning.programme.solver import PathShape
 from planopt.planning.proof.context import VerifierContext, search_prediction, verifier_context
 from planopt.planning.proof.motion import stands, stops_at_goal
 from planopt.planning.proof.searches import build_goal_grid
+from planopt.planning.refinement import GoalRefinement
 from planopt.planning.reservations import reserved_path
 from planopt.planning.scene import Scene, first_moves, retime
 from planopt.planning.search.global_search import GlobalSearch, GlobalStart

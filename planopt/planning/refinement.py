@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from time import perf_counter
 
 import numpy as np
 
 from planopt.arrays import Floats
 from planopt.channel.prediction import Prediction
+from planopt.objectives.reach import cruising_speed_m_s
+from planopt.objectives.stage_power import scores_of, stage_predictor
 from planopt.planning.candidates import Budget, Candidate, Scorer, solve_limit_s
 from planopt.planning.certificate import RuleResult
-from planopt.planning.plan import Rung, Termination
+from planopt.planning.plan import Rung, Termination, Verdict
+from planopt.planning.programme.goal_value import GoalValue, OutagePrice, margins_of
 from planopt.planning.programme.path_nlp import METHODS, PathNlp, build_path_nlp, near_start
 from planopt.planning.programme.path_polish import (
     LINE_REACH_STEPS,
@@ -27,21 +31,27 @@ from planopt.planning.programme.path_polish import (
 )
 from planopt.planning.programme.solver import MotionShape, PathShape
 from planopt.planning.proof.context import SEARCH_ERROR_DB, is_search_exact, obstacles_ahead
+from planopt.planning.proof.motion import is_at_goal
 from planopt.planning.proof.rule import rule_of
-from planopt.planning.scene import Ground
+from planopt.planning.scene import Ground, Scene, retime
+from planopt.planning.search.global_search import GlobalStart
 from planopt.planning.search.guess_search import Guess
-from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
+from planopt.planning.search.pivot import Ahead
+from planopt.planning.tolerances import MARGIN_PAD_DB, MARGIN_TOLERANCE_DB, STANDSTILL_M, STEP_PAD_M
 from planopt.planning.values.context import StepContext, structure_of
 from planopt.planning.values.local_value import local_value
+from planopt.planning.values.objective_value import ReachCost
 from planopt.planning.values.rule_rows import (
     RuleRows,
     has_step_rows,
     has_sum_row,
     rows_again,
     rule_rows,
+    step_rows,
 )
 from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Drive, braked_motion, rolled_out
+from planopt.targets.rounding import Derivatives
 from planopt.world.moving_discs import MovingDiscs
 from planopt.world.separation import (
     SeparatingLines,
@@ -136,9 +146,14 @@ def lacks(
     return bool((short_db[point.slack_db <= GIVEN_UP_DB] > most).any())
 
 
-def moved(task: PathTask, context: StepContext, rows: RuleRows, path_m: Floats) -> PathTask:
-    """Return the task for another path (N, 2), with the local channel model around this path."""
-    return replace(task, path_m=path_m, evaluate=local_value(context, path_m, rows))
+def moved(
+    task: PathTask, context: StepContext, rows: RuleRows, path_m: Floats, drive: Drive | None
+) -> PathTask:
+    """Return the task for another guess, with the local channel model around its path (N, 2)."""
+    evaluate, motion = local_value(context, path_m, rows), task.motion
+    if motion is not None and drive is not None:
+        motion = replace(motion, drive=drive)
+    return replace(task, path_m=path_m, evaluate=evaluate, motion=motion)
 
 
 LINES_PER_SEGMENT = 2
@@ -243,7 +258,7 @@ class GuessRefinement:
                 if budget.spent or point.termination not in RETURNED:
                     return found
                 # The next solve corrects the local model by its error at the returned path.
-                task = _driven_from(moved(task, context, rows, point.path_m), drive)
+                task = moved(task, context, rows, point.path_m, drive)
                 power = context.predicted(point.path_m)
                 task = replace(task, bound=tightened(task, rows, power, feasible=False))
                 continue
@@ -268,7 +283,7 @@ class GuessRefinement:
             if again is None:
                 return found
             rows, allocations = again, allocations - 1
-            task = _driven_from(moved(task, context, rows, candidate.path_m), drive)
+            task = moved(task, context, rows, candidate.path_m, drive)
             task = with_bounds(task, context, rows)
         return found
 
@@ -281,14 +296,8 @@ class GuessRefinement:
         discs = context.moving
         tail = tail_count(discs, len(task.path_m))
         first, last = split_lines(task.lines, int(task.lines.piece.shape[1]) - tail)
-        lines = lines_with_violated(
-            self._problem,
-            self._ground.pieces,
-            discs,
-            first,
-            np.vstack([task.start_m, task.path_m]),
-            np.vstack([task.start_m, candidate.path_m]),
-        )
+        path = candidate.path_m
+        lines = lines_with_violated(self._problem, self._ground.pieces, discs, task, path, first)
         if lines is not None and tail:
             lines = joined_lines(lines, last)
         if lines is not None:
@@ -296,7 +305,6 @@ class GuessRefinement:
         drive, motion = candidate.drive, task.motion
         if drive is None or motion is None:
             return None
-        path = candidate.path_m
         lines, stop = self._lines_about(context, path, drive, motion.shape.lines)
         motion = replace(motion, drive=drive, stop_lines=stop)
         return replace(task, path_m=path, lines=lines, motion=motion)
@@ -327,8 +335,164 @@ class GuessRefinement:
         return joined_lines(lines, last), joined_lines(stop, still)
 
 
-def _driven_from(task: PathTask, drive: Drive | None) -> PathTask:
-    """Return the task with a drive as guess; unchanged for the single integrator."""
-    if task.motion is None or drive is None:
-        return task
-    return replace(task, motion=replace(task.motion, drive=drive))
+@dataclass(frozen=True, eq=False)
+class GoalRefinement:
+    """Refinement of initial guesses for one step to a goal, in the order of the fallbacks."""
+
+    nlp: PathNlp
+    scene: Scene
+    step: StepContext  # Planner's context, thresholds lowered by bounded slack
+    scorer: Scorer
+    cost: ReachCost
+    start: GlobalStart
+    ahead: Ahead
+    lattice_objective: float
+    budget: Budget
+
+    def attempts(self, shifted_m: Floats | None) -> Iterator[Candidate]:
+        """Yield verified or rejected candidates, those from the best guess first.
+
+        If the shifted last plan costs less than the lattice path, it is the best guess.
+        """
+        start_m = self.start.path_m
+        starts = [(start_m, Rung.RELAXED)]
+        if not (self.start.margin_db < 0.0).any():
+            problem = self.scorer.problem
+            effort, fastest = problem.reach.effort_weight_s2_m2, problem.robots[0].speed_max_m_s
+            step_m = cruising_speed_m_s(effort, fastest) * problem.planner.step_s - STEP_PAD_M
+            retimed = retime(self.scorer.position_m, start_m, self.start.beyond_m, step_m)
+            starts = [(retimed, Rung.PLAN), (start_m, Rung.COLD_RETRY)]
+        if shifted_m is not None:
+            shifted_m = self._drawn_on(shifted_m)
+            margins = step_rows(self.step, shifted_m).margins_db(self.cost.power(shifted_m))
+            relaxes = bool((margins < 0.0).any())
+            if self.scorer.objective(shifted_m) < self.lattice_objective:
+                starts.insert(0, (shifted_m, Rung.RELAXED if relaxes else Rung.PLAN))
+            else:
+                starts.append((shifted_m, Rung.RELAXED if relaxes else Rung.COLD_RETRY))
+        for path_m, rung in starts:
+            for candidate in self._from(path_m, rung):
+                sooner = self._sooner(candidate)
+                if sooner is not None:
+                    yield sooner
+                    candidate = replace(candidate, solve_s=0.0, iterations=0)
+                yield candidate
+
+    def _drawn_on(self, shifted_m: Floats) -> Floats:
+        """Return the shifted last plan, whose last step moves towards the terminal waypoint."""
+        problem, before = self.scorer.problem, shifted_m[-1]
+        to_pivot = self.ahead.leading(before).position_m - before
+        away, longest = float(np.linalg.norm(to_pivot)), problem.step_length_m - STEP_PAD_M
+        goal_away = np.linalg.norm(before - np.asarray(problem.goal_m))
+        if len(shifted_m) == 1 or away == 0.0 or goal_away <= problem.constraints.goal_radius_m:
+            return shifted_m
+        return np.vstack([shifted_m[:-1], before + to_pivot * min(1.0, longest / away)])
+
+    def _sooner(self, candidate: Candidate) -> Candidate | None:
+        """Return a candidate that drives the same path in fewer steps; None if there is none."""
+        problem = self.scorer.problem
+        path = np.vstack([self.scorer.position_m, candidate.path_m])
+        away = np.linalg.norm(path - np.asarray(problem.goal_m), axis=1)
+        there = np.nonzero(away <= problem.constraints.goal_radius_m)[0]
+        arrives = there.size > 0 and there[0] >= 2
+        if candidate.verdict is not Verdict.VERIFIED or not arrives or self.budget.spent:
+            return None
+        faster = retime(path[0], candidate.path_m, path[:0], problem.step_length_m - STEP_PAD_M)
+        if np.linalg.norm(faster[there[0] - 2] - faster[-1]) > 0.0:
+            return None
+        begun, rows = perf_counter(), step_rows(self.step, faster)
+        task = self._task(faster, rows)
+        bound = tightened(task, rows, self.cost.power(faster), feasible=True)
+        better = self._refined(task, bound, candidate.rung, begun)
+        better = replace(
+            better,
+            solve_s=better.solve_s + candidate.solve_s,
+            iterations=better.iterations + candidate.iterations,
+        )
+        is_better = better.objective < candidate.objective
+        return better if better.verdict is Verdict.VERIFIED and is_better else None
+
+    def _from(self, path_m: Floats, rung: Rung) -> Iterator[Candidate]:
+        """Yield refinements of a path, each with separating lines for its predecessor's collisions.
+
+        Steps that satisfy p_min in the guess keep it as a constraint; RELAXED frees the others.
+        """
+        if self.budget.spent:
+            return
+        rows = step_rows(self.step, path_m)
+        task = self._task(path_m, rows)
+        power = self.cost.power(path_m)
+        bound = tightened(task, rows, power, feasible=True)
+        free = (rows.margins_db(power) < 0.0) & (rung is Rung.RELAXED)
+        bound[free] = -np.inf
+        begun = perf_counter()
+        for _ in range(REPAIRS):
+            if self.budget.spent:
+                return
+            candidate = self._refined(task, bound, rung, begun)
+            yield candidate
+            begun = perf_counter()
+            if not candidate.sound:
+                scene = self.scorer.problem, self.scene.pieces, self.scorer.context.moving
+                lines = lines_with_violated(*scene, task, candidate.path_m, task.lines)
+                if lines is None:
+                    return
+                task = replace(task, lines=lines)
+            power = None if candidate.found is None else candidate.found.power
+            if power is None:
+                return
+            planned = Prediction(power.mean_db[1:], power.deviation_db[1:])
+            lacking = np.where(free, 0.0, -rows.margins_db(planned))
+            if candidate.sound and not (lacking > 0.0).any():
+                return
+            bound = bound + np.where(lacking > 0.0, lacking + MARGIN_PAD_DB, 0.0)
+
+    def _refined(self, task: PathTask, bound: Floats, rung: Rung, begun_s: float) -> Candidate:
+        """Return the candidate that refines a task under constraint bounds `bound`, verified."""
+        point = polish_path(self.nlp, replace(task, bound=bound))
+        spent_s, before = perf_counter() - begun_s, self.lattice_objective
+        assessed = self.scorer.assessed(candidate_of(self.scorer, point, rung, before, spent_s))
+        # The refined path may satisfy a constraint that the guess violates.
+        met_after_all = rung is Rung.RELAXED and not assessed.relaxes
+        return replace(assessed, rung=Rung.PLAN) if met_after_all else assessed
+
+    def _task(self, path_m: Floats, rows: RuleRows) -> PathTask:
+        """Return the optimisation problem that refines a guess `path_m`."""
+        scorer, cost = self.scorer, self.cost
+        problem, pivot = scorer.problem, self.ahead.leading(path_m[-1])
+        ends = np.vstack([scorer.position_m, path_m])
+        pieces, moving = self.scene.pieces, scorer.context.moving
+        # A guess that waits at its end has arrived, at the goal or a waiting position. A refinement
+        # over the whole horizon would never arrive.
+        standing = np.linalg.norm(path_m - path_m[-1], axis=1) <= STANDSTILL_M
+        arrival = len(path_m) - int(np.argmin(standing[::-1])) if not standing.all() else 0
+        dwells = is_at_goal(problem, path_m[-1]) or arrival < len(path_m) - 1
+        before, charged = cost.outage_charges(path_m)
+        # The rate must cover the most expensive metre of the path, or driving it would not pay.
+        metre_cost = max(pivot.metre_cost, float(cost.metre_costs(path_m).max()))
+        predict_stages = stage_predictor(scorer.context.law, path_m, problem.planner.neighbours)
+
+        def margins(positions_m: Floats) -> tuple[Derivatives, Derivatives]:
+            power = predict_stages(positions_m)
+            scores = scores_of(*power, cost.threshold_dbm)
+            return margins_of(*power, rows.threshold_dbm, rows.quantile), scores
+
+        value = GoalValue(
+            start_m=scorer.position_m,
+            pivot_m=pivot.position_m,
+            effort_s_m2=problem.reach.effort_weight_s2_m2 / problem.planner.step_s,
+            rate_s_m=cost.rate_s_m * metre_cost,
+            outage=OutagePrice(cost.rate_s_m * cost.outage_price, before, charged),
+            margins=margins,
+        )
+        return PathTask(
+            start_m=scorer.position_m,
+            path_m=path_m,
+            lines=lines_about(problem, pieces, moving, ends, self.nlp.shape.lines),
+            clearance_m=problem.constraints.clearance_m,
+            step_length_m=problem.step_length_m,
+            bounds_m=problem.workspace.bounds_m,
+            evaluate=value,
+            scale=1.0,
+            arrival=arrival + 1 if dwells else None,
+        )

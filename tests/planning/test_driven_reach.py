@@ -179,14 +179,6 @@ def test_standing_in_a_hole_it_goes_straight_to_the_goal(start_x_m: float, horiz
     assert simulation.run.metrics.goal_time_s <= least_s + 2 * problem.planner.step_s
 
 
-def test_unconnected_gap_is_crossed_or_gone_round() -> None:
-    """The bound is kept where a way keeps it."""
-    problem = reach(dynamics=BOAT, cost_to_go="connected", horizon=8)
-    simulation = driven(problem, bad_band(18.0, 22.0, 22.0))
-    assert simulation.run.outcome is Outcome.REACHED, simulation.run.reason
-    assert simulation.run.log.positions_m[:, 1].max() > 20.0
-
-
 SEED = 3
 
 

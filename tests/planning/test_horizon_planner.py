@@ -99,26 +99,6 @@ def test_an_expression_of_another_horizon_is_refused():
         solve(problem, horizon=3)
 
 
-def test_lattice_planner_takes_the_best_start():
-    """Without polish the plan is the best start, and its worth the lattice's."""
-    plan, *_ = planned(terms_problem(TRACKING, name="lattice"))
-    assert (plan.rung, plan.iterations) == (Rung.PLAN, 0)
-    assert plan.objective == pytest.approx(plan.lattice_objective)
-    polished, *_ = planned(terms_problem(TRACKING))
-    assert polished.objective >= plan.objective
-
-
-def test_bound_that_cannot_be_kept_is_relaxed_with_proof():
-    """From a place that is cut off the plan says so, step by step."""
-    problem = terms_problem(TRACKING, p_min=0.9)
-    radio = replace(problem.stations[0], threshold_dbm=-20.0)
-    plan, *_ = planned(replace(problem, stations=(radio,)))
-    assert plan.certificate.relaxed_steps
-    assert max(plan.certificate.best_margin_db) < 0.0
-    # Met at no step at all: an answer, not a verified plan.
-    assert plan.verdict is Verdict.VIOLATED
-
-
 def test_without_starts_the_last_plan_goes_on(monkeypatch):
     """The shifted plan is checked again; without one the robot stands."""
     problem = terms_problem(TRACKING)
@@ -133,50 +113,6 @@ def test_without_starts_the_last_plan_goes_on(monkeypatch):
     standing = planner.plan(context, scorer)
     assert standing.rung is Rung.STOP
     assert np.ptp(standing.positions_m, axis=0).max() == 0.0
-
-
-def test_mirrored_scene_gives_the_mirrored_plan():
-    """Nothing prefers left to right but ties and rounding."""
-    problem = terms_problem(TRACKING)
-    plan, context, _ = planned(problem)
-
-    def mirror(places):
-        return np.asarray(places) * [-1.0, 1.0] + [40.0, 0.0]
-
-    measured = context.posterior.measurements
-    parameters = replace(
-        context.posterior.parameters,
-        station=replace(
-            context.posterior.parameters.station,
-            position_m=tuple(mirror(context.posterior.parameters.station.position_m)),
-        ),
-    )
-    posterior = condition(parameters, replace(measured, positions_m=mirror(measured.positions_m)))
-    # The obstacle is symmetric about x = 20.
-    start = tuple(float(v) for v in mirror(problem.robots[0].start_m))
-    mirrored = replace(
-        problem,
-        robots=(replace(problem.robots[0], start_m=start),),
-        stations=(
-            replace(
-                problem.stations[0],
-                position_m=parameters.station.position_m,
-                height_m=parameters.station.height_m,
-            ),
-        ),
-    )
-    there, belief = context_of(problem)
-    there = replace(
-        there,
-        problem=mirrored,
-        posteriors=(posterior,),
-        state=np.asarray(start),
-        target_m=mirror(there.target_m),
-    )
-    scorer, ground = scorer_of(there, replace(belief, posterior=posterior))
-    other = HorizonPlanner(mirrored, ground).plan(there, scorer)
-    assert other.objective == pytest.approx(plan.objective, rel=1e-4)
-    np.testing.assert_allclose(mirror(other.positions_m), plan.positions_m, atol=0.05)
 
 
 def test_bound_is_kept_where_the_neighbours_mislead(monkeypatch):

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
@@ -172,39 +169,3 @@ def test_names_of_planopt_stay():
             """A name that is taken."""
 
             kind: ClassVar[str] = "average"
-
-
-SCRIPT = """
-from dataclasses import dataclass, replace
-from typing import ClassVar
-
-import planopt
-
-
-@dataclass(frozen=True)
-class Likely(planopt.extend.OwnRule):
-    kind: ClassVar[str] = "likely"
-
-    def achieved(self, probability, history):
-        return probability.max(axis=-1)
-
-
-if __name__ == "__main__":
-    problem = planopt.load("outdoor_track")
-    rule = planopt.ConnectivityRule("likely")
-    limits = replace(problem.constraints, p_min=0.5, rule=rule)
-    settings = replace(problem.planner, max_steps=2)
-    problem = replace(problem, constraints=limits, planner=settings)
-    found = planopt.compare(problem, [2], seeds=range(2), workers=2)
-    print(len(found.runs))
-"""
-
-
-def test_workers_know_rules_of_a_script(tmp_path: Path):
-    """A class that only the script has reaches the processes of its comparison."""
-    script = tmp_path / "script.py"
-    script.write_text(SCRIPT)
-    done = subprocess.run(
-        [sys.executable, script], capture_output=True, text=True, timeout=300, check=False
-    )
-    assert (done.returncode, done.stdout) == (0, "2\n"), done.stderr

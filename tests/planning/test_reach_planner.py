@@ -19,12 +19,11 @@ from scenes import (
     verified,
 )
 
-import planopt.planning.goal_refinement as refine_module
+import planopt.planning.refinement as refine_module
 from planopt import Plan, Problem, Verdict
 from planopt.extend import Rung, Termination
 from planopt.objectives.reach import path_cost_s
 from planopt.planning.programme import path_nlp
-from planopt.planning.programme.path_nlp import GOAL
 from planopt.planning.programme.solver import NlpPoint
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
@@ -125,41 +124,6 @@ def test_same_again(name):
         assert (plan.positions_m == first.positions_m).all()
         assert plan.objective == first.objective
         assert plan.certificate == first.certificate
-
-
-def mirrored(problem: Problem) -> Problem:
-    """The scene seen from the other side of the axis x = 20."""
-
-    def flip(place):
-        return (40.0 - place[0], place[1])
-
-    robot = problem.robots[0]
-    obstacles = tuple(
-        replace(o, polygon=shapely.transform(o.polygon, lambda q: q * (-1, 1) + (40.0, 0.0)))
-        for o in problem.workspace.obstacles
-    )
-    return replace(
-        problem,
-        workspace=replace(problem.workspace, obstacles=obstacles),
-        robots=(replace(robot, start_m=flip(robot.start_m), goal_m=flip(robot.goal_m)),),
-    )
-
-
-@pytest.mark.parametrize("name", ["open", "wall", "wall, long", "brackets", "out of a cup"])
-def test_mirrored_scene_costs_the_same(name):
-    """The lattice is anchored at the goal, so that it is mirrored too."""
-    plan, other = planned(SCENES[name]), planned(mirrored(SCENES[name]))
-    assert other.verdict is Verdict.VERIFIED
-    assert other.lattice_objective == pytest.approx(plan.lattice_objective, rel=1e-9)
-    assert other.objective == pytest.approx(plan.objective, rel=1e-3)
-
-
-def test_wall_between_samples():
-    """A wall thinner than a step is gone round, not jumped: beside it in the middle of its side."""
-    problem = small_problem(WALL, start_m=(19.0, 15.0), goal_m=(21.0, 15.0), horizon=15)
-    plan = planned(problem)
-    assert_good(problem, plan)
-    assert np.abs(plan.positions_m[:, 1] - 15.0).max() > 9.0
 
 
 def test_hole_below_the_bound_is_gone_round():
@@ -354,38 +318,6 @@ def test_real_evaluation_error(monkeypatch):
     assert plan.rung is Rung.LATTICE
     monkeypatch.undo()
     assert planner.plan(belief, np.array([17.0, 15.0])).rung is Rung.PLAN
-
-
-def test_real_iteration_limit(monkeypatch):
-    """Two iterations are too few: what is released is verified and no worse than the lattice."""
-    monkeypatch.setitem(GOAL, "ipopt.max_iter", 1)
-    problem = small_problem(CUP, start_m=(18.0, 15.0), horizon=12)
-    plan = planner_of(problem).plan(belief_of(problem), np.array([18.0, 15.0]))
-    assert_safe(problem, plan)
-    assert plan.verdict is Verdict.VERIFIED
-    assert plan.objective <= plan.lattice_objective
-
-
-def test_failure_below_the_bound(failure):
-    """From a hole in the bound the lattice's own way out is released as relaxed."""
-    problem = small_problem(horizon=6)
-    plan = planner_of(problem).plan(
-        belief_of(problem, bad_disc(5.0, 15.0, 3.5)), np.array([5.0, 15.0])
-    )
-    assert_safe(problem, plan)
-    assert plan.rung is Rung.RELAXED
-    assert plan.verdict is Verdict.VERIFIED
-    assert plan.certificate.relaxed_steps == (1,)
-    assert "step" in plan.message and "dB" in plan.message
-
-
-def test_failure_where_the_bound_is_met_nowhere(failure):
-    """Nothing is verified, nothing unsafe is released, and the message has its number."""
-    problem = small_problem(WALL, start_m=(17.0, 15.0), horizon=8)
-    plan = planner_of(problem).plan(belief_of(problem, bad_everywhere), np.array([17.0, 15.0]))
-    assert_safe(problem, plan)
-    assert plan.verdict is Verdict.VIOLATED
-    assert "met nowhere" in plan.message and "dB" in plan.message
 
 
 def without_lattice(planner: ReachPlanner, monkeypatch) -> None:

@@ -17,7 +17,7 @@ from scenes import (
     small_problem,
 )
 
-import planopt.planning.goal_refinement as refine
+import planopt.planning.refinement as refine
 from planopt import Verdict
 from planopt.extend import Rung
 from planopt.planning.candidates import Budget, Scorer

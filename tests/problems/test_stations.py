@@ -11,7 +11,6 @@ from refusals import refused
 from planopt import Problem
 from planopt.extend import casadi_term
 from planopt.planning.initial_data import draw_initial_data
-from planopt.problems import problem_from_dict, problem_to_dict
 from planopt.problems.library import find_problem, read_toml
 from planopt.problems.problem import problem_from_tables
 
@@ -58,15 +57,6 @@ def set_in(*keys: Any) -> Change:
         found[last] = value
 
     return change
-
-
-@pytest.mark.parametrize("change", [lambda tables: None, logged, raster, both(logged, raster)])
-def test_saving_keeps_every_key(change: Change, tmp_path: Path) -> None:
-    """A problem is the same after a round trip, files by their absolute names."""
-    problem = changed(change, tmp_path)
-    again = problem_from_dict(problem_to_dict(problem))
-    assert again.stations == problem.stations
-    assert problem_to_dict(again) == problem_to_dict(problem)
 
 
 @pytest.mark.parametrize(

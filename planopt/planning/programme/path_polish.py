@@ -213,12 +213,12 @@ def lines_with_violated(
     problem: Problem,
     pieces: PackedPieces,
     discs: MovingDiscs,
+    task: PathTask,
+    found_m: Floats,  # (N, 2)
     lines: SeparatingLines,
-    guess_m: Floats,
-    path_m: Floats,
 ) -> SeparatingLines | None:
-    """Return the guess's lines plus lines for collisions of a path; None if there are none."""
-    # Shapes: guess_m, path_m (N + 1, 2).
+    """Return the guess's `lines` plus lines for collisions of a path; None if there are none."""
+    guess_m, path_m = (np.vstack([task.start_m, each]) for each in (task.path_m, found_m))
     standing = lines.piece.shape[1] - moving_count(discs)
     chosen = lines.piece[:, :standing].copy()
     now = separating_lines(pieces, path_m[:-1], path_m[1:], standing, problem.step_length_m)

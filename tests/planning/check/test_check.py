@@ -203,14 +203,6 @@ def test_an_easier_bound_is_remarked_upon(plan_folder: Path) -> None:
     )
 
 
-def test_rejects_measurements_that_were_changed(plan_folder: Path) -> None:
-    """Powers that were raised after the plan are not those of problem and seed."""
-    with np.load(plan_folder / "belief.npz") as archive:
-        power = archive["power_dbm"]
-    edit_belief(plan_folder, power_dbm=power + 1.0)
-    rejected(plan_folder, "belief.npz, key power_dbm[0]", "found with seed 0")
-
-
 def test_a_plan_that_was_not_verified_stays_so(tmp_path: Path) -> None:
     """A threshold that cannot be met: the verifier's own reasons, and no quarrel about them."""
     problem = load("open_field")
@@ -286,16 +278,6 @@ def test_a_run_that_does_not_end_as_it_says_is_not_read(run_folder: Path) -> Non
     edit_json(run_folder, "run.json", lambda d: d["plans"][0]["released"].pop())
     with pytest.raises(InputError, match="the run ends after step 7"):
         load_result(run_folder)
-
-
-def test_rejects_a_measurement_from_elsewhere(run_folder: Path) -> None:
-    """What was measured on the way was measured where the robot was."""
-    with np.load(run_folder / "belief.npz") as archive:
-        positions, first = archive["positions_m"], archive["first_measurements"]
-    assert len(positions) > first
-    positions[-1] += 0.5
-    edit_belief(run_folder, positions_m=positions)
-    rejected(run_folder, "belief.npz, key positions_m")
 
 
 def test_a_run_of_no_step(tmp_path: Path) -> None:

@@ -9,9 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from planopt import InputError, OutputError, Run, Solution, load
+from planopt import InputError, Run, Solution, load
 from planopt.files.tables import documented
-from planopt.planning.files import saved as saved_module
 from planopt.planning.files.belief_file import known_before_steps
 from planopt.planning.files.run_tables import KNOWLEDGE_COLUMNS, STEP_COLUMNS
 from planopt.planning.files.saved import read_saved
@@ -72,19 +71,6 @@ def test_a_run_has_the_files_of_the_contract(run_folder: Path, simulation: Run) 
     assert len(json.loads((run_folder / "run.json").read_text())["plans"][0]["released"]) == 6
 
 
-def test_what_is_read_is_what_was_saved(plan_folder: Path, solution: Solution) -> None:
-    """Places, problem and measurements come back exactly, by folder and by file."""
-    for path in (plan_folder, plan_folder / "plan.json"):
-        back = read_saved(path)
-        [[plan]], [belief] = back.plans, back.beliefs
-        assert np.array_equal(plan.path_m, solution.plan.positions_m)
-        assert np.array_equal(back.tables["steps.csv"]["x_m"], solution.plan.positions_m[:, 0])
-        assert back.problem.robots == solution.problem.robots
-        assert np.array_equal(
-            belief.measurements.power_dbm, solution.belief.posterior.measurements.power_dbm
-        )
-
-
 def test_each_step_knows_what_was_measured_before_it(simulation: Run) -> None:
     """A step's count grows by one after a step that ended where something was measured."""
     track = simulation.run.log.positions_m
@@ -95,35 +81,6 @@ def test_each_step_knows_what_was_measured_before_it(simulation: Run) -> None:
     assert known[0] == simulation.first_measurements
     assert np.diff(known).tolist() == [int(m) for m in measured[:-1]]
     assert known[-1] + int(measured[-1]) == len(simulation.belief.posterior.measurements)
-
-
-def test_an_earlier_result_is_withdrawn(run_folder: Path, solution: Solution) -> None:
-    """A plan saved over a run leaves no run.json beside files that are no longer its own."""
-    solution.save(run_folder)
-    assert not (run_folder / "run.json").exists()
-    assert read_saved(run_folder).file.name == "plan.json"
-
-
-def test_an_earlier_result_stays_until_the_new_one_is_whole(
-    run_folder: Path, solution: Solution, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """If saving fails on the way, the folder is as it was, to the byte."""
-    before = {file.name: file.read_bytes() for file in run_folder.iterdir()}
-
-    def fail(*_: object) -> None:
-        raise OutputError("disk full")
-
-    monkeypatch.setattr(saved_module, "write", fail)
-    with pytest.raises(OutputError):
-        solution.save(run_folder)
-    assert {file.name: file.read_bytes() for file in run_folder.iterdir()} == before
-
-
-def test_saving_into_no_folder(tmp_path: Path, solution: Solution) -> None:
-    """A file where the folder should be is an error of output."""
-    (tmp_path / "file").write_text("")
-    with pytest.raises(OutputError):
-        solution.save(tmp_path / "file")
 
 
 def edit(name: str, change: Callable[[dict], object]) -> Callable[[Path], object]:

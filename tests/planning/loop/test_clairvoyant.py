@@ -72,19 +72,6 @@ def test_holes_between_the_ends_of_steps_are_charged(tmp_path: Path) -> None:
     assert cost_m == pytest.approx(50.0 + PRICE * out.sum(), abs=1.0)
 
 
-def test_cost_of_a_connected_straight_way(tmp_path: Path) -> None:
-    """Without a hole it is the straight way and its length."""
-    _, cost_m = path_of(strip(tmp_path, np.linspace(-50.0, -60.0, 60)))
-    assert cost_m == pytest.approx(50.0, rel=1e-9)
-
-
-def test_cost_of_one_wide_hole(tmp_path: Path) -> None:
-    """A hole of 20 m across the whole strip: 10 more for each of its metres."""
-    x = np.arange(0.5, 60.0)
-    _, cost_m = path_of(strip(tmp_path, np.where((x > 20.0) & (x < 40.0), -100.0, -60.0)))
-    assert cost_m == pytest.approx(50.0 + PRICE * 20.0, abs=1.0)
-
-
 def test_it_goes_round_a_hole_if_that_is_cheaper(tmp_path: Path) -> None:
     """A hole that leaves 5 m free at one side: the taut way round its corners, to a few percent."""
     rows = np.full((20, 60), -60.0)

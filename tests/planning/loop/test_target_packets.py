@@ -10,7 +10,6 @@ import pytest
 
 from planopt import InputError, check, load, simulate
 from planopt.channel import condition
-from planopt.objectives import TermsObjective
 from planopt.planning.loop.metrics import run_metrics
 from planopt.planning.loop.results import summary_of
 from planopt.planning.stepping import aim_of, counted, watch_target
@@ -103,19 +102,6 @@ def test_a_run_of_estimates_is_judged_from_its_files(tmp_path):
     assert check(tmp_path / "run").reasons == ()
     assert run.target is not None and raw.target is not None
     assert not np.array_equal(run.target.station_variance_m2, raw.target.station_variance_m2)
-
-
-def test_plans_for_estimates_are_checked_from_files(tmp_path):
-    """By the form that follows the filter."""
-    problem = load("fig4")
-    term = replace(problem.terms[0], form="recourse")
-    planner = replace(problem.planner, name="lattice", max_steps=4, horizon=4)
-    weak = replace(problem.stations[0], threshold_dbm=-32.0)
-    problem = replace(problem, objective=TermsObjective((term,)), planner=planner, stations=(weak,))
-    target = replace(problem.targets[0], packets="estimates")
-    estimates = replace(problem, targets=(target,))
-    simulate(estimates, seed=1).save(tmp_path / "run")
-    assert check(tmp_path / "run").reasons == ()
 
 
 def with_receiver(receive_dbm):

@@ -232,14 +232,6 @@ def test_a_slope_stops_the_path_where_the_bound_does(nlp):
     assert polished.slack_db.size == 0
 
 
-def test_a_hard_bound_out_of_reach_is_infeasible(nlp):
-    """It is refused, and by how much is in the residual."""
-    task = reach_task(N, LINES, bound=np.full(N, 11.0))
-    polished = polish_path(nlp, task)
-    assert polished.termination is Termination.INFEASIBLE
-    assert polished.kkt_residual >= 0.99
-
-
 # Price of outage.
 
 

@@ -149,34 +149,6 @@ def test_connectivity_counts_the_uncertainty_of_theta():
     assert certificate.min_connectivity == pytest.approx(probability.min(), abs=1e-8)
 
 
-def test_good_plan():
-    """Nothing to object to; the certificate says what was found."""
-    problem = small_problem(WALL)
-    path = straight_path(problem)
-    belief = belief_of(problem)
-    index = index_obstacles(problem.workspace)
-    found = verified(problem, index, belief.posterior, path[0], path, 0.25)
-    certificate, verdict = found.certificate, found.verdict
-    assert verdict is Verdict.VERIFIED
-    assert certificate.min_clearance_m == pytest.approx(19.9 - path[-1, 0])
-    assert certificate.kkt_residual == 0.25
-    assert certificate.posterior == "exact"
-    assert certificate.dynamics_defect <= 0.0
-    assert certificate.relaxed_steps == certificate.relaxation_db == ()
-    assert certificate.best_margin_db == ()
-    assert certificate.path_cost_m is certificate.best_cost_m is None
-
-
-def test_every_reason_is_given():
-    """A plan that breaks everything hears of everything."""
-    problem = small_problem(WALL)
-    path = [(19.0, 15.0), (45.0, 15.0)]
-    certificate, verdict = assessed(problem, path, bad_everywhere)
-    assert verdict is Verdict.VIOLATED
-    for key in ("clearance_m", "bounds_m", "speed_max_m_s", "p_min"):
-        assert any(key in reason for reason in certificate.reasons)
-
-
 def test_margin_to_a_hundredth_of_a_db():
     """A threshold a hundredth of a dB too high for the only step is seen; as much lower is kept."""
     path = np.array([(5.0, 15.0), (6.0, 16.0)])

@@ -104,8 +104,8 @@ for number in sizes:
         ("double integrators, to one place", middle, inert),
     ):
         limits = MoveLimits(speed_m_s=3.0, body_radius_m=1.0, **more)
-        jobs[word] = lambda p=places, g=ground, a=aims, m=limits: plan_moves(
-            g, Motion.at_rest(p), a, m, 0.5, 10
+        jobs[word] = lambda p=places, g=ground, a=aims, m=limits: (
+            plan_moves(g, Motion.at_rest(p), a, m, 0.5, 10).motion
         )
     for word, job in jobs.items():
         begun = process_time()

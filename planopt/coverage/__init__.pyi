@@ -18,8 +18,10 @@ from planopt.coverage.control.movers import LawMover as LawMover
 from planopt.coverage.control.movers import RecedingMover as RecedingMover
 from planopt.coverage.control.movers import braking_offsets_m as braking_offsets_m
 from planopt.coverage.control.movers import coverage_aims as coverage_aims
+from planopt.coverage.control.movers import foreseen_aims as foreseen_aims
 from planopt.coverage.control.movers import law_moves as law_moves
 from planopt.coverage.control.movers import plan_moves as plan_moves
+from planopt.coverage.control.movers import rolled_out as rolled_out
 from planopt.coverage.control.programme import Inertia as Inertia
 from planopt.coverage.control.programme import Programmes as Programmes
 from planopt.coverage.control.programme import solve_programme as solve_programme

@@ -76,7 +76,7 @@ class GeodesicGround:
         # Near a corner an agent may keep the clearance and still be outside the mitred polygon.
         agents = self.nearest(agents_m)
         cells = geodesic_cells(self, agents)
-        return Cover(cells.cost, geodesic_targets(self, agents, cells))
+        return Cover(cells.cost, geodesic_targets(self, agents, cells), cells.mass)
 
     def two_nearest(self, agents_m: Floats) -> TwoNearest:
         """Return the nodes with their two nearest agents; the second is approximate."""

@@ -81,6 +81,7 @@ class Cover:
     # (n, 2) centroid of each agent's cell; with obstacles the end of a collision-free step toward
     # the centre of the cell
     targets_m: Floats
+    mass: Floats  # (n,) mass of each agent's cell
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,7 +131,7 @@ class ConvexGround:
     def cover(self, agents_m: Floats) -> Cover:
         """Return the coverage cost and the targets of agents ``(n, 2)``."""
         found = coverage(voronoi_cells(self.region, agents_m), self.density, self.sensing_range_m)
-        return Cover(found.cost, found.centroids_m)
+        return Cover(found.cost, found.centroids_m, found.mass)
 
     def two_nearest(self, agents_m: Floats) -> TwoNearest:
         """Return sample points on a grid with their two nearest agents."""

@@ -24,7 +24,17 @@ from planopt.coverage.beliefs import (
     share_estimates,
     share_readings,
 )
-from planopt.coverage.control.movers import Gains, Mover, Partition, RecedingMover, coverage_aims
+from planopt.coverage.control.movers import (
+    Aims,
+    Gains,
+    Mover,
+    Partition,
+    RecedingMover,
+    coverage_aims,
+    foreseen_aims,
+    held_aims,
+    rolled_out,
+)
 from planopt.coverage.control.radio import radio_tree
 from planopt.coverage.deploy import Deployer
 from planopt.coverage.events import Event, Sensing, event_places, signals
@@ -186,6 +196,7 @@ class NetworkController:
         self._tally: Tally | None = None
         deploys = isinstance(mover, RecedingMover) and mover.deploys
         self._deployer = Deployer(scene.ground, generator) if deploys else None
+        self._pending = np.full((agents, 1, 2), np.nan)  # Planned positions (n, N, 2)
         self.motion = Motion.at_rest(starts_m.astype(np.float64))
 
     def step(
@@ -266,7 +277,11 @@ class NetworkController:
         targets, drifts, cost = self._targets(here, states)
         responds = states[who] >= 0
         now = Motion(here[who], motion.velocities_m_s[who], motion.headings_rad[who])
-        after = self._mover(scene.ground, now, targets[who], responds, drifts[who])
+        aims = self._aims(now.places_m, targets[who], responds, who)
+        plan = self._mover(scene.ground, now, aims, responds, drifts[who])
+        after = plan.motion
+        self._pending = np.full((agents, *plan.paths_m.shape[1:]), np.nan)
+        self._pending[who] = plan.paths_m
         left = np.linalg.norm(targets[who] - now.places_m, axis=1)
         moved = np.linalg.norm(after.places_m - now.places_m, axis=1)
         moved /= scene.gains.shares(responds, scene.time_step_s)
@@ -283,6 +298,28 @@ class NetworkController:
             self.motion, states, targets, cost, residual, counts, self._response.wanted,
             self._beliefs, sent, scene.has_settled(time_s, residual, known, members),
         )  # fmt: skip
+
+    def _aims(self, here_m: Floats, targets_m: Floats, responds: Mask, who: Indices) -> Aims:
+        """Return the targets of the members, which are the agents `who`, over the horizon.
+
+        Members with a horizon of several steps know the plans of their neighbours. The last step of
+        every plan is extended by the control law.
+        """
+        scene, mover = self.scene, self._mover
+        horizon = mover.horizon if isinstance(mover, RecedingMover) else 1
+        if horizon == 1 or self._deployer is not None or responds.all():
+            return held_aims(targets_m, horizon)
+        assert isinstance(mover, RecedingMover)
+        share = scene.gains.shares(responds, scene.time_step_s)
+        most_m, kept = mover.limits.speed_m_s * scene.time_step_s, self._pending[who, 1:]
+        rolled = (responds, share, most_m)
+        if kept.shape[1] != horizon - 1 or np.isnan(kept).any():
+            pending = rolled_out(scene.ground, here_m, *rolled, horizon, scene.partition)
+        else:
+            kept = scene.ground.nearest(kept.reshape(-1, 2)).reshape(kept.shape)
+            last = rolled_out(scene.ground, kept[:, -1], *rolled, 1, scene.partition)
+            pending = np.concatenate((kept, last), axis=1)
+        return foreseen_aims(scene.ground, targets_m, pending, responds, scene.partition)
 
     def _network(self, motion: Motion, who: Indices) -> Network:
         """Return the links of the members: to Voronoi neighbours, and of the radio tree."""

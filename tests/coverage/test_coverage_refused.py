@@ -53,7 +53,7 @@ def moves(apart_m=10.0, speed=0.0, **more):
     limits = {"speed_m_s": 1.0, "body_radius_m": 1.0, "acceleration_m_s2": 1.0} | more
     agents = np.array([[10.0, 10.0], [10.0 + apart_m, 10.0]])
     motion = Motion(agents, np.full((2, 2), speed), np.zeros(2))
-    return plan_moves(ConvexGround(SQUARE), motion, agents, MoveLimits(**limits), 0.5, 3)
+    return plan_moves(ConvexGround(SQUARE), motion, agents, MoveLimits(**limits), 0.5, 3).motion
 
 
 REFUSED = {

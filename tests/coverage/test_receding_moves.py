@@ -49,7 +49,7 @@ def test_first_move_is_the_laws(square: ConvexRegion, horizon: int, gain: float)
     agents = scattered(square, 40, np.random.default_rng(3))
     targets = scattered(square, 40, np.random.default_rng(4))
     motion, limits = Motion.at_rest(agents), MoveLimits(time_step_s=0.5)
-    after = plan_moves(ConvexGround(square), motion, targets, limits, gain, horizon)
+    after = plan_moves(ConvexGround(square), motion, targets, limits, gain, horizon).motion
     law = law_moves(agents, targets, np.zeros(40, bool), Gains(1.0, gain), 0.5)
     np.testing.assert_allclose(after.places_m, law, atol=1e-8)
     free = UNBOUNDED
@@ -150,7 +150,7 @@ def test_drifting_targets_are_led(square: ConvexRegion, horizon: int) -> None:
     aims, drifts = agents + 6.0 * rng.normal(size=(20, 2)), rng.normal(size=(20, 2))
     limits = MoveLimits(time_step_s=0.5, speed_m_s=1e3)
     motion, ground = Motion.at_rest(agents), ConvexGround(square)
-    after = plan_moves(ground, motion, aims, limits, 0.8, horizon, drifts_m_s=drifts)
+    after = plan_moves(ground, motion, aims, limits, 0.8, horizon, drifts_m_s=drifts).motion
     law = agents + 0.4 * (aims - agents) + 0.5 * drifts
     inside = np.asarray(square.contains(law) & square.contains(aims + 0.5 * horizon * drifts))
     assert inside.sum() > 10
@@ -159,7 +159,7 @@ def test_drifting_targets_are_led(square: ConvexRegion, horizon: int) -> None:
     here, speed = np.array([[20.0, 50.0]]), np.array([[2.0, 0.0]])
     inert = MoveLimits(speed_m_s=2.0, acceleration_m_s2=0.5)
     motion = Motion(here, speed, np.zeros(1))
-    after = plan_moves(ground, motion, here, inert, 0.5, horizon, drifts_m_s=speed)
+    after = plan_moves(ground, motion, here, inert, 0.5, horizon, drifts_m_s=speed).motion
     np.testing.assert_allclose(after.places_m, [[22.0, 50.0]], atol=1e-4)
 
 
@@ -187,7 +187,7 @@ def test_bodies_never_touch(square: ConvexRegion, kind: str) -> None:
     least, opposite = math.inf, 100.0 - motion.places_m
     for step in range(45):
         targets = np.full_like(opposite, 50.0) if step < 32 else opposite
-        after = plan_moves(ConvexGround(square), motion, targets, limits, 1.0, 8)
+        after = plan_moves(ConvexGround(square), motion, targets, limits, 1.0, 8).motion
         places = swept(motion, after, limits)
         apart = np.linalg.norm(places[:, :, None] - places[:, None], axis=3)
         least, motion = min(least, float((apart + 99.0 * np.eye(24)).min())), after
@@ -208,7 +208,7 @@ def test_agents_pass_obstacles(blocks: GeodesicGround, kind: str) -> None:
     border = shapely.boundary(blocks.free)
     for _ in range(120):
         targets = blocks.steered(motion.places_m, aims, 0.5)
-        after = plan_moves(blocks, motion, targets, limits, 0.5, 8)
+        after = plan_moves(blocks, motion, targets, limits, 0.5, 8).motion
         places = shapely.points(swept(motion, after, limits))
         assert shapely.distance(border, places).min() > 0.6 - 1e-6
         motion = after
@@ -222,7 +222,7 @@ def test_round_clearance_of_a_corner_is_kept() -> None:
     motion = Motion.at_rest(np.array([[11.2, 9.36]]))
     assert 1.0 < float(wall.distance(shapely.Point(11.2, 9.36))) < 1.03
     limits = MoveLimits(speed_m_s=2.0, body_radius_m=0.8, clearance_m=1.0)
-    after = plan_moves(ground, motion, np.array([[10.0, 28.0]]), limits, 0.5, 6)
+    after = plan_moves(ground, motion, np.array([[10.0, 28.0]]), limits, 0.5, 6).motion
     assert not verify_moves(ground.free, motion, after, limits)
 
 
@@ -255,7 +255,7 @@ def test_points_may_meet(square: ConvexRegion) -> None:
     motion = Motion.at_rest(np.array([[10.0, 10.0], [10.0, 10.0], [80.0, 30.0]]))
     middle, limits = np.full((3, 2), 50.0), MoveLimits(speed_m_s=3.0)
     for _ in range(60):
-        motion = plan_moves(ConvexGround(square), motion, middle, limits, 0.5, 4)
+        motion = plan_moves(ConvexGround(square), motion, middle, limits, 0.5, 4).motion
     np.testing.assert_allclose(motion.places_m, 50.0, atol=1e-6)
 
 
@@ -268,7 +268,7 @@ def test_double_integrators_can_always_stop(square: ConvexRegion) -> None:
     for _ in range(25):
         before = motion
         targets = scattered(square, 25, rng)
-        motion = plan_moves(ConvexGround(square), before, targets, limits, 0.8, 6)
+        motion = plan_moves(ConvexGround(square), before, targets, limits, 0.8, 6).motion
         speeds, agents = motion.velocities_m_s, motion.places_m
         assert np.linalg.norm(speeds - before.velocities_m_s, axis=1).max() <= 1.0 + 1e-6
         mean = 0.5 * (before.velocities_m_s + speeds)

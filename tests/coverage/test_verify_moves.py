@@ -144,7 +144,7 @@ def test_planned_moves_have_no_fault(kind: str) -> None:
         tree = radio_tree(here, radio, stops)
         assert tree.connected.all()
         loosest = max(loosest, float(tree.failure.max()))
-        after = plan_moves(ground, motion, targets, limits, 0.5, 6, kept=tree.kept)
+        after = plan_moves(ground, motion, targets, limits, 0.5, 6, kept=tree.kept).motion
         assert verify_moves(ground.free, motion, after, limits, radio) == ()
         motion = after
     # Radio has been in the way: otherwise nothing was tested.
@@ -177,7 +177,7 @@ def test_law_without_radio_fails_where_tree_holds(square: ConvexRegion) -> None:
         now, lost = start, 0
         for _ in range(40):
             kept = radio_tree(now.places_m, RADIO).kept if keeps else UNBOUNDED
-            after = plan_moves(ConvexGround(square), now, targets, limits, 0.5, 5, kept=kept)
+            after = plan_moves(ConvexGround(square), now, targets, limits, 0.5, 5, kept=kept).motion
             lost += len(verify_moves(hall, now, after, limits, RADIO))
             now = after
         assert (lost == 0) == keeps

@@ -27,6 +27,9 @@ from planopt.errors import InputError
 BLENDS = (1.0, 0.999, 0.99, 0.9, 0.5)
 """Blending factors of planned move and braking, tried in turn before pure braking."""
 
+HEAVY = 1e3
+"""Largest ratio of the masses that an agent's cell has at two steps of a plan."""
+
 ROUNDING = 1e-12
 """Tolerance of positions outside their sets, as a share of the ground's radius."""
 
@@ -69,9 +72,9 @@ def coverage_aims(
     alone = partition == "coverage_only" and not responds.all()
     counted = ~responds if alone else np.ones_like(responds)
     found = ground.cover(_apart(ground, agents_m, ~responds)[counted])
-    targets = agents_m.copy()
-    targets[~responds] = found.targets_m[~responds[counted]]
-    return Cover(found.cost, targets)
+    targets, mass, covers = agents_m.copy(), np.zeros(len(agents_m)), ~responds[counted]
+    targets[~responds], mass[~responds] = found.targets_m[covers], found.mass[covers]
+    return Cover(found.cost, targets, mass)
 
 
 def _apart(ground: Ground, agents_m: Floats, covers: Mask) -> Floats:
@@ -111,34 +114,98 @@ def _clipped_moves(agents: Floats, targets: Floats, share: Floats, most_m: float
     return agents + move * np.minimum(1.0, most_m / np.where(length > 0.0, length, 1.0))[:, None]
 
 
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Plan of `n` agents: the state after its first move, and positions over the horizon."""
+
+    motion: Motion
+    paths_m: Floats  # (n, N, 2)
+
+
+@dataclass(frozen=True, eq=False)
+class Aims:
+    """Targets of `n` agents over a horizon of `N` steps."""
+
+    places_m: Floats  # (n, N, 2)
+    masses: Floats  # (n, N) masses of the cells as shares of that at the end of the horizon
+
+    @property
+    def steady(self) -> Mask:
+        """Return a mask of the agents with one target and mass for the whole horizon; (n,)."""
+        places, masses = self.places_m, self.masses
+        return (places == places[:, :1]).all(axis=(1, 2)) & (masses == 1.0).all(axis=1)
+
+
+def held_aims(targets_m: Floats, horizon: int) -> Aims:
+    """Return the aims of agents with targets (n, 2) that do not change over the horizon."""
+    return Aims(np.repeat(targets_m[:, None], horizon, axis=1), np.ones((len(targets_m), horizon)))
+
+
+def foreseen_aims(
+    ground: Ground,
+    targets_m: Floats,  # (n, 2) targets of the agents that respond to an event
+    pending_m: Floats,  # (n, N, 2) positions that the agents planned in the last step
+    responds: Mask,
+    partition: Partition = "all",
+) -> Aims:
+    """Return the centroids of the cells that agents will have at their planned positions."""
+    found = held_aims(targets_m, pending_m.shape[1])
+    covers = ~responds
+    for step in range(pending_m.shape[1]):
+        cover = coverage_aims(ground, pending_m[:, step], responds, partition)
+        found.places_m[covers, step] = cover.targets_m[covers]
+        found.masses[covers, step] = cover.mass[covers]
+    last = found.masses[:, -1:]
+    share = found.masses / np.where(last > 0.0, last, 1.0)
+    return Aims(found.places_m, np.where(last > 0.0, share, 1.0).clip(1.0 / HEAVY, HEAVY))
+
+
+def rolled_out(
+    ground: Ground,
+    agents_m: Floats,
+    responds: Mask,
+    share: Floats,  # (n,) share of its distance to the target that an agent moves in a step
+    most_m: float,
+    steps: int,
+    partition: Partition = "all",
+) -> Floats:
+    """Return the positions (n, steps, 2) to which the control law moves covering agents."""
+    paths = [agents_m]
+    for _ in range(steps):
+        targets = coverage_aims(ground, paths[-1], responds, partition).targets_m
+        paths.append(ground.nearest(_clipped_moves(paths[-1], targets, share, most_m)))
+    return np.stack(paths[1:], axis=1)
+
+
 def plan_moves(
     ground: Ground,
     motion: Motion,
-    targets_m: Floats,  # (n, 2)
+    targets_m: Floats | Aims,  # (n, 2)
     limits: MoveLimits,
     gain_per_s: float | Floats,
     horizon: int,
     *,
     kept: SafeSets = UNBOUNDED,  # Additional safe sets of the agents
     drifts_m_s: Floats | None = None,  # (n, 2) velocities of the targets; zero if None
-) -> Motion:
-    """Plan the motion of all agents over a horizon; return the state after the first move."""
-    # The first move equals the control law ``k (target - p)`` if no constraint is active.
-    # During the whole move bodies never touch each other and keep clear of obstacles and the outer
-    # boundary. A feasible stop always remains.
+) -> Plan:
+    """Plan the motion of all agents over a horizon."""
+    # The first move equals the control law ``k (target - p)`` if targets are held and no constraint
+    # is active. During the whole move bodies never touch each other and keep clear of obstacles and
+    # the outer boundary. A feasible stop always remains.
     places, step_s = motion.places_m, limits.time_step_s
     share = np.broadcast_to(np.asarray(gain_per_s, dtype=np.float64) * step_s, (len(places),))
     drifts = np.zeros_like(places) if drifts_m_s is None else step_s * drifts_m_s
-    task = _Task(ground, places, targets_m, drifts, limits, np.minimum(share, 1.0), horizon, kept)
+    aims = targets_m if isinstance(targets_m, Aims) else held_aims(targets_m, horizon)
+    task = _Task(ground, places, aims, drifts, limits, np.minimum(share, 1.0), horizon, kept)
     if limits.acceleration_m_s2 is not None:
-        after, rates = _inert_moves(task, step_s * motion.velocities_m_s)
-        return Motion(after, rates / step_s, motion.headings_rad)
-    after, sets = _instant_moves(task)
+        after, rates, paths = _inert_moves(task, step_s * motion.velocities_m_s)
+        return Plan(Motion(after, rates / step_s, motion.headings_rad), paths)
+    after, sets, paths = _instant_moves(task)
     headings = motion.headings_rad
     if limits.turn_rate_rad_s is not None:
         after, headings = _driven(places, after, headings, limits)
     move = sets.share_inside(places, after)[:, None] * (after - places)
-    return Motion(places + move, move / step_s, headings)
+    return Plan(Motion(places + move, move / step_s, headings), paths)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,8 +214,8 @@ class _Task:
 
     ground: Ground
     places: Floats  # (n, 2)
-    targets: Floats  # (n, 2), and their motion in a step
-    drifts: Floats
+    aims: Aims
+    drifts: Floats  # (n, 2) motion of the aims in a step
     limits: MoveLimits
     share: Floats  # (n,) share of its distance to the target that an agent moves in a step
     horizon: int
@@ -163,34 +230,41 @@ class _Task:
         """Return the safe sets of agents whose braking paths end at `stops` (n, 2)."""
         cells = separate_cells(self.places, stops, self.limits.body_radius_m, step_m)
         keep_m = self.limits.keep_m
-        free = ground_sets(self.ground, self.places, stops, self.targets, keep_m, reach_m)
+        free = ground_sets(
+            self.ground, self.places, stops, self.aims.places_m[:, -1], keep_m, reach_m
+        )
         return joined(cells, free, self.kept)
 
 
-def _instant_moves(task: _Task) -> tuple[Floats, SafeSets]:
+def _instant_moves(task: _Task) -> tuple[Floats, SafeSets, Floats]:
     """Plan moves of single integrators, which stop instantly."""
-    # Returns the end points of the first moves (n, 2) and the safe sets.
-    places, share, drifts = task.places, task.share, task.drifts
-    step_m = share * np.linalg.norm(task.targets - places, axis=1)
+    # Returns the end points of the first moves (n, 2), the safe sets, and paths (n, N, 2).
+    places, share, drifts, aims = task.places, task.share, task.drifts, task.aims
+    steady, targets = aims.steady, aims.places_m[:, 0]
+    far_m = np.linalg.norm(aims.places_m - places[:, None], axis=2).max(axis=1)
+    step_m = np.where(steady, share, 1.0) * far_m
     step_m = np.minimum(task.most_m, step_m + np.linalg.norm(drifts, axis=1))
     sets = task.sets(places, step_m, float(task.horizon * step_m.max()))
-    after = _clipped_moves(places, task.targets, share, task.most_m)
-    clear = (sets.share_inside(places, task.targets) >= 1.0) & ~drifts.any(axis=1)
+    paths = places[:, None].repeat(task.horizon + 1, axis=1)
+    for step in range(task.horizon):
+        paths[:, step + 1] = _clipped_moves(paths[:, step], targets, share, task.most_m)
+    paths = paths[:, 1:]
+    clear = steady & (sets.share_inside(places, targets) >= 1.0) & ~drifts.any(axis=1)
     who = np.flatnonzero(~clear)
     if len(who):
         mine = sets.of(who).thinned(places[who], task.horizon * step_m[who])
         found = solve_programme(
-            places[who], task.targets[who], share[who], task.horizon, task.most_m, mine,
-            drifts_m=drifts[who],
+            places[who], aims.places_m[who], share[who], task.horizon, task.most_m, mine,
+            drifts_m=drifts[who], masses=aims.masses[who],
         )  # fmt: skip
-        after[who] = places[who] if found is None else found[0][:, 1]
-    return after, sets
+        paths[who] = places[who, None] if found is None else found[0][:, 1:]
+    return paths[:, 0], sets, paths
 
 
-def _inert_moves(task: _Task, now: Floats) -> tuple[Floats, Floats]:
+def _inert_moves(task: _Task, now: Floats) -> tuple[Floats, Floats, Floats]:
     """Plan moves of double integrators with velocities (n, 2) in metres per step."""
-    # Returns positions and velocities (n, 2) after the first move. An agent brakes if no planned
-    # move is feasible.
+    # Returns positions and velocities (n, 2) after the first move, and paths (n, N, 2). An agent
+    # brakes if no planned move is feasible.
     assert task.limits.acceleration_m_s2 is not None
     places, most, horizon = task.places, task.most_m, task.horizon
     change = task.limits.acceleration_m_s2 * task.limits.time_step_s**2
@@ -213,8 +287,9 @@ def _inert_moves(task: _Task, now: Floats) -> tuple[Floats, Floats]:
     wide = sets.widened(np.concatenate((path, reserves), axis=1))
     wide = wide.thinned(places, np.full(len(places), reach_m))
     found = solve_programme(
-        places, task.targets, task.share, horizon, most, wide, inertia, task.drifts
-    )
+        places, task.aims.places_m, task.share, horizon, most, wide, inertia, task.drifts,
+        task.aims.masses,
+    )  # fmt: skip
     planned, faster = (path, rates) if found is None else found
     after, rate, brakes = path[:, 1].copy(), rates[:, 1].copy(), np.ones(len(places), dtype=bool)
     slack = ROUNDING * task.ground.hull.radius_m
@@ -226,7 +301,7 @@ def _inert_moves(task: _Task, now: Floats) -> tuple[Floats, Floats]:
         fine &= _shorter(speeds - now, change)
         after[fine], rate[fine] = ends[fine], speeds[fine]
         brakes &= ~fine
-    return after, rate
+    return after, rate, planned[:, 1:]
 
 
 def braking_offsets_m(velocities_m: Floats, change_m: float) -> Floats:
@@ -285,14 +360,15 @@ class LawMover:
         self,
         ground: Ground,
         motion: Motion,
-        targets_m: Floats,  # (n, 2); drifts are the estimated target velocities
+        aims: Aims,  # Their drifts (n, 2) are the estimated target velocities
         responds: Mask,  # (n,)
         drifts_m_s: Floats,
-    ) -> Motion:
-        """Return the motion state after a step of the control laws."""
-        here, gains = motion.places_m, self.gains
+    ) -> Plan:
+        """Return a step of the control laws toward the first aims."""
+        here, gains, targets_m = motion.places_m, self.gains, aims.places_m[:, 0]
         moved = law_moves(here, targets_m, responds, gains, self.time_step_s, self.speed_m_s)
-        return Motion(moved, (moved - here) / self.time_step_s, motion.headings_rad)
+        velocities = (moved - here) / self.time_step_s
+        return Plan(Motion(moved, velocities, motion.headings_rad), moved[:, None])
 
 
 @dataclass(frozen=True)
@@ -307,9 +383,9 @@ class RecedingMover:
     deploys: bool = False  # Whether covering agents drive to a deployment of low cost
 
     def __call__(
-        self, ground: Ground, motion: Motion, targets_m: Floats, responds: Mask, drifts_m_s: Floats
-    ) -> Motion:
-        """Return the motion state after the first move of a plan."""
+        self, ground: Ground, motion: Motion, aims: Aims, responds: Mask, drifts_m_s: Floats
+    ) -> Plan:
+        """Return a plan toward aims that move by drifts (n, 2) if the planner leads them."""
         step_s, kept = self.limits.time_step_s, UNBOUNDED
         most = self.limits.acceleration_m_s2
         if self.radio is not None:
@@ -321,9 +397,8 @@ class RecedingMover:
         gains = self.gains.shares(responds, step_s) / step_s
         drifts = drifts_m_s if self.lead else None
         return plan_moves(
-            ground, motion, targets_m, self.limits, gains, self.horizon, kept=kept,
-            drifts_m_s=drifts,
-        )  # fmt: skip
+            ground, motion, aims, self.limits, gains, self.horizon, kept=kept, drifts_m_s=drifts
+        )
 
 
 Mover = LawMover | RecedingMover

@@ -171,21 +171,25 @@ def solve_programme(
     sets: SafeSets,
     inertia: Inertia | None = None,
     drifts_m: Floats | None = None,  # (n, 2)
+    masses: Floats | None = None,  # (n, N)
 ) -> tuple[Floats, Floats] | None:
     """Return the optimal paths and velocities of agents, or None if the solver fails."""
-    # The objective is ``sum_j w_j |p_j - c|^2 + r |p_{j+1} - p_j|^2`` for each agent with aim c and
-    # the weights of `stage_weights`. With inertia, velocities v add ``|v_{j+1} - v_j|^2 / (2
-    # share)^2``, and half of the last position's weight applies to the stopping position instead.
-    # Shapes: starts_m, aims_m (n, 2).
+    # The objective is ``sum_j w_j m_j |p_j - c_j|^2 + r |p_{j+1} - p_j|^2`` for each agent with
+    # aims c, masses m relative to the last one, and the weights of `stage_weights`. With inertia,
+    # velocities v add ``|v_{j+1} - v_j|^2 / (2 share)^2``, and half of the last position's weight
+    # applies to the stopping position instead.
+    # Shapes: starts_m (n, 2); aims_m (n, N, 2), or (n, 2) for aims that move by the drifts only.
     count, changes = len(starts_m), np.eye(horizon) - np.eye(horizon, k=-1)
-    length = np.linalg.norm(aims_m - starts_m, axis=1)
+    wanted = aims_m if aims_m.ndim == 3 else aims_m[:, None]
+    length = np.linalg.norm(wanted - starts_m[:, None], axis=2).max(axis=1)
     unit = np.maximum(length, most_m) if np.isfinite(most_m) else length
     unit = np.maximum(unit, LEAST_UNIT * unit.max(initial=0.0))
     unit[unit == 0.0] = 1.0
     drifts = np.zeros((count, 1, 2)) if drifts_m is None else (drifts_m / unit[:, None])[:, None]
-    aims = ((aims_m - starts_m) / unit[:, None])[:, None]
+    aims = (wanted - starts_m[:, None]) / unit[:, None, None]
     aims = aims + np.arange(1.0, horizon + 1.0)[:, None] * drifts
     weights, effort = stage_weights(share, horizon)
+    weights = weights if masses is None else weights * masses
     none = np.zeros((count, horizon, 2))
     most = np.repeat((1.0 - WITHIN) * most_m / unit[:, None], horizon, axis=1)
     if inertia is None:

@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from PIL.Image import Image
 
-DPI = 76
+WIDTH_PX = 900
+"""Width of every frame."""
 
 SAMPLED_STEPS = 9
 """Number of evenly spaced steps whose artists appear in the legend."""
@@ -114,7 +115,7 @@ def frames(
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from PIL import Image
 
-    figure.set_dpi(DPI)
+    figure.set_dpi(WIDTH_PX / float(figure.get_size_inches()[0]))
     canvas = FigureCanvasAgg(figure)
     # The layout is computed once, including the legend, and kept.
     steps = np.linspace(0, count - 1, SAMPLED_STEPS).round().astype(int).tolist()

@@ -157,16 +157,37 @@ def draw_step_times(agents: Sequence[int], times_s: Mapping[str, Sequence[float]
 
 
 def animate_network(picture: NetworkPicture, path: Path) -> None:
-    """Write a GIF of a run: agents, their cells, radio links, events and responders."""
-    figure, (panel,) = new_figure(6.6, 6.8)
+    """Write a GIF of a run: agents, their cells, radio links, events, responders; cost, messages.
+
+    The curves beside the map show the coverage cost, messages in a step and responding agents.
+    """
+    run, eventful = picture.run, bool(picture.events)
+    times_s, sent = run.times_s[:-1], run.messages.sum(axis=1)
+    rows = ["AAB", "AAC", "AAD"] if eventful else ["AAB", "AAC"] if sent.any() else ["AAB"]
+    figure, (panel, *others) = new_figure(11.0, 7.2, rows)
     entries = _draw_area(panel, picture.ground, picture.obstacles, picture.radio)
     dress(panel, "", X_LABEL, Y_LABEL, grid=False)
     head(figure, spaced(picture.name))
-    run = picture.run
+    curves = [(run.costs, "coverage cost H", COST), (sent, "messages in a step", "messages [1]")]
+    curves.append(((run.states >= 0).sum(axis=1), "agents that respond", "agents [1]"))
+    for other, (values, title, label) in zip(others, curves, strict=False):
+        other.plot(times_s, values, color=CELL, linewidth=1.0)
+        if values is run.costs:
+            log_scale(other, "y")
+        else:
+            other.set_ylim(0.0, None)
+        if eventful:
+            _shade_events(other, picture)
+        dress(other, title, TIME, label)
 
     def draw_frame(step: int) -> list[Artist]:
         words = f"t = {run.times_s[step]:g} s, H = {run.costs[step]:.4g}"
-        return [frame_title(panel, words), *_draw_state(panel, picture, step)]
+        drawn = [frame_title(panel, words), *_draw_state(panel, picture, step)]
+        for other, (values, _, _) in zip(others, curves, strict=False):
+            so_far = slice(step + 1)
+            look = {"color": BLUE, "linewidth": 1.8, "marker": "o", "markevery": [-1]}
+            drawn += other.plot(times_s[so_far], values[so_far], **look)
+        return drawn
 
     animate(figure, path, len(run.costs), draw_frame, entries)
 

@@ -13,10 +13,10 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_000,
-    "lines of code": 50_200,
+    "lines": 70_500,
+    "lines of code": 50_600,
     "files": 288,
-    "functions": 3_700,
+    "functions": 3_710,
     "docstring lines": 8_740,
     "lines of tests": 47_700,
 }

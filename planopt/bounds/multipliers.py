@@ -7,6 +7,8 @@ obstacles. Multipliers need not be right: wrong ones only loosen the bound.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import shapely
 from numpy.typing import NDArray
@@ -26,11 +28,14 @@ LEFT_OUT = 1e-3
 MOST_ITERATIONS = 100
 """Maximum number of iterations of a local search."""
 
+ROUNDED = 1e-3
+"""Smoothing width of lengths in a local search, in lengths of the longest step."""
+
 AT_KINK_M = 0.02
 """Distance from a position of a measurement at which the gradient is not determined."""
 
-AT_P_MIN = 1e-3
-"""Surplus of the probability of connection up to which p_min counts as active."""
+AT_P_MIN = 0.02
+"""Surplus of the probability of connection up to which p_min may count as active."""
 
 
 def stage_rewards(problem: StageProblem, path_m: Array) -> tuple[Array, Array, UpperBounds]:
@@ -44,41 +49,62 @@ def stage_rewards(problem: StageProblem, path_m: Array) -> tuple[Array, Array, U
     return values, np.vstack([reward.slope for reward in each]), chance
 
 
-def local_optimum(problem: StageProblem, path_m: Array) -> Array:
-    """Return a path (N, 2) near a locally optimal one, which ignores obstacles and p_min."""
+def local_optimum(problem: StageProblem, path_m: Array, surplus: float = 0.0) -> Array:
+    """Return a path (N, 2) near a locally optimal one, which ignores obstacles.
+
+    The probability of connection exceeds p_min by at least `surplus`, where p_min must hold.
+    """
     shape, scale = path_m.shape, 1.0 / problem.step_m**2
+    stage = np.arange(problem.steps)
+    least = np.zeros(problem.steps) if problem.p_min is None else problem.p_min
+    bounded = np.flatnonzero(least > 0.0)
+    known: dict[bytes, tuple[Array, Array, UpperBounds]] = {}
+
+    def at(flat: Array) -> tuple[Array, Array, UpperBounds]:
+        key = flat.tobytes()
+        if key not in known:
+            known.clear()
+            known[key] = stage_rewards(problem, flat.reshape(shape))
+        return known[key]
 
     def loss(flat: Array) -> tuple[float, Array]:
-        values, slopes, _ = stage_rewards(problem, flat.reshape(shape))
-        return -float(values.sum()), -slopes.ravel()
+        values, slopes, _ = at(flat)
+        moves = np.diff(np.vstack([problem.start_m, flat.reshape(shape)]), axis=0)
+        length = np.sqrt((moves**2).sum(axis=1) + (ROUNDED * problem.step_m) ** 2)
+        pull = problem.per_metre * moves / length[:, None]
+        pull[:-1] -= pull[1:]
+        return float(problem.per_metre * length.sum() - values.sum()), (pull - slopes).ravel()
 
     def room(flat: Array) -> Array:
         moves = np.diff(np.vstack([problem.start_m, flat.reshape(shape)]), axis=0)
-        return 1.0 - scale * (moves**2).sum(axis=1)
+        chance = at(flat)[2].value[bounded] - least[bounded] - surplus
+        return np.concatenate([1.0 - scale * (moves**2).sum(axis=1), chance])
 
     def room_slope(flat: Array) -> Array:
         moves = np.diff(np.vstack([problem.start_m, flat.reshape(shape)]), axis=0)
-        found = np.zeros((len(moves), *shape))
-        stage = np.arange(len(moves))
+        found = np.zeros((len(stage) + len(bounded), *shape))
         found[stage, stage] = -2.0 * scale * moves
         found[stage[1:], stage[:-1]] = 2.0 * scale * moves[1:]
-        return found.reshape(len(moves), -1)
+        found[len(stage) + np.arange(len(bounded)), bounded] = at(flat)[2].slope[bounded]
+        return found.reshape(len(found), -1)
 
     limits = {"type": "ineq", "fun": room, "jac": room_slope}
-    options = {"maxiter": MOST_ITERATIONS, "ftol": 1e-9}
+    options = {"maxiter": MOST_ITERATIONS, "ftol": 1e-10}
     found = minimize(
         loss, path_m.ravel(), jac=True, method="SLSQP", constraints=limits, options=options
     )
     return np.asarray(found.x, dtype=np.float64).reshape(shape)
 
 
-def tilts_near(problem: StageProblem, path_m: Array, kinks_m: Array) -> list[tuple[Array, Array]]:
-    """Return multipliers of a path (N, 2) and of a local optimum near it, for tilted bounds.
+def tilts_near(
+    problem: StageProblem, paths_m: Sequence[Array], kinks_m: Array
+) -> list[tuple[Array, Array]]:
+    """Return multipliers of paths (N, 2), for tilted bounds.
 
     Gradients jump at `kinks_m` (k, 2), the positions of measurements.
     """
     found: list[tuple[Array, Array]] = []
-    for path in (path_m, local_optimum(problem, path_m)):
+    for path in paths_m:
         is_free = np.ones(len(path), dtype=np.bool_)
         if len(kinks_m):
             is_free &= np.linalg.norm(path[:, None] - kinks_m, axis=2).min(axis=1) > AT_KINK_M

@@ -138,7 +138,8 @@ class Plan:
         Coverage holes on path and route to a goal.
     bound
         Proven bound on the objective; None unless a proof was required. A proof also smooths
-        `route_m`, whose cost then is the cost-to-go in `objective`.
+        `route_m`, whose cost then is the cost-to-go in `objective`, or refines plans of sums over
+        steps.
     """
 
     robot: str

@@ -21,13 +21,14 @@ import numpy as np
 
 from planopt.arrays import Floats, Indices
 from planopt.bounds.bound import Bound, Tilts
-from planopt.bounds.multipliers import tilts_near
+from planopt.bounds.multipliers import local_optimum, tilts_near
 from planopt.bounds.reach import rate_s_m, route_problem, why_unbounded
 from planopt.bounds.route import route_bounds
 from planopt.bounds.tube import tube_bounds
 from planopt.channel.posterior import Belief, ChannelPosterior
 from planopt.channel.prediction import connection_probability
 from planopt.objectives.reach import integrated_cost_m, step_cost_s
+from planopt.planning.candidates import Scorer
 from planopt.planning.certificate import holes_on
 from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict
 from planopt.planning.proof.bounds import bound_of, bound_of_sum, metre_cost_of, stages_of
@@ -35,9 +36,9 @@ from planopt.planning.proof.context import connectivity_law, search_prediction, 
 from planopt.planning.proof.verify import verify
 from planopt.planning.scene import stops_along
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
-from planopt.planning.values.context import Aim, step_context
+from planopt.planning.values.context import Aim, StepContext, step_context
 from planopt.planning.values.exploration import workspace_region
-from planopt.planning.values.objective_value import ReachCost
+from planopt.planning.values.objective_value import ObjectiveValue, ReachCost
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.clearance import ObstacleIndex, index_obstacles, segments_clear
 
@@ -246,6 +247,9 @@ ROUNDS, LEAST_GAIN = 3, 1e-4
 LEAST_SHARE = 0.3
 """Minimum share of the time that is reserved for the bound."""
 
+SURPLUS = 2e-5
+"""Surplus of the probability of connection over the bound's p_min in an improved plan."""
+
 INSIDE_GOAL = 0.999
 """Distance of a smoothed route's end from the goal, as a share of the goal's radius."""
 
@@ -281,7 +285,7 @@ def proven_plans(
 def with_sum_bound(
     problem: Problem, belief: Belief, plan: Plan, aim: Aim, seconds: float, robots: int
 ) -> Plan:
-    """Return the plan of the first robot with a proven bound on its sum of terms."""
+    """Return the first robot's plan or a better one near it, with a bound on its sum of terms."""
     begun, index = monotonic(), index_obstacles(problem.workspace)
     start = plan.positions_m[0] if plan.drive is None else plan.drive.states[0]
     base = verifier_context(problem, index, belief.posteriors, start)
@@ -289,14 +293,34 @@ def with_sum_bound(
     stages = stages_of(problem, at, plan)
     if isinstance(stages, str):
         return replace(plan, bound=Bound(None, plan.objective, reason=stages))
+    optimum = local_optimum(stages, plan.positions_m[1:], SURPLUS)
+    if robots == 1 or problem.constraints.separation_m == 0.0:
+        plan = better_of(at, plan, optimum)
     kinks = np.vstack([each.measurements.positions_m for each in belief.posteriors])
-    tilts = tilts_near(stages, plan.positions_m[1:], kinks)
+    tilts = tilts_near(stages, [plan.positions_m[1:], optimum], kinks)
     left = max(LEAST_SHARE * seconds, seconds - (monotonic() - begun))
     *_, best = tube_bounds(stages, plan.objective, tilts, left)
     of_steps, of_p_min = (np.array(each) for each in zip(*tilts, strict=True))
     tilted = Tilts(of_steps, of_p_min, best.levels, best.value)
     bound = bound_of_sum(problem, plan, tilted, robots)
     return replace(plan, bound=replace(bound, wall_s=monotonic() - begun))
+
+
+def better_of(at: StepContext, plan: Plan, path_m: Floats) -> Plan:
+    """Return the plan of a path (N, 2), its steps shortened, if it is verified and better."""
+    if plan.drive is not None:
+        return plan
+    path, here = path_m.copy(), plan.positions_m[0]
+    longest = at.step_length_m - STEP_PAD_M
+    for k, place in enumerate(path_m):
+        move = place - here
+        here = here + move * min(1.0, longest / max(float(np.hypot(*move)), longest))
+        path[k] = here
+    scorer = Scorer(at, ObjectiveValue(at))
+    found = scorer.assessed(scorer.candidate(path, plan.rung, Termination.LATTICE_ONLY))
+    if found.verdict is not Verdict.VERIFIED or not found.objective > plan.objective:
+        return plan
+    return scorer.plan_from(found, plan.wall_s)
 
 
 def with_smooth_route(

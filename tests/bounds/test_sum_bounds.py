@@ -26,7 +26,7 @@ from planopt.targets.information_filter import Sensor, sensing_information
 def tightest(problem: StageProblem, context: StepContext, path: np.ndarray, seconds: float):
     """The last bound from the multipliers of a path, with its certificate."""
     kinks = np.vstack([station.measurements.positions_m for station in context.posteriors])
-    tilts = tilts_near(problem, path, kinks)
+    tilts = tilts_near(problem, [path, local_optimum(problem, path)], kinks)
     value = float(values_of(context, path[None])[0])
     *_, last = tube_bounds(problem, value, tilts, seconds)
     both = [np.array(each) for each in zip(*tilts, strict=True)]

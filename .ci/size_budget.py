@@ -13,10 +13,10 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_500,
-    "lines of code": 50_600,
+    "lines": 71_400,
+    "lines of code": 51_300,
     "files": 288,
-    "functions": 3_710,
+    "functions": 3_750,
     "docstring lines": 8_740,
     "lines of tests": 47_700,
 }

@@ -18,7 +18,7 @@ def export_path(
     ],
     out: Annotated[
         Path,
-        option("--out", "FILE", "Ends in .json (ROS), .geojson, .plan (QGroundControl) or .csv."),
+        option("--out", "FILE", "Ends in .json, .geojson, .plan, .csv, .mcap or .rrd."),
     ],
     robot: Annotated[
         str | None, option("--robot", "NAME", "Robot; default: the first one.")
@@ -32,8 +32,13 @@ def export_path(
     ] = 0.0,
     json: JsonOption = False,
 ) -> int:
-    """Write the path of a saved plan or run for ROS, GeoJSON, QGroundControl or as CSV."""
+    """Write the path of a saved plan or run for other programs, or the whole result.
+
+    .json is for ROS, .plan for QGroundControl. .mcap (Foxglove) and .rrd (Rerun) are recordings of
+    all robots with their plans, powers and the map.
+    """
     from planopt.planning.files.path_files import path_of_result, save_path
+    from planopt.planning.files.recordings import RECORDERS
     from planopt.planning.loop.results import Run, Solution
     from planopt.tasks.calls import load_result
     from planopt.world.geodesy import parse_origin
@@ -43,6 +48,12 @@ def export_path(
         found = load_result(result)
     if not isinstance(found, Solution | Run):
         raise InputError("is no plan or run of robots", file=result, remedy="name one of a motion")
+    if out.suffix.lower() in RECORDERS:
+        with progress("writing"):
+            found.save_recording(out)
+        robots = len(found.problem.robots)
+        show(json, {"file": str(out), "robots": robots}, f"{out}: recording of {robots} robots")
+        return 0
     path = path_of_result(found, 0 if robot is None else robot)
     save_path(path, out, place, altitude)
     data = {"file": str(out), "robot": path.robot, "positions": len(path.t_s)}

@@ -145,7 +145,7 @@ class Result(ABC):
             The folder cannot be written.
         """
         masks = import_module("planopt.planning.files.path_files")
-        belief, place = self._belief_of(robot), path_of("folder", folder, A_FOLDER)
+        belief, place = self.belief_of(robot), path_of("folder", folder, A_FOLDER)
         masks.save_masks(self.problem, belief, place, keepout_below, p_min, cell_m)
 
     def save_path(
@@ -181,8 +181,27 @@ class Result(ABC):
         path = files.path_of_result(self, robot)
         files.save_path(path, path_of("file", file, "give a file name"), origin_deg, altitude_m)
 
+    def save_recording(self, file: Path | str) -> None:
+        """Write the result as a recording: poses, plans and powers over time, obstacles, the map.
+
+        Parameters
+        ----------
+        file
+            File ending in ``.mcap`` (JSON messages with the schemas of Foxglove; needs the extra
+            ``ros``) or ``.rrd`` (Rerun; needs the extra ``rerun``).
+
+        Raises
+        ------
+        InputError
+            The ending is unknown, or the package is not installed.
+        OutputError
+            The file cannot be written.
+        """
+        recordings = import_module("planopt.planning.files.recordings")
+        recordings.save_recording(self, path_of("file", file, "give a file name"))
+
     @abstractmethod
-    def _belief_of(self, robot: int) -> Belief:
+    def belief_of(self, robot: int) -> Belief:
         """Return the channel belief of a robot."""
 
     def to_dataframe(self) -> Any:
@@ -249,7 +268,8 @@ class Solution(Result):
         head = f"solution of {self.problem.name}, horizon {horizon}, seed {self.seed}"
         return _listed(head, lines, most=LINES - 1)
 
-    def _belief_of(self, robot: int) -> Belief:
+    def belief_of(self, robot: int) -> Belief:
+        """Return the shared channel belief."""
         return self.belief
 
     @property
@@ -337,7 +357,8 @@ class Run(Result):
         metrics = ", ".join(f"{name} {value:.4g}" for name, value in shown)
         return "\n".join([_listed(head, lines, most=LINES - 3), wrapped(f"  {metrics}", 2)])
 
-    def _belief_of(self, robot: int) -> Belief:
+    def belief_of(self, robot: int) -> Belief:
+        """Return the final channel belief of a robot."""
         if not 0 <= robot < len(self.beliefs):
             raise InputError(
                 f"is {robot}, and there are {len(self.beliefs)} robots",

@@ -46,6 +46,14 @@ def test_command_line_is_light() -> None:
     assert not modules_after("import planopt.cli") & HEAVY
 
 
+def test_help_names_all_planners() -> None:
+    """The text is written out, so that printing it loads no registry."""
+    from planopt.commands.options import PLANNERS
+    from planopt.problems.settings import OWN
+
+    assert PLANNERS.partition(";")[0].split(", ") == list(OWN)
+
+
 def test_list_is_light() -> None:
     """Listing the library reads descriptions only: no numerics, no validation of worlds."""
     loaded = modules_after(

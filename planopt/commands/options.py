@@ -11,10 +11,13 @@ from typing import Annotated, Any, Concatenate, ParamSpec, TypeVar, cast, get_ty
 
 import typer
 
-from planopt.problems.settings import OWN
-
-PLANNERS = f"{', '.join(OWN)}; networks: law, receding, deploy; pursuits: drive, retarget, receding"
-"""Names of planners by task, for help texts."""
+PLANNERS = (
+    "auto, nlp, scp, lattice, one_step, largest_deviation, random, random_disk, "
+    "random_persistent, lawnmower, path_loss_only, informed_disk, unaware, oracle, oracle_log, "
+    "clairvoyant, clairvoyant_log; networks: law, receding, deploy; pursuits: drive, retarget, "
+    "receding"
+)
+"""Names of planners by task, for help texts; their registry would load NumPy."""
 
 
 def option(name: str, metavar: str | None, text: str, **settings: Any) -> Any:

@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 71_400,
-    "lines of code": 51_300,
+    "lines": 71_260,
+    "lines of code": 51_240,
     "files": 288,
-    "functions": 3_750,
+    "functions": 3_734,
     "docstring lines": 8_740,
-    "lines of tests": 47_700,
+    "lines of tests": 47_640,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

@@ -236,9 +236,7 @@ def connectivity_derivatives(
 
 
 def stage_predictor(
-    law: ConnectivityLaw,
-    path_m: Floats,
-    neighbours: int,
+    law: ConnectivityLaw, path_m: Floats, neighbours: int
 ) -> StagePredictor | ServingStages:
     """Return the stage predictor near a path (N, 2), for one station or several."""
     first, *others = law.posteriors

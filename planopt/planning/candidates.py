@@ -8,10 +8,9 @@ previous plan, or stops; both may violate connectivity, but never clearance or s
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from time import perf_counter
-from typing import Protocol
 
 import numpy as np
 
@@ -21,8 +20,9 @@ from planopt.errors import InputError
 from planopt.parts import part_of
 from planopt.planning.certificate import Certificate, margins_asked_db
 from planopt.planning.free_space import leaving_path
-from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_drive, shifted_path
+from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_drive
 from planopt.planning.proof.context import VerifierContext
+from planopt.planning.proof.motion import verify_motion
 from planopt.planning.proof.verify import Judgement, verify
 from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Drive, rolled_out
@@ -136,12 +136,8 @@ class Candidate:
         return 0.0 if self.certificate is None else sum(self.certificate.relaxation_db)
 
 
-class PathValue(Protocol):
-    """Protocol of objective functions of a path (N, 2), or of a drive for a robot with dynamics."""
-
-    def __call__(self, path_m: Floats, drive: Drive | None = None) -> float:
-        """Return the objective value of a path and the drive along it."""
-        ...
+PathValue = Callable[..., float]
+"""Objective as a function of a path (N, 2) and, for a robot with dynamics, the drive along it."""
 
 
 @dataclass(frozen=True)
@@ -322,12 +318,27 @@ def with_effort(chosen: Candidate, candidates: Sequence[Candidate]) -> Candidate
     )
 
 
+def shifted_path(scorer: Scorer, warm: Plan | None) -> Floats | None:
+    """Return a verified plan shifted by one step (N, 2), with a waiting step at its end.
+
+    None if the plan is unverified, no longer drivable, or for a robot with dynamics.
+    """
+    if warm is None or warm.verdict is not Verdict.VERIFIED or warm.drive is not None:
+        return None
+    rest = np.vstack([warm.positions_m[2:], warm.positions_m[-1:]])
+    if len(rest) != scorer.problem.planner.horizon:
+        return None
+    whole = np.vstack([scorer.position_m, rest])
+    moved = verify_motion(scorer.problem, scorer.index, scorer.state, whole, None)
+    return None if moved.reasons else rest
+
+
 def without_guess(scorer: Scorer, warm: Plan | None) -> Candidate:
     """Return a fallback: the remainder of the last verified plan, verified again, or a stop."""
     problem = scorer.problem
     if not problem.robots[0].moves_freely:
         return _driven_without_guess(scorer, warm)
-    path = shifted_path(problem, scorer.index, scorer.position_m, warm)
+    path = shifted_path(scorer, warm)
     if path is not None:
         shifted = scorer.assessed(scorer.candidate(path, Rung.SHIFTED, Termination.STOPPED))
         if shifted.verdict is Verdict.VERIFIED:

@@ -278,7 +278,7 @@ def plan_message(certificate: Certificate, positions_m: Floats) -> str:
             )
     elif certificate.relaxed_steps and not parts:
         worst = max(certificate.relaxation_db)
-        steps = _ranges(certificate.relaxed_steps)
+        steps = steps_in_words(certificate.relaxed_steps)
         path_m, best_m = certificate.path_cost_m, certificate.best_cost_m
         if path_m is None or best_m is None:
             parts.append(
@@ -296,7 +296,7 @@ def plan_message(certificate: Certificate, positions_m: Floats) -> str:
     return "; ".join(parts)
 
 
-def _ranges(steps: Sequence[int]) -> str:
+def steps_in_words(steps: Sequence[int]) -> str:
     """Return step numbers as text, with ranges of consecutive steps."""
     first = [step for step in steps if step - 1 not in steps]
     last = [step for step in steps if step + 1 not in steps]

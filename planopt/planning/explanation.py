@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from planopt.planning.certificate import SHORTEST_IN_WORDS_M, Hole
+from planopt.planning.certificate import SHORTEST_IN_WORDS_M, Hole, steps_in_words
 
 LIMITS = ("robots[", "planner.", "world.")
 """Prefixes of keys that limit the robot or the planner, rather than state a requirement."""
@@ -54,7 +54,7 @@ class Relaxation:
         if self.value is not None:
             key += f" = {_shown(self.value, self.unit)}"
         fails = "makes this infeasible" if self.constraint.startswith(LIMITS) else "cannot be met"
-        where = f" at steps {_ranges(self.stages)}" if self.stages else ""
+        where = f" at {steps_in_words(self.stages)}" if self.stages else ""
         short = "" if self.shortfall is None else _shown(self.shortfall, self.shortfall_unit)
         by = f", short by {short}" if short else ""
         change = (
@@ -148,14 +148,3 @@ class Explanation(tuple[Relaxation | Crossing, ...]):
 
 def _shown(value: float, unit: str) -> str:
     return f"{value:.4g} {unit}".strip()
-
-
-def _ranges(stages: tuple[int, ...]) -> str:
-    """Return step numbers as text such as ``1-3, 5``."""
-    parts: list[list[int]] = []
-    for stage in stages:
-        if parts and stage == parts[-1][-1] + 1:
-            parts[-1].append(stage)
-        else:
-            parts.append([stage])
-    return ", ".join(f"{p[0]}-{p[-1]}" if len(p) > 1 else f"{p[0]}" for p in parts)

@@ -20,9 +20,10 @@ from planopt.planning.candidates import (
     best_of,
     budget_from,
     drive_candidate,
+    shifted_path,
     verified_of,
 )
-from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_drive, shifted_path
+from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_drive
 from planopt.planning.programme.path_nlp import METHODS
 from planopt.planning.proof.motion import swept_motion, verify_apart, verify_motion
 from planopt.planning.refinement import GuessRefinement
@@ -211,7 +212,9 @@ class FallbackCascade:
 class HorizonPlanner:
     """Planner for one robot of a problem whose objective is a sum of terms."""
 
-    def __init__(self, problem: Problem, ground: Ground) -> None:
+    def __init__(
+        self, problem: Problem, ground: Ground, _generator: np.random.Generator | None = None
+    ) -> None:
         self.problem = problem
         self.ground = ground
         self._search = GuessSearch(problem, ground)
@@ -221,7 +224,7 @@ class HorizonPlanner:
         """Return a plan from the robot's state; `warm` is the previous plan."""
         begun = perf_counter()
         budget = budget_from(self.problem, begun)
-        shifted = shifted_path(self.problem, scorer.index, context.position_m, warm)
+        shifted = shifted_path(scorer, warm)
         starts = self._search.find_guesses(context, shifted, budget)
         way = self._exit_path(context, starts)
         if way is not None:

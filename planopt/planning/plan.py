@@ -1,7 +1,7 @@
 """Plan of one robot, and history of the run before the plan.
 
-Every plan satisfies clearance, workspace and speed limits (:func:`is_sound`), whatever its
-connectivity, so that the remainder of a verified plan can replace a new one.
+Every plan satisfies clearance, workspace and speed limits, whatever its connectivity, so that
+the remainder of a verified plan can replace a new one.
 """
 
 from __future__ import annotations
@@ -17,11 +17,9 @@ import numpy as np
 from planopt.arrays import Floats, Mask
 from planopt.bounds.bound import Bound
 from planopt.planning.certificate import Certificate, Hole
-from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, DYNAMICS_TOLERANCE_M
 from planopt.problems.problem import Problem
-from planopt.robots.dynamics import Drive, dynamics_defect_m, rolled_out
+from planopt.robots.dynamics import Drive, rolled_out
 from planopt.short_repr import short_repr
-from planopt.world.clearance import ObstacleIndex, inside_bounds, is_clear, swept_clearance_m
 
 LEAST_BASE = 0.01
 """Minimum ratio of lattice to refined objective; below it, relative gains are undefined."""
@@ -203,33 +201,6 @@ def share_gained(gain: float, lattice: float, refined: float) -> float:
     if gain == 0.0:
         return 0.0
     return gain / abs(lattice) if abs(lattice) >= LEAST_BASE * abs(refined) > 0.0 else math.nan
-
-
-def is_sound(problem: Problem, index: ObstacleIndex, position_m: Floats, path_m: Floats) -> bool:
-    """Return whether a path (N, 2) from `position_m` (2,) satisfies clearance, speed, workspace."""
-    whole_m = np.vstack([position_m, path_m])
-    clearance = swept_clearance_m(index, whole_m)
-    return bool(
-        is_clear(clearance, problem.constraints.clearance_m, CLEARANCE_TOLERANCE_M).all()
-        and dynamics_defect_m(whole_m, position_m, problem.step_length_m) <= DYNAMICS_TOLERANCE_M
-        and inside_bounds(problem.workspace, whole_m).all()
-    )
-
-
-def shifted_path(
-    problem: Problem, index: ObstacleIndex, position_m: Floats, warm: Plan | None
-) -> Floats | None:
-    """Return a verified plan shifted by one step (N, 2), with a waiting step at its end.
-
-    None if the plan is unverified, no longer drivable, or for a robot with dynamics.
-    """
-    # Shapes: position_m (2,).
-    if warm is None or warm.verdict is not Verdict.VERIFIED or warm.drive is not None:
-        return None
-    rest = np.vstack([warm.positions_m[2:], warm.positions_m[-1:]])
-    if len(rest) != problem.planner.horizon:
-        return None
-    return rest if is_sound(problem, index, position_m, rest) else None
 
 
 def shifted_drive(problem: Problem, warm: Plan | None) -> Drive | None:

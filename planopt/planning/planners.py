@@ -88,11 +88,6 @@ def asked_plan(
     return plan
 
 
-def horizon_planner(problem: Problem, ground: Ground, _generator: np.random.Generator) -> Planner:
-    """Return the default planner, which searches, refines and verifies over a horizon."""
-    return HorizonPlanner(problem, ground)
-
-
 RINGS, HEADINGS = 10, 48
 """Number of radii and directions of the grid of positions within a step."""
 

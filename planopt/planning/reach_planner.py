@@ -24,6 +24,7 @@ from planopt.planning.candidates import (
     braked,
     budget_from,
     drive_candidate,
+    shifted_path,
     solve_limit_s,
     without_guess,
 )
@@ -44,7 +45,6 @@ from planopt.planning.plan import (
     Termination,
     Verdict,
     shifted_drive,
-    shifted_path,
 )
 from planopt.planning.programme.goal_value import ROUNDING_STEPS, GoalCharge
 from planopt.planning.programme.path_nlp import GOAL, METHODS, PathNlp, build_path_nlp
@@ -262,7 +262,7 @@ class ReachPlanner:
     ) -> Iterator[Candidate]:
         """Yield candidates, most promising first: refined guesses, then the lattice path."""
         if refinement is not None:
-            shifted = shifted_path(self.problem, scorer.index, scorer.position_m, warm)
+            shifted = shifted_path(scorer, warm)
             for attempt in refinement.attempts(shifted):
                 yield attempt
                 if attempt.verdict is Verdict.VERIFIED and attempt.objective <= lattice.objective:

@@ -202,9 +202,7 @@ def check_place(
     around = containing_obstacle(index, positions_m[0])
     if around is not None:
         raise InputError(
-            f"is {list(place)}, inside the obstacle {around.name}",
-            key=key,
-            remedy="move it",
+            f"is {list(place)}, inside the obstacle {around.name}", key=key, remedy="move it"
         )
     distance = float(clearance_m(index, positions_m)[0])
     if distance < problem.constraints.clearance_m:

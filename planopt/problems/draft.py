@@ -258,7 +258,7 @@ def _read(
     delimiter = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars", " ": "blanks"}
     notes.assume(
         f"{who}columns {columns.x}, {columns.y} ({unit}) and {columns.power}, separated by "
-        f"{delimiter.get(table.delimiter, table.delimiter)}",
+        f"{delimiter.get(table.delimiter, table.delimiter)}"
     )
     readings = readings_of(table, columns)
     if len(readings.rows) < len(table.rows):

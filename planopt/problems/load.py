@@ -26,13 +26,7 @@ from planopt.problems.channel_setup import (
 )
 from planopt.problems.library import find_problem, read_toml
 from planopt.problems.objective import ReachObjective, TermsObjective, term_keys
-from planopt.problems.problem import (
-    NAME,
-    Problem,
-    check_problem,
-    problem_from_tables,
-    tables_of,
-)
+from planopt.problems.problem import NAME, Problem, check_problem, problem_from_tables, tables_of
 from planopt.problems.robot import Robot
 from planopt.problems.schema import world_table
 from planopt.problems.settings import names_with, planner_kind
@@ -229,11 +223,7 @@ def with_overrides(
     require_motion(problem)
     given = {
         name: value
-        for name, value in (
-            ("horizon", horizon),
-            ("planner", planner),
-            ("cost-to-go", cost_to_go),
-        )
+        for name, value in (("horizon", horizon), ("planner", planner), ("cost-to-go", cost_to_go))
         if value is not None
     }
     try:

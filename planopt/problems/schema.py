@@ -77,7 +77,7 @@ class ObstacleTable(Table):
             )
         if "unknown" in self.model_fields_set and not is_grid(self.file):
             raise fault_of(
-                "has unknown, which applies only to an occupancy grid in a file: leave it out",
+                "has unknown, which applies only to an occupancy grid in a file: leave it out"
             )
         if self.until_s is not None and self.until_s <= self.known_from_s:
             raise fault_of(
@@ -87,7 +87,7 @@ class ObstacleTable(Table):
         if self.name is not None and self.file is not None:
             raise fault_of(
                 "has a name, which applies only to polygon and wkt: leave it out, since a "
-                "file contains its own names",
+                "file contains its own names"
             )
         return self
 
@@ -146,11 +146,7 @@ def _entry_obstacles(table: ObstacleTable, index: int, folder: Path) -> tuple[Ob
         return (footprint(name, table.polygon, table.holes),)
     except InputError as error:
         raise InputError(
-            error.message,
-            file=error.file,
-            key=error.key or key,
-            row=error.row,
-            remedy=error.remedy,
+            error.message, file=error.file, key=error.key or key, row=error.row, remedy=error.remedy
         ) from error
 
 
@@ -385,7 +381,4 @@ class ProblemFile(Table):
 
 def json_schema(model: type[Table] = ProblemFile) -> dict[str, Any]:
     """Return the JSON schema of problem files (draft 2020-12) that ``planopt schema`` prints."""
-    return {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **model.model_json_schema(),
-    }
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **model.model_json_schema()}

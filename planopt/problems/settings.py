@@ -25,6 +25,7 @@ GROUP = "planopt.planners"
 
 _HOME = "planopt.planning.planners"
 _BOUNDS = "planopt.planning.foresight"
+_SEARCH = "planopt.planning.horizon_planner"
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ OWN = {
     kind.name: kind
     for kind in (
         *(
-            PlannerKind(name, f"{_HOME}:horizon_planner", True, True, True, solves)
+            PlannerKind(name, f"{_SEARCH}:HorizonPlanner", True, True, True, solves)
             for name, solves in (("auto", True), ("nlp", True), ("scp", True), ("lattice", False))
         ),
         PlannerKind("one_step", f"{_HOME}:OneStepPlanner"),

@@ -416,8 +416,7 @@ def npz_arrays(path: Path, names: tuple[str, ...]) -> list[Floats]:
     for name in names:
         if name not in arrays:
             raise InputError(
-                f"the file has no variable {name!r}",
-                remedy=f"it has {listed(npz_names(path))}",
+                f"the file has no variable {name!r}", remedy=f"it has {listed(npz_names(path))}"
             )
         if arrays[name].dtype.kind not in "biuf":
             raise InputError(

@@ -89,7 +89,7 @@ class MotionKeys(Table):
         if not (straight and given == 1) and not (timed and given == 2):
             raise fault_of(
                 "needs either start_m and velocity_m_s, or times_s and positions_m: leave the "
-                "other two out",
+                "other two out"
             )
         return self
 
@@ -146,7 +146,7 @@ class MovingObstacle(Part):
         if "probability" in table.model_fields_set and not uncertain:
             raise fault_of(
                 "has probability, which needs position_std_m or acceleration_std_m_s2: write "
-                "for instance position_std_m = 0.5, or leave probability out",
+                "for instance position_std_m = 0.5, or leave probability out"
             )
         return values
 

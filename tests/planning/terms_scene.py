@@ -14,12 +14,13 @@ from sending_term import SendingTerm
 from planopt import Problem
 from planopt.channel import Belief
 from planopt.extend import casadi_term
+from planopt.objectives.terms.context import SteeringPath
 from planopt.planning.candidates import Scorer
 from planopt.planning.initial_data import prepare
 from planopt.planning.proof.context import VerifierContext, uncertain_law
 from planopt.planning.scene import Ground, build_ground
 from planopt.planning.values.context import Aim, StepContext, step_context
-from planopt.planning.values.exploration import SteeringPath, workspace_region
+from planopt.planning.values.exploration import workspace_region
 from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.problems.problem import problem_from_tables
 from planopt.world import index_obstacles
@@ -122,7 +123,7 @@ def context_of(problem: Problem, seed: int = 0) -> tuple[StepContext, Belief]:
     turns = np.array([at, [18.0, 30.0], [30.0, 30.0]])
     situation = replace(
         step_context(base, region, Aim(target, information=known)),
-        steering=SteeringPath(turns, index, problem.constraints.clearance_m),
+        steering=SteeringPath(turns, index, problem.constraints.clearance_m - 1e-6),
     )
     return situation, belief
 

@@ -8,16 +8,13 @@ and each mutant another one for at least one of them.
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from importlib.util import find_spec
-from pathlib import Path
-from types import ModuleType
 
 import numpy as np
 import pytest
 import shapely
+from mutants import module_of, source_of
 from scenes import (
     BAD,
     GOOD,
@@ -125,16 +122,6 @@ def island(positions_m: np.ndarray) -> np.ndarray:
     """Bad about (7, 15) but for that very reading, which is just good."""
     away = np.hypot(positions_m[:, 0] - 7.0, positions_m[:, 1] - 15.0)
     return np.where(away < 1.0, THRESHOLD_DBM + 2.0, np.where(away < 6.0, BAD, GOOD))
-
-
-def hole_and_gap(positions_m: np.ndarray) -> np.ndarray:
-    """Bad about the start, and in a band between start and goal."""
-    return np.minimum(bad_disc(5, 15, 3.5)(positions_m), GAP(positions_m))
-
-
-def deep_hole_and_gap(positions_m: np.ndarray) -> np.ndarray:
-    """Bad nine metres about (15, 15), and in a band before the goal."""
-    return np.minimum(bad_disc(15, 15, 9.0)(positions_m), bad_band(28, 32)(positions_m))
 
 
 def good_at_corners(positions_m: np.ndarray) -> np.ndarray:
@@ -435,22 +422,6 @@ CASES: dict[str, Case] = {
 VERIFY, MOTION = "planopt.planning.proof.verify", "planopt.planning.proof.motion"
 SEARCHES, ROUND = "planopt.planning.proof.searches", "planopt.world.shortest_paths"
 MODULES = (VERIFY, SEARCHES, ROUND, MOTION)
-
-
-def source_of(module: str) -> str:
-    """Its text."""
-    spec = find_spec(module)
-    assert spec is not None and spec.origin is not None
-    return Path(spec.origin).read_text()
-
-
-def module_of(name: str, source: str) -> ModuleType:
-    """A module of that text, under a name of its own."""
-    module = ModuleType(f"mutant_of_{name.rpartition('.')[2]}")
-    # Data classes look their module up.
-    sys.modules[module.__name__] = module
-    exec(compile(source, "<mutant>", "exec"), module.__dict__)
-    return module
 
 
 def verifier_of(sources: dict[str, str]) -> Callable[..., tuple]:

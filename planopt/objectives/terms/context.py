@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -20,6 +21,7 @@ from planopt.objectives.stage_power import StagePower
 from planopt.objectives.tracking import Held
 from planopt.targets.information_filter import TargetModel
 from planopt.targets.rounding import Derivatives
+from planopt.world.clearance import ObstacleIndex, segments_clear
 
 Made = TypeVar("Made")
 
@@ -30,40 +32,82 @@ LENGTH_ROUNDING_SHARE = 0.01
 """Smoothing width of lengths near zero, as a share of the longest step."""
 
 
-class SteeredPath(Protocol):
-    """Protocol of the route along which a robot is steered beyond its horizon."""
+@dataclass(frozen=True, eq=False)
+class SteeringPath:
+    """Path from a robot's position to the position that it is steered to."""
 
-    @property
-    def turns_m(self) -> Floats:
-        """``(m, 2)`` start, turns and end of the steering route."""
-        ...
+    # (m, 2), m at least 2: the robot's position, the turns, and the end
+    turns_m: Floats
+    index: ObstacleIndex  # The obstacles
+    clearance_m: float  # Minimum distance to obstacles, less the verifier's tolerance
+    # (ny, nx) length of the shortest path to the end from each node of the lattice, if known
+    lattice_m: Floats | None = None
+    # Whether a position heads at most for the end of its nearest leg, because the path also avoids
+    # coverage holes, across which later turns are visible
+    in_order: bool = False
 
     @property
     def end_m(self) -> Floats:
-        """``(2,)`` end of the route."""
-        ...
+        """Return the position (2,) that the robot is steered to."""
+        return self.turns_m[-1]
 
-    @property
+    @cached_property
     def rest_m(self) -> Floats:
-        """``(m,)`` remaining route length from each turn."""
-        ...
-
-    @property
-    def lattice_m(self) -> Floats | None:
-        """``(ny, nx)`` shortest path length from each lattice node to the end; None if unknown."""
-        ...
+        """Return the remaining path length (m,) from each turn."""
+        legs = np.linalg.norm(np.diff(self.turns_m, axis=0), axis=1)
+        return np.concatenate([np.cumsum(legs[::-1])[::-1], [0.0]])
 
     def next_turns(self, places_m: Floats) -> Indices:
-        """Return the index of the route's turn that each position (n, 2) heads for next."""
-        ...
+        """Return the index of the turn that each position (n, 2) heads for next.
+
+        Of the consecutive visible turns from the first visible one on, it is the last. If no turn
+        is visible, it is the start of the path.
+        """
+        found = np.zeros(len(places_m), dtype=np.intp)
+        left = np.arange(len(places_m))
+        last = self._ends_of_legs(places_m) if self.in_order else None
+        for turn in range(1, len(self.turns_m)):
+            if last is not None:
+                left = left[last[left] >= turn]
+            there = np.broadcast_to(self.turns_m[turn], (len(left), 2))
+            seen = segments_clear(self.index, places_m[left], there, self.clearance_m)
+            found[left[seen]] = turn
+            left = left[seen | (found[left] == 0)]
+            if not len(left):
+                break
+        return found
+
+    def _ends_of_legs(self, places_m: Floats) -> Indices:
+        """Return the index of the turn at which the leg nearest to each position ends."""
+        starts, legs = self.turns_m[:-1], np.diff(self.turns_m, axis=0)
+        offset = places_m[:, None] - starts
+        length2 = np.maximum((legs**2).sum(axis=1), np.finfo(float).tiny)
+        along = np.clip((offset * legs).sum(axis=2) / length2, 0.0, 1.0)
+        away = np.linalg.norm(offset - along[:, :, None] * legs, axis=2)
+        return len(legs) - away[:, ::-1].argmin(axis=1)
 
     def distance_m(self, places_m: Floats) -> Floats:
-        """Return the path length from each position (n, 2) to the end; ``(n,)``."""
-        ...
+        """Return the remaining distance from each position (n, 2) to the end; (n,)."""
+        turns = self.next_turns(places_m)
+        return np.linalg.norm(places_m - self.turns_m[turns], axis=1) + self.rest_m[turns]
+
+    def path_m(self, steps: int, longest_m: float) -> Floats:
+        """Return positions along the path, with a step end at every turn; ``(steps, 2)``."""
+        found: list[Floats] = []
+        here = self.turns_m[0]
+        for turn in self.turns_m[1:]:
+            count = max(math.ceil(float(np.linalg.norm(turn - here)) / longest_m), 1)
+            found += [here + (turn - here) * k / count for k in range(1, count + 1)]
+            here = turn
+            if len(found) >= steps:
+                break
+        found += [here] * (steps - len(found))
+        return np.array(found[:steps])
 
     def gained_m(self, paths_m: Floats) -> Floats:
-        """Return the progress towards the end, summed over the positions of paths (..., N, 2)."""
-        ...
+        """Return the reduction of the distance to the end, summed over positions (..., N, 2)."""
+        distance = self.distance_m(paths_m.reshape(-1, 2)).reshape(paths_m.shape[:-1])
+        return (self.rest_m[0] - distance).sum(axis=-1)
 
 
 class TermContext(Protocol):
@@ -130,7 +174,7 @@ class TermContext(Protocol):
         ...
 
     @property
-    def steering(self) -> SteeredPath | None:
+    def steering(self) -> SteeringPath | None:
         """Route that the robot is steered along, if any."""
         ...
 
@@ -298,20 +342,9 @@ class NodeChannel(Protocol):
         ...
 
 
-class Nodes(Protocol):
+class Nodes:
     """Channel predictions of all stations at the nodes of a lattice."""
 
-    @property
-    def grid_m(self) -> Floats:
-        """``(ny, nx, 2)`` positions of the nodes."""
-        ...
-
-    @property
-    def stations(self) -> Sequence[NodeChannel]:
-        """Channel predictions of each station at the lattice nodes."""
-        ...
-
-    @property
-    def window(self) -> tuple[slice, slice]:
-        """Row and column slices of the reachable nodes."""
-        ...
+    grid_m: Floats  # (ny, nx, 2) positions of the nodes
+    stations: Sequence[NodeChannel]  # Predictions of each station's power at the nodes
+    window: tuple[slice, slice]  # Rows and columns of the reachable nodes

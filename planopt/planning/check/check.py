@@ -19,20 +19,8 @@ from planopt.files.compare import DIGEST, differences, digest, in_words
 from planopt.files.tables import REMEDY, comparable
 from planopt.planning.certificate import Certificate, worst_of, worst_of_robots
 from planopt.planning.check.replay import belief_reasons, plan_reasons, replayed, start_of
-from planopt.planning.files.result_json import (
-    NoPlanRecord,
-    RunRecord,
-    no_plan_json,
-    no_run_json,
-)
-from planopt.planning.files.saved import (
-    FORMAT,
-    PLAN_FILE,
-    Contents,
-    Saved,
-    contents,
-    saved_from,
-)
+from planopt.planning.files.result_json import NoPlanRecord, RunRecord, no_plan_json, no_run_json
+from planopt.planning.files.saved import FORMAT, PLAN_FILE, Contents, Saved, contents, saved_from
 from planopt.planning.free_space import with_drawn_starts
 from planopt.planning.loop.results import Run, Solution
 from planopt.planning.plan import Plan, Verdict

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -138,10 +139,7 @@ class RobotRun:
     @property
     def rungs(self) -> dict[str, int]:
         """Return the number of steps released by each fallback."""
-        counts: dict[str, int] = {}
-        for rung in self.log.rung[1:]:
-            counts[rung.value] = counts.get(rung.value, 0) + 1
-        return counts
+        return dict(Counter(rung.value for rung in self.log.rung[1:]))
 
 
 @dataclass(frozen=True, eq=False)

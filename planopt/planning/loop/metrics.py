@@ -183,10 +183,13 @@ def step_log(
     plans: Sequence[Plan],
 ) -> StepLog:
     """Return the step log of a robot; the prediction of row 0 is that of the first plan."""
-    first = plans[:1]
 
-    def column(at_start: float, values: list[float]) -> Floats:
+    def column(at_start: float, values: Sequence[float]) -> Floats:
         return np.array([at_start, *values], dtype=float)
+
+    def predicted(name: str) -> Floats:
+        each = [getattr(plan, name) for plan in plans]
+        return column(each[0][0] if each else np.nan, [values[1] for values in each])
 
     relaxation = [
         dict(zip(p.certificate.relaxed_steps, p.certificate.relaxation_db, strict=True)).get(1, 0.0)
@@ -195,15 +198,9 @@ def step_log(
     return StepLog(
         t_s=problem.planner.step_s * np.arange(len(track_m), dtype=np.float64),
         positions_m=track_m,
-        predicted_dbm=column(
-            first[0].mean_dbm[0] if first else np.nan, [p.mean_dbm[1] for p in plans]
-        ),
-        deviation_db=column(
-            first[0].deviation_db[0] if first else np.nan, [p.deviation_db[1] for p in plans]
-        ),
-        connectivity=column(
-            first[0].connectivity[0] if first else np.nan, [p.connectivity[1] for p in plans]
-        ),
+        predicted_dbm=predicted("mean_dbm"),
+        deviation_db=predicted("deviation_db"),
+        connectivity=predicted("connectivity"),
         true_dbm=true_dbm,
         connected=true_dbm >= problem.stations[0].true_threshold_dbm,
         step_s=column(0.0, [p.wall_s for p in plans]),

@@ -17,6 +17,7 @@ from planopt.channel.connectivity_law import ConnectivityLaw
 from planopt.channel.measurements import SAME_PLACE_M
 from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
 from planopt.objectives.reach import outage_share
+from planopt.objectives.terms.context import Nodes
 from planopt.planning.proof.context import search_prediction
 from planopt.planning.tolerances import MARGIN_PAD_DB
 from planopt.planning.values.context import StepContext
@@ -28,9 +29,9 @@ class LatticeMap:
 
     def __init__(self, lattice: Lattice) -> None:
         self._lattice = lattice
-        self._maps = [self._tile_map()]
-        self.mean_db = self._maps[0].mean_db
-        self.deviation_db = self._maps[0].deviation_db
+        self.stations = [self._tile_map()]  # Map of each single station's power
+        self.mean_db = self.stations[0].mean_db
+        self.deviation_db = self.stations[0].deviation_db
 
     def _tile_map(self) -> TileMap:
         lattice = self._lattice
@@ -45,24 +46,19 @@ class LatticeMap:
         self, law: ConnectivityLaw, window_m: tuple[float, float, float, float] | None = None
     ) -> None:
         """Update the maps to the current belief, within a window or everywhere."""
-        while len(self._maps) < len(law.posteriors):
-            self._maps.append(self._tile_map())
-        for own, station in zip(self._maps, law.posteriors, strict=True):
+        while len(self.stations) < len(law.posteriors):
+            self.stations.append(self._tile_map())
+        for own, station in zip(self.stations, law.posteriors, strict=True):
             own.refresh(station, window_m)
-        if len(self._maps) == 1:
+        if len(self.stations) == 1:
             return
-        known = np.isfinite(self._maps[0].mean_db)
+        known = np.isfinite(self.stations[0].mean_db)
         power = law.combined(
-            [Prediction(own.mean_db[known], own.deviation_db[known]) for own in self._maps]
+            [Prediction(own.mean_db[known], own.deviation_db[known]) for own in self.stations]
         )
         self.mean_db = np.full(known.shape, np.nan)
         self.deviation_db = np.full(known.shape, np.nan)
         self.mean_db[known], self.deviation_db[known] = power.mean_db, power.deviation_db
-
-    @property
-    def stations(self) -> list[TileMap]:
-        """Return the map of each single station's power."""
-        return self._maps
 
 
 class NodeMargins:
@@ -128,7 +124,7 @@ class NodeMargins:
         return margin, outage_share(probability, margin < MARGIN_PAD_DB, self._everywhere)
 
 
-class NodeField:
+class NodeField(Nodes):
     """Predicted power at the nodes of a lattice."""
 
     def __init__(self, lattice: Lattice) -> None:
@@ -137,6 +133,7 @@ class NodeField:
         self._lattice = lattice
         self._context: StepContext | None = None
         self.grid_m = node_positions(lattice)
+        self.stations = self._map.stations  # Without corrections
         self.mean_db = self._map.mean_db
         self.deviation_db = self._map.deviation_db
         self.window = slice(0, 0), slice(0, 0)
@@ -199,8 +196,3 @@ class NodeField:
         self.deviation_db[new[:, 0], new[:, 1]] = power.deviation_db
         self._exact[new[:, 0], new[:, 1]] = True
         return True
-
-    @property
-    def stations(self) -> list[TileMap]:
-        """Return the map of each single station's power, without corrections."""
-        return self._map.stations

@@ -22,6 +22,7 @@ from planopt.channel.channel_map import TileMap
 from planopt.channel.neighbours import PlaceTree
 from planopt.channel.prediction import connection_probability
 from planopt.objectives.measuring import OPEN_SPACINGS
+from planopt.objectives.terms.context import SteeringPath
 from planopt.objectives.terms.measured import MappingTerm
 from planopt.objectives.terms.term import Term
 from planopt.objectives.terms.until_connected import UntilConnectedTerm
@@ -31,7 +32,7 @@ from planopt.planning.search.global_search import FORBIDDEN
 from planopt.planning.search.node_margins import LatticeMap, NodeMargins
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.planning.values.context import StepContext
-from planopt.planning.values.exploration import SteeringPath, steering_path, workspace_region
+from planopt.planning.values.exploration import steering_path, workspace_region
 from planopt.problems.problem import Problem
 from planopt.world.clearance import segments_clear
 from planopt.world.lattice import lattice_paths, route_from

@@ -254,9 +254,9 @@ def planning(
     problem: Problem,
     scenes: Sequence[Scene] | None,
     seeds: TeamSeeds,
-    foreseen_m: Sequence[Floats] | None = None,
+    foreseen_m: Sequence[Floats] | None = None,  # (T, 2)
 ) -> Planning:
-    """Return a function that creates planners; the arguments are those of :func:`plan_step`.
+    """Return a function that creates planners of steps, to goals or for a sum of terms.
 
     The scenes belong to the initial obstacles and are rebuilt if obstacles change.
     """
@@ -265,20 +265,10 @@ def planning(
         at_start = now.workspace.obstacles == problem.workspace.obstacles
         places = [state[:2] for state in states]
         known = scenes if at_start else build_scenes(now, places)
-        return plan_step(now, known, seeds, foreseen_m)
+        if known is not None:
+            couriers = Couriers(now, known, seeds)
+            return lambda at: (couriers.plan(at), [Aim() for _ in now.robots])
+        team = build_team(now, seeds, foreseen_m)
+        return lambda at: plan_together(now, team, at)
 
     return made
-
-
-def plan_step(
-    problem: Problem,
-    scenes: Sequence[Scene] | None,
-    seeds: TeamSeeds,
-    foreseen_m: Sequence[Floats] | None = None,  # (T, 2)
-) -> PlanStep:
-    """Return the function that plans a step for all robots, to goals or for a sum of terms."""
-    if scenes is not None:
-        couriers = Couriers(problem, scenes, seeds)
-        return lambda at: (couriers.plan(at), [Aim() for _ in problem.robots])
-    team = build_team(problem, seeds, foreseen_m)
-    return lambda at: plan_together(problem, team, at)

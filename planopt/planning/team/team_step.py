@@ -15,6 +15,7 @@ from typing import Any
 from planopt.arrays import Floats
 from planopt.channel.posterior import Belief
 from planopt.objectives.moments import Region
+from planopt.objectives.terms.context import SteeringPath
 from planopt.objectives.terms.term import Steers
 from planopt.planning.candidates import Scorer
 from planopt.planning.foresight import FollowingPlanner
@@ -41,7 +42,7 @@ from planopt.planning.values.context import (
     places_of_others,
     step_context,
 )
-from planopt.planning.values.exploration import SteeringPath, workspace_region
+from planopt.planning.values.exploration import workspace_region
 from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.motion import TimedMotion

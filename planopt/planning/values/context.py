@@ -25,11 +25,12 @@ from planopt.channel.posterior import ChannelPosterior, with_expected
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.objectives.measuring import MeasuringRule
 from planopt.objectives.moments import Region
+from planopt.objectives.terms.context import SteeringPath
 from planopt.objectives.terms.term import Structure, explores
 from planopt.objectives.tracking import Held
 from planopt.planning.proof.context import VerifierContext, search_power, search_prediction
 from planopt.planning.tolerances import STANDSTILL_M
-from planopt.planning.values.exploration import SteeringPath, region_near, steering_path
+from planopt.planning.values.exploration import region_near, steering_path
 from planopt.problems.problem import Problem
 from planopt.targets.information_filter import TargetModel
 

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +22,7 @@ from planopt.channel.neighbours import PlaceTree
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.measuring import MeasuringRule
 from planopt.objectives.moments import Region
+from planopt.objectives.terms.context import SteeringPath
 from planopt.objectives.terms.term import explores
 from planopt.planning.proof.context import search_power
 from planopt.planning.tolerances import CLEARANCE_PAD_M, CLEARANCE_TOLERANCE_M, STEP_PAD_M
@@ -36,99 +36,14 @@ from planopt.world.clearance import (
 )
 from planopt.world.lattice import MOVES, Lattice, moves_from, node_positions
 
-if TYPE_CHECKING:
-    # Type checkers reject a cached property for a protocol's property.
-    cached_property = property
-else:
-    from functools import cached_property
-
-
-@dataclass(frozen=True, eq=False)
-class SteeringPath:
-    """Path from a robot's position to the position that it is steered to."""
-
-    # (m, 2), m at least 2: the robot's position, the turns, and the end
-    turns_m: Floats
-    index: ObstacleIndex  # The obstacles
-    clearance_m: float  # Minimum distance to obstacles
-    # (ny, nx) length of the shortest path to the end from each node of the lattice, if known
-    lattice_m: Floats | None = None
-    # Whether a position heads at most for the end of its nearest leg, because the path also avoids
-    # coverage holes, across which later turns are visible
-    in_order: bool = False
-
-    @property
-    def end_m(self) -> Floats:
-        """Return the position (2,) that the robot is steered to."""
-        return self.turns_m[-1]
-
-    @cached_property
-    def rest_m(self) -> Floats:
-        """Return the remaining path length (m,) from each turn."""
-        legs = np.linalg.norm(np.diff(self.turns_m, axis=0), axis=1)
-        return np.concatenate([np.cumsum(legs[::-1])[::-1], [0.0]])
-
-    def next_turns(self, places_m: Floats) -> Indices:
-        """Return the index of the turn that each position (n, 2) heads for next.
-
-        Of the consecutive visible turns from the first visible one on, it is the last. If no turn
-        is visible, it is the start of the path.
-        """
-        found = np.zeros(len(places_m), dtype=np.intp)
-        left = np.arange(len(places_m))
-        last = self._ends_of_legs(places_m) if self.in_order else None
-        for turn in range(1, len(self.turns_m)):
-            if last is not None:
-                left = left[last[left] >= turn]
-            there = np.broadcast_to(self.turns_m[turn], (len(left), 2))
-            seen = segments_clear(
-                self.index, places_m[left], there, self.clearance_m, CLEARANCE_TOLERANCE_M
-            )
-            found[left[seen]] = turn
-            left = left[seen | (found[left] == 0)]
-            if not len(left):
-                break
-        return found
-
-    def _ends_of_legs(self, places_m: Floats) -> Indices:
-        """Return the index of the turn at which the leg nearest to each position ends."""
-        starts, legs = self.turns_m[:-1], np.diff(self.turns_m, axis=0)
-        offset = places_m[:, None] - starts
-        length2 = np.maximum((legs**2).sum(axis=1), np.finfo(float).tiny)
-        along = np.clip((offset * legs).sum(axis=2) / length2, 0.0, 1.0)
-        away = np.linalg.norm(offset - along[:, :, None] * legs, axis=2)
-        return len(legs) - away[:, ::-1].argmin(axis=1)
-
-    def distance_m(self, places_m: Floats) -> Floats:
-        """Return the remaining distance from each position (n, 2) to the end; (n,)."""
-        turns = self.next_turns(places_m)
-        return np.linalg.norm(places_m - self.turns_m[turns], axis=1) + self.rest_m[turns]
-
-    def path_m(self, steps: int, longest_m: float) -> Floats:
-        """Return positions along the path, with a step end at every turn; ``(steps, 2)``."""
-        found: list[Floats] = []
-        here = self.turns_m[0]
-        for turn in self.turns_m[1:]:
-            count = max(math.ceil(float(np.linalg.norm(turn - here)) / longest_m), 1)
-            found += [here + (turn - here) * k / count for k in range(1, count + 1)]
-            here = turn
-            if len(found) >= steps:
-                break
-        found += [here] * (steps - len(found))
-        return np.array(found[:steps])
-
-    def gained_m(self, paths_m: Floats) -> Floats:
-        """Return the reduction of the distance to the end, summed over positions (..., N, 2)."""
-        distance = self.distance_m(paths_m.reshape(-1, 2)).reshape(paths_m.shape[:-1])
-        return (self.rest_m[0] - distance).sum(axis=-1)
-
 
 def steering_path(
     problem: Problem, index: ObstacleIndex, turns_m: Floats, lattice_m: Floats | None = None
 ) -> SteeringPath:
     """Return a steering path with turns `turns_m` (m, 2)."""
     in_order = any(term.steers == "goal" for term in problem.terms)
-    return SteeringPath(turns_m, index, problem.constraints.clearance_m, lattice_m, in_order)
+    apart_m = problem.constraints.clearance_m - CLEARANCE_TOLERANCE_M
+    return SteeringPath(turns_m, index, apart_m, lattice_m, in_order)
 
 
 PLACES = 200

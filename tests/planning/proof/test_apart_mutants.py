@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
-from importlib.util import find_spec
-from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 import pytest
+from mutants import module_of, source_of
 
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
 from planopt.problems import DoubleIntegrator, Unicycle
@@ -107,22 +104,6 @@ MUTANTS = [
     (OBSTACLE, "np.full(len(obstacles), clearance_m)", "np.zeros(len(obstacles))"),
     (OBSTACLE, 'side="right") - 1', 'side="right") - 2'),
 ]
-
-
-def source_of(module: str) -> str:
-    """Its text."""
-    spec = find_spec(module)
-    assert spec is not None and spec.origin is not None
-    return Path(spec.origin).read_text()
-
-
-def module_of(name: str, source: str, **served: object) -> ModuleType:
-    """A module of that text, served by other ones."""
-    module = ModuleType(f"apart_mutant_{name.rpartition('.')[2]}")
-    sys.modules[module.__name__] = module
-    exec(compile(source, "<mutant>", "exec"), module.__dict__)
-    module.__dict__.update(served)
-    return module
 
 
 def judgements(changed: str = "", source: str = "") -> list[object]:

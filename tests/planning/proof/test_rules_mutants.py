@@ -10,13 +10,12 @@ import sys
 from collections.abc import Callable, Iterator
 from functools import partial
 from importlib import import_module
-from importlib.util import find_spec
-from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 import pytest
 import test_rules
+from mutants import source_of
 
 from planopt.planning.proof.rule import Rule
 
@@ -81,13 +80,6 @@ def facts() -> Iterator[Callable[[], object]]:
         if name.startswith("test_"):
             [mark] = getattr(test, "pytestmark", [None])
             yield from (partial(test, value) for value in mark.args[1]) if mark else [test]
-
-
-def source_of(module: str) -> str:
-    """Its text."""
-    spec = find_spec(module)
-    assert spec is not None and spec.origin is not None
-    return Path(spec.origin).read_text()
 
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: f"{mutant[0][17:]}: {mutant[2]}")

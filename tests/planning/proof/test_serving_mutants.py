@@ -14,7 +14,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 import test_serving
-from test_rules_mutants import source_of
+from mutants import source_of
 
 from planopt.channel.connectivity_law import ConnectivityLaw
 from planopt.planning.proof.rule import PathCase, Rule

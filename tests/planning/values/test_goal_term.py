@@ -12,9 +12,9 @@ from scipy.stats import norm
 from terms_scene import LEARNING, context_of, scorer_of, terms_problem
 
 from planopt import InputError, check, load, load_result, simulate
+from planopt.objectives.terms.context import SteeringPath
 from planopt.planning.proof.context import search_prediction
 from planopt.planning.search.steering import GoalSteering
-from planopt.planning.values.exploration import SteeringPath
 from planopt.problems import problem_to_dict
 from planopt.problems.problem import problem_from_tables
 from planopt.world import index_obstacles
@@ -92,7 +92,7 @@ def test_places_go_on_in_the_order_of_the_turns():
     """The last turn is in sight from everywhere, and across the hole."""
     index = index_obstacles(with_obstacles(to_goal(GOAL)).workspace)
     turns = np.array([[0.0, 0.0], [0.0, 10.0], [10.0, 10.0], [10.0, 0.0]])
-    way = SteeringPath(turns, index, 0.5, in_order=True)
+    way = SteeringPath(turns, index, 0.5 - 1e-6, in_order=True)
     places = np.array([[0.0, 0.0], [1.0, 4.0], [5.0, 9.0], [9.5, 3.0]])
     np.testing.assert_array_equal(way.next_turns(places), [1, 1, 2, 3])
     np.testing.assert_array_equal(replace(way, in_order=False).next_turns(places), [3] * 4)

@@ -10,8 +10,8 @@ import shapely
 from terms_scene import context_of, scorer_of, terms_problem
 
 from planopt import Obstacle
+from planopt.objectives.terms.context import SteeringPath
 from planopt.planning.search.steering import Steering
-from planopt.planning.values.exploration import SteeringPath
 from planopt.world import clearance_m, index_obstacles, swept_clearance_m
 
 TWO_LAYER = {
@@ -104,7 +104,7 @@ def test_distance_is_that_of_the_shortest_way():
     """About one corner: the two straight legs; from behind the obstacle back by the start."""
     wall = Obstacle("wall", shapely.box(5.0, 0.0, 6.0, 9.0))
     index = index_obstacles(replace(terms_problem(TWO_LAYER).workspace, obstacles=(wall,)))
-    way = SteeringPath(np.array([[0.0, 5.0], [5.5, 10.0], [10.0, 5.0]]), index, 0.5)
+    way = SteeringPath(np.array([[0.0, 5.0], [5.5, 10.0], [10.0, 5.0]]), index, 0.5 - 1e-6)
     legs = [np.hypot(5.5, 5.0), np.hypot(4.5, 5.0)]
     np.testing.assert_allclose(way.rest_m, [sum(legs), legs[1], 0.0])
     places = np.array([[2.0, 8.0], [8.0, 9.0], [1.0, 8.5], [9.0, 1.0]])

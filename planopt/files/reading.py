@@ -17,13 +17,12 @@ import warnings
 import zipfile
 from collections.abc import Collection, Generator, Iterator
 from pathlib import Path
-from typing import Any
-
-import numpy as np
-from numpy.lib import format as npy
-from numpy.typing import NDArray
+from typing import TYPE_CHECKING, Any
 
 from planopt.errors import InputError
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 MEGABYTE = 2**20
 
@@ -168,6 +167,10 @@ def _array(
     path: Path, archive: zipfile.ZipFile, name: str, member: zipfile.ZipInfo
 ) -> NDArray[Any]:
     """Return one array after checking the size declared in its header, which NumPy allocates."""
+    # Listing the library reads texts only.
+    import numpy as np
+    from numpy.lib import format as npy
+
     with foreign_reader(path, "an npz", name), archive.open(member) as stream:
         first = npy.read_magic(stream) == (1, 0)
         read_header = npy.read_array_header_1_0 if first else npy.read_array_header_2_0

@@ -31,6 +31,7 @@ from planopt.pursuit.guarantees import Chase as Chase
 from planopt.pursuit.guarantees import capture_guarantees as capture_guarantees
 from planopt.pursuit.guarantees import contraction as contraction
 from planopt.pursuit.guarantees import guarantees_among_obstacles as guarantees_among_obstacles
+from planopt.pursuit.levels import LevelBounds as LevelBounds
 from planopt.pursuit.pursuers import DriveToReport as DriveToReport
 from planopt.pursuit.pursuers import Estimate as Estimate
 from planopt.pursuit.pursuers import Policy as Policy

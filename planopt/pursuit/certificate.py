@@ -17,6 +17,7 @@ import numpy as np
 import shapely
 
 from planopt.arrays import Floats, Indices
+from planopt.pursuit.levels import LevelBounds
 from planopt.pursuit.verify import PursuitData, PursuitLog, Violation
 
 
@@ -115,6 +116,9 @@ class Case:
     least_age_s: float
     least_error_m: float
     period_s_m: float  # Time between rounds per metre of distance
+    spacing_m: float  # Side of the finest cells
+    reach_m: float = math.inf  # Distance up to which a record exists
+    open_space: bool = True
 
     @property
     def moved(self) -> float:
@@ -132,10 +136,15 @@ class Case:
         """Return y: evader displacement between rounds, per metre of distance."""
         return self.period_s_m * self.evader_m_s
 
-    def lagged(self) -> Case:
-        """Return the case with bounds per metre of distance to the last sampled position."""
-        share = 1.0 / (1.0 - self.lag)
-        return replace(self, age_s_m=share * self.age_s_m, error=share * self.error)
+    @property
+    def levels(self) -> LevelBounds:
+        """Return the bounds of the pursuit level by level."""
+        period_s = 0.5 * self.period_s_m * self.spacing_m
+        return LevelBounds(
+            *(self.evader_m_s, self.pursuer_m_s, self.delay_s, self.spacing_m),
+            *(self.least_age_s - period_s, period_s, self.error, self.least_error_m),
+            self.open_space,
+        )
 
     def start_m(self, distance_m: float) -> float:
         """Return the bound W at the first record, for the evader's distance at its sample time."""
@@ -162,7 +171,8 @@ def premises(theorem: Theorem, case: Case) -> list[Inequality]:
         return [Inequality("a below 1", a, 1.0)]
     found = [Inequality("y = v_e period below 1", case.lag, 1.0)]
     if case.lag < 1.0:
-        wider = case.lagged()
+        share = 1.0 / (1.0 - case.lag)
+        wider = replace(case, age_s_m=share * case.age_s_m, error=share * case.error)
         waits = wider.error * (1.0 + wider.moved)
         found.append(Inequality("a of the error over 1 - y below 1", wider.contraction, 1.0))
         found.append(Inequality("growth while waiting below 1", waits, 1.0))
@@ -171,30 +181,32 @@ def premises(theorem: Theorem, case: Case) -> list[Inequality]:
 
 def stages(theorem: Theorem, case: Case, before_m: Floats) -> list[tuple[Floats, Floats]]:
     """Return next bound and duration of a driving and a waiting stage, for bounds (k,)."""
-    # The bound is on W, for the Lemma on the sampled distance. All premises must hold.
-    near = case.lagged() if theorem is Theorem.SNAPSHOTS else case
-    age_m = np.maximum(near.moved * before_m, near.evader_m_s * near.least_age_s)
+    # The bound is on W, for the Lemma on the sampled distance. All premises must hold. Snapshots
+    # are bounded by level instead.
+    age_m = np.maximum(case.moved * before_m, case.evader_m_s * case.least_age_s)
     if theorem is Theorem.LEMMA:
         sampled_m, far_m, left_m = before_m, before_m, age_m
     elif theorem is Theorem.ANY_INSTANT:
         sampled_m = np.maximum(0.0, before_m - age_m)
         far_m, left_m = before_m, before_m - sampled_m
     else:
-        sampled_m = near.least_distance_m(before_m)
+        sampled_m = case.least_distance_m(before_m)
         far_m, left_m = sampled_m, before_m - sampled_m
-    error_m = np.maximum(near.error * far_m, near.least_error_m)
-    drive_s = (sampled_m + error_m) / near.pursuer_m_s + near.delay_s
-    found = [(left_m + error_m + near.evader_m_s * drive_s, drive_s)]
+    error_m = np.maximum(case.error * far_m, case.least_error_m)
+    drive_s = (sampled_m + error_m) / case.pursuer_m_s + case.delay_s
+    found = [(left_m + error_m + case.evader_m_s * drive_s, drive_s)]
     if theorem is not Theorem.SAMPLED_DISTANCE:
-        lag = case.lag if theorem is Theorem.SNAPSHOTS else case.moved
-        error_m = np.maximum(near.error * before_m, near.least_error_m)
-        wait_s = np.maximum(case.least_age_s, case.age_s_m / (1.0 - lag) * error_m) + case.delay_s
+        error_m = np.maximum(case.error * before_m, case.least_error_m)
+        oldest_s = case.age_s_m / (1.0 - case.moved) * error_m
+        wait_s = np.maximum(case.least_age_s, oldest_s) + case.delay_s
         found.append((error_m + case.evader_m_s * wait_s, wait_s))
     return found
 
 
 def next_bound_m(theorem: Theorem, case: Case, before_m: Floats) -> Floats:
     """Return the largest bound after any stage, for bounds (k,) before it."""
+    if theorem is Theorem.SNAPSHOTS:
+        return case.levels.next_bound_m(before_m)
     return np.max([after for after, _ in stages(theorem, case, before_m)], axis=0)
 
 
@@ -202,6 +214,8 @@ def floor_m(theorem: Theorem, case: Case) -> float:
     """Return the largest bound W that a stage may fail to reduce; infinite if a premise fails."""
     if not all(each.holds for each in premises(theorem, case)):
         return math.inf
+    if theorem is Theorem.SNAPSHOTS:
+        return case.levels.floor_m()
     grid: Floats = np.geomspace(1e-9, 1e15, 2001)
     grid[0] = 0.0
     for _ in range(8):
@@ -219,6 +233,10 @@ def capture_time_s(theorem: Theorem, case: Case, distance_m: float, radius_m: fl
     """Return the maximum time to capture from a first sampled distance; infinite if unbounded."""
     if not floor_m(theorem, case) < radius_m:
         return math.inf
+    if theorem is Theorem.SNAPSHOTS:
+        if case.levels.start_m(distance_m) > case.reach_m:
+            return math.inf
+        return case.levels.capture_time_s(distance_m, radius_m)
     first, last = case.start_m(distance_m), radius_m
     if theorem is Theorem.LEMMA:
         first, last = case.least_distance_m(np.array([first, last])).tolist()
@@ -270,6 +288,7 @@ def certify(
         3.0 * (1 + rate_divisor) * frame_s,
         math.sqrt(0.5) * data.mote_spacing_m,
         6.0 * rate_divisor * frame_s / data.mote_spacing_m,
+        data.mote_spacing_m,
     )
     radius_m, first_m, deadline_s = data.capture_radius_m, data.first_distance_m, data.deadline_s
     if radius_m is None:
@@ -393,6 +412,8 @@ def _case(
         rounds * service.hops_per_round * service.frame_s,
         math.sqrt(0.5) * service.mote_spacing_m,
         service.rate_divisor * round_s_m,
+        service.mote_spacing_m,
+        service.mote_spacing_m * 2.0**service.levels if service.endless else math.inf,
     )
     if not data.obstacles:
         return case
@@ -403,6 +424,7 @@ def _case(
         pursuer_m_s=case.pursuer_m_s / slower,
         error=wider * case.error,
         least_error_m=wider * case.least_error_m,
+        open_space=False,
     )
 
 

@@ -12,7 +12,8 @@ stage by the W of the current one, using the bounds of the service (docs/theory/
 * `sampled_distance` holds if they are bounded by the distance to the sampled position and the
   pursuer always finds a record no older than its last one on arrival: a faster pursuer can
   always follow the trail;
-* `snapshots` holds for the rounds of a snapshot service, including the wait for records.
+* `snapshots` holds for the rounds of a snapshot service, including the wait for records; it bounds
+  every stage by the levels that the service may use (`planopt.pursuit.levels`).
 
 Among obstacles all four hold either for shortest path lengths with larger errors, or for straight
 distances with a pursuer slowed by the detour factor.
@@ -29,6 +30,7 @@ import numpy as np
 
 from planopt.arrays import Floats, Mask
 from planopt.pursuit.certificate import Distances, Inequality, Theorem
+from planopt.pursuit.levels import LevelBounds
 from planopt.pursuit.service import ServiceBounds
 
 Stage = Callable[[Floats], tuple[Floats, Floats]]
@@ -84,6 +86,7 @@ class Guarantee:
     ratio: float  # Maximum ratio of successive W, far from the floor
     stages: tuple[Stage, ...]
     distances: Distances = Distances.STRAIGHT  # Kind of distance bounded by W
+    levels: LevelBounds | None = None  # Bounds by level, for snapshots whose inequalities hold
 
     @property
     def holds(self) -> bool:
@@ -93,6 +96,8 @@ class Guarantee:
     @cached_property
     def floor_m(self) -> float:
         """Return the largest bound W that may fail to decrease; infinite if an inequality fails."""
+        if self.levels is not None:
+            return self.levels.floor_m() if self.holds else math.inf
         floor_m = _floor_m(self.stages) if self.holds else math.inf
         if self.theorem is Theorem.LEMMA and math.isfinite(floor_m):
             return _start_m(self.chase, self.bounds, floor_m)
@@ -100,6 +105,8 @@ class Guarantee:
 
     def next_bound_m(self, bound_m: Floats) -> Floats:
         """Return the bounds W after a stage for bounds W before it, in the same shape."""
+        if self.levels is not None:
+            return self.levels.next_bound_m(bound_m)
         return np.max([stage(bound_m)[0] for stage in self.stages], axis=0)
 
     def captures(self, capture_radius_m: float) -> Inequality:
@@ -112,6 +119,11 @@ class Guarantee:
         # decrease. This ratio falls with W, so its integral over W bounds the total time.
         if not self.holds or not self.captures(capture_radius_m).holds:
             return math.inf
+        if self.levels is not None:
+            reach_m = self.bounds.reach_m
+            if reach_m is not None and self.levels.start_m(distance_m) > reach_m:
+                return math.inf
+            return self.levels.capture_time_s(distance_m, capture_radius_m)
         first, last = _start_m(self.chase, self.bounds, distance_m), capture_radius_m
         if self.theorem is Theorem.LEMMA:  # Bounds the sampled distance
             least = _least_distance_m(self.chase, self.bounds, np.array([first, last]))
@@ -134,11 +146,11 @@ def capture_guarantees(chase: Chase, bounds: ServiceBounds) -> dict[Theorem, Gua
         return {
             theorem: Guarantee(theorem, chase, bounds, needs, math.inf, (_never,))
             for theorem in Theorem
-            if theorem is not Theorem.SNAPSHOTS or bounds.period_s_m is not None
+            if theorem is not Theorem.SNAPSHOTS or bounds.spacing_m is not None
         }
     a, x = contraction(chase.speed_ratio, bounds.relative_error), staleness(chase, bounds)
     moved_m = chase.evader_speed_m_s * bounds.age_floor_s
-    wait = _wait(chase, bounds, bounds, lag=x)
+    wait = _wait(chase, bounds)
 
     def shrink(sampled_m: Floats) -> tuple[Floats, Floats]:
         """Return the Lemma's bound on the next sampled distance, and the stage's duration."""
@@ -171,34 +183,41 @@ def capture_guarantees(chase: Chase, bounds: ServiceBounds) -> dict[Theorem, Gua
             Inequality("a below 1", a, 1.0),
         ),
     ]
-    if bounds.period_s_m is not None:
-        # A level is used because the next finer one, sampled at most a period later, placed the
-        # evader elsewhere. In between it moved at most y = v_e times the period. Bounds relative to
-        # the sampled distance are therefore those of the rounds with slopes divided by 1 - y.
-        lag = bounds.period_s_m * chase.evader_speed_m_s
-        late = Inequality("y = v_e period below 1", lag, 1.0)
-        if late.holds:
-            wider = ServiceBounds(
-                bounds.age_s_m / (1.0 - lag),
-                bounds.relative_error / (1.0 - lag),
-                bounds.age_floor_s,
-                bounds.error_floor_m,
-            )
-            a_lag, x_lag = contraction(chase.speed_ratio, wider.relative_error), x / (1.0 - lag)
-            waits = wider.relative_error * (1.0 + x_lag)
-            each.append(
-                found(
-                    Theorem.SNAPSHOTS,
-                    max((a_lag + x_lag) / (1.0 + x_lag), waits),
-                    (_follow(chase, wider), _wait(chase, wider, bounds, lag)),
-                    late,
-                    Inequality("a of the error over 1 - y below 1", a_lag, 1.0),
-                    Inequality("growth while waiting below 1", waits, 1.0),
-                )
-            )
-        else:
-            each.append(found(Theorem.SNAPSHOTS, math.inf, (_never,), late))
+    if bounds.period_s_m is not None and bounds.spacing_m is not None:
+        each.append(_by_snapshots(chase, bounds, bounds.period_s_m, bounds.spacing_m))
     return {one.theorem: one for one in each}
+
+
+def _by_snapshots(
+    chase: Chase, bounds: ServiceBounds, period_s_m: float, spacing_m: float
+) -> Guarantee:
+    """Return the guarantee by nested rounds, with a period per metre of distance."""
+    # A level is used because the next finer one, sampled at most a period later, placed the evader
+    # elsewhere. In between it moved at most y = v_e times the period.
+    lag, x = period_s_m * chase.evader_speed_m_s, staleness(chase, bounds)
+    late = Inequality("y = v_e period below 1", lag, 1.0)
+    if not late.holds:
+        return Guarantee(Theorem.SNAPSHOTS, chase, bounds, (late,), math.inf, (_never,))
+    error, moved = bounds.relative_error / (1.0 - lag), x / (1.0 - lag)
+    a, waits = contraction(chase.speed_ratio, error), error * (1.0 + moved)
+    period_s = 0.5 * period_s_m * spacing_m
+    levels = LevelBounds(
+        chase.evader_speed_m_s,
+        chase.pursuer_speed_m_s,
+        chase.stage_delay_s,
+        spacing_m,
+        bounds.age_floor_s - period_s,
+        period_s,
+        bounds.relative_error,
+        bounds.error_floor_m,
+    )
+    needs = (
+        late,
+        Inequality("a of the error over 1 - y below 1", a, 1.0),
+        Inequality("growth while waiting below 1", waits, 1.0),
+    )
+    ratio = max((a + moved) / (1.0 + moved), waits)
+    return Guarantee(Theorem.SNAPSHOTS, chase, bounds, needs, ratio, (), levels=levels)
 
 
 def guarantees_among_obstacles(
@@ -222,7 +241,12 @@ def guarantees_among_obstacles(
         )
         each = capture_guarantees(replace(chase, pursuer_speed_m_s=speed_m_s), wider)
         found[distances] = {
-            theorem: replace(guarantee, distances=distances) for theorem, guarantee in each.items()
+            theorem: replace(
+                guarantee,
+                distances=distances,
+                levels=guarantee.levels and replace(guarantee.levels, open_space=False),
+            )
+            for theorem, guarantee in each.items()
         }
     return found
 
@@ -255,16 +279,17 @@ def _driven(
     return bound_m - sampled_m + error_m + chase.evader_speed_m_s * lasts_s, lasts_s
 
 
-def _wait(chase: Chase, errors: ServiceBounds, ages: ServiceBounds, lag: float) -> Stage:
+def _wait(chase: Chase, bounds: ServiceBounds) -> Stage:
     """Return a waiting stage, which ends when a fresher record arrives."""
     # Until then all records are older, but their age is bounded by a distance that grows no faster
-    # than the evader moves: the last record is at most ``sigma error / (1 - lag)`` old.
-    if lag >= 1.0:
+    # than the evader moves: the last record is at most ``sigma error / (1 - x)`` old.
+    x = staleness(chase, bounds)
+    if x >= 1.0:
         return _never
 
     def wait(bound_m: Floats) -> tuple[Floats, Floats]:
-        error_m = _error_m(errors, bound_m)
-        oldest_s = np.maximum(ages.age_floor_s, ages.age_s_m / (1.0 - lag) * error_m)
+        error_m = _error_m(bounds, bound_m)
+        oldest_s = np.maximum(bounds.age_floor_s, bounds.age_s_m / (1.0 - x) * error_m)
         lasts_s = oldest_s + chase.stage_delay_s
         return error_m + chase.evader_speed_m_s * lasts_s, lasts_s
 

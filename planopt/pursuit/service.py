@@ -48,9 +48,11 @@ class ServiceBounds:
     relative_error: float  # kappa = 1/k: maximum error per metre
     age_floor_s: float = 0.0  # The same bounds near the object
     error_floor_m: float = 0.0
-    # Time between rounds per metre, for services with nested rounds like :class:`SnapshotService`;
-    # None for others
+    # Time between rounds per metre and side of the finest cells, for services with nested rounds
+    # like :class:`SnapshotService`; None for others
     period_s_m: float | None = None
+    spacing_m: float | None = None
+    reach_m: float | None = None  # Distance up to which a record exists; None for no limit
 
     def __post_init__(self) -> None:
         for key, value in vars(self).items():
@@ -98,6 +100,8 @@ class SnapshotService:
             age_floor_s=(1 + self.rate_divisor) * self.hops_per_round * self.frame_s,
             error_floor_m=math.sqrt(0.5) * self.mote_spacing_m,
             period_s_m=self.rate_divisor * frame_s_m,
+            spacing_m=self.mote_spacing_m,
+            reach_m=self.side_m if self.endless else None,
         )
 
     @property

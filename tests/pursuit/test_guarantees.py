@@ -22,8 +22,8 @@ CHASES = [Chase(1.0, 2.0), Chase(2.5, 3.5, 0.3), Chase(0.4, 2.0, 0.05)]
 BOUNDS = [
     ServiceBounds(0.1, 0.1),
     ServiceBounds(0.05, 0.08, 1.5, 0.7),
-    ServiceBounds(0.2, 0.05, 0.01, 2.0, period_s_m=0.1),
-    ServiceBounds(0.0, 0.12, 4.0, 0.01, period_s_m=0.0),
+    ServiceBounds(0.2, 0.05, 0.01, 2.0, period_s_m=0.1, spacing_m=1.0),
+    ServiceBounds(0.0, 0.12, 4.0, 0.01, period_s_m=0.0, spacing_m=1.0),
 ]
 
 
@@ -167,7 +167,9 @@ def test_inequalities_say_by_how_much():
 
 def test_period_of_one_evader_step():
     """Where an evader leaves every cell within a period, rounds say nothing."""
-    found = capture_guarantees(Chase(1.0, 2.0), ServiceBounds(2.0, 0.1, period_s_m=1.0))
+    found = capture_guarantees(
+        Chase(1.0, 2.0), ServiceBounds(2.0, 0.1, period_s_m=1.0, spacing_m=1.0)
+    )
     assert Theorem.SNAPSHOTS in found and not found[Theorem.SNAPSHOTS].holds
     assert "period" in str(found[Theorem.SNAPSHOTS].inequalities[0])
     assert Theorem.SNAPSHOTS not in capture_guarantees(Chase(1.0, 2.0), ServiceBounds(2.0, 0.1))
@@ -177,7 +179,7 @@ def test_period_of_one_evader_step():
 @pytest.mark.parametrize("age_s_m", [0.0, 5.0])
 def test_evader_as_fast_as_its_pursuer(speeds, age_s_m):
     """No theorem holds, however old or fresh the records are."""
-    bounds = ServiceBounds(age_s_m, 0.1, period_s_m=0.1)
+    bounds = ServiceBounds(age_s_m, 0.1, period_s_m=0.1, spacing_m=1.0)
     found = capture_guarantees(Chase(*speeds), bounds)
     among = guarantees_among_obstacles(Chase(*speeds), bounds, 2.0)
     assert set(found) == set(Theorem) == set(among[Distances.PATHS])

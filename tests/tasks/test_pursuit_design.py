@@ -124,15 +124,15 @@ def test_slots_below_the_peak_load(written, run):
 
     The default is the peak load: the same radio carries no design then.
     """
-    code, data = run("solve", written(TEXT, bit_rate_bit_s="16e3\nslot_blocks = 6"))
+    code, data = run("solve", written(TEXT, bit_rate_bit_s="10e3\nslot_blocks = 6"))
     certificate = data["certificate"]
     assert (code, data["verdict"], certificate["slot_blocks"]) == (3, "feasible_unverified", 6)
     assert certificate["late_share"][3] == pytest.approx(0.464, abs=1e-3)
     assert "46.4 % of the level-3 records are late" in data["message"]
     assert certificate["reasons"] == [data["message"]]
-    code, data = run("solve", written(TEXT, bit_rate_bit_s="16e3"))
+    code, data = run("solve", written(TEXT, bit_rate_bit_s="10e3"))
     assert (code, data["verdict"]) == (4, "none")
-    code, data = run("solve", written(TEXT, bit_rate_bit_s="60e3"))
+    code, data = run("solve", written(TEXT, bit_rate_bit_s="37e3"))
     assert (code, data["certificate"]["slot_blocks"]) == (0, 30)
     assert data["certificate"]["late_share"] == [0.0] * 7
 

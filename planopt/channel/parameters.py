@@ -148,6 +148,9 @@ class ChannelParameters:
     forgetting_s
         Time scale of a time-varying channel, whose shadowing covariance has the additional factor
         ``exp(-age / forgetting_s)``. Infinite for a static channel.
+    n_pl_prior
+        Mean and standard deviation of the normal prior on n_PL that estimates of the path loss use;
+        None for a flat prior.
 
     Raises
     ------
@@ -163,6 +166,7 @@ class ChannelParameters:
     multipath_std_db: float
     station: Station
     forgetting_s: float = math.inf
+    n_pl_prior: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         for name in ("k_pl_db", "n_pl", "shadow_std_db", "decorrelation_m", "multipath_std_db"):
@@ -181,6 +185,12 @@ class ChannelParameters:
                     key=name,
                     remedy="give a value above 0, e.g. 10",
                 )
+        if self.n_pl_prior is not None and not 0.0 < self.n_pl_prior[1] < math.inf:
+            raise InputError(
+                f"is {self.n_pl_prior!r}, should have a standard deviation above 0",
+                key="n_pl_prior",
+                remedy="give a mean and a standard deviation, e.g. (2.0, 1.0)",
+            )
 
 
 def station_distance_m(positions_m: Floats, station: Station) -> Floats:

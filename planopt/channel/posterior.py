@@ -431,15 +431,20 @@ def theta_estimate(
     parameters: ChannelParameters,
     products: Floats,  # (3, 3) of whitened [y - Gamma theta_0, Gamma]
 ) -> tuple[Floats, Floats]:
-    """Estimate theta and its covariance M (equation 1.7)."""
+    """Estimate theta and its covariance M (equation 1.7, or 2.14 with a prior on n_PL)."""
     # Scaled by the weak prior's standard deviations.
     unit = np.array(WEAK_THETA_DEVIATION)
-    information = unit[:, None] * products[1:, 1:] * unit
+    score, precision = products[1:, 0], np.zeros((2, 2))
+    if parameters.n_pl_prior is not None:
+        mean, deviation = parameters.n_pl_prior
+        precision[1, 1] = deviation**-2
+        score = score + precision @ [0.0, mean - parameters.n_pl]
+    information = unit[:, None] * (products[1:, 1:] + precision) * unit
     eigenvalues = np.linalg.eigvalsh(information)
     if eigenvalues[0] * MAX_INFORMATION_CONDITION <= eigenvalues[1]:
         information += np.eye(2)
     covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
-    moved = unit * (covariance @ (unit * products[1:, 0]))
+    moved = unit * (covariance @ (unit * score))
     theta = np.array([parameters.k_pl_db, parameters.n_pl]) + moved
     return theta, unit[:, None] * covariance * unit
 

@@ -139,8 +139,8 @@ class LogOptions(FormatOptions):
         option("--stations", "FILE", "With --each: table of names and positions of transmitters."),
     ] = None
     method: Annotated[
-        str, option("--method", "NAME", "Estimator: lemma1, capped, convex, nls or reml.")
-    ] = "reml"
+        str, option("--method", "NAME", "Estimator: map, reml, lemma1, capped, convex or nls.")
+    ] = "map"
     station_method: Annotated[
         str | None,
         option(

@@ -438,7 +438,7 @@ class FitTable(Table):
     """Table ``[channel.fit]``: estimation of the channel parameters."""
 
     method: FitMethod = "reml"
-    """Estimation method: lemma1, capped, convex, nls or reml (see docs/channel.md, Fit)."""
+    """Estimation method: reml, map, lemma1, capped, convex or nls (see docs/channel.md, Fit)."""
     given: GivenParameters | None = None
     """Known parameters, which are not estimated: shadow_std_db, decorrelation_m and
     multipath_std_db, and optionally both k_pl_db and n_pl."""

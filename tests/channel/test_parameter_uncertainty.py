@@ -55,7 +55,7 @@ def test_against_quadrature():
     weights /= weights.sum()
     mean = weights @ np.array(means)
     deviation = np.sqrt(weights @ (np.array(variances) + (np.array(means) - mean) ** 2))
-    found = marginalise(fit_channel(data, FIG_3.station).parameters, data).predict(PLACES)
+    found = marginalise(fit_channel(data, FIG_3.station, "reml").parameters, data).predict(PLACES)
     assert np.sqrt(np.mean((found.mean_db - mean) ** 2)) < 0.3
     np.testing.assert_allclose(found.deviation_db.mean(), deviation.mean(), rtol=0.04)
 
@@ -69,7 +69,7 @@ def test_coverage_at_sixteen():
     for seed in range(60):
         everything = simulated(FIG_3, seed, 116, 50.0)
         data, rest = subset(everything, np.arange(16)), subset(everything, np.arange(16, 116))
-        parameters = fit_channel(data, FIG_3.station).parameters
+        parameters = fit_channel(data, FIG_3.station, "reml").parameters
         for name, posterior in (
             ("marginal", marginalise(parameters, data)),
             ("plug-in", condition(parameters, data)),
@@ -84,7 +84,7 @@ def test_coverage_at_sixteen():
 def test_powers_in_other_units():
     """Powers scaled and shifted scale and shift the prediction: alpha is integrated out."""
     data = simulated(FIG_3, 9, 20, 50.0)
-    parameters = fit_channel(data, FIG_3.station).parameters
+    parameters = fit_channel(data, FIG_3.station, "reml").parameters
     scaled = Measurements(data.positions_m, 3.0 * data.power_dbm + 7.0, data.censored)
     one, other = (
         marginalise(parameters, data).predict(PLACES),
@@ -143,7 +143,7 @@ def test_awkward_measurements(seed):
     data = Measurements(
         positions, rng.normal(-50.0, 5.0, count), rng.random(count) < 0.2 * (seed % 2)
     )
-    parameters = fit_channel(data, FIG_3.station).parameters
+    parameters = fit_channel(data, FIG_3.station, "reml").parameters
     found = marginalise(parameters, data)
     prediction = found.predict(PLACES)
     assert found.weights.sum() == pytest.approx(1.0)
@@ -162,7 +162,7 @@ def test_coverage_where_much_is_censored():
         known = Measurements(
             known.positions_m, np.maximum(known.power_dbm, floor), known.power_dbm < floor
         )
-        found = marginalise(fit_channel(known, channel.station).parameters, known)
+        found = marginalise(fit_channel(known, channel.station, "reml").parameters, known)
         rest = drawn.take(slice(60, None))
         prediction = found.predict(rest.positions_m)
         error = np.abs(rest.power_dbm - prediction.mean_db)

@@ -46,7 +46,8 @@ def fits():
         raw, held_out = first(simulated(CHANNEL, seed, COUNT + 30, 45.0), COUNT)
         told, untold = in_steps(raw, STEP_DB), in_steps(raw, STEP_DB, told=False)
         station = CHANNEL.station
-        found.append((held_out, told, fit_channel(told, station), fit_channel(untold, station)))
+        fits = (fit_channel(each, station, "reml") for each in (told, untold))
+        found.append((held_out, told, *fits))
     return found
 
 

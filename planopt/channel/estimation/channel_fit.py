@@ -134,7 +134,7 @@ def at_bound(name: str, value: float, unit: str) -> str:
     return f"{name} is at a bound of its range ({value:.3g} {unit}): it is not determined"
 
 
-FitMethod = Literal["lemma1", "capped", "convex", "nls", "reml"]
+FitMethod = Literal["lemma1", "capped", "convex", "nls", "reml", "map"]
 
 Loss = Literal["squares", "huber", "absolute"]
 
@@ -198,14 +198,15 @@ class ChannelFit:
     warnings
         Messages for the user, with the reasons for the status.
     log_likelihood
-        Restricted log-likelihood; None for methods other than ``reml``.
+        Restricted log-likelihood, for ``map`` plus the prior's logarithm; None for other methods
+        than these.
     receiver_offsets
         Offsets of all receivers except number 0; empty if all measurements are from receiver 0.
     station_covariance_m2
         ``(2, 2)`` covariance of the estimated station position, with ``inf`` on the diagonal if it
         is not determined; None for a known position.
     other_modes
-        Other likelihood maxima of ``reml`` whose log-likelihood is lower by at most
+        Other maxima of ``reml`` and ``map`` whose log-likelihood is lower by at most
         :data:`planopt.channel.estimation.reml.NEARLY_AS_LIKELY`, the best first.
     """
 

@@ -33,7 +33,7 @@ from planopt.channel.estimation.least_squares import (
     examine,
     least_squares,
 )
-from planopt.channel.estimation.likelihood import Covariance
+from planopt.channel.estimation.likelihood import Covariance, LogNormal
 from planopt.channel.estimation.reml import EXACT_ROWS, RemlFit, reml_fit
 from planopt.channel.long_logs import receiver_offsets
 from planopt.channel.measurements import Measurements, Table, as_measurements
@@ -61,6 +61,7 @@ class _FitInput:
     station: Station
     allows: Identifiability
     forgetting_s: float
+    n_pl_prior: tuple[float, float] | None = None
 
     def parameters(self, coefficients: Floats, covariance: Covariance) -> ChannelParameters:
         """Return the channel parameters of an estimate."""
@@ -74,6 +75,7 @@ class _FitInput:
             multipath_std_db=math.sqrt(nugget),
             station=self.station,
             forgetting_s=self.forgetting_s,
+            n_pl_prior=self.n_pl_prior,
         )
 
 
@@ -88,15 +90,28 @@ class _Estimate:
     reml: RemlFit | None = None
 
 
-def _by_likelihood(data: _FitInput) -> _Estimate:
-    """Return the restricted maximum likelihood estimate."""
+MAP_N_PL = (2.0, 1.0)
+"""Prior mean and standard deviation of n_PL for ``map``."""
+
+MAP_EXTENT_SHARE = 1.0 / 6.0
+"""Prior median of beta for ``map``, as a share of the log's extent."""
+
+MAP_LOG_BETA_STD = 0.7
+"""Prior standard deviation of the logarithm of beta for ``map``."""
+
+
+def _by_likelihood(data: _FitInput, *, has_prior: bool) -> _Estimate:
+    """Return the estimate of restricted maximum likelihood, or of maximum posterior density."""
     line = least_squares(data.model, data.measurements)
     beta_bounds = data.allows.decorrelation_bounds_m
     bounds = covariance_bounds(line.variance_db2, beta_bounds)
     # The path loss variance of position errors uses n_PL of the least-squares line.
     rough = fallback_fit(line.variance_db2, beta_bounds, "a first guess")
     known = data.parameters(line.coefficients, rough.values)
-    found = reml_fit(data.model, data.measurements, bounds, known)
+    prior = None
+    if has_prior:
+        prior = LogNormal(MAP_EXTENT_SHARE * data.allows.extent_m, MAP_LOG_BETA_STD)
+    found = reml_fit(data.model, data.measurements, bounds, known, prior)
     at = found.best.at
     return _Estimate(found.covariance, at.coefficients, at.coefficient_covariance, reml=found)
 
@@ -266,15 +281,15 @@ def _is_pile(counts: Indices) -> bool:
 def fit_channel(
     measurements: Measurements | Table,
     station: Station,
-    method: FitMethod = "reml",
+    method: FitMethod = "map",
     forgetting_s: float = math.inf,
     *,
     loss: Loss = "squares",
 ) -> ChannelFit:
     """Estimate path loss, shadowing and multipath.
 
-    Position errors and the age of measurements enter the likelihood of ``reml``; the other methods
-    ignore them and warn. All methods estimate receivers' offsets.
+    Position errors and the age of measurements enter the likelihood of ``map`` and ``reml``; the
+    other methods ignore them and warn. All methods estimate receivers' offsets.
 
     Parameters
     ----------
@@ -283,13 +298,14 @@ def fit_channel(
     station
         Fixed base station.
     method
-        ``reml`` (default): restricted maximum likelihood, by blocks for more than
-        :data:`planopt.channel.estimation.reml.EXACT_ROWS` measurements. ``lemma1``: Lemma 1 of
-        [GM11] as printed. ``capped``: Lemma 1 with a lag cap and weights n r^2. ``convex``:
-        ``capped`` as a convex programme with xi^2 <= alpha and bounds on beta. ``nls``: nonlinear
-        least squares of the exponential on all bins. Censored powers enter the likelihood of
-        ``reml``; the other methods replace them by expected values, which ignores their part of
-        the correlation.
+        ``map`` (default): maximum of the restricted likelihood times priors on n_PL and beta
+        (equation 2.13), by blocks for more than
+        :data:`planopt.channel.estimation.reml.EXACT_ROWS` measurements. ``reml``: the same without
+        priors. ``lemma1``: Lemma 1 of [GM11] as printed. ``capped``: Lemma 1 with a lag cap and
+        weights n r^2. ``convex``: ``capped`` as a convex programme with xi^2 <= alpha and bounds on
+        beta. ``nls``: nonlinear least squares of the exponential on all bins. Censored powers enter
+        the likelihood of ``map`` and ``reml``; the other methods replace them by expected values,
+        which ignores their part of the correlation.
     forgetting_s
         Known time scale T: shadowing at two times has correlation ``exp(-|t - t'| / T)``;
         ``math.inf`` for a static channel.
@@ -328,13 +344,14 @@ def fit_channel(
     measurements = measurements.by_place()
     exact = ~measurements.censored
     model = mean_model(measurements.positions_m, exact, station, allows.n_pl_reason is None)
-    data = _FitInput(model, measurements, station, allows, forgetting_s)
+    prior = MAP_N_PL if chosen == "map" else None
+    data = _FitInput(model, measurements, station, allows, forgetting_s, prior)
     if not exact.any():
         return _channel_fit(_by_assumption(data, "every measurement is censored"), data, chosen)
     if allows.covariance_reason is not None:
         return _channel_fit(_by_assumption(data, allows.covariance_reason), data, chosen)
-    if chosen == "reml":
-        return _channel_fit(_by_likelihood(data), data, chosen)
+    if chosen in ("reml", "map"):
+        return _channel_fit(_by_likelihood(data, has_prior=chosen == "map"), data, chosen)
     return _channel_fit(_by_correlation(data, chosen, loss), data, chosen)
 
 

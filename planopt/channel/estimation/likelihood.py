@@ -91,8 +91,8 @@ class LikelihoodData:
     origins: Origins  # (n) of the measurements; receivers' offsets are coefficients here
     # (n, q): p columns of the mean model, then indicators of all receivers except number 0
     columns: Floats
-    prior_precision: Floats  # (q,) of the coefficients; the first p are 0 (flat)
-    line: Floats  # (p,) coefficients of the line subtracted from the powers
+    prior_precision: Floats  # (q,) of the coefficients; of the first p, 0 is flat
+    line: Floats  # (p,) coefficients of the line subtracted from the powers, the prior's mean
     values_db: Floats  # (n,) powers less the mean model's offset and the line
     # (n,) variance of rounding, and of path loss due to position errors
     fixed_db2: Floats
@@ -172,13 +172,18 @@ def likelihood_data(
         around = surrounding_windows(coordinates, with_some, SITE_NEIGHBOURS)
     power, measured = measurements.power_dbm - model.offset_db, ~measurements.censored
     line = np.linalg.lstsq(model.columns[measured], power[measured], rcond=None)[0]
+    precision = np.zeros(len(line))
+    if known.n_pl_prior is not None and len(line) == 2:
+        mean, deviation = known.n_pl_prior
+        precision[1] = deviation**-2
+        line = np.array([(power - mean * model.columns[:, 1])[measured].mean(), mean])
     start = model.offset_db + model.columns @ line
     width = bands.width_db[rows]
     return LikelihoodData(
         known,
         origins,
         np.column_stack([model.columns, receivers]),
-        np.repeat([0.0, RECEIVER_OFFSET_STD_DB**-2], [len(line), receivers.shape[1]]),
+        np.append(precision, np.full(receivers.shape[1], RECEIVER_OFFSET_STD_DB**-2)),
         np.asarray(line, dtype=np.float64),
         measurements.power_dbm - start,
         np.where(chosen, 0.0, rounded_variance_db2(measurements.resolution_db)) + displaced,
@@ -240,19 +245,40 @@ class Evaluation:
     precision: Precision | None  # None for several windows
 
 
-class RestrictedLikelihood:
-    """Restricted likelihood of measurements; sites and mean are warm-started."""
+@dataclass(frozen=True)
+class LogNormal:
+    """Log-normal prior of beta (equation 2.13)."""
 
-    def __init__(self, data: LikelihoodData) -> None:
-        self.data = data
+    median_m: float
+    deviation: float  # Standard deviation of log beta
+
+    def added_to(self, at: Evaluation, beta: float) -> Evaluation:
+        """Return an evaluation of the likelihood with the logarithm of the prior added."""
+        apart = math.log(beta / self.median_m) / self.deviation
+        gradient = at.gradient.copy()
+        gradient[2] -= apart / (self.deviation * beta)
+        value = at.log_likelihood - 0.5 * apart**2
+        information = at.information + self.information(beta)
+        return replace(at, log_likelihood=value, gradient=gradient, information=information)
+
+    def information(self, beta: float) -> Floats:
+        """Return the information (3, 3) on xi^2, omega^2 and beta."""
+        return np.diag([0.0, 0.0, (self.deviation * beta) ** -2.0])
+
+
+class RestrictedLikelihood:
+    """Restricted likelihood, times a prior if there is one; sites and mean are warm-started."""
+
+    def __init__(self, data: LikelihoodData, prior: LogNormal | None = None) -> None:
+        self.data, self.prior = data, prior
         self._sites: WindowSites | IntervalSites | None = None
         self._coefficients = np.zeros(len(data.prior_precision))
 
     def at(self, covariance: Covariance, site_tolerance: float = SITE_TOLERANCE) -> Evaluation:
         """Evaluate the likelihood at (xi^2, omega^2, beta)."""
-        if self.data.is_whole:
-            return self._whole(covariance, site_tolerance)
-        return self._blocks(covariance)
+        whole = self.data.is_whole
+        at = self._whole(covariance, site_tolerance) if whole else self._blocks(covariance)
+        return at if self.prior is None else self.prior.added_to(at, covariance[2])
 
     def information(self, covariance: Covariance, at: Evaluation) -> Floats:
         """Return the expected information (3, 3), whose inverse is the parameters' covariance.
@@ -261,7 +287,8 @@ class RestrictedLikelihood:
         """
         if at.precision is None:
             return at.information
-        return _expected_information(self.data, covariance, at.precision.projection())
+        expected = _expected_information(self.data, covariance, at.precision.projection())
+        return expected if self.prior is None else expected + self.prior.information(covariance[2])
 
     def _whole(self, covariance: Covariance, site_tolerance: float) -> Evaluation:
         """Evaluate the likelihood of a single window, with joint sites."""
@@ -392,16 +419,16 @@ def _evaluation(
 ) -> Evaluation:
     """Return the likelihood and its derivatives from the sums over windows."""
     coefficients, spread = estimate
-    count = len(data.line)
+    count, proper = len(data.line), data.prior_precision > 0.0
     value = log_likelihood
     if value is None:
         squares = sums.products[0, 0] - float(sums.products[0, 1:] @ coefficients)
         value = log_factor - 0.5 * (
             sums.log_determinant
             - float(np.linalg.slogdet(spread)[1])
-            - float(np.log(data.prior_precision[count:]).sum())
+            - float(np.log(data.prior_precision[proper]).sum())
             + squares
-            + (len(data.values_db) - count) * math.log(2.0 * math.pi)
+            + (len(data.values_db) - int((~proper).sum())) * math.log(2.0 * math.pi)
         )
     residual = np.concatenate([[1.0], -coefficients])
     slopes = sums.product_slopes
@@ -446,7 +473,7 @@ def _interval_prior(
     covariance.flat[:: len(rows) + 1] += data.intervals.displaced_db2
     left, mean = data.columns[rows], np.zeros(len(rows))
     information, score = np.diag(data.prior_precision), np.zeros(len(data.prior_precision))
-    prior_precision = data.prior_precision[len(data.line) :]
+    prior_precision = data.prior_precision[data.prior_precision > 0.0]
     log_gaussian = 0.5 * float(np.log(prior_precision / (2.0 * math.pi)).sum())
     if len(exact):
         total = latent_db2[np.ix_(exact, exact)]

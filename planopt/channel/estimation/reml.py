@@ -1,9 +1,9 @@
 """Restricted maximum likelihood of xi, omega and beta, with generalised least squares for theta.
 
-This is the default fit. Unlike Lemma 1 of [GM11] it has no selection bias, weights all pairs
-efficiently and includes censored measurements in the likelihood. Up to `EXACT_ROWS` measurements
-the likelihood is exact; beyond, it is approximated by blocks at linear cost
-(:mod:`planopt.channel.estimation.likelihood`).
+With priors on n_PL and beta this is the default fit. Unlike Lemma 1 of [GM11] it has no selection
+bias, weights all pairs efficiently and includes censored measurements in the likelihood. Up to
+`EXACT_ROWS` measurements the likelihood is exact; beyond, it is approximated by blocks at linear
+cost (:mod:`planopt.channel.estimation.likelihood`).
 
 The likelihood may have several maxima, typically two: steep path loss with a short decorrelation
 distance, and flat path loss with a long one, where slow shadowing absorbs the slope. Their basins
@@ -31,6 +31,7 @@ from planopt.channel.estimation.likelihood import (
     Covariance,
     Evaluation,
     LikelihoodData,
+    LogNormal,
     RestrictedLikelihood,
     likelihood_data,
     profiled_log_likelihood,
@@ -114,15 +115,19 @@ class RemlFit:
 
 
 def reml_fit(
-    model: MeanModel, measurements: Measurements, bounds: CovarianceBounds, known: ChannelParameters
+    model: MeanModel,
+    measurements: Measurements,
+    bounds: CovarianceBounds,
+    known: ChannelParameters,
+    prior: LogNormal | None = None,
 ) -> RemlFit:
-    """Maximise the restricted likelihood within `bounds`."""
+    """Maximise the restricted likelihood within `bounds`, or its product with a prior."""
     box = np.log([bounds.shadow_db2, bounds.multipath_db2, bounds.decorrelation_m])
     blocks = None if len(measurements) <= EXACT_ROWS else bounds.decorrelation_m
     fine = FINE if blocks is None else BLOCK_FINE
     data = likelihood_data(model, measurements, known, None, blocks)
-    likelihood = RestrictedLikelihood(data)
-    modes = _modes(likelihood, _starts(data, bounds, box), box, fine)
+    likelihood = RestrictedLikelihood(data, prior)
+    modes = _modes(likelihood, _starts(data, prior, bounds, box), box, fine)
     further = _beyond_best(likelihood, modes[0], box)
     if further is not None:
         modes = _modes(likelihood, [further, *(mode.logs for mode in modes)], box, fine)
@@ -130,7 +135,7 @@ def reml_fit(
     if as_interval.sum() > measurements.censored.sum():
         # Chosen once, from the fit with Sheppard's correction, so that the likelihood is smooth.
         data = likelihood_data(model, measurements, known, as_interval, blocks)
-        likelihood = RestrictedLikelihood(data)
+        likelihood = RestrictedLikelihood(data, prior)
         modes = _modes(likelihood, [mode.logs for mode in modes], box, fine)
     return RemlFit(_covariance_fit(likelihood, modes[0], box), modes[0], tuple(modes[1:]))
 
@@ -148,7 +153,9 @@ def variances(logs: Floats) -> Covariance:
     return float(shadow), float(nugget), float(beta)
 
 
-def _starts(data: LikelihoodData, bounds: CovarianceBounds, box: Floats) -> list[Floats]:
+def _starts(
+    data: LikelihoodData, prior: LogNormal | None, bounds: CovarianceBounds, box: Floats
+) -> list[Floats]:
     """Return initial guesses: the maxima of a sample's likelihood."""
     taken = data.gaussian.copy()
     if data.is_whole:
@@ -158,7 +165,7 @@ def _starts(data: LikelihoodData, bounds: CovarianceBounds, box: Floats) -> list
         first = np.concatenate([window.own for window in data.windows[:SAMPLED_BLOCKS]])
         taken[np.delete(np.arange(len(taken)), first)] = False
     sample = data.part(taken)
-    likelihood = RestrictedLikelihood(sample)
+    likelihood = RestrictedLikelihood(sample, prior)
     tops = [_climbed(likelihood, start, box, ROUGH) for start in _grid_starts(sample, bounds)]
     return [mode.logs for mode in _distinct(likelihood, tops)]
 

@@ -102,7 +102,7 @@ SINGULAR = 1e12
 @one_blas_thread()
 def fit_channel_and_station(
     measurements: Measurements | Table,
-    method: FitMethod = "reml",
+    method: FitMethod = "map",
     height_m: float = 0.0,
     forgetting_s: float = math.inf,
     *,
@@ -366,7 +366,7 @@ def _joint_surface(
     """Return the likelihood surface with the covariance that REML fits for `station`."""
     # The prior on n_PL is used: a farther station with a larger n_PL fits almost equally well.
     station = _clear_of(measurements, station)
-    fitted = fit_channel(measurements, station, forgetting_s=forgetting_s).parameters
+    fitted = fit_channel(measurements, station, "reml", forgetting_s).parameters
     return station_surface(measurements, fitted, has_prior=True)
 
 

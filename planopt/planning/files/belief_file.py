@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from planopt.arrays import Floats
 from planopt.bounds.bound import Potential, Tilts
+from planopt.channel.estimation.fit import MAP_N_PL
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import ChannelParameters, Station
 from planopt.channel.posterior import Belief
@@ -218,7 +219,10 @@ def _read_station(path: Path, prefix: str, arrays: Arrays) -> SavedBelief:
     return SavedBelief(
         file=path,
         parameters=ChannelParameters(
-            *numbers, station=Station((x, y), height), forgetting_s=float(arrays["forgetting_s"])
+            *numbers,
+            station=Station((x, y), height),
+            forgetting_s=float(arrays["forgetting_s"]),
+            n_pl_prior=MAP_N_PL if str(arrays.get("fit_method")) == "map" else None,
         ),
         measurements=Measurements(
             **{each.name: arrays[each.name] for each in fields(Measurements)}

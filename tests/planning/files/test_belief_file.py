@@ -85,7 +85,7 @@ def test_needs_no_pickle(file: Path) -> None:
     """The file opens with pickles forbidden and holds the standard errors in order."""
     with np.load(file, allow_pickle=False) as arrays:
         assert arrays["standard_errors"].shape == (5,)
-        assert str(arrays["fit_method"]) == "reml"
+        assert str(arrays["fit_method"]) == "map"
 
 
 def rewritten(file: Path, **changes: Any) -> None:

@@ -1,10 +1,10 @@
 """Enclosures of the predicted power over discs: certified ranges of mean, variance, probability.
 
 Let phi be the covariances of a position with the measurements. The mean is ``f' theta + phi' w``,
-the variance ``omega^2 + xi^2 - phi' U^-1 phi + r' M r``, r = f - A' phi (equation 1.8). Over a disc
-of radius rho about c, each phi_l is enclosed by its tangent and a remainder, since distance is
-convex; if the disc may hold the measured position, by its range. The quadratic form is enclosed
-by ``phi(c)' U^-1 phi(c) + 2 a' delta + [0, D]`` (equation 6.13).
+the variance ``omega^2 + xi^2 - phi' U^-1 phi + r' M r``, r = f - A' phi (equation 1.8). Over a
+disc of radius rho about c, each phi_l is enclosed by its Taylor polynomial of degree two and a
+remainder (equation 6.16); near the measured position, where distance has a kink, by its tangent or
+range. Sums keep the quadratic terms, as the curvatures of many measurements cancel.
 """
 
 from __future__ import annotations
@@ -30,73 +30,96 @@ Array = NDArray[np.float64]
 DISCS_AT_ONCE = 512
 """Number of discs per block; their covariances with the measurements fit into the cache."""
 
+MIXED = 2.0 / np.sqrt(3.0)
+"""Three times the maximum of c (1 - c^2) for a cosine c, in third derivatives of distances."""
+
 ROUNDING = 1e-9
 """Relative widening of every range, far above the rounding errors of its sums."""
 
 
 @dataclass(frozen=True)
-class AffineBound:
-    """Affine upper bounds ``value + slope . (x - centre)`` over n discs."""
-
-    value: Array
-    slope: Array
-
-
-@dataclass(frozen=True)
 class PowerModel:
-    """Mean and variance of the predicted power over n discs, as tangents plus remainder ranges.
+    """Mean and variance of the predicted power over n discs: quadratic functions and remainders.
 
-    Every array is ``(n,)``, slopes ``(2, n)``; powers in dB, variances in dB^2.
+    Arrays are ``(n,)``, slopes ``(2, n)``, quadratic forms ``(3, n)``: coefficients of x^2, xy and
+    y^2. Powers are in dB, variances in dB^2.
     """
 
     radius_m: Array
     mean_db: Array
     mean_slope: Array
+    mean_form: Array
     mean_low: Array
     mean_high: Array
     variance_db2: Array
     variance_slope: Array
+    variance_form: Array
     variance_low: Array
     variance_high: Array
     least_variance: float
 
-    def probability_above(self, threshold_dbm: float) -> AffineBound:
-        """Return upper bounds of P(power >= threshold), affine on each disc (equation 6.15)."""
-        value, slope, most = self.probability_bounds(threshold_dbm)
-        # Far from the centre, the tangent is looser than the largest value over the disc.
-        flat = value + np.hypot(*slope.T) * self.radius_m * 0.5 > most
-        return AffineBound(np.where(flat, most, value), np.where(flat[:, None], 0.0, slope))
+    def probability_above(self, threshold_dbm: float, corners_m: Array) -> Array:
+        """Return bounds (n, k) at the corners of polygons, whose interpolation P never exceeds.
+
+        `corners_m` (n, k, 2) are offsets from the centres within the discs (equation 6.17). P is
+        the probability that the power is at least the threshold.
+        """
+        value, slope, form, most = self._taylor(threshold_dbm)
+        # A concave form is at most zero, a convex one at most its interpolation.
+        at = np.moveaxis(corners_m, 2, 0)
+        xx, xy, yy = _convex_part(form)[:, :, None]
+        bound = value[:, None] + np.einsum("dnk,dn->nk", at, slope)
+        bound += xx * at[0] ** 2 + xy * at[0] * at[1] + yy * at[1] ** 2
+        # Far from the centre, the Taylor polynomial is looser than the largest value.
+        return np.where((bound.mean(axis=1) <= most)[:, None], bound, most[:, None])
 
     def probability_bounds(self, threshold_dbm: float) -> tuple[Array, Array, Array]:
         """Return upper bounds of P(power >= threshold) over each disc: affine, and constant.
 
         The results are values at the centres (n,), slopes (n, 2) and constant bounds (n,).
         """
-        over = self.mean_db - threshold_dbm
-        deviation = np.sqrt(self.variance_db2)
+        value, slope, form, most = self._taylor(threshold_dbm)
+        return value + _range_of_form(form, self.radius_m)[1], slope.T, most
+
+    def _taylor(self, threshold_dbm: float) -> tuple[Array, Array, Array, Array]:
+        """Return upper bounds of P(power >= threshold) over each disc (equation 6.17).
+
+        The first is a polynomial with value (n,), slope (2, n) and quadratic form (3, n), the other
+        a constant (n,).
+        """
+        over, variance, radius = self.mean_db - threshold_dbm, self.variance_db2, self.radius_m
+        deviation = np.sqrt(variance)
         z = over / deviation
-        by_variance = -0.5 * z / self.variance_db2
-        slope = self.mean_slope / deviation + by_variance * self.variance_slope
-        # Largest changes of mean and variance within the disc, and remainder of the tangent of z.
-        mean_step = np.hypot(*self.mean_slope) * self.radius_m
-        mean_step = mean_step + np.maximum(np.abs(self.mean_low), np.abs(self.mean_high))
-        step = np.hypot(*self.variance_slope) * self.radius_m
-        step = step + np.maximum(np.abs(self.variance_low), np.abs(self.variance_high))
-        least = np.maximum(self.variance_db2 - step, self.least_variance)
-        beyond = self.mean_high / deviation + np.maximum(
-            by_variance * self.variance_low, by_variance * self.variance_high
-        )
-        beyond += 0.5 * mean_step * step / least**1.5
-        beyond += 0.375 * (np.abs(over) + mean_step) * step**2 / least**2.5
-        # Phi lies below its tangent at z, less where it is concave throughout.
-        steep = np.hypot(*slope) * self.radius_m
-        bend = _largest_bend(z - steep, z + steep)
+        # Relative to the variance: slope and quadratic form, their sizes, and the remainder's.
+        relative, bent = self.variance_slope / variance, self.variance_form / variance
+        mean_linear = np.hypot(*self.mean_slope) * radius
+        mean_rest = np.maximum(np.abs(self.mean_low), np.abs(self.mean_high))
+        mean_bent = _largest_form(self.mean_form, radius) + mean_rest
+        linear = np.hypot(*relative) * radius
+        rest = np.maximum(np.abs(self.variance_low), np.abs(self.variance_high)) / variance
+        bent_size = _largest_form(bent, radius) + rest
+        step = linear + bent_size
+        least = np.maximum(1.0 - step, self.least_variance / variance)
+        # z is the product of over + mean's change and (1 + change of variance)^-1/2.
+        slope = (self.mean_slope - 0.5 * over * relative) / deviation
+        form = self.mean_form - 0.5 * over * bent - 0.5 * _product(self.mean_slope, relative)
+        form = (form + 0.375 * over * _product(relative, relative)) / deviation
+        beyond = mean_rest + 0.5 * np.abs(over) * rest
+        beyond += 0.5 * (mean_linear * bent_size + mean_bent * step)
+        beyond += 0.375 * np.abs(over) * (2.0 * linear + bent_size) * bent_size
+        beyond += 0.375 * (mean_linear + mean_bent) * step**2
+        beyond += 0.3125 * (np.abs(over) + mean_linear + mean_bent) * step**3 / least**3.5
+        beyond /= deviation
+        # Phi(z) lies within 0.399 |y|^3 / 6 of its Taylor polynomial of degree two in y.
         density = np.exp(-0.5 * z**2) / np.sqrt(2.0 * np.pi)
-        peak = _largest_density(z - steep - np.abs(beyond), z + steep + np.abs(beyond))
-        value = ndtr(z) + 0.5 * bend * steep**2
-        value += np.where(beyond > 0.0, peak * beyond, 0.0) + ROUNDING
+        steep = np.hypot(*slope) * radius
+        bent_size = _largest_form(form, radius) + beyond
+        whole = density * form - 0.5 * z * density * _product(slope, slope)
+        value = ndtr(z) + density * beyond
+        value += 0.5 * np.abs(z) * density * (2.0 * steep + bent_size) * bent_size
+        value += 0.3990 / 6.0 * (steep + bent_size) ** 3 + ROUNDING
         most = np.minimum(self._largest_probability(threshold_dbm), 1.0)
-        return value, (density * slope).T, most
+        return value, density * slope, whole, most
 
     def probability(self, threshold_dbm: float) -> Array:
         """Return P(power >= threshold) at the centres; (n,)."""
@@ -104,24 +127,46 @@ class PowerModel:
 
     def _largest_probability(self, threshold_dbm: float) -> Array:
         """Return the largest P(power >= threshold) over each disc by interval arithmetic; (n,)."""
-        mean_step = np.hypot(*self.mean_slope) * self.radius_m
+        low, high = _range_of_form(self.variance_form, self.radius_m)
         step = np.hypot(*self.variance_slope) * self.radius_m
-        over = self.mean_db - threshold_dbm + mean_step + self.mean_high
-        least = np.maximum(self.variance_db2 - step + self.variance_low, self.least_variance)
-        most = np.maximum(self.variance_db2 + step + self.variance_high, least)
+        over = self.mean_db - threshold_dbm + np.hypot(*self.mean_slope) * self.radius_m
+        over += _range_of_form(self.mean_form, self.radius_m)[1] + self.mean_high
+        least = self.variance_db2 - step + low + self.variance_low
+        least = np.maximum(least, self.least_variance)
+        most = np.maximum(self.variance_db2 + step + high + self.variance_high, least)
         root = np.sqrt(least) + (np.sqrt(most) - np.sqrt(least)) * (over < 0.0)
         return np.asarray(ndtr(over / root), dtype=np.float64) + ROUNDING
 
 
-def _largest_bend(low: Array, high: Array) -> Array:
-    """Return the maximum of Phi''(x) = ``-x exp(-x^2 / 2) / sqrt(2 pi)`` over [low, high]."""
-    at = np.minimum(np.maximum(low, -1.0), high)
-    return np.maximum(-at * np.exp(-0.5 * at**2) / np.sqrt(2.0 * np.pi), 0.0)
+def _product(one: Array, other: Array) -> Array:
+    """Return the quadratic forms (3, n) of products of linear functions with slopes (2, n)."""
+    return np.array([one[0] * other[0], one[0] * other[1] + one[1] * other[0], one[1] * other[1]])
 
 
-def _largest_density(low: Array, high: Array) -> Array:
-    """Return the largest density of the standard normal distribution over [low, high]."""
-    return np.exp(-0.5 * np.minimum(np.maximum(low, 0.0), high) ** 2) / np.sqrt(2.0 * np.pi)
+def _range_of_form(form: Array, radius: Array) -> tuple[Array, Array]:
+    """Return the ranges of quadratic forms (3, n) over discs about the origin."""
+    middle = 0.5 * (form[0] + form[2])
+    apart = 0.5 * np.hypot(form[0] - form[2], form[1])
+    square = radius**2
+    low = np.minimum(middle - apart, 0.0) * square
+    return low, np.maximum(middle + apart, 0.0) * square
+
+
+def _convex_part(form: Array) -> Array:
+    """Return the quadratic forms (3, n) of the positive eigenvalues of forms."""
+    middle = 0.5 * (form[0] + form[2])
+    apart = np.maximum(0.5 * np.hypot(form[0] - form[2], form[1]), 1e-300)
+    low, high = middle - apart, middle + apart
+    mixed = form.copy()
+    mixed[[0, 2]] -= low
+    mixed *= high / (2.0 * apart)
+    return np.where(low >= 0.0, form, np.where(high <= 0.0, 0.0, mixed))
+
+
+def _largest_form(form: Array, radius: Array) -> Array:
+    """Return the largest absolute values of quadratic forms (3, n) over discs; (n,)."""
+    low, high = _range_of_form(form, radius)
+    return np.maximum(-low, high)
 
 
 class PowerEnclosure:
@@ -158,66 +203,90 @@ class PowerEnclosure:
         theta = posterior.theta
         places = place_origins(centre, posterior.now_s, parameters)
 
-        # Covariances (kappa, n), their gradients (2, kappa, n) and the ranges of their remainders.
+        # Covariances (kappa, n), their gradients (2, kappa, n), forms (3, kappa, n) and remainders.
         phi = covariance_db2(measured, places, parameters)
         blur = None if measured.blur_m2 is None else measured.blur_m2[:, None]
         distance = pairwise_distance_m(measured.positions_m, centre, blur)
         offset = centre.T[:, None, :] - measured.positions_m.T[:, :, None]
-        slope = -phi / (beta * np.maximum(distance, 1e-300)) * offset
-        bend = np.minimum(2.0 * radius, radius**2 / (2.0 * np.maximum(distance - radius, 1e-300)))
+        unit = offset / np.maximum(distance, 1e-300)
+        slope = unit * (-phi / beta)
+        nearest = np.maximum(distance - radius, np.maximum(1e-6 * radius, 1e-100))
+        bend = distance - np.sqrt(np.maximum(distance**2 - radius**2, 0.0))
         below = -phi * bend / beta
-        above = phi * np.exp(radius / beta) * radius**2 / (2.0 * beta**2)
+        largest = phi * np.exp(radius / beta)
+        above = largest * radius**2 / (2.0 * beta**2)
         # The disc may hold the measured position, where the covariance has a cusp.
         cusp = distance <= radius
         slope[:, cusp] = 0.0
         with np.errstate(over="ignore"):
             peak = phi * np.exp(np.minimum(distance / beta, 700.0))
+            third = 1.0 / beta**2 + MIXED * (1.0 / beta + 1.0 / nearest) / nearest
+            third *= largest * radius**3 / (6.0 * beta)
         below = np.where(cusp, phi * np.expm1(-radius / beta), below)
-        above = np.where(cusp, np.minimum(peak, phi * np.exp(radius / beta)) - phi, above)
+        above = np.where(cusp, np.minimum(peak, largest) - phi, above)
+        tail = np.maximum(-below, above)
+        far = ~cusp & (third < tail)
+        below, above = np.where(far, -third, below), np.where(far, third, above)
+        across = np.where(far, phi / (beta * np.maximum(distance, 1e-300)), 0.0)
+        curved = np.where(far, phi / beta**2, 0.0) + across
+        form = 0.5 * curved * _product(unit, unit)
+        form[0] -= 0.5 * across
+        form[2] -= 0.5 * across
 
-        gradient, trend_range = _trend(posterior, centre, radius)
+        gradient, trend_form, trend_range = _trend(posterior, centre, radius)
         row = regressors(centre, parameters.station)
 
         mean = row @ theta + weight @ phi
         mean_slope = theta[1] * gradient + weight @ slope
+        mean_form = theta[1] * trend_form + weight @ form
         low, high = _weighted(weight[:, None], below, above)
         trend_low, trend_high = _scaled(theta[1], *trend_range)
         wide = ROUNDING * (1.0 + np.abs(mean))
         mean_low, mean_high = low + trend_low - wide, high + trend_high + wide
 
-        # r = f - A' phi and z = R r with M = R' R, so that r' M r is the square of z.
+        # r = f - A' phi and z = R r with M = R' R, so that r' M r is the square of z. Its slopes
+        # and the remainders of its tangents give the part of the square that is not linear in r.
         z = root @ row.T - sides @ phi
         z_slope = root[:, 1, None, None] * gradient - np.einsum("ik,dkn->idn", sides, slope)
-        z_beyond = np.zeros_like(z)
-        for i in range(2):
-            least, most = _weighted(-sides[i][:, None], below, above)
-            trend_low, trend_high = _scaled(root[i, 1], *trend_range)
-            z_beyond[i] = np.maximum(np.abs(least + trend_low), np.abs(most + trend_high))
-        z_curve = 2.0 * (np.abs(z) * z_beyond).sum(axis=0)
-        z_norm = np.sqrt((z_slope**2).sum(axis=(0, 1))) * radius + np.hypot(*z_beyond)
+        z_form = root[:, 1, None, None] * trend_form - np.einsum("ik,dkn->idn", sides, form)
+        trend_rest = np.abs(trend_range).max(axis=0)
+        rest = np.maximum(-below, above)
+        z_tail = np.array([_largest_form(each, radius) for each in z_form])
+        z_tail += np.abs(root[:, 1, None]) * trend_rest + np.abs(sides) @ rest
+        z_steep = np.sqrt((z_slope**2).sum(axis=(0, 1))) * radius
 
+        # phi' U^-1 phi: tangent at phi(c) along `back`, and the square of the change of phi.
         whitened = self._inverse @ phi
         explained = np.einsum("kn,kn->n", whitened, whitened)
-        back = self._inverse.T @ whitened
+        back = -2.0 * (self._inverse.T @ whitened + sides.T @ z)
+        trend_weight = 2.0 * (root[:, 1] @ z)
         variance = noise + np.maximum(shadow - explained, 0.0) + (z**2).sum(axis=0)
-        variance_slope = np.einsum("in,idn->dn", z, z_slope) - np.einsum("kn,dkn->dn", back, slope)
-        variance_slope *= 2.0
-        back_low, back_high = _weighted(back, below, above)
-        tail = np.maximum(-below, above)
-        rest = _quadratic_rest(self._inverse @ slope, tail, radius, shadow, beta, noise)
-        wide = ROUNDING * (noise + shadow)
-        variance_low = -2.0 * back_high - rest - z_curve - wide
-        variance_high = -2.0 * back_low + z_curve + z_norm**2 + wide
+        variance_slope = np.einsum("kn,dkn->dn", back, slope) + trend_weight * gradient
+        variance_form = np.einsum("kn,dkn->dn", back, form) + trend_weight * trend_form
+        variance_form += _product(z_slope[0], z_slope[0]) + _product(z_slope[1], z_slope[1])
+        low, high = _weighted(back, below, above)
+        z_rest = 2.0 * z_steep * np.hypot(*z_tail) + (z_tail**2).sum(axis=0)
+        square, rest = _square_of_change(
+            self._inverse @ slope, self._inverse @ form, rest, radius, noise
+        )
+        # Without fading, or over large discs, the kernel's norm bounds the square.
+        by_kernel = -2.0 * shadow * np.expm1(-radius / beta)
+        coarse = ~(_largest_form(square, radius) + rest < by_kernel)
+        variance_form -= np.where(coarse, 0.0, square)
+        wide = ROUNDING * (noise + shadow) + z_rest
+        wide += np.abs(trend_weight) * trend_rest
+        variance_low = low - np.where(coarse, by_kernel, rest) - wide
+        variance_high = high + np.where(coarse, 0.0, rest) + wide
         return (
-            *(mean, mean_slope, mean_low, mean_high),
-            *(variance, variance_slope, variance_low, variance_high),
+            *(mean, mean_slope, mean_form, mean_low, mean_high),
+            *(variance, variance_slope, variance_form, variance_low, variance_high),
         )
 
 
 def _trend(
     posterior: ChannelPosterior, centre: Array, radius: Array
-) -> tuple[Array, tuple[Array, Array]]:
-    """Return gradients (2, n) and remainder ranges of -10 log10 of the station's distance."""
+) -> tuple[Array, Array, tuple[Array, Array]]:
+    """Return gradients, quadratic forms and remainders of -10 log10 of the station's distance."""
     station = posterior.parameters.station
     scale = 10.0 / np.log(10.0)
     offset = (centre - np.asarray(station.position_m)).T
@@ -227,14 +296,17 @@ def _trend(
     farthest = np.hypot(across + radius, station.height_m)
     smooth = nearest > np.maximum(MIN_DISTANCE_M, 0.5 * radius)
     gradient = np.where(smooth, -scale * offset / np.maximum(square, 1e-300), 0.0)
-    # The second derivatives of log d are at most 1 / d^2.
-    curved = scale * radius**2 / (2.0 * np.maximum(nearest, MIN_DISTANCE_M) ** 2)
+    form = 0.5 * scale * (2.0 * _product(offset, offset) / np.maximum(square, 1e-300))
+    form[[0, 2]] -= 0.5 * scale
+    form = np.where(smooth, form / np.maximum(square, 1e-300), 0.0)
+    # The third derivatives of log d are at most 2 / d^3.
+    curved = scale * radius**3 / (3.0 * np.maximum(nearest, MIN_DISTANCE_M) ** 3)
     centre_db = -scale * np.log(np.maximum(np.sqrt(square), MIN_DISTANCE_M))
     least = -scale * np.log(np.maximum(farthest, MIN_DISTANCE_M)) - centre_db
     most = -scale * np.log(np.maximum(nearest, MIN_DISTANCE_M)) - centre_db
     low = cast("Array", np.where(smooth, -curved, least))
     high = cast("Array", np.where(smooth, curved, most))
-    return np.asarray(gradient), (low, high)
+    return np.asarray(gradient), form, (low, high)
 
 
 def _weighted(weight: Array, low: Array, high: Array) -> tuple[Array, Array]:
@@ -254,25 +326,23 @@ def _root(covariance: Array) -> Array:
     return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
 
 
-def _quadratic_rest(
-    whitened: Array,  # (2, kappa, n) L^-1 times the gradients
-    beyond: Array,  # (kappa, n) largest remainder of each covariance
+def _square_of_change(
+    slope: Array,  # (2, kappa, n) L^-1 times the gradients of phi
+    form: Array,  # (3, kappa, n) L^-1 times its quadratic forms
+    rest: Array,  # (kappa, n) its largest remainder
     radius: Array,
-    shadow: float,
-    beta: float,
     noise: float,
-) -> Array:
-    """Return an upper bound D of delta' U^-1 delta over each disc; (n,).
+) -> tuple[Array, Array]:
+    """Return delta' U^-1 delta over each disc as a quadratic form (3, n), and its remainder (n,).
 
-    It is the smaller of ``2 xi^2 (1 - exp(-rho / beta))``, from the kernel's own norm, and the
-    triangle inequality in the norm of U^-1, as the smallest eigenvalue of U is at least omega^2.
+    The triangle inequality in the norm of U^-1 bounds the remainder, as the smallest eigenvalue of
+    U is at least omega^2.
     """
-    by_kernel = -2.0 * shadow * np.expm1(-radius / beta)
-    if noise <= 0.0:
-        return by_kernel
-    x, y = whitened
-    xx, yy = np.einsum("kn,kn->n", x, x), np.einsum("kn,kn->n", y, y)
-    xy = np.einsum("kn,kn->n", x, y)
-    largest = 0.5 * (xx + yy) + np.hypot(0.5 * (xx - yy), xy)
-    tail = np.sqrt((beyond**2).sum(axis=0) / noise)
-    return np.minimum(by_kernel, (radius * np.sqrt(largest) + tail) ** 2)
+    x, y = slope
+    found = np.array([np.einsum("kn,kn->n", one, other) for one, other in ((x, x), (x, y), (y, y))])
+    found[1] *= 2.0
+    sizes = np.einsum("dkn,dkn->dn", form, form)
+    beyond = radius**2 * np.sqrt(sizes[0] + 0.5 * sizes[1] + sizes[2])
+    with np.errstate(divide="ignore"):
+        beyond += np.sqrt((rest**2).sum(axis=0) / noise)
+    return found, (2.0 * np.sqrt(_largest_form(found, radius)) + beyond) * beyond

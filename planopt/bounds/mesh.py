@@ -39,9 +39,10 @@ class Mesh:
 
     nodes_m: Array  # (n, 2); node 0 is the start
     borders: NDArray[np.intp]  # (m, 2) end nodes of the border segments
-    # Cached by the triangle's node numbers: least costs at its corners, cost at its centre
-    known: dict[tuple[int, ...], tuple[float, float, float, float]] = field(
-        default_factory=dict[tuple[int, ...], tuple[float, float, float, float]]
+    # Cached by the triangle's node numbers: least costs at its corners, cost at its centre; None
+    # inside a blocked area
+    known: dict[tuple[int, ...], tuple[float, float, float, float] | None] = field(
+        default_factory=dict[tuple[int, ...], tuple[float, float, float, float] | None]
     )
 
     def triangles(self) -> NDArray[np.intp]:

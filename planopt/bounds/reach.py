@@ -70,7 +70,7 @@ def ignored_motion(problem: Problem, robots: int) -> tuple[str, ...]:
 
 
 def longest_sag_m(problem: Problem) -> float | None:
-    """Return the maximum distance of a step from its chord; None if unknown (equation 6.16)."""
+    """Return the maximum distance of a step from its chord; None if unknown (equation 6.18)."""
     dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
     if type(dynamics) is SingleIntegrator:
         return 0.0

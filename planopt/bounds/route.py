@@ -13,17 +13,17 @@ strong.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import monotonic
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.sparse import csgraph
 
 from planopt.bounds.bound import Potential
+from planopt.bounds.corridor import Corridor
 from planopt.bounds.enclosure import ROUNDING, PowerEnclosure
 from planopt.bounds.mesh import (
     Mesh,
@@ -38,8 +38,9 @@ from planopt.world.shortest_paths import INNER_SHARE
 
 Array = NDArray[np.float64]
 
-FIRST_TRIANGLES = 3_000
-"""Number of triangles up to which the corridor of good routes is refined before the first solve."""
+FIRST_TRIANGLES = 600
+"""Number of new triangles for each second, and one more, by which the corridor of good routes is
+refined before the first solve."""
 
 GROWTH = 1.8
 """Largest ratio of the numbers of triangles in successive solves."""
@@ -50,8 +51,11 @@ MAX_TRIANGLES = 60_000
 LOOSE_SHARE = 0.01
 """Relative gap between certified and actual cost above which corridor triangles are refined."""
 
-CORRIDOR_SHARE = 1.15
-"""Ratio of the longest path through the corridor to the shortest path."""
+CORRIDORS = 0.15, 0.1, 0.04
+"""Relative excess cost of the routes through the corridor in each of its refinements."""
+
+MESH_SHARE = 3e-4
+"""Largest area of a triangle in the corridor, as a share of the workspace."""
 
 FLOW_WEIGHT = 0.005
 """Expected relative gain of refining a triangle whose certified cost is exact."""
@@ -96,6 +100,7 @@ class RouteBound:
     triangles: int  # Number of triangles in free space
     seconds: float
     potential: Potential | None  # None for the straight-line distance
+    corridor: Corridor | None = None  # Cheapest paths through the latest mesh
 
 
 def route_bounds(problem: RouteProblem, seconds: float) -> Iterator[RouteBound]:
@@ -119,23 +124,30 @@ def route_bounds(problem: RouteProblem, seconds: float) -> Iterator[RouteBound]:
         *(problem.bounds_m, blocked.parts, problem.start_m, problem.goal_m, problem.goal_radius_m)
     )
     powers = [PowerEnclosure(posterior) for posterior in problem.posteriors]
-    wanted = 0
+    most_area = MESH_SHARE * float(np.prod(np.subtract(*np.reshape(problem.bounds_m, (2, 2)))))
+    widths, first = list(CORRIDORS), 0
     while True:
+        turn = monotonic()
         corners = mesh.triangles()
-        is_open = blocked.is_open(mesh.nodes_m, corners)
+        is_open, cost, middle = _known_costs(problem, blocked, powers, mesh, corners)
         inner = corners[is_open]
-        cost, middle = _known_costs(problem, powers, mesh, inner)
         loose = 1.0 - cost.mean(axis=1) / middle
-        wanted = wanted or max(FIRST_TRIANGLES, round(1.5 * len(inner)))
-        if best.potential is None and len(inner) < wanted and monotonic() - begun < 0.4 * seconds:
-            chosen = inner[_corridor(problem, mesh.nodes_m, inner, middle) & (loose > LOOSE_SHARE)]
-            largest = _largest(mesh.nodes_m, chosen, wanted - len(inner))
-            if mesh.refine(largest) > 0.02 * len(inner):
+        corridor = Corridor(mesh.nodes_m, inner, middle, problem.goal_m)
+        if not corridor.is_connected:
+            return
+        if widths and monotonic() - begun < 0.4 * seconds:
+            chosen = corridor.excess < widths.pop(0)
+            area = np.abs(doubled_areas(mesh.nodes_m, inner)) / 2.0
+            chosen &= (loose > LOOSE_SHARE) | (area > most_area)
+            first = first or len(inner)
+            room = round(first + FIRST_TRIANGLES * (1.0 + seconds)) - len(inner)
+            if room > 0 and mesh.refine(_largest(area, inner, chosen, room)):
                 continue
+        best = replace(best, corridor=corridor)
+        yield best
         left = seconds - (monotonic() - begun)
         if best.potential is not None and left <= 0.0:
             return
-        solved = monotonic()
         at_goal = _touches_goal(problem, mesh.nodes_m, inner)
         potential, flow = _best_potential(
             mesh.nodes_m, corners, is_open, cost, at_goal, max(left, 0.1)
@@ -144,12 +156,12 @@ def route_bounds(problem: RouteProblem, seconds: float) -> Iterator[RouteBound]:
         covered = covers_bounds(mesh.nodes_m, corners, problem.bounds_m)
         elapsed = monotonic() - begun
         if covered and value > best.value_m:
-            best = RouteBound(value, len(inner), elapsed, potential)
+            best = RouteBound(value, len(inner), elapsed, potential, corridor)
             yield best
-        solved = monotonic() - solved
-        left = seconds - elapsed
-        # A solve takes time about proportional to the triangles to the power of 1.3.
-        growth = min(GROWTH, (0.8 * max(left, 0.0) / solved) ** (1.0 / 1.3))
+        widths.clear()
+        left = seconds - (monotonic() - begun)
+        # A turn takes time about proportional to the triangles to the power of 1.3.
+        growth = min(GROWTH, (0.8 * max(left, 0.0) / (elapsed - turn + begun)) ** (1.0 / 1.3))
         room = min(growth * len(inner), MAX_TRIANGLES) - len(inner)
         if room < 0.02 * len(inner):
             return
@@ -255,42 +267,35 @@ def _touches_goal(
     return np.asarray(shapely.intersects(goal, shapely.polygons(nodes_m[corners])), dtype=bool)
 
 
-def _corridor(
-    problem: RouteProblem, nodes_m: Array, corners: NDArray[np.intp], middle: Array
-) -> NDArray[np.bool_]:
-    """Return a mask (t,) of triangles near good routes, from shortest paths over triangle sides."""
-    sides, first = np.unique(sides_of(corners), axis=0, return_index=True)
-    length = np.linalg.norm(np.diff(nodes_m[sides], axis=1)[:, 0], axis=1)
-    length *= np.tile(middle, 3)[first]
-    graph = sparse.coo_array((length, tuple(sides.T)), shape=(len(nodes_m),) * 2).tocsr()
-    goal = int(np.linalg.norm(nodes_m - problem.goal_m, axis=1).argmin())
-    search = csgraph.dijkstra  # pyright: ignore
-    towards = cast("Array", search(graph, directed=False, indices=[0, goal]))
-    through: Array = towards.sum(axis=0)
-    return through[corners].min(axis=1) <= CORRIDOR_SHARE * towards[0, goal]
-
-
-def _largest(nodes_m: Array, corners: NDArray[np.intp], room: int) -> NDArray[np.intp]:
-    """Return the largest of triangles `corners`, as many as `room` new triangles permit; (k, 3)."""
-    area = np.abs(doubled_areas(nodes_m, corners))
-    return corners[np.argsort(-area)[: max(1, room // 3)]]
+def _largest(
+    area: Array, corners: NDArray[np.intp], chosen: NDArray[np.bool_], room: int
+) -> NDArray[np.intp]:
+    """Return the largest of the chosen triangles, as many as `room` new ones permit; (k, 3)."""
+    order = np.argsort(np.where(chosen, -area, 0.0))
+    return corners[order[: min(int(chosen.sum()), max(1, room // 3))]]
 
 
 def _known_costs(
     problem: RouteProblem,
+    blocked: BlockedAreas,
     powers: Sequence[PowerEnclosure],
     mesh: Mesh,
     corners: NDArray[np.intp],
-) -> tuple[Array, Array]:
-    """Return :func:`metre_costs` of triangles (t, 3), cached for each triangle."""
+) -> tuple[NDArray[np.bool_], Array, Array]:
+    """Return which triangles (t, 3) are open, and their :func:`metre_costs`, cached for each."""
     keys = [tuple(row) for row in corners.tolist()]
-    new = [k for k, key in enumerate(keys) if key not in mesh.known]
-    if new:
-        least, middle = metre_costs(problem, powers, mesh.nodes_m[corners[new]])
-        for k, row, centre in zip(new, least.tolist(), middle.tolist(), strict=True):
+    new = np.array([k for k, key in enumerate(keys) if key not in mesh.known], dtype=np.intp)
+    if len(new):
+        is_open = blocked.is_open(mesh.nodes_m, corners[new])
+        least, middle = metre_costs(problem, powers, mesh.nodes_m[corners[new[is_open]]])
+        for k in new[~is_open].tolist():
+            mesh.known[keys[k]] = None
+        found = zip(new[is_open].tolist(), least.tolist(), middle.tolist(), strict=True)
+        for k, row, centre in found:
             mesh.known[keys[k]] = (*row, centre)
-    found = np.array([mesh.known[key] for key in keys])
-    return found[:, :3], found[:, 3]
+    known = [mesh.known[key] for key in keys]
+    costs = np.array([each for each in known if each is not None]).reshape(-1, 4)
+    return np.array([each is not None for each in known]), costs[:, :3], costs[:, 3]
 
 
 def metre_costs(
@@ -308,8 +313,7 @@ def metre_costs(
     silent, at_centre = np.ones((count, 3)), np.ones(count)
     for power, threshold in zip(powers, problem.thresholds_dbm, strict=True):
         model = power.over(centre, radius)
-        bound = model.probability_above(threshold)
-        own = 1.0 - bound.value[:, None] - np.einsum("ncd,nd->nc", offset, bound.slope)
+        own = 1.0 - model.probability_above(threshold, offset)
         silent = _product_below(silent, np.where(own.min(axis=1)[:, None] < 0.0, 0.0, own))
         at_centre *= 1.0 - model.probability(threshold)
     silent[~(1.0 - silent.min(axis=1) < problem.free_above)] = 0.0

@@ -183,8 +183,8 @@ def test_list_and_schema(capsys) -> None:
     assert main(["list"]) == 0
     assert "munich_courier" in capsys.readouterr().out
     assert main(["list", "--json"]) == 0
-    names = [entry["name"] for entry in strict(capsys.readouterr().out)["problems"]]
-    assert "open_field" in names
+    (field,) = (e for e in strict(capsys.readouterr().out)["problems"] if e["name"] == "open_field")
+    assert (field["family"], field["difficulty"]) == ("thin walls", "easy")
     assert main(["schema"]) == 0
     readable = json.loads(capsys.readouterr().out)
     assert main(["schema", "--json"]) == 0

@@ -10,7 +10,7 @@ import typer
 
 from planopt.commands.compare import listed
 from planopt.commands.options import FirstSeedOption, JsonOption, WorkersOption, option
-from planopt.commands.output import drawing, progress, results_folder, show
+from planopt.commands.output import progress, results_folder, show
 from planopt.errors import InputError
 from planopt.files.writing import replaced_results
 
@@ -18,10 +18,13 @@ if TYPE_CHECKING:
     from planopt.studies.bench_cases import Manifest, Row
     from planopt.studies.bench_references import References
 
-REPORT_FILE, PICTURE_FILE = "report.json", "report.png"
+REPORT_FILE, MARKDOWN_FILE, PAGE_FILE = "report.json", "report.md", "report.html"
 
-REPORT = (REPORT_FILE, PICTURE_FILE)
-"""Files of a report, including the figure."""
+REPORT = (REPORT_FILE, MARKDOWN_FILE, PAGE_FILE)
+"""Files of a report, including the page."""
+
+SHOWN = 20
+"""Maximum number of cases of each kind that are printed; the JSON file lists all."""
 
 REGRESSED, NOT_ANSWERED = 1, 3
 
@@ -53,6 +56,9 @@ def run(
     ] = None,
     seeds: Annotated[int, option("--seeds", None, "How many, for plans.", min=0)] = 3,
     run_seeds: Annotated[int, option("--run-seeds", None, "For closed loops.", min=0)] = 1,
+    prove: Annotated[
+        float, option("--prove", "SECONDS", "For a proven bound of each plan.", min=0)
+    ] = 0.0,
     first_seed: Annotated[int, FirstSeedOption] = 0,
     workers: WorkersOption = 1,
     json: JsonOption = False,
@@ -66,6 +72,7 @@ def run(
         horizons=listed(horizons, "--horizons", int),
         seeds=range(first_seed, first_seed + seeds),
         run_seeds=range(first_seed, first_seed + run_seeds),
+        prove_s=prove,
     )
     with results_folder(out) as folder:
         if folder is None:
@@ -94,14 +101,15 @@ def report(
     replace: Annotated[
         bool, option("--replace", None, "With --freeze: also where references change.")
     ] = False,
-    figures: Annotated[bool, option("--figures/--no-figures", None, "Draw a picture.")] = True,
+    page: Annotated[bool, option("--page/--no-page", None, "Write report.html.")] = True,
     json: JsonOption = False,
 ) -> int:
-    """Print and plot the scores of the planners. Exit code 0."""
+    """Print the scores of the planners; write them as Markdown and HTML. Exit code 0."""
     from planopt.files.writing import strict_text, write_text
-    from planopt.report import bench_text
+    from planopt.report import bench_page, page_markdown
+    from planopt.report.page import page_html
     from planopt.studies.bench_cases import read_manifest, read_rows
-    from planopt.studies.bench_references import best_known, read_references, references_file
+    from planopt.studies.bench_references import read_references, references_file
 
     manifest, rows = read_manifest(folder), read_rows(folder)
     if not rows:
@@ -112,16 +120,22 @@ def report(
         return _freeze(rows, manifest, freeze, replace, json)
     has_references = references is not None or references_file().exists()
     known = read_references(references) if has_references else {}
-    best = best_known(known, rows)
-    data = report_json(manifest, rows, known)
+    data, content = report_json(manifest, rows, known), bench_page(rows, known, manifest)
     with replaced_results(folder, REPORT) as new:
         write_text(new / REPORT_FILE, strict_text(data))
-    show(json, data, "" if json else bench_text(data))
-    with drawing(folder, REPORT, wanted=figures) as new:
-        if new is not None:
-            from planopt.report import draw_bench, save_figure
-
-            save_figure(draw_bench(rows, best, manifest), new / PICTURE_FILE)
+        write_text(new / MARKDOWN_FILE, page_markdown(content))
+        if page:
+            write_text(new / PAGE_FILE, page_html(content))
+    found = [
+        f"{kind}: {words}"
+        for key, kind in (
+            ("regressions", "worse"),
+            ("improvements", "better"),
+            ("rejected", "rejected"),
+        )
+        for words in data[key][:SHOWN]
+    ]
+    show(json, data, "\n".join([page_markdown(content, whole=False), *found]))
     return 0
 
 
@@ -176,18 +190,25 @@ def report_json(manifest: Manifest, rows: list[Row], known: References) -> dict[
 
     best = best_known(known, rows)
     worse, better = assessed(rows, known, lambda row: "")
-    profile = time_profile(rows, best)
+    kinds = dict.fromkeys(row.kind for row in rows)
+    by_kind = {kind: [row for row in rows if row.kind == kind] for kind in kinds}
+    profiles = {kind: time_profile(own, best) for kind, own in by_kind.items()}
     return {
         **asdict(manifest),
         "rows": len(rows),
         "questions": len({row.question for row in rows}),
         "with_reference": sum(row.case in known for row in rows),
-        "planners": [asdict(score) for score in scores(rows, best)],
+        "scores": {
+            kind: [asdict(score) for score in scores(own, best)] for kind, own in by_kind.items()
+        },
         "time_shift_s": SHIFT_S,
         "time_limit_s": LIMIT_S,
-        "profile": {
-            "ratios": profile.ratios.tolist(),
-            "shares": dict(zip(profile.planners, profile.shares.tolist(), strict=True)),
+        "profiles": {
+            kind: {
+                "ratios": profile.ratios.tolist(),
+                "shares": dict(zip(profile.planners, profile.shares.tolist(), strict=True)),
+            }
+            for kind, profile in profiles.items()
         },
         "regressions": worse,
         "improvements": better,

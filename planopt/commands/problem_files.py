@@ -15,24 +15,35 @@ from planopt.errors import InputError, OutputError
 
 
 def list_problems(json: JsonOption = False) -> int:
-    """List the problem library."""
+    """List the problem library by family."""
+    from dataclasses import asdict
+
     from planopt.files.reading import DATA_FOLDER
     from planopt.problems.library import list_problems as entries_of_library
 
     entries = entries_of_library()
     data = {
         "problems": [
-            {"name": entry.name, "description": entry.description, "file": str(entry.path)}
+            {
+                "name": entry.name,
+                "description": entry.description,
+                "file": str(entry.path),
+                **asdict(entry.test),
+            }
             for entry in entries
         ]
     }
     width = max((len(entry.name) for entry in entries), default=0)
-    text = "\n".join(
-        f"{entry.name:{width}}  {entry.description}"
-        + (f" Needs data in {DATA_FOLDER}." if entry.lacks_data else "")
-        for entry in entries
-    )
-    show(json, data, text)
+    lines: list[str] = []
+    for family in dict.fromkeys(entry.test.family for entry in entries):
+        lines += [f"{family or 'other'}:"]
+        lines += [
+            f"  {entry.name:{width}}  {entry.description}"
+            + (f" Needs data in {DATA_FOLDER}." if entry.lacks_data else "")
+            for entry in entries
+            if entry.test.family == family
+        ]
+    show(json, data, "\n".join(lines))
     return 0
 
 

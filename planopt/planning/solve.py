@@ -68,8 +68,11 @@ def solve(
     # An unreachable goal is detected before channel files are read.
     scenes = build_scenes(problem)
     solution = solve_on(problem, prepare(problem, seed, given).belief, seed, scenes)
-    if prove_s is None:
-        return solution
+    return solution if prove_s is None else proven(solution, prove_s)
+
+
+def proven(solution: Solution, prove_s: float) -> Solution:
+    """Return a solution with proven bounds, and with smoothed routes if these are cheaper."""
     if not 0.0 < prove_s <= LONGEST_PROOF_S:
         raise InputError(
             f"is {prove_s!r}",

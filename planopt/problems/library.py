@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import tomllib
@@ -80,6 +81,18 @@ def _parse_error(message: str, text: str, path: Path) -> InputError:
 
 SUFFIX = ".toml"
 
+FAMILIES = "families.json"
+"""File of the library that classifies its problems, one per line."""
+
+
+@dataclass(frozen=True)
+class Classification:
+    """Place of a problem in the test set."""
+
+    family: str = ""  # Difficulty that the problem tests, such as "narrow gaps"
+    difficulty: str = ""  # easy, medium or hard
+    provenance: str = ""  # Source of scene and channel
+
 
 @dataclass(frozen=True)
 class LibraryEntry:
@@ -90,6 +103,7 @@ class LibraryEntry:
     path: Path  # Problem file
     task: str  # Task of the problem
     lacks_data: bool = False  # True if its measurements need `DATA_FOLDER`, which is not set
+    test: Classification = Classification()
 
 
 def library_folder() -> Path:
@@ -107,7 +121,7 @@ def list_problems() -> tuple[LibraryEntry, ...]:
     InputError
         A library file cannot be parsed or has no table ``[problem]`` with a description.
     """
-    is_set = DATA_FOLDER in os.environ
+    is_set, tests = DATA_FOLDER in os.environ, classifications()
     return tuple(
         LibraryEntry(
             path.stem,
@@ -115,9 +129,23 @@ def list_problems() -> tuple[LibraryEntry, ...]:
             path,
             _text(path, "task", "reach"),
             lacks_data=not is_set and PRIVATE in read_text(path, LARGEST_TOML_BYTES),
+            test=tests.get(path.stem, Classification()),
         )
         for path in sorted(library_folder().glob(f"*{SUFFIX}"))
     )
+
+
+def classifications() -> dict[str, Classification]:
+    """Return the classification of the library's problems by name."""
+    file = library_folder() / FAMILIES
+    if not file.is_file():
+        return {}
+    try:
+        return {row.pop("problem"): Classification(**row) for row in json.loads(read_text(file))}
+    except (ValueError, KeyError, TypeError, AttributeError):
+        raise InputError(
+            "is damaged", file=file, remedy="restore the file from the repository"
+        ) from None
 
 
 def find_problem(path_or_name: Path | str) -> Path:

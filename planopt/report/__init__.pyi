@@ -1,7 +1,7 @@
 """Public names of figures and tables; each is imported from its module when it is first used."""
 
-from planopt.report.bench_report import bench_text as bench_text
-from planopt.report.bench_report import draw_bench as draw_bench
+from planopt.report.bench_report import bench_page as bench_page
+from planopt.report.bench_report import page_markdown as page_markdown
 from planopt.report.channel_figures import draw_belief as draw_belief
 from planopt.report.channel_figures import draw_calibration as draw_calibration
 from planopt.report.channel_figures import draw_fit as draw_fit

@@ -1,182 +1,291 @@
-"""Text report and figure of planners' results in the regression suite."""
+"""Page and Markdown of planners' results in the regression suite.
+
+Plans from the start are cold starts; the steps of closed loops have the last plan as a warm start.
+Both have scores of their own.
+"""
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.report.panel import (
-    FRAME,
-    MARKERS,
-    NOTE_PT,
-    SERIES,
-    WHITE,
-    Panel,
-    dashed_look,
-    dress,
-    head,
-    legend_below,
-    legend_inside,
-    new_figure,
-    plain_log_ticks,
+from planopt.problems.library import Classification, classifications
+from planopt.report.page import MOST_ROWS, Chart, Page, PageTable, cell_text, plain
+from planopt.report.panel import SERIES
+from planopt.report.tables import MISSING
+from planopt.studies.bench_cases import OBJECTIVE_SHARE, PLAN, RUN, Manifest, Question, Row
+from planopt.studies.bench_references import (
+    LIMIT_S,
+    SHIFT_S,
+    References,
+    Score,
+    best_known,
+    bounds_known,
+    excess,
+    is_solved,
+    scores,
+    time_profile,
 )
-from planopt.report.tables import MISSING, WIDTH, aligned
-from planopt.studies.bench_cases import OBJECTIVE_SHARE, Manifest, Question, Row
-from planopt.studies.bench_references import Score, excess, scores, time_profile
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 LEAST_EXCESS = 1e-6
 """Smallest relative excess over the best known objective that is plotted."""
 
-SHOWN = 20
-"""Maximum number of cases of each kind listed in the text; the JSON file lists all."""
+KINDS = {PLAN: "plans from the start (cold starts)", RUN: "closed loops (warm starts)"}
+
+DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
+
+SCORE_HEAD = (
+    *("planner", "cases", "solved [%]", "correct [%]", "verified [%]", "rejected", "errors"),
+    *("fallback [%]", "median excess [%]", "largest excess [%]", "bounds", "median gap [%]"),
+    *("largest gap [%]", "iterations", "mean [s]", "median [s]", "deadlines met"),
+)
+
+QUESTION_HEAD = (
+    *("problem", "family", "difficulty", "kind", "horizon", "seed", "planners", "solved by"),
+    *("best known", "bound", "gap [%]", "verdicts", "provenance"),
+)
+
+LEGEND = (
+    f"solved: verified, accepted by the check, objective within {OBJECTIVE_SHARE:.0%} of the best "
+    "known; or no plan where none is known",
+    "correct: share of the claims (verified, converged, no plan) that hold",
+    "excess: relative distance of the objective from the best known",
+    "gap: relative distance from the proven bound, of plan and route after smoothing",
+    f"mean: shifted geometric mean of the processor time per plan, shift {SHIFT_S:g} s; unsolved "
+    f"cases count {LIMIT_S:g} s; median: of solved cases",
+    "deadlines met: plans within planner.budget_s, or within a step without a budget, by wall time",
+)
+
+LIMITATIONS = (
+    "The best known objective is that of the best row or reference; only a bound says how far from "
+    "optimal it may be.",
+    "Bounds drop moving obstacles, inertia and the separation of robots, and exist for routes to a "
+    "goal and deployments; other cells are empty.",
+    "Verdicts are about the model of each problem; whether its channel is right is not tested.",
+    "Closed loops of robots stop after 20 steps.",
+    "The lattice misses passages that are hardly wider than twice the clearance (gap_two_doors).",
+    "Times are comparable within one run only; other processes of the machine delay deadlines.",
+)
 
 
-def bench_text(data: Mapping[str, Any]) -> str:
-    """Return a report as plain text: scores, software, machine, and notable cases."""
-    header = [
-        *("planner", "cases", "solved [%]", "correct [%]", "verified [%]", "rejected", "errors"),
-        *("fallback [%]", "median excess [%]", "largest excess [%]", "iterations", "mean [s]"),
-    ]
-    lines = [
-        [
-            score["planner"],
-            str(score["cases"]),
-            _percent(score["success_rate"]),
-            _percent(score["correct_rate"]),
-            _percent(score["verified_rate"]),
-            str(score["rejected"]),
-            str(score["errors"]),
-            _percent(score["fallback_share"]),
-            _percent(score["median_excess"], 3),
-            _percent(score["largest_excess"], 3),
-            f"{score['iterations']:.1f}",
-            f"{score['mean_s']:.3f}",
-        ]
-        for score in data["planners"]
-    ]
-    program = ", ".join(f"{name} {version[:12]}" for name, version in data["program"].items())
-    tolerances = ", ".join(f"{name} {value:g}" for name, value in data["tolerances"].items())
-    notes = (
-        f"{data['rows']} cases of {data['questions']} questions, {data['with_reference']} of them "
-        "with a reference",
-        "solved: verified, not rejected by the check, objective within "
-        f"{OBJECTIVE_SHARE:.0%} of the best known; correct: share of the claims that hold; excess: "
-        "how much worse than the best known; mean: shifted geometric mean of the processor time a "
-        f"plan, {data['time_shift_s']:g} s shift, unsolved cases as {data['time_limit_s']:g} s",
-        f"{program}; Python {data['python']}; {data['cpu']}, {data['cores']} cores",
+def bench_page(rows: Sequence[Row], known: References, manifest: Manifest) -> Page:
+    """Return the page of a run: scores by start, families and questions, with charts."""
+    best, bounds = best_known(known, rows), bounds_known(known, rows)
+    kinds = {kind: [row for row in rows if row.kind == kind] for kind in KINDS}
+    kinds = {kind: own for kind, own in kinds.items() if own}
+    program = ", ".join(f"{name} {version[:12]}" for name, version in manifest.program.items())
+    tolerances = ", ".join(f"{name} {value:g}" for name, value in manifest.tolerances.items())
+    questions = dict.fromkeys(row.question for row in rows)
+    tests = classifications()
+    words = (
+        f"{len(rows)} cases of {len(questions)} questions about {len(manifest.problems)} problems, "
+        f"{sum(row.case in known for row in rows)} of them with a reference",
+        *LEGEND,
+        f"made by {program}; Python {manifest.python}; {manifest.cpu}, {manifest.cores} cores",
         f"tolerances: {tolerances}",
+        *(f"limitation: {words}" for words in LIMITATIONS),
     )
-    found = [
-        f"{kind}: {words}"
-        for key, kind in (
-            ("regressions", "worse"),
-            ("improvements", "better"),
-            ("rejected", "rejected"),
-        )
-        for words in data[key][:SHOWN]
+    listed = [_question_cells(each, rows, tests, best, bounds) for each in questions]
+    return Page(
+        title="Planners in the regression suite",
+        description=f"{manifest.made_by}, on {manifest.cpu}",
+        words=words,
+        charts=[
+            *(_profile_chart(own, best, KINDS[kind]) for kind, own in kinds.items()),
+            _excess_chart(rows, best),
+            _gap_chart(rows, tests),
+            *(_rate_chart(own, best, KINDS[kind]) for kind, own in kinds.items()),
+            _fallback_chart(rows),
+        ],
+        tables=[
+            *(
+                PageTable(
+                    f"Scores, {KINDS[kind]}", SCORE_HEAD, list(map(_cells, scores(own, best)))
+                )
+                for kind, own in kinds.items()
+            ),
+            _family_table(rows, tests, best),
+            PageTable("Questions", QUESTION_HEAD, listed[:MOST_ROWS], len(listed), "rows.csv"),
+        ],
+    )
+
+
+def page_markdown(page: Page, *, whole: bool = True) -> str:
+    """Return title, tables and words of a page as Markdown; without the last table if not whole."""
+    parts = [f"# {page.title}", page.description]
+    for table in page.tables if whole else page.tables[:-1]:
+        lines = [table.header, *table.rows]
+        cells = [[cell_text(value).replace("|", "\\|") for value in line] for line in lines]
+        widths = [max(map(len, column)) for column in zip(*cells, strict=True)]
+        text = ["| " + " | ".join(map(str.ljust, line, widths)) + " |" for line in cells]
+        text.insert(1, "|" + "|".join("-" * (width + 2) for width in widths) + "|")
+        parts += [f"## {table.title}", "\n".join(text)]
+    notes = [f"- {line}" for line in page.words]
+    return "\n\n".join([*parts, "## Notes", "\n".join(notes)]) + "\n"
+
+
+def _cells(score: Score) -> list[object]:
+    """Return the cells of a planner in the table of scores."""
+    timed = f"{score.plans - score.late} of {score.plans}" if score.plans else MISSING
+    return [
+        *(score.planner, score.cases, _percent(score.success_rate), _percent(score.correct_rate)),
+        *(_percent(score.verified_rate), score.rejected, score.errors),
+        *(_percent(score.fallback_share), _percent(score.median_excess, 3)),
+        *(_percent(score.largest_excess, 3), score.bounds, _percent(score.median_gap, 2)),
+        *(_percent(score.largest_gap, 2), f"{score.iterations:.1f}", f"{score.mean_s:.3f}"),
+        *(MISSING if score.median_s is None else f"{score.median_s:.3f}", timed),
     ]
-    wrapped = [line for note in notes for line in textwrap.wrap(note, WIDTH)]
-    return "\n".join([*_stacked(header, lines), "", *wrapped, *([""] if found else []), *found])
 
 
-def draw_bench(rows: Sequence[Row], best: Mapping[Question, float], manifest: Manifest) -> Figure:
-    """Draw the results of planners in the regression suite.
+def _family_table(
+    rows: Sequence[Row], tests: Mapping[str, Classification], best: Mapping[Question, float]
+) -> PageTable:
+    """Return the share of solved cases by family and planner."""
+    planners = list(dict.fromkeys(row.planner for row in rows))
+    families: dict[str, list[Row]] = {}
+    for row in rows:
+        families.setdefault(_test(row.problem, tests).family or "other", []).append(row)
+    lines: list[list[object]] = []
+    for family, own in families.items():
+        cells: list[object] = [family, len({row.problem for row in own})]
+        for planner in planners:
+            solved = [is_solved(row, best) for row in own if row.planner == planner]
+            cells.append(f"{sum(solved)} of {len(solved)}" if solved else MISSING)
+        lines.append(cells)
+    return PageTable("Solved cases by family", ("family", "problems", *planners), lines)
 
-    Four panels show the performance profile of times, the cumulative distribution of the relative
-    excess over the best known objective, the rates, and the fallbacks that released plans.
-    """
-    figure, panels = new_figure(12.0, 9.0, ["AB", "CD"])
-    each = scores(rows, best)
-    planners = [score.planner for score in each]
+
+def _question_cells(
+    question: Question,
+    rows: Sequence[Row],
+    tests: Mapping[str, Classification],
+    best: Mapping[Question, float],
+    bounds: Mapping[Question, float],
+) -> list[object]:
+    own = [row for row in rows if row.question == question]
+    test = _test(question.problem, tests)
+    solvers = [row.planner for row in own if is_solved(row, best)]
+    gaps = [row.gap for row in own if row.gap is not None]
+    cost = f", {question.cost_to_go}" if question.cost_to_go else ""
+    return [
+        *(question.problem, test.family, test.difficulty, f"{question.kind}{cost}"),
+        *(question.horizon, question.seed, len(own), ", ".join(solvers) or "none"),
+        *(best.get(question), bounds.get(question), _percent(min(gaps, default=None), 2)),
+        *(", ".join(dict.fromkeys(row.verdict for row in own)), test.provenance),
+    ]
+
+
+def _test(problem: str, tests: Mapping[str, Classification]) -> Classification:
+    return tests.get(problem, Classification())
+
+
+def _profile_chart(rows: Sequence[Row], best: Mapping[Question, float], kind: str) -> Chart:
+    """Return the performance profile of times: shares solved within a multiple of the fastest."""
     profile = time_profile(rows, best)
-    for number, (planner, shares) in enumerate(zip(profile.planners, profile.shares, strict=True)):
-        ratios = np.append(profile.ratios, 1.2 * profile.ratios[-1])
-        _draw_steps(panels[0], ratios, np.append(shares, shares[-1]), planner, number)
-    words = "time / fastest planner's time [1]", "cases solved [%]"
-    dress(panels[0], "solved within a time", *words)
-    panels[0].set_xlim(0.95, max(1.2 * float(profile.ratios[-1]), 2.0))
-    for number, planner in enumerate(planners):
+    ratios = np.append(profile.ratios, 1.2 * profile.ratios[-1])
+    lines = [
+        _steps(number, planner, ratios, np.append(shares, shares[-1]))
+        for number, (planner, shares) in enumerate(
+            zip(profile.planners, profile.shares, strict=True)
+        )
+    ]
+    title = f"Performance profile, {kind}"
+    return Chart(title, lines, "time / fastest planner's time [1]", "solved [%]", layout=LOG_X)
+
+
+def _excess_chart(rows: Sequence[Row], best: Mapping[Question, float]) -> Chart:
+    """Return the cumulative distribution of the relative excess over the best known objective."""
+    lines: list[dict[str, Any]] = []
+    for number, planner in enumerate(dict.fromkeys(row.planner for row in rows)):
         mine = [excess(row, best) for row in rows if row.planner == planner]
         worse = np.sort([max(share, LEAST_EXCESS) for share in mine if share is not None])
         shares = np.arange(1, worse.size + 1) / max(len(mine), 1)
-        _draw_steps(panels[1], 100.0 * worse, shares, planner, number)
-    words = "worse than the best known by at most [%]", "cases [%]"
-    dress(panels[1], "objective against the best known", *words)
-    shares = [excess(row, best) or 0.0 for row in rows]
-    panels[1].set_xlim(70.0 * LEAST_EXCESS, 150.0 * max([*shares, OBJECTIVE_SHARE]))
-    panels[1].axvline(100.0 * OBJECTIVE_SHARE, color=FRAME, linewidth=1.0, linestyle=":")
-    for panel in panels[:2]:
-        panel.set_xscale("log")
-        panel.set_ylim(0.0, 103.0)
-    plain_log_ticks(panels[0].xaxis)
-    _draw_rates(panels[2], each)
-    _draw_fallbacks(panels[3], rows, planners)
-    legend_below(figure, panels[0].get_legend_handles_labels()[0], 7)
-    head(figure, f"{len(rows)} cases; {manifest.made_by}; {manifest.cpu}")
-    return figure
+        lines.append(_steps(number, planner, 100.0 * worse, shares))
+    x = "worse than the best known by at most [%]"
+    return Chart("Objective against the best known", lines, x, "cases [%]", layout=LOG_X)
 
 
-def _draw_steps(
-    panel: Panel, x: NDArray[np.float64], shares: NDArray[np.float64], planner: str, number: int
-) -> None:
-    """Draw a planner's cumulative share of cases (n,) as a step curve over x (n,)."""
-    look = {"drawstyle": "steps-post", "label": planner, **dashed_look(number)}
-    panel.plot(x, 100.0 * shares, **look)
+def _gap_chart(rows: Sequence[Row], tests: Mapping[str, Classification]) -> Chart:
+    """Return the gaps to proven bounds by problem, in the order of families."""
+    planners = list(dict.fromkeys(row.planner for row in rows))
+    points: list[dict[str, Any]] = []
+    for number, planner in enumerate(planners):
+        mine = [row for row in rows if row.planner == planner and row.gap is not None]
+        mine.sort(key=lambda row: (_test(row.problem, tests).family, row.problem))
+        look = {"color": _colour(number), "symbol": number, "size": 8}
+        points.append(
+            {
+                "type": "scatter",
+                "mode": "markers",
+                "name": plain(planner),
+                "marker": look,
+                "x": [plain(row.problem) for row in mine],
+                "y": [100.0 * (row.gap or 0.0) for row in mine],
+            }
+        )
+    return Chart("Gap to the proven bound", [p for p in points if p["x"]], "problem", "gap [%]")
 
 
-def _draw_rates(panel: Panel, each: Sequence[Score]) -> None:
-    """Draw the shares of solved cases, verified cases and correct claims, by planner."""
-    places = np.arange(len(each), dtype=np.float64)
-    rates = np.array(
-        [(one.success_rate, one.verified_rate, one.correct_rate) for one in each], dtype=np.float64
-    )
-    labels = "solved", "verified", "claims that hold"
-    for number, (label, values) in enumerate(zip(labels, rates.T, strict=True)):
-        look = {"linestyle": "none", "marker": MARKERS[number], "color": SERIES[-1 - number]}
-        edge = {"markersize": 8.0, "markeredgecolor": FRAME, "clip_on": False}
-        panel.plot(places + 0.2 * (number - 1), 100.0 * values, label=label, **look, **edge)
-    dress(panel, "rates", "planner", "share [%]")
-    panel.set_xticks(places, labels=[score.planner for score in each])
-    panel.set_xlim(-0.5, len(each) - 0.5)
-    panel.set_ylim(0.0, 103.0)
-    legend_inside(panel, "lower left")
+def _rate_chart(rows: Sequence[Row], best: Mapping[Question, float], kind: str) -> Chart:
+    """Return the shares of solved and verified cases and of correct claims, by planner."""
+    each = scores(rows, best)
+    rates = ("solved", "success_rate"), ("verified", "verified_rate"), ("correct", "correct_rate")
+    values = {label: [getattr(score, name) for score in each] for label, name in rates}
+    names = [score.planner for score in each]
+    return _bars(f"Rates, {kind}", names, values, "group")
 
 
-def _draw_fallbacks(panel: Panel, rows: Sequence[Row], planners: Sequence[str]) -> None:
-    """Draw the fallbacks that released the plans of each planner, as stacked shares."""
-    names = list(dict.fromkeys(name for row in rows for name in row.rungs))
-    counts = np.zeros((len(names), len(planners)))
+def _fallback_chart(rows: Sequence[Row]) -> Chart:
+    """Return the fallbacks that released the plans of each planner, as stacked shares."""
+    planners = list(dict.fromkeys(row.planner for row in rows))
+    counts: dict[str, dict[str, int]] = {planner: {} for planner in planners}
     for row in rows:
         for name, count in row.rungs.items():
-            counts[names.index(name), planners.index(row.planner)] += count
-    shares = 100.0 * counts / np.maximum(counts.sum(axis=0), 1.0)
-    places = np.arange(len(planners), dtype=np.float64)
-    for number, (name, share) in enumerate(zip(names, shares, strict=True)):
-        hatch = "" if number < len(SERIES) else "//"
-        look = {"color": SERIES[number % len(SERIES)], "edgecolor": WHITE, "hatch": hatch}
-        below = shares[:number].sum(axis=0)
-        panel.bar(places, share, bottom=below, width=0.7, label=name, **look)
-    dress(panel, "fallbacks", "planner", "released plans [%]")
-    panel.set_xticks(places, labels=list(planners))
-    panel.set_ylim(0.0, 130.0)
-    panel.set_yticks([0.0, 25.0, 50.0, 75.0, 100.0])
-    panel.legend(fontsize=NOTE_PT, loc="upper left", ncols=4, frameon=False)
+            counts[row.planner][name] = counts[row.planner].get(name, 0) + count
+    totals = {planner: max(sum(own.values()), 1) for planner, own in counts.items()}
+    values = {
+        name: [counts[planner].get(name, 0) / totals[planner] for planner in planners]
+        for name in dict.fromkeys(name for own in counts.values() for name in own)
+    }
+    return _bars("Fallbacks that released the plans", planners, values, "stack")
+
+
+def _bars(
+    title: str, planners: Sequence[str], values: Mapping[str, Sequence[float | None]], mode: str
+) -> Chart:
+    """Return a bar chart of shares by planner, one series per name."""
+    bars = [
+        {
+            "type": "bar",
+            "name": plain(name),
+            "x": [plain(planner) for planner in planners],
+            "y": [None if share is None else 100.0 * share for share in shares],
+            "marker": {"color": _colour(number), "pattern": {"shape": "/" if number > 5 else ""}},
+        }
+        for number, (name, shares) in enumerate(values.items())
+    ]
+    layout = {"barmode": mode, "yaxis": {"range": [0.0, 103.0]}}
+    return Chart(title, bars, "planner", "share [%]", layout=layout)
+
+
+LOG_X = {"xaxis": {"type": "log"}, "yaxis": {"range": [0.0, 103.0]}}
+
+
+def _steps(
+    number: int, planner: str, x: NDArray[np.float64], shares: NDArray[np.float64]
+) -> dict[str, Any]:
+    """Return a planner's cumulative share of cases (n,) as a step curve over x (n,)."""
+    line = {"shape": "hv", "color": _colour(number), "dash": DASHES[number % len(DASHES)]}
+    drawn = {"type": "scatter", "mode": "lines+markers", "line": line, "marker": {"size": 4}}
+    return {**drawn, "name": plain(planner), "x": x.tolist(), "y": (100.0 * shares).tolist()}
+
+
+def _colour(number: int) -> str:
+    return SERIES[number % len(SERIES)]
 
 
 def _percent(share: float | None, digits: int = 1) -> str:
     return MISSING if share is None else f"{100.0 * share:.{digits}f}"
-
-
-def _stacked(header: Sequence[str], lines: Sequence[Sequence[str]]) -> list[str]:
-    """Return a table whose headings are split into one word per line."""
-    words = [heading.split() for heading in header]
-    height = max(map(len, words))
-    above = [[*[""] * (height - len(each)), *each] for each in words]
-    return aligned([*zip(*above, strict=True), *lines], 1)

@@ -83,6 +83,8 @@ class Case:
     planner: str
     # States imposed on the robots of a closed loop; empty if they follow their plans
     states: States = field(default=(), compare=False)
+    # Time in seconds for a proven bound on the objective of a plan; 0 for none
+    prove_s: float = field(default=0.0, compare=False)
 
     def __str__(self) -> str:
         """Return text that identifies the case."""
@@ -96,6 +98,7 @@ def library_cases(
     horizons: Sequence[int] | None = None,
     seeds: Iterable[int] = range(3),
     run_seeds: Iterable[int] = range(1),
+    prove_s: float = 0.0,
 ) -> list[Case]:
     """Return the cases of all valid combinations, ordered by problem and then by seed."""
     loaded = {name: load(name) for name in (library_names() if problems is None else problems)}
@@ -132,7 +135,7 @@ def library_cases(
             ):
                 allowed = chosen[name, kind]
                 cases += [
-                    Case(Question(name, kind, cost or "", horizon, seed), planner)
+                    Case(Question(name, kind, cost or "", horizon, seed), planner, prove_s=prove_s)
                     for cost, horizon in settings
                     for planner in (planners or allowed)
                     if planner in allowed and seed in seeds_of_kind
@@ -185,6 +188,9 @@ class Answer:
     verdict: str = Verdict.NONE.value  # Verdict reported by the planner; for a run the worst
     outcome: str = ""  # planned, no_plan or error
     rungs: dict[str, int] = field(default_factory=dict[str, int])  # Number of steps by fallback
+    # Proven bound in the unit of the objective, and the relative gap to it; None if none is proven
+    bound: float | None = None
+    gap: float | None = None
     # CPU time of the case, excluding channel simulation, channel fit and scene construction
     cpu_s: float = 0.0
     # States of the robots of a run after each step; the check plans from the same states, so that
@@ -214,6 +220,9 @@ class Row(Answer):
     solve_s: float = 0.0
     wall_s: float = 0.0
     steps: int = 0  # Number of plans, one per step and robot
+    # Number of plans later than planner.budget_s, or than planner.step_s without a budget; None if
+    # the task has no deadline
+    late: int | None = None
     path_digest: str = ""  # Digest of all positions, rounded to 1 mm
     kkt_residual: float | None = None  # From the certificate; None for a run
     min_clearance_m: float | None = None
@@ -234,6 +243,7 @@ def key_of(case: Case) -> dict[str, Any]:
         "kind": case.question.kind,
         "name": case.question.problem,
         "states": encoded(case.states),
+        "prove_s": case.prove_s,
     }
 
 
@@ -250,7 +260,7 @@ def answer(case: Case, shared: Any) -> Row:
         if isinstance(shared, NoPlanError):
             raise shared
         found: Mapping[str, Any] = task.answer(
-            problem, question.kind, question.seed, shared, case.states
+            problem, question.kind, question.seed, shared, case.states, case.prove_s
         )
     except NoPlanError as error:
         found = {"outcome": NO_PLAN, "reasons": (str(error),)}
@@ -363,6 +373,7 @@ def _is_possible(row: Row) -> bool:
     least_zero = (row.iterations, row.solve_s, row.wall_s, row.cpu_s, row.steps)
     counts = all(count >= 0 for count in row.rungs.values())
     known = (row.objective, row.kkt_residual, row.min_clearance_m, row.min_connectivity)
+    known += (row.bound, row.gap, row.late)
     numbers = [*least_zero, *(value for value in known if value is not None)]
     return counts and min(least_zero) >= 0 and all(map(math.isfinite, numbers))
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -108,8 +108,9 @@ def reference_of(row: Row, made_by: str) -> Reference:
     """Return a reference with the results of a row."""
     names = [part.name for part in fields(Reference) if part.name != "made_by"]
     kept: dict[str, Any] = {name: getattr(row, name) for name in names}
-    if row.objective is not None:
-        kept["objective"] = float(f"{row.objective:.{DIGITS}g}")
+    for name in ("objective", "bound", "gap"):
+        if kept[name] is not None:
+            kept[name] = float(f"{kept[name]:.{DIGITS}g}")
     kept["cpu_s"] = round(row.cpu_s, 2)
     return Reference(**kept, made_by=made_by)
 
@@ -126,9 +127,11 @@ def frozen(
             continue
         new, old = reference_of(row, made_by), references.get(row.case)
         if old is not None:
+            if _is_looser(new, old):
+                new = replace(new, bound=old.bound, gap=old.gap)
             changed = [
                 f"{name} {getattr(old, name)} -> {getattr(new, name)}"
-                for name in ("objective", "verdict", "outcome", "rungs")
+                for name in ("objective", "verdict", "outcome", "rungs", "bound")
                 if getattr(old, name) != getattr(new, name)
             ]
             if not changed:
@@ -136,6 +139,23 @@ def frozen(
             changes.append(f"{row.case}: {', '.join(changed)}")
         references[row.case] = new
     return references, changes
+
+
+def bounds_known(references: References, rows: Iterable[Row] = ()) -> dict[Question, float]:
+    """Return the tightest proven bound of each question."""
+    found: dict[Question, float] = {}
+    for one in (*references.values(), *rows):
+        if one.bound is not None:
+            tightest = max if one.sense == "min" else min
+            found[one.case.question] = tightest(one.bound, found.get(one.case.question, one.bound))
+    return found
+
+
+def _is_looser(new: Reference, old: Reference) -> bool:
+    """Return whether a bound proves no more than the known one."""
+    if new.bound is None or old.bound is None:
+        return new.bound is None
+    return new.bound <= old.bound if new.sense == "min" else new.bound >= old.bound
 
 
 def worse_share(objective: float, best: float, sense: str) -> float:
@@ -274,11 +294,18 @@ class Score:
     # Relative excess of objectives over the best known; None if none is known
     median_excess: float | None
     largest_excess: float | None
+    # Number of proven bounds, and relative gaps to them
+    bounds: int
+    median_gap: float | None
+    largest_gap: float | None
     iterations: float  # Mean number of solver iterations per plan
     # Shifted geometric mean and median of the CPU time per plan, in seconds; unsolved cases count
     # as `LIMIT_S` in the mean and are excluded from the median
     mean_s: float
     median_s: float | None
+    # Number of plans with a deadline, and of those that missed it
+    plans: int
+    late: int
 
 
 def excess(row: Row, best: Mapping[Question, float]) -> float | None:
@@ -330,6 +357,7 @@ def _score(planner: str, rows: Sequence[Row], best: Mapping[Question, float]) ->
     wrong = sum(is_wrong(row, best) for row in claimed)
     verified = [row for row in rows if row.verdict == Verdict.VERIFIED.value]
     worse = [share for share in (excess(row, best) for row in rows) if share is not None]
+    gaps = [row.gap for row in rows if row.gap is not None]
     steps = sum(row.steps for row in rows)
     direct = sum(row.rungs.get(Rung.PLAN.value, 0) for row in rows)
     times_s = np.array([step_s(row) for row in rows])
@@ -344,9 +372,14 @@ def _score(planner: str, rows: Sequence[Row], best: Mapping[Question, float]) ->
         fallback_share=1.0 - direct / steps if steps else 0.0,
         median_excess=float(np.median(worse)) if worse else None,
         largest_excess=max(worse, default=None),
+        bounds=len(gaps),
+        median_gap=float(np.median(gaps)) if gaps else None,
+        largest_gap=max(gaps, default=None),
         iterations=sum(row.iterations for row in rows) / steps if steps else 0.0,
         mean_s=shifted_geometric_mean(np.where(solved, times_s, LIMIT_S), SHIFT_S),
         median_s=float(np.median(times_s[solved])) if solved.any() else None,
+        plans=sum(row.steps for row in rows if row.late is not None),
+        late=sum(row.late or 0 for row in rows),
     )
 
 

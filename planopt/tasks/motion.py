@@ -173,22 +173,31 @@ class MotionTask(Task):
         return [name for name in known if _allows(problem, name)]
 
     def answer(
-        self, problem: Problem, kind: str, seed: int, shared: Any, states: States = ()
+        self,
+        problem: Problem,
+        kind: str,
+        seed: int,
+        shared: Any,
+        states: States = (),
+        prove_s: float = 0.0,
     ) -> dict[str, Any]:
         """Return the suite's row for a plan, checked from its files, or for a run's first steps."""
         if kind == "run":
             return _run_answer(problem, seed, shared, states)
-        from planopt.planning.solve import solve_on
+        from planopt.planning.solve import proven, solve_on
 
         begun = process_time()
         solution = solve_on(problem, shared["prepared"].belief, seed, shared["scenes"])
         cpu_s = process_time() - begun
         plans, checked = solution.plans, checked_again(self, solution)
+        bound = proven(solution, prove_s).bound if prove_s else None
         proofs = [plan.certificate for plan in plans]
         residuals = [proof.kkt_residual for proof in proofs if proof.kkt_residual is not None]
         return {
-            **_totals(plans),
+            **_totals(problem, plans),
             "objective": finite(sum(plan.objective for plan in plans)),
+            "bound": None if bound is None else bound.value,
+            "gap": None if bound is None else bound.gap,
             "verdict": solution.verdict.value,
             "termination": _worst(Termination, (plan.termination.value for plan in plans)),
             "accepted": checked.verdict is Verdict.VERIFIED,
@@ -301,7 +310,7 @@ def _run_answer(problem: Problem, seed: int, shared: Any, recorded: States) -> d
     plans = [plan for each in steps for plan in each]
     found = (plan.objective for plan in plans)
     return {
-        **_totals(plans),
+        **_totals(problem, plans),
         "objective": finite(sum(found) / len(plans)) if plans else None,
         "verdict": _worst(Verdict, (plan.verdict.value for plan in plans)),
         "cpu_s": cpu_s,
@@ -309,8 +318,9 @@ def _run_answer(problem: Problem, seed: int, shared: Any, recorded: States) -> d
     }
 
 
-def _totals(plans: Sequence[Plan]) -> dict[str, Any]:
+def _totals(problem: Problem, plans: Sequence[Plan]) -> dict[str, Any]:
     """Return a row's totals over all plans, with a hash of the paths."""
+    deadline_s = problem.planner.budget_s or problem.planner.step_s
     # Adding zero turns negative zeros into positive ones.
     paths = (np.round(plan.positions_m, 3) + 0.0 for plan in plans)
     rounded = b"".join(path_m.astype("<f8").tobytes() for path_m in paths)
@@ -321,6 +331,7 @@ def _totals(plans: Sequence[Plan]) -> dict[str, Any]:
         "solve_s": float(sum(plan.solve_s for plan in plans)),
         "wall_s": float(sum(plan.wall_s for plan in plans)),
         "steps": len(plans),
+        "late": sum(plan.wall_s > deadline_s for plan in plans),
         "path_digest": hashlib.sha256(rounded).hexdigest()[:16],
     }
 

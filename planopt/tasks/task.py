@@ -259,11 +259,21 @@ class Task:
         return True
 
     def answer(
-        self, problem: Any, kind: str, seed: int, shared: Any, states: Any = ()
+        self,
+        problem: Any,
+        kind: str,
+        seed: int,
+        shared: Any,
+        states: Any = (),
+        prove_s: float = 0.0,
     ) -> dict[str, Any]:
         """Return the regression suite's row for a plan, checked from its files, or for a run."""
         begun = process_time()
-        result: TaskResult = perform("solve" if kind == "plan" else "simulate", problem, seed=seed)
+        function = self.function("solve" if kind == "plan" else "simulate")
+        proves = bool(prove_s and function and "prove_s" in signature(function).parameters)
+        more: dict[str, Any] = {"prove_s": prove_s} if proves else {}
+        action: Action = "solve" if kind == "plan" else "simulate"
+        result: TaskResult = perform(action, problem, seed=seed, **more)
         cpu_s = process_time() - begun
         data, steps = result.data, max(len(result.step_s), 1)
         name, sense = self.criterion
@@ -275,6 +285,8 @@ class Task:
             "termination": data.get("termination", data.get("outcome", "")),
             "objective": None if objective is None else finite(objective),
             "sense": data.get("sense", sense),
+            "bound": data.get("bound"),
+            "gap": data.get("gap"),
             "reasons": tuple(data.get("faults", ()))[:MOST_REASONS],
             "rungs": {"plan": steps},
             "steps": steps,

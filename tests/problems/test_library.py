@@ -1,5 +1,6 @@
 """The problem library and what its files promise."""
 
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +25,7 @@ LACKING = [entry.name for entry in list_problems() if entry.lacks_data]
 
 def test_library_lists_its_problems_by_name() -> None:
     """Every problem is there, described, plausible, and as it should be for an override."""
-    assert len(NAMES) == 43 and sorted(NAMES) == NAMES
+    assert len(NAMES) >= 79 and sorted(NAMES) == NAMES
     for entry in list_problems():
         assert entry.description.endswith(".")
         if entry.name in LACKING:
@@ -35,6 +36,25 @@ def test_library_lists_its_problems_by_name() -> None:
         if isinstance(problem, Problem):
             assert problem_warnings(problem) == []
             assert with_overrides(problem) == problem
+
+
+def test_library_is_classified() -> None:
+    """Every problem has family, difficulty and provenance; every family has three problems."""
+    tests = library.classifications()
+    assert sorted(tests) == NAMES
+    assert {each.difficulty for each in tests.values()} == {"easy", "medium", "hard"}
+    assert all(each.provenance for each in tests.values())
+    counts = Counter(each.family for each in tests.values())
+    assert len(counts) >= 14 and min(counts.values()) >= 3
+
+
+def test_damaged_classification(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(library, "library_folder", lambda: tmp_path)
+    assert library.classifications() == {}
+    for text in ("[", "3", "[3]", '[{"family": ""}]', '[{"problem": "one", "age": 3}]'):
+        (tmp_path / "families.json").write_text(text)
+        with refused():
+            library.classifications()
 
 
 MUNICH = [name for name in NAMES if name.startswith("munich")]

@@ -2,12 +2,12 @@
 
 import json
 import re
-import shutil
 from html.parser import HTMLParser
 from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import opened
 
 import planopt
 from planopt.cli import main
@@ -238,17 +238,7 @@ def test_not_a_result(tmp_path: Path, capsys) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_in_a_browser(kind: str, saved: dict[str, Path], pages: dict[str, str]) -> None:
     """The page renders, the slider moves the robot by key, and the console stays empty."""
-    playwright = pytest.importorskip("playwright.sync_api")
-    with playwright.sync_playwright() as drivers:
-        try:
-            browser = drivers.chromium.launch(**launch_options())
-        except playwright.Error as error:
-            pytest.skip(f"no Chromium: {error}")
-        page = browser.new_page(viewport={"width": 390, "height": 844})
-        messages: list[str] = []
-        page.on("console", lambda message: messages.append(message.text))
-        page.on("pageerror", lambda error: messages.append(str(error)))
-        page.goto((saved[kind] / "report.html").absolute().as_uri())
+    with opened(saved[kind] / "report.html") as (page, messages):
         page.wait_for_function("document.querySelectorAll('.js-plotly-plot').length > 0")
         assert page.evaluate("document.documentElement.scrollWidth") <= 390
         if kind not in ("comparison", "deployment"):
@@ -260,10 +250,3 @@ def test_in_a_browser(kind: str, saved: dict[str, Path], pages: dict[str, str]) 
             end = content_of(pages[kind])["map"]["groups"][0]["tracks"][0]["x"][-1]
             assert page.evaluate(where) == end
         assert messages == []
-        browser.close()
-
-
-def launch_options() -> dict[str, object]:
-    """Options of the browser: an installed one, if the driver has none of its own."""
-    found = shutil.which("chromium-headless-shell") or shutil.which("chromium")
-    return {"args": ["--no-sandbox"], **({} if found is None else {"executable_path": found})}

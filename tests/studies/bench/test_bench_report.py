@@ -1,59 +1,119 @@
-"""The report's picture and text show the numbers that were scored."""
+"""The report's page and Markdown show the numbers that were scored."""
 
-import numpy as np
+import json
+import re
+from pathlib import Path
+
+import pytest
 from bench_rows import row
+from browser import opened
 
 from planopt.commands.bench import report_json
-from planopt.report import bench_text, draw_bench
+from planopt.report import bench_page, page_markdown
+from planopt.report.page import page_html
 from planopt.studies.bench_cases import Manifest
-from planopt.studies.bench_references import best_known, reference_of
+from planopt.studies.bench_references import reference_of
 
+HOSTILE = "<img src=x onerror=alert(1)>|"
 MANIFEST = Manifest(
     program={"planopt": "0", "source": "0123456789abcdef", "casadi": "3"},
     python="3.11",
     cpu="a processor",
     cores=2,
     tolerances={"objective_share": 0.01},
-    problems={"yard": "0"},
+    problems={"open_field": "0"},
 )
 ROWS = [
-    row(planner="a"),
-    row(planner="a", seed=1, cpu_s=0.3, rungs={"lattice": 1}),
-    row(planner="b", objective=110.0),
-    row(planner="b", seed=1, cpu_s=0.2, accepted=False, reasons=("forged",)),
+    row(planner="a", problem="open_field", bound=90.0, gap=0.1, late=0),
+    row(planner="a", problem="open_field", seed=1, cpu_s=0.3, rungs={"lattice": 1}, late=1),
+    row(planner=HOSTILE, problem="open_field", objective=110.0, bound=95.0, gap=0.15),
+    row(planner=HOSTILE, problem="open_field", seed=1, accepted=False, reasons=("forged",)),
+    row(planner="a", problem="open_field", kind="run", steps=20, cpu_s=0.4, rungs={"plan": 20}),
 ]
+PAGE = bench_page(ROWS, {}, MANIFEST)
 
 
-def test_picture_has_the_numbers() -> None:
-    """Profile, objectives, rates and fallbacks as worked out by hand, with units on the axes."""
-    figure = draw_bench(ROWS, best_known({}, ROWS), MANIFEST)
-    profile, objective, rates, fallbacks = figure.axes
-    solved = {line.get_label(): line.get_ydata()[-1] for line in profile.get_lines()}
-    assert solved == {"a": 100.0, "b": 0.0}
-    worst = [line.get_xdata()[-1] for line in objective.get_lines()[:2]]
-    assert np.allclose(worst, [1e-4, 10.0])
-    shown = {line.get_label(): list(line.get_ydata()) for line in rates.get_lines()}
-    assert shown == {
-        "solved": [100.0, 0.0],
-        "verified": [100.0, 100.0],
-        "claims that hold": [100.0, 0.0],
+def table(title: str) -> list[dict[str, object]]:
+    (found,) = (each for each in PAGE.tables if each.title.startswith(title))
+    return [dict(zip(found.header, line, strict=True)) for line in found.rows]
+
+
+def test_scores_by_start() -> None:
+    """Cold and warm starts have tables of their own, with the numbers worked out by hand."""
+    own, other = table("Scores, plans")
+    assert (own["solved [%]"], other["solved [%]"]) == ("100.0", "0.0")
+    assert (own["largest excess [%]"], other["largest excess [%]"]) == ("0.000", "10.000")
+    assert (own["median gap [%]"], other["median gap [%]"]) == ("10.00", "15.00")
+    assert own["deadlines met"] == "1 of 2" and other["deadlines met"] == "-"
+    assert other["rejected"] == 1 and own["bounds"] == 1
+    # Mean of log(0.1 + 0.01) and log(0.3 + 0.01)
+    assert own["mean [s]"] == f"{(0.11 * 0.31) ** 0.5 - 0.01:.3f}"
+    (warm,) = table("Scores, closed loops")
+    assert (warm["planner"], warm["cases"], warm["mean [s]"]) == ("a", 1, "0.020")
+
+
+def test_families_and_questions() -> None:
+    """Solved cases by family; a question has the tightest bound, and the class of its problem."""
+    (family,) = table("Solved cases by family")
+    assert (family["family"], family["a"], family[HOSTILE]) == ("thin walls", "3 of 3", "0 of 2")
+    first, second, _ = table("Questions")
+    assert (first["bound"], first["gap [%]"], first["best known"]) == (95.0, "10.00", 100.0)
+    assert (first["solved by"], first["difficulty"]) == ("a", "easy")
+    assert (second["seed"], second["bound"]) == (1, None)
+
+
+def test_charts_have_the_numbers() -> None:
+    """Profiles, objectives, gaps, rates and fallbacks; axes have units."""
+    charts = {chart.title.split(",")[0]: chart for chart in reversed(PAGE.charts)}
+    profile = {each["name"]: each["y"][-1] for each in charts["Performance profile"].traces}
+    assert list(profile.values()) == [100.0, 0.0]
+    excess = charts["Objective against the best known"].traces
+    assert [round(each["x"][-1], 6) for each in excess] == [1e-4, 10.0]
+    assert [each["y"] for each in charts["Gap to the proven bound"].traces] == [[10.0], [15.0]]
+    fallbacks = {
+        each["name"]: each["y"] for each in charts["Fallbacks that released the plans"].traces
     }
-    heights = [[bar.get_height() for bar in group] for group in fallbacks.containers]
-    assert heights == [[50.0, 100.0], [50.0, 0.0]]
-    assert "[%]" in profile.get_ylabel() and "[%]" in objective.get_xlabel()
-    assert "[%]" in rates.get_ylabel() and "[%]" in fallbacks.get_ylabel()
+    assert fallbacks == {"plan": [21 / 22 * 100.0, 100.0], "lattice": [1 / 22 * 100.0, 0.0]}
+    assert all(chart.x and "[%]" in chart.y for chart in PAGE.charts)
 
 
-def test_text_has_the_numbers() -> None:
-    """A line a planner; regressions, rejections and what made the numbers below."""
-    known = {one.case: one for one in (reference_of(each, "x") for each in ROWS)}
-    known[ROWS[0].case] = reference_of(row(planner="a", objective=90.0), "x")
-    data = report_json(MANIFEST, ROWS, known)
-    words = bench_text(data)
-    lines = {line.split()[0]: line.split() for line in words.splitlines() if line}
-    assert lines["a"][1:5] == ["2", "50.0", "50.0", "100.0"]
-    assert lines["b"][1:7] == ["2", "0.0", "0.0", "100.0", "1", "0"]
-    assert "worse: yard" in words and "objective 100, was 90: 11.1% worse" in words
-    assert "rejected: yard" in words and "forged" in words
+def test_markdown_has_the_numbers() -> None:
+    """Aligned tables, escaped; regressions and rejections are in the JSON object."""
+    words = page_markdown(PAGE)
+    lines = [line for line in words.splitlines() if line.startswith("| a ")]
+    assert [cell.strip() for cell in lines[0].split("|")[1:5]] == ["a", "2", "100.0", "100.0"]
+    assert "onerror=alert(1)>\\|" in words and "limitation: " in words
     assert "a processor, 2 cores" in words and "objective_share 0.01" in words
-    assert data["with_reference"] == 4 and data["questions"] == 2
+    known = {one.case: one for one in (reference_of(each, "x") for each in ROWS)}
+    known[ROWS[0].case] = reference_of(row(planner="a", problem="open_field", objective=90.0), "x")
+    data = report_json(MANIFEST, ROWS, known)
+    assert "objective 100, was 90: 11.1% worse" in data["regressions"][0]
+    assert "forged" in data["rejected"][0]
+    assert (data["with_reference"], data["questions"], list(data["scores"])) == (
+        5,
+        3,
+        ["plan", "run"],
+    )
+
+
+def test_page_is_one_escaped_file() -> None:
+    text = page_html(PAGE)
+    assert HOSTILE not in text and "onerror" in text
+    assert not re.search(r"(src|href)=\"http", text.split("<script id")[0])
+    found = re.search(r'<script id="content" type="application/json">(.*?)</script>', text, re.S)
+    assert found is not None and len(json.loads(found[1])["charts"]) == len(PAGE.charts)
+
+
+@pytest.mark.slow
+def test_in_a_browser(tmp_path: Path) -> None:
+    """Every chart is drawn with its points, on a phone too, and the console stays empty."""
+    (tmp_path / "report.html").write_text(page_html(PAGE))
+    with opened(tmp_path / "report.html") as (page, messages):
+        page.wait_for_function(
+            f"document.querySelectorAll('.js-plotly-plot').length === {len(PAGE.charts)}"
+        )
+        assert page.evaluate("document.documentElement.scrollWidth") <= 390
+        assert page.locator("details[open] table").count() == len(PAGE.tables)
+        assert page.evaluate("document.getElementById('chart0').data.length") == 2
+        assert page.locator("svg .scatterlayer path.js-line").count() >= 4
+        assert messages == []

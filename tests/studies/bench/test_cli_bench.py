@@ -110,20 +110,39 @@ def test_another_problem_is_refused(tmp_path: Path, capsys) -> None:
 
 
 def test_report(folder: Path, capsys) -> None:
-    """Text, JSON and a picture, with what made the numbers."""
+    """Text, JSON, Markdown and a page, with what made the numbers."""
     assert ran(folder) == 0
     capsys.readouterr()
     assert main(["bench", "report", str(folder), "--json"]) == 0
     data = json.loads(capsys.readouterr().out)
     assert data == json.loads((folder / "report.json").read_text())
     assert data["program"]["planopt"] and data["cpu"] and data["tolerances"]["objective_share"]
-    assert {score["planner"] for score in data["planners"]} >= {"auto", "lattice"}
-    assert data["profile"]["ratios"][0] == 1.0
-    assert (folder / "report.png").stat().st_size > 10_000
-    assert main(["bench", "report", str(folder), "--no-figures"]) == 0
+    assert {score["planner"] for score in data["scores"]["plan"]} >= {"auto", "lattice"}
+    assert data["profiles"]["plan"]["ratios"][0] == 1.0
+    assert "<title>Planners in the regression suite" in (folder / "report.html").read_text()
+    assert main(["bench", "report", str(folder), "--no-page"]) == 0
     words = capsys.readouterr().out
     assert "auto" in words and "tolerances:" in words and "casadi" in words
-    assert not (folder / "report.png").exists()
+    assert "## Questions" in (folder / "report.md").read_text() and "## Questions" not in words
+    assert not (folder / "report.html").exists()
+
+
+def test_bounds_are_proven_on_request(tmp_path: Path) -> None:
+    """A route has a bound below its cost; a mapping problem has none; both are frozen."""
+    assert ran(tmp_path, "--prove", "0.5", problems="open_field,outdoor_map") == 0
+    with (tmp_path / "rows.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    for row in rows:
+        if row["problem"] == "outdoor_map":
+            assert row["bound"] == row["gap"] == ""
+        elif row["cost_to_go"] == "connected":
+            assert 50.0 < float(row["bound"]) < float(row["objective"])
+            assert 0.0 < float(row["gap"]) < 0.2
+        assert row["late"] == "0"
+    file = tmp_path / "references.json"
+    assert main(["bench", "report", str(tmp_path), "--freeze", str(file)]) == 0
+    known = read_references(file)
+    assert {one.problem for one in known.values() if one.bound} == {"open_field"}
 
 
 def test_rows_with_impossible_numbers(tmp_path: Path, capsys) -> None:
@@ -136,7 +155,7 @@ def test_rows_with_impossible_numbers(tmp_path: Path, capsys) -> None:
         file.write_text(json.dumps({**data, "result": {**data["result"], **change}}))
     (out / "rows" / "other.json").write_text("[" * 100_000)
     capsys.readouterr()
-    assert main(["bench", "report", str(out), "--no-figures", "--json"]) == 0
+    assert main(["bench", "report", str(out), "--no-page", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["rows"] == 1
     (out / "bench.json").write_text('{"program": 3}')
     refused_command(capsys, "bench", "report", out)
@@ -268,10 +287,10 @@ def test_a_planner_from_outside(tmp_path: Path, workers: str, capsys) -> None:
         names = ["--planners", "auto,liar", "--workers", workers]
         assert ran(tmp_path, *names, problems="outdoor_map,indoor_learn") == 0
         capsys.readouterr()
-        assert main(["bench", "report", str(tmp_path), "--json", "--no-figures"]) == 0
+        assert main(["bench", "report", str(tmp_path), "--json", "--no-page"]) == 0
     finally:
         unregister_planner("liar")
-    own, liar = json.loads(capsys.readouterr().out)["planners"]
+    own, liar = json.loads(capsys.readouterr().out)["scores"]["plan"]
     assert (own["planner"], own["success_rate"], own["correct_rate"]) == ("auto", 1.0, 1.0)
     assert liar["planner"] == "liar" and liar["verified_rate"] == 1.0
     assert liar["success_rate"] == 0.0 and liar["correct_rate"] == 0.0

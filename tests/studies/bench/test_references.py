@@ -10,6 +10,7 @@ from refusals import refused
 from planopt import InputError
 from planopt.studies.bench_cases import library_cases, library_names
 from planopt.studies.bench_references import (
+    bounds_known,
     fast_cases,
     frozen,
     improvement,
@@ -64,6 +65,19 @@ def test_frozen_names_every_change() -> None:
     assert same == first and len(changes) == 2 and "left out, no" in changes[0]
 
 
+@pytest.mark.parametrize(("sense", "tighter", "looser"), [("min", 95.0, 80.0), ("max", 80.0, 95.0)])
+def test_frozen_bounds_get_tighter(sense: str, tighter: float, looser: float) -> None:
+    """A bound is kept until a tighter one is proven, whatever else changes."""
+    known, _ = frozen({}, [row(sense=sense, bound=90.0, gap=0.1)], "one")
+    for bound in (looser, None):
+        same, changes = frozen(known, [row(sense=sense, bound=bound)], "two")
+        assert changes == [] and same == known
+    better, changes = frozen(known, [row(sense=sense, bound=tighter, gap=0.05)], "two")
+    assert f"bound 90.0 -> {tighter}" in changes[0]
+    assert list(bounds_known(known, [row(sense=sense, bound=tighter)]).values()) == [tighter]
+    assert [one.gap for one in better.values()] == [0.05]
+
+
 def test_file_round_trip(tmp_path: Path) -> None:
     """One case a line, sorted, and read as written."""
     file = tmp_path / "references.json"
@@ -81,7 +95,7 @@ def test_library_is_whole() -> None:
     assert missing == []
     assert {case.question.problem for case in cases} == set(library_names())
     assert {case.question.kind for case in cases} == {"plan", "run"}
-    others = {"coverage", "drive", "law", "pursuit_design", "receding", "retarget"}
+    others = {"coverage", "deploy", "drive", "law", "pursuit_design", "receding", "retarget"}
     assert {case.planner for case in cases} == {"auto", "scp", "lattice", *others}
 
 

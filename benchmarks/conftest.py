@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import pytest
+
+# Benchmarks compare with the planners of the examples.
+sys.path.append(str(Path(__file__).parents[1] / "examples" / "planners"))
 
 KEY = pytest.StashKey["Table"]()
 

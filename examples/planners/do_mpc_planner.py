@@ -1,8 +1,8 @@
 """do-mpc as a planner from outside, by name, in the regression suite.
 
-``python benchmarks/do_mpc_planner.py bench run --problems FILE --planners auto,do_mpc --out DIR``
-registers the planner ``do_mpc`` and hands the arguments to planopt. It needs the extra ``bench``,
-and plans for problems of one station whose first term is tracking.
+``python examples/planners/do_mpc_planner.py bench run --planners auto,do_mpc --out DIR`` registers
+the planner ``do_mpc`` and passes the arguments to planopt. It needs the extra ``bench``, and plans
+for problems of one station whose first term is tracking.
 """
 
 from __future__ import annotations

@@ -70,7 +70,7 @@ def drive_plain(
             share = np.where(seen, truly_out, share)
             factor = 1.0 + problem.reach.outage_price * share
             ways = lattice_paths(roads, scene.goal_node, factor)
-            nodes, lengths = first_moves(scene.ground, problem, here)
+            nodes, lengths = first_moves(scene, problem, here)
             first = int(nodes[np.argmin(lengths * factor[nodes] + ways.cost_m[nodes])])
             way = np.vstack([here, roads.nodes_m[route_from(roads, ways, first, np.inf)]])
         way = _after(way, problem.step_length_m)

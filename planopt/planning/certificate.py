@@ -12,7 +12,7 @@ from planopt.arrays import Floats, Mask
 from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
 from planopt.errors import NoPlanError
 from planopt.planning.tolerances import RULE_TOLERANCE, STANDSTILL_M
-from planopt.problems.objective import rule_kind
+from planopt.problems.objective import RULES
 from planopt.problems.problem import Problem
 
 MOST_IN_WORDS = 4
@@ -185,7 +185,7 @@ class RuleResult:
     def missing(self) -> float:
         """Return the shortfall in the rule's unit; negative if the rule is satisfied."""
         short = self.asked - self.achieved
-        return -short if rule_kind(self.connectivity).greatest else short
+        return -short if RULES.find(self.connectivity).greatest else short
 
     @property
     def is_missed(self) -> bool:

@@ -317,7 +317,7 @@ class DrivenReach:
         self._problem = problem
         self._scene = scene
         self._dynamics = problem.robots[0].dynamics
-        self._cascade = FallbackCascade(problem, scene.ground)
+        self._cascade = FallbackCascade(problem, scene)
 
     def chosen(
         self,
@@ -424,7 +424,7 @@ class DrivenReach:
         problem, cost_m = self._problem, start.cost_to_go.cost_m
         views = [(int(start.nodes[-1]), start.path_m[-1])]
         for place in places_m:
-            nodes, lengths = first_moves(self._scene.ground, problem, place)
+            nodes, lengths = first_moves(self._scene, problem, place)
             if len(nodes):
                 views.append((int(nodes[np.argmin(lengths + cost_m[nodes])]), place))
         node, place = min(views[1:] or views, key=lambda view: float(cost_m[view[0]]))

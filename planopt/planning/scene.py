@@ -61,27 +61,11 @@ def first_moves(ground: Ground, problem: Problem, position_m: Floats) -> tuple[I
 
 
 @dataclass(frozen=True)
-class Scene:
-    """Geometry of a problem with a goal: obstacles, lattice, and shortest paths to the goal."""
+class Scene(Ground):
+    """Geometry of a problem with a goal: a ground with a lattice node at the goal, and paths."""
 
-    ground: Ground  # Geometry with a lattice node at the goal
     goal_node: int  # Index of this node
     cost_to_go: CostToGo  # Shortest paths around obstacles to the goal
-
-    @property
-    def index(self) -> ObstacleIndex:
-        """Return the index of the exact obstacles, for the verifier."""
-        return self.ground.index
-
-    @property
-    def pieces(self) -> PackedPieces:
-        """Return the obstacles' convex pieces, for the solver."""
-        return self.ground.pieces
-
-    @property
-    def road_map(self) -> RoadMap:
-        """Graph of the lattice nodes and moves."""
-        return self.ground.road_map
 
 
 def build_scene(
@@ -109,7 +93,7 @@ def build_scene(
             "or reduce the clearance"
         )
     cost_to_go = lattice_paths(road_map, goal_node)
-    scene = Scene(ground, goal_node, cost_to_go)
+    scene = Scene(ground.index, ground.pieces, road_map, goal_node, cost_to_go)
     here = np.asarray(problem.robots[0].start_m) if place_m is None else place_m
     nodes, _ = first_moves(ground, problem, here)
     if nodes.size == 0 and place_m is not None:
@@ -130,7 +114,7 @@ def build_scenes(
     for number, robot in enumerate(problem.robots):
         try:
             here = None if places_m is None else places_m[number]
-            shared = scenes[0].ground if scenes else None
+            shared = scenes[0] if scenes else None
             scenes.append(build_scene(problem_of_robot(problem, number), here, shared))
         except NoPlanError as error:
             if len(problem.robots) == 1:

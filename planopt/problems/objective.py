@@ -193,21 +193,6 @@ OWN = {
 RULES = Registry("a rule", "constraints.connectivity", OWN)
 
 
-def register_rule(rule: type[Any]) -> None:
-    """Register a custom connectivity rule, so that problems can name it."""
-    RULES.add(getattr(rule, "kind", ""), rule)
-
-
-def registered_rules() -> tuple[type[Any], ...]:
-    """Return the rules registered by :func:`register_rule`, for worker processes."""
-    return tuple(RULES.registered.values())
-
-
-def rule_kind(name: object) -> type[Any]:
-    """Return the class of a rule by name."""
-    return RULES.find(name)
-
-
 ParameterUncertainty = Literal["path_loss", "all"]
 Positive = Annotated[float, Field(gt=0, le=1e9)]
 
@@ -215,7 +200,7 @@ Positive = Annotated[float, Field(gt=0, le=1e9)]
 def _known_rule(name: Any) -> str:
     """Return the current name of a rule; stated_times is an old name of each_step with times."""
     try:
-        return rule_kind("each_step" if name == "stated_times" else name).kind
+        return RULES.find("each_step" if name == "stated_times" else name).kind
     except InputError as error:
         raise PydanticCustomError(
             "rule_name", "should be {remedy}", {"remedy": str(error.remedy).removeprefix("use ")}
@@ -307,7 +292,7 @@ class ConnectivityRule(Part):
     @property
     def kind(self) -> type[Any]:
         """Return the class of the rule."""
-        return rule_kind(self.connectivity)
+        return RULES.find(self.connectivity)
 
     @property
     def by_step(self) -> bool:
@@ -367,7 +352,7 @@ class Constraints(Part):
         """Return a message if a value does not fit the connectivity rule."""
         rule, form = self.rule, self.rule.connectivity
         given = [key for key, value in rule.to_keys().items() if value not in (None, ())]
-        for other in map(rule_kind, OWN):
+        for other in map(RULES.find, OWN):
             for key in other.keys:
                 if other.kind != form and key in given:
                     return (

@@ -13,7 +13,7 @@ from planopt.arrays import Floats
 from planopt.errors import InputError, listed
 from planopt.keys import Name, Pair, Part, Table, fault_of
 from planopt.parts import class_name
-from planopt.robots.dynamics import Dynamics
+from planopt.robots.dynamics import NO_DEFAULT, Dynamics
 from planopt.robots.models import DoubleIntegrator, SingleIntegrator, Unicycle
 
 DynamicsName = Literal["single_integrator", "double_integrator", "unicycle"]
@@ -198,16 +198,16 @@ def _are_finite(values: tuple[Any, ...]) -> bool:
 
 def _require_dynamics(given: object) -> None:
     """Raise an error if an object lacks attributes or methods of dynamics."""
-    named = {name: part for name, part in vars(Dynamics).items() if not name.startswith("_")}
-    if isinstance(given, str | type):
-        missing = list(named)
-    else:
-        # A subclass of the protocol inherits its empty methods.
-        missing = [
-            name
-            for name, part in named.items()
-            if getattr(type(given), name, None) is part or not hasattr(given, name)
-        ]
+    members = (*Dynamics.__annotations__, *vars(Dynamics))
+    named = [name for name in members if not name.startswith("_")]
+    # A subclass of the protocol inherits its empty methods.
+    missing = [
+        name
+        for name in named
+        if isinstance(given, str | type)
+        or not hasattr(given, name)
+        or (name in NO_DEFAULT and getattr(type(given), name) is getattr(Dynamics, name))
+    ]
     if len(missing) == len(named):
         raise InputError(
             f"is {given!r}, which does not define dynamics",

@@ -23,7 +23,7 @@ from scipy.optimize import least_squares
 from planopt.arrays import Floats
 from planopt.errors import InputError
 from planopt.plain_values import make_plain
-from planopt.robots.dynamics import BaseDynamics, Components, PurePursuit
+from planopt.robots.dynamics import Components, Dynamics, PurePursuit
 from planopt.world.motion import PointCurve, StepCurve
 
 
@@ -89,7 +89,7 @@ REST_SEARCH = 1e-15
 
 
 @dataclass(frozen=True, eq=False)
-class CasadiMap(BaseDynamics):
+class CasadiMap(Dynamics):
     """Dynamics defined by a CasADi function.
 
     Attributes

@@ -25,37 +25,30 @@ class Disc:
     """Disc constraint: the magnitude of two state or input components is at most a radius."""
 
     limit: int  # Index of the constraint among the limits
-    names: tuple[str, str]  # Names of the two components, of the next state or the input
+    names: tuple[str, ...]  # Names of the two components, of the next state or the input
     radius: float  # Largest magnitude of the pair
 
 
 class Dynamics(Protocol):
-    """Protocol of a robot's dynamics: motion, limits, braking and turning."""
+    """Protocol of a robot's dynamics: motion, limits, braking and turning.
 
-    @property
-    def kind(self) -> str:
-        """Name of the dynamics in problem files."""
-        ...
+    A class may derive from it to inherit the defaults: interval limits, exact hulls, and a robot
+    that stops at once.
+    """
 
-    @property
-    def state_names(self) -> tuple[str, ...]:
-        """Names of the state components with units; the first two are ``x_m`` and ``y_m``."""
-        ...
-
-    @property
-    def input_names(self) -> tuple[str, ...]:
-        """Names of the input components with units."""
-        ...
-
-    @property
-    def speed_max_m_s(self) -> float:
-        """Largest speed in m/s."""
-        ...
+    kind: str
+    """Name of the dynamics in problem files."""
+    state_names: tuple[str, ...]
+    """Names of the state components with units; the first two are ``x_m`` and ``y_m``."""
+    input_names: tuple[str, ...]
+    """Names of the input components with units."""
+    speed_max_m_s: float
+    """Largest speed in m/s."""
 
     @property
     def discs(self) -> tuple[Disc, ...]:
         """Limits that are disc constraints."""
-        ...
+        return ()
 
     def step(self, state: Components, control: Components, step_s: float) -> Components:
         """Return the state after a step."""
@@ -73,46 +66,46 @@ class Dynamics(Protocol):
 
     def hull_pad_m(self, step_s: float) -> float:
         """Return the largest distance of a step's path from the hull of :meth:`control_points`."""
-        ...
+        return 0.0
 
     def timed_pad_m(self, step_s: float) -> float:
         """Return the largest distance of a step's path from its Bezier curve at equal times.
 
         The curve is that of :meth:`control_points`; the distance adds to :meth:`hull_pad_m`.
         """
-        ...
+        return 0.0
 
     def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
         """Return points whose convex hull, with the position, contains the braking path."""
-        ...
+        return ()
 
     def stop_curve(self, state: Floats, step_s: float) -> Curve | None:
         """Return the braking path from a state; None if the robot stops at once."""
-        ...
+        return None
 
     def stop_rows(self, state: Components, step_s: float) -> Components:
         """Return expressions that are 0 if the robot can stop from a state; () if it always can."""
-        ...
+        return ()
 
     def stop_steps(self, state: Floats, step_s: float) -> int:
         """Return the number of steps of :meth:`braking` until standstill."""
-        ...
+        return 0
 
     def longest_stop_steps(self, step_s: float) -> int:
         """Return the maximum of :meth:`stop_steps` over all states within the limits."""
-        ...
+        return 0
 
     def resting_place(self, state: Components) -> tuple[Any, Any]:
         """Return the approximate position of rest after braking, a smooth function of the state."""
-        ...
+        return state[0], state[1]
 
     def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
         """Return a smooth estimate of the time to turn towards a position; 0 at the position."""
-        ...
+        return 0.0
 
     def braking(self, state: Floats, step_s: float, steps: int) -> Floats:
         """Return inputs (steps, m) that stop as soon as possible and then rest."""
-        ...
+        return np.zeros((steps, 2))
 
     def following(self, state: Floats, path_m: Floats, step_s: float) -> Floats:
         """Return inputs (N, m) that approximately follow a path (N, 2) of straight steps."""
@@ -130,7 +123,7 @@ class Dynamics(Protocol):
 
         Obstacles and the speed limit are ignored. A reachable position is never False.
         """
-        ...
+        return np.ones(len(places_m), dtype=np.bool_)
 
     def curves(self, states: Floats, inputs: Floats, step_s: float) -> list[StepCurve]:
         """Return the paths of steps from states (n, s) with inputs (n, m)."""
@@ -145,57 +138,10 @@ class Dynamics(Protocol):
         ...
 
 
-class BaseDynamics:
-    """Base class with defaults: interval limits, exact hulls, and a robot that stops at once."""
-
-    @property
-    def discs(self) -> tuple[Disc, ...]:
-        """Return no disc constraints."""
-        return ()
-
-    def hull_pad_m(self, step_s: float) -> float:
-        """Return 0, as the hull contains the path."""
-        return 0.0
-
-    def timed_pad_m(self, step_s: float) -> float:
-        """Return 0, as the path equals the Bezier curve at all times."""
-        return 0.0
-
-    def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
-        """Return no points, as the robot stops at once."""
-        return ()
-
-    def stop_curve(self, state: Floats, step_s: float) -> Curve | None:
-        """Return None, as the robot stops at once."""
-        return None
-
-    def stop_rows(self, state: Components, step_s: float) -> Components:
-        """Return no expressions, as the robot can stop from any state."""
-        return ()
-
-    def stop_steps(self, state: Floats, step_s: float) -> int:
-        """Return 0, as the robot stops at once."""
-        return 0
-
-    def longest_stop_steps(self, step_s: float) -> int:
-        """Return 0, as the robot stops at once."""
-        return 0
-
-    def resting_place(self, state: Components) -> tuple[Any, Any]:
-        """Return the current position, as the robot stops at once."""
-        return state[0], state[1]
-
-    def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
-        """Return 0, as the robot is holonomic or its turning is unknown."""
-        return 0.0
-
-    def braking(self, state: Floats, step_s: float, steps: int) -> Floats:
-        """Return zero inputs (steps, 2), which stop the robot at once."""
-        return np.zeros((steps, 2))
-
-    def may_reach(self, state: Floats, places_m: Floats, duration_s: float, slack_m: float) -> Mask:
-        """Return True for every position, as only the speed limits the reachable set."""
-        return np.ones(len(places_m), dtype=np.bool_)
+NO_DEFAULT = (
+    *("step", "limits", "control_points", "following", "straight", "curves", "excess_m", "unit_m"),
+)
+"""Methods of dynamics that have no default."""
 
 
 @runtime_checkable

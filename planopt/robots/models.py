@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from planopt.arrays import Floats, Mask
-from planopt.robots.dynamics import BaseDynamics, Components, Disc, PurePursuit
+from planopt.robots.dynamics import Components, Disc, Dynamics, PurePursuit
 from planopt.world.motion import Arc, Parabola, PointCurve, StepCurve
 
 STOPPED_M_S = 1e-9
@@ -37,7 +37,7 @@ HALVINGS = 3
 
 
 @dataclass(frozen=True)
-class SingleIntegrator(BaseDynamics):
+class SingleIntegrator(Dynamics):
     """Holonomic robot whose velocity is the input.
 
     q+ = q + h v with norm(v) <= v_max. The state is the position.
@@ -98,7 +98,7 @@ class SingleIntegrator(BaseDynamics):
 
 
 @dataclass(frozen=True)
-class DoubleIntegrator(BaseDynamics):
+class DoubleIntegrator(Dynamics):
     """Robot with inertia whose acceleration is the input.
 
     p+ = p + h v + h^2/2 a and v+ = v + h a with norm(a) <= a_max and norm(v) <= v_max. Speed is
@@ -257,7 +257,7 @@ class DoubleIntegrator(BaseDynamics):
 
 
 @dataclass(frozen=True)
-class Unicycle(BaseDynamics):
+class Unicycle(Dynamics):
     """Robot that drives along its heading, such as a differential drive.
 
     x' = v cos(heading), y' = v sin(heading), heading' = w. A step is a circular arc. With half the

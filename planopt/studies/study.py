@@ -37,7 +37,7 @@ from planopt.files.typed_json import decoded, encoded
 from planopt.files.writing import remove_remains, strict_text, write_text
 from planopt.objectives.terms.term import Term, outside_terms, register
 from planopt.problems.library import FILE_KEYS
-from planopt.problems.objective import register_rule, registered_rules
+from planopt.problems.objective import RULES
 from planopt.problems.problem import Problem
 from planopt.problems.settings import (
     PlannerKind,
@@ -203,7 +203,7 @@ def run_study(
             remedy="give the number of processes",
         )
     require_backend(backend)
-    outside = registered_planners(), outside_terms(), registered_rules()
+    outside = registered_planners(), outside_terms(), tuple(RULES.registered.values())
     jobs = [(study, group, record, *outside, os.getpid()) for group in groups]
     results = BACKENDS[backend](_group_results, jobs, workers)
     if record is None:
@@ -335,7 +335,7 @@ def _group_results(
         for term in terms:
             register(term)
         for rule in rules:
-            register_rule(rule)
+            RULES.add(rule.kind, rule)
     shared: list[Shared] = []
     results: list[tuple[Result, bool]] = []
     for item in group:

@@ -90,7 +90,7 @@ def strip(folder: Path, robot: str) -> Problem:
 
 def left_m(scene: Scene, problem: Problem, place_m: np.ndarray) -> float:
     """Length of the shortest path over the lattice from a place to the goal."""
-    nodes, lengths = first_moves(scene.ground, problem, place_m)
+    nodes, lengths = first_moves(scene, problem, place_m)
     return float((lengths + scene.cost_to_go.cost_m[nodes]).min())
 
 

@@ -82,7 +82,7 @@ def test_first_moves_keep_speed_and_clearance():
     """Every node within one clear step and no other, by brute force."""
     problem = small_problem(CUP)
     scene, at = build_scene(problem), np.array([13.1, 9.7])
-    found, lengths = first_moves(scene.ground, problem, at)
+    found, lengths = first_moves(scene, problem, at)
     nodes = scene.road_map.nodes_m
     expected = [
         k

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial, reduce
 from typing import Annotated, ClassVar, Literal
 
@@ -25,7 +25,7 @@ from planopt.objectives.moments import Moments, Pull, known_places, posterior_mo
 from planopt.objectives.path_derivatives import PathDerivatives, by_positions
 from planopt.objectives.terms.context import NearPath, NodeChannel, Nodes, Part, Paths, TermContext
 from planopt.objectives.terms.distance import SteeredTerm
-from planopt.objectives.terms.term import Steers, Structure, Term, TermSetting
+from planopt.objectives.terms.term import Steers, Term, TermSetting
 
 
 @dataclass(frozen=True)
@@ -183,9 +183,6 @@ FORMS_WITH_KEYS: tuple[MappingForm, ...] = ("path", "two_layer")
 FORM_KEYS = ("variance_threshold_db2", "closeness_per_m")
 """Keys that only `FORMS_WITH_KEYS` accept."""
 
-DISTANCE = SteeredTerm()
-"""Term for the two-layer form, whose value is the progress towards the steering point."""
-
 Nonnegative = Annotated[float, Field(ge=0, le=1e6)]
 
 
@@ -227,15 +224,11 @@ class MappingTerm(MeasuredTerm):
         """Return the keys that this form does not use."""
         return frozenset() if self.form in FORMS_WITH_KEYS else frozenset(FORM_KEYS)
 
-    @property
-    def structure(self) -> Structure:
-        """Return ``stagewise`` for the two-layer form, which sums distances, else ``full``."""
-        return "stagewise" if self.form == "two_layer" else "full"
-
-    @property
-    def is_measured(self) -> bool:
-        """Return whether the form rewards measurements, rather than distances (two-layer form)."""
-        return self.form != "two_layer"
+    def planned(self, setting: TermSetting) -> Term:
+        """Return the term of the form: the two-layer form rewards progress, not measurements."""
+        if self.form != "two_layer" or isinstance(self, TwoLayerTerm):
+            return self
+        return TwoLayerTerm(**{each.name: getattr(self, each.name) for each in fields(self)})
 
     @property
     def averages_map(self) -> bool:
@@ -282,26 +275,12 @@ class MappingTerm(MeasuredTerm):
             case _:
                 return variance
 
-    def value(self, at: TermContext, path_m: Floats) -> float:
-        """Return the gain of measurements along one path, or the progress in metres."""
-        return DISTANCE.value(at, path_m) if self.form == "two_layer" else super().value(at, path_m)
 
-    def values(self, paths: Paths) -> Floats:
-        """Return the gains of many paths, or their progress in metres."""
-        return DISTANCE.values(paths) if self.form == "two_layer" else super().values(paths)
+@dataclass(frozen=True)
+class TwoLayerTerm(SteeredTerm, MappingTerm):
+    """Progress to the position of the largest J_CH (equation 4.3), instead of measurements."""
 
-    def derivatives(self, path: NearPath) -> Part:
-        """Return the value and derivatives of one path, using the local channel."""
-        return DISTANCE.derivatives(path) if self.form == "two_layer" else super().derivatives(path)
-
-    def slope(self, paths: Paths, number: int) -> Pull:
-        """Return the adjoints of :meth:`values` w.r.t. one station's moments or the positions."""
-        if self.form == "two_layer":
-            return DISTANCE.slope(paths, number)
-        return super().slope(paths, number)
-
-    def node_reward(self, at: TermContext, nodes: Nodes) -> Floats:
-        """Return each node's gain of one measurement, or minus its remaining distance."""
-        if self.form == "two_layer":
-            return DISTANCE.node_reward(at, nodes)
-        return super().node_reward(at, nodes)
+    @property
+    def is_measured(self) -> bool:
+        """Return False, as the value is a sum of distances."""
+        return False

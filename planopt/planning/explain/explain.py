@@ -180,9 +180,9 @@ def explain_crossing(
     margins = NodeMargins(scene.road_map, threshold_dbm, constraints.p_min, everywhere)
     margins.refresh(connectivity_law(problem, posteriors))
     price, start = problem.reach.outage_price, plan.positions_m[0]
-    cost_m, _ = _cheapest_path(problem, scene, margins, start, price * margins.outage_share)
+    cost_m, _ = _cheapest_path(problem, scene, start, price * margins.outage_share)
     _, path_m = _cheapest_path(
-        problem, scene, margins, start, np.where(margins.outside, CONNECTION_PRICE, 0.0)
+        problem, scene, start, np.where(margins.outside, CONNECTION_PRICE, 0.0)
     )
     lengths = np.linalg.norm(np.diff(path_m, axis=0), axis=1)
     outside = margins.at(path_m)[0] < 0.0
@@ -198,7 +198,7 @@ def explain_crossing(
 
 
 def _cheapest_path(
-    problem: Problem, scene: Scene, margins: NodeMargins, start_m: Floats, surcharge: Floats
+    problem: Problem, scene: Scene, start_m: Floats, surcharge: Floats
 ) -> tuple[float, Floats]:
     """Return cost and positions (n, 2) of the cheapest path from a position to the goal.
 
@@ -206,7 +206,7 @@ def _cheapest_path(
     """
     road_map = scene.road_map
     paths = lattice_paths(road_map, scene.goal_node, 1.0 + surcharge)
-    nodes, lengths = first_moves(scene.ground, problem, start_m)
+    nodes, lengths = first_moves(scene, problem, start_m)
     first = int(np.argmin(lengths * (1.0 + surcharge[nodes]) + paths.cost_m[nodes]))
     cost_m = float(lengths[first] * (1.0 + surcharge[nodes[first]]) + paths.cost_m[nodes[first]])
     rest = route_from(road_map, paths, int(nodes[first]), np.inf)
@@ -315,7 +315,7 @@ def explain_blocked(
     road_map, goal = scene.road_map, scene.goal_node
     margins = NodeMargins(road_map, threshold, problem.constraints.p_min)
     margins.refresh(connectivity_law(problem, posteriors))
-    first, _ = first_moves(scene.ground, problem, np.asarray(problem.robots[0].start_m))
+    first, _ = first_moves(scene, problem, np.asarray(problem.robots[0].start_m))
     chance = connection_probability(margins.mean_db, margins.deviation_db, threshold)
     slack_db = problem.constraints.rule.slack_max_db or 0.0
     lacking_db = MARGIN_PAD_DB - slack_db - _widest(road_map, first, goal, margins.margin_db)

@@ -20,7 +20,7 @@ from planopt.parts import calling, class_name, returned
 from planopt.planning.certificate import RuleResult
 from planopt.planning.plan import History
 from planopt.planning.proof.context import VerifierContext
-from planopt.problems.objective import register_rule
+from planopt.problems.objective import RULES
 from planopt.problems.problem import Problem
 
 BySlack = Callable[[float], RuleResult]
@@ -266,7 +266,7 @@ class OwnRule(Rule):
                 remedy="define asked(self, p_min), or leave asks_p_min out",
             )
         if "kind" in cls.__dict__:
-            register_rule(cls)
+            RULES.add(cls.kind, cls)
 
     @abstractmethod
     def achieved(self, probability: Floats, history: History) -> float | Floats:

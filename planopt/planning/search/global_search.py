@@ -87,7 +87,7 @@ class GlobalSearch:
         )
         rule = constraints.rule
         start = np.asarray(problem.robots[0].start_m, dtype=np.float64)
-        nodes, lengths = first_moves(scene.ground, problem, start)
+        nodes, lengths = first_moves(scene, problem, start)
         self._direct_m = float((lengths + scene.cost_to_go.cost_m[nodes]).min(initial=np.inf))
         self._forbids = rule.every_step and rule.slack_max_db is not None
         self._is_alone = (
@@ -129,7 +129,7 @@ class GlobalSearch:
         """Return a timed path to the goal that avoids moving discs; None if there is none."""
         # Shapes: position_m (2,).
         problem, scene = self._problem, self._scene
-        nodes, lengths = first_moves(scene.ground, problem, position_m)
+        nodes, lengths = first_moves(scene, problem, position_m)
         _, here = self.margins.at(position_m[None])
         price = 0.0 if start.is_direct else problem.reach.outage_price
         metre_cost = np.append(start.metre_cost, 1.0 + price * float(here[0]))
@@ -153,7 +153,7 @@ class GlobalSearch:
         problem, scene = self._problem, self._scene
         found = search_room(
             scene.road_map,
-            *first_moves(scene.ground, problem, position_m),
+            *first_moves(scene, problem, position_m),
             others_m,
             problem.constraints.separation_m,
             problem.planner.horizon,
@@ -242,7 +242,7 @@ class GlobalSearch:
         order = sorted(range(len(costs)), key=lambda k: (missing[k], costs[k]))
         if self._problem.constraints.rule.slack_max_db is not None:
             return all_nodes[order[0]]
-        joined, lengths = first_moves(self._scene.ground, self._problem, context.position_m)
+        joined, lengths = first_moves(self._scene, self._problem, context.position_m)
         begin = float((lengths + cost_to_go.cost_m[joined]).min())
         least = LEAST_PROGRESS * (begin - cost_to_go.cost_m[cheapest[-1]])
         for k in order:
@@ -273,7 +273,7 @@ class GlobalSearch:
         fastest = self._cheapest(context, cost_to_go, None, priced=False, effort_s2_m2=0.0)
         if fastest is None:
             return None
-        joined, lengths = first_moves(self._scene.ground, self._problem, position)
+        joined, lengths = first_moves(self._scene, self._problem, position)
         ahead = lengths + cost_to_go.cost_m[joined]
         legs = np.linalg.norm(np.diff(np.vstack([position, places[fastest]]), axis=0), axis=1)
         if float(legs.sum() + cost_to_go.cost_m[fastest[-1]]) <= float(ahead.min()) + STANDSTILL_M:
@@ -310,7 +310,7 @@ class GlobalSearch:
         problem, scene, margins = self._problem, self._scene, self.margins
         moving: MovingDiscs = context.moving
         places = scene.road_map.nodes_m
-        first_nodes, first_lengths = first_moves(scene.ground, problem, context.position_m)
+        first_nodes, first_lengths = first_moves(scene, problem, context.position_m)
         kept = first_steps_apart(moving, context.position_m, places[first_nodes])
         first_nodes, first_lengths = first_nodes[kept], first_lengths[kept]
         margin_here, share_here = margins.at(context.position_m[None])

@@ -86,7 +86,7 @@ class Ahead:
 
     def _join(self, end_m: Floats) -> tuple[int, float, float] | None:
         start = self._start
-        nodes, lengths = first_moves(self._scene.ground, self._problem, end_m)
+        nodes, lengths = first_moves(self._scene, self._problem, end_m)
         if not len(nodes):
             return None
         metre = start.metre_cost[nodes]

@@ -56,7 +56,7 @@ class Couriers:
         for number, (scene, generator) in enumerate(zip(scenes, seeds.planners, strict=True)):
             own, proposal = problem_of_robot(problem, number), None
             if problem.planner.name not in OWN:
-                proposal = partial(asked_plan, planner_for(own, scene.ground, generator))
+                proposal = partial(asked_plan, planner_for(own, scene, generator))
             self._planners.append(ReachPlanner(own, scene, others, proposal))
         self._order = list(range(count))
         self._arrived: list[int] = []

@@ -98,7 +98,7 @@ def test_cheapest_path_to_a_goal_against_enumeration_by_stages(horizon):
     search, _, scene = search_of(problem, good_everywhere)
     del search
     road_map, discs = scene.road_map, discs_of(CART, VAN, horizon=horizon)
-    nodes, lengths = first_moves(scene.ground, problem, AT)
+    nodes, lengths = first_moves(scene, problem, AT)
     ends = road_map.nodes_m[nodes]
     kept = steps_apart(discs, 0, np.broadcast_to(AT, ends.shape), ends)
     nodes, lengths = nodes[kept], lengths[kept]

@@ -42,7 +42,7 @@ def steps_by_force(problem, discs, most):
     _, _, scene = search_of(problem)
     places, sources = scene.road_map.nodes_m, scene.road_map.sources
     start = np.asarray(problem.robots[0].start_m)
-    nodes, _ = first_moves(scene.ground, problem, start)
+    nodes, _ = first_moves(scene, problem, start)
     # The others in these tests are far away in the first step.
     reached = set(nodes.tolist())
     for step in range(1, most):

@@ -77,20 +77,17 @@ class PlannerKind:
         InputError
             The factory cannot be imported.
         """
-        if not isinstance(self.make, str):
-            return self._callable(self.make)
-        module, _, attribute = self.make.partition(":")
-        try:
-            return self._callable(getattr(import_module(module), attribute))
-        except (ImportError, AttributeError, ValueError) as error:
-            raise InputError(
-                f"is {self.name}, but {self.make} cannot be imported: {error}",
-                key="planner.name",
-                remedy="install the packages that it needs, or choose another planner",
-            ) from None
-
-    def _callable(self, make: Any) -> Callable[..., Any]:
-        """Return the factory, which must be a class or function."""
+        make = self.make
+        if isinstance(make, str):
+            module, _, attribute = make.partition(":")
+            try:
+                make = getattr(import_module(module), attribute)
+            except (ImportError, AttributeError, ValueError) as error:
+                raise InputError(
+                    f"is {self.name}, but {self.make} cannot be imported: {error}",
+                    key="planner.name",
+                    remedy="install the packages that it needs, or choose another planner",
+                ) from None
         if not callable(make):
             raise InputError(
                 f"is of type {type(make).__name__} for {self.name!r}, should be a class or "
@@ -163,11 +160,6 @@ def register_planner(kind: PlannerKind) -> None:
 def unregister_planner(name: str) -> None:
     """Remove a registered planner, if it exists."""
     PLANNERS.registered.pop(name, None)
-
-
-def registered_planners() -> tuple[PlannerKind, ...]:
-    """Return the planners registered by :func:`register_planner`, for worker processes."""
-    return tuple(PLANNERS.registered.values())
 
 
 def planner_names() -> tuple[str, ...]:

@@ -14,7 +14,7 @@ import numpy as np
 from planopt.arrays import Floats, Mask
 from planopt.errors import InputError, listed
 from planopt.parts import calling, class_name
-from planopt.world.motion import Curve, StepCurve, TimedMotion
+from planopt.world.motion import StepCurve, TimedMotion
 
 Components = tuple[Any, ...]
 """Components of a state or an input: numbers, arrays or expressions."""
@@ -79,7 +79,7 @@ class Dynamics(Protocol):
         """Return points whose convex hull, with the position, contains the braking path."""
         return ()
 
-    def stop_curve(self, state: Floats, step_s: float) -> Curve | None:
+    def stop_curve(self, state: Floats, step_s: float) -> StepCurve | None:
         """Return the braking path from a state; None if the robot stops at once."""
         return None
 

@@ -40,9 +40,9 @@ from planopt.problems.library import FILE_KEYS
 from planopt.problems.objective import RULES
 from planopt.problems.problem import Problem
 from planopt.problems.settings import (
+    PLANNERS,
     PlannerKind,
     register_planner,
-    registered_planners,
 )
 from planopt.problems.tasks import TaskProblem, task_of
 
@@ -203,7 +203,7 @@ def run_study(
             remedy="give the number of processes",
         )
     require_backend(backend)
-    outside = registered_planners(), outside_terms(), tuple(RULES.registered.values())
+    outside = tuple(PLANNERS.registered.values()), outside_terms(), tuple(RULES.registered.values())
     jobs = [(study, group, record, *outside, os.getpid()) for group in groups]
     results = BACKENDS[backend](_group_results, jobs, workers)
     if record is None:

@@ -21,8 +21,12 @@ WHOLE_STEP = np.array([0.0, 1.0])
 """Start and end time of a curve."""
 
 
-class TimedCurve(Protocol):
-    """Protocol of the path of one step as a function of time."""
+SAG_M = 5e-7
+"""Maximum distance in metres between a curve and the polyline that approximates it."""
+
+
+class StepCurve(Protocol):
+    """Protocol of the path of one step, as a function of time and as a set of points."""
 
     @property
     def breaks(self) -> Floats:
@@ -43,14 +47,6 @@ class TimedCurve(Protocol):
         """Return positions (k, 2) at times (k,)."""
         ...
 
-
-SAG_M = 5e-7
-"""Maximum distance in metres between a curve and the polyline that approximates it."""
-
-
-class Curve(Protocol):
-    """Protocol of the path of one step as a set of points."""
-
     def points_m(self) -> tuple[Floats, float]:
         """Return a polyline (k, 2), and the largest distance of the curve from it."""
         ...
@@ -58,10 +54,6 @@ class Curve(Protocol):
     def clearance_m(self, index: ObstacleIndex) -> float:
         """Return the distance to the nearest obstacle, or a lower bound; inf without obstacles."""
         ...
-
-
-class StepCurve(Curve, TimedCurve, Protocol):
-    """Protocol of the path of one step, both as a set of points and as a function of time."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,14 +262,14 @@ class TimedMotion:
     """Motion over n steps, followed by rest."""
 
     places_m: Floats  # (n + 1, 2) positions now and after each step
-    curves: tuple[TimedCurve, ...] = ()  # One per step; empty if all are straight and uniform
+    curves: tuple[StepCurve, ...] = ()  # One per step; empty if all are straight and uniform
 
     @property
     def steps(self) -> int:
         """Number of steps n."""
         return len(self.places_m) - 1
 
-    def curve(self, step: int) -> TimedCurve:
+    def curve(self, step: int) -> StepCurve:
         """Return the curve of step `step`, counted from 0; at rest after the last step."""
         if step >= self.steps:
             return even_motion(self.places_m[-1:].repeat(2, axis=0))
@@ -301,7 +293,7 @@ class TimedMotion:
         return np.array([_bulge_m(curve, begin, end) for curve, begin, end in ends])
 
 
-def _bulge_m(curve: TimedCurve, begin_m: Floats, end_m: Floats) -> float:
+def _bulge_m(curve: StepCurve, begin_m: Floats, end_m: Floats) -> float:
     breaks = curve.breaks
     even = begin_m + breaks[:, None] * (end_m - begin_m)
     off = np.linalg.norm(curve.at(breaks) - even, axis=1).max()
@@ -345,7 +337,7 @@ CLOSE_SHARE = 1e-9
 """Tolerance of minimum distances as a share of the curvature bound, for curves of kilometres."""
 
 
-def curve_distance_m(first: TimedCurve, second: TimedCurve, at_most_m: float = math.inf) -> float:
+def curve_distance_m(first: StepCurve, second: StepCurve, at_most_m: float = math.inf) -> float:
     """Return a lower bound of the distance of two curves at equal times, tight to `CLOSE_M`."""
     unknown = first.within_m + second.within_m
     curving = first.curving_m + second.curving_m

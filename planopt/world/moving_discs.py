@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from planopt.arrays import Floats, Mask
-from planopt.world.motion import TimedCurve, TimedMotion, closest_approach_m
+from planopt.world.motion import StepCurve, TimedMotion, closest_approach_m
 from planopt.world.workspace import MovingObstacle
 
 
@@ -30,7 +30,7 @@ class MovingDiscs:
     least_m: Floats  # (m,) required distance of a robot from the disc
     is_robot: Mask  # (m,) True for other robots, which are points
     # (m,) curves of the T steps of each disc; empty if straight at constant speed
-    curves: tuple[tuple[TimedCurve, ...], ...] = ()
+    curves: tuple[tuple[StepCurve, ...], ...] = ()
     bulges_m: Floats = field(init=False)  # (m, T) distance from straight uniform motion
 
     def __post_init__(self) -> None:

@@ -20,7 +20,7 @@ from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, DYNAMICS_TOLERANC
 from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Drive, Dynamics, braked_motion, dynamics_defect_m
 from planopt.world.clearance import ObstacleIndex, inside_bounds, is_clear, swept_clearance_m
-from planopt.world.motion import Curve, TimedMotion, least_gap
+from planopt.world.motion import StepCurve, TimedMotion, least_gap
 from planopt.world.moving_discs import MovingDiscs
 
 
@@ -185,7 +185,7 @@ def _clearance_reasons(problem: Problem, swept: Floats, what: str) -> list[str]:
     ]
 
 
-def _within(problem: Problem, curve: Curve) -> bool:
+def _within(problem: Problem, curve: StepCurve) -> bool:
     """Return whether the whole curve is in the workspace, up to round-off."""
     places, within = curve.points_m()
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m

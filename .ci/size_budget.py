@@ -16,7 +16,7 @@ BUDGET = {
     "lines": 71_260,
     "lines of code": 51_240,
     "files": 288,
-    "functions": 3_734,
+    "functions": 3_715,
     "docstring lines": 8_740,
     "lines of tests": 47_940,
 }

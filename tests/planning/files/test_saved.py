@@ -164,12 +164,6 @@ def test_damage_is_an_error(plan_folder: Path, run_folder: Path, file, key, dama
     assert raised.value.key == key
 
 
-def test_a_named_file_that_is_not_there(tmp_path: Path) -> None:
-    """The JSON file itself, when it does not exist."""
-    with pytest.raises(InputError, match="does not exist"):
-        read_saved(tmp_path / "plan.json")
-
-
 def test_columns_are_documented() -> None:
     """The page of files has the columns as they are declared."""
     page = (Path(__file__).parents[3] / "docs" / "files.md").read_text()

@@ -141,15 +141,6 @@ def test_start_within_the_goal_radius():
     assert "no step was driven" in repr(done)
 
 
-def test_the_shortest_way_leads_across():
-    """With the geodesic cost-to-go a gap is crossed although a way round would cost less."""
-    problem = small_problem(start_m=(14.0, 15.0), cost_to_go="geodesic")
-    done = small_run(problem, bad_band(18.0, 24.0, open_above_m=20.0))
-    assert done.run.outcome is Outcome.REACHED
-    assert np.ptp(done.run.log.positions_m[:, 1]) < 1.0
-    assert done.costs["cost_ratio"] > 1.5
-
-
 def test_circling_is_a_stall(monkeypatch):
     """To and fro over known ground without end is one too."""
     from planopt.planning.team import couriers

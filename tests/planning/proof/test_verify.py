@@ -36,10 +36,9 @@ from unpriced import unpriced
 
 import planopt.planning.proof.context as predictions
 import planopt.planning.proof.verify as single_steps
-from planopt import Measurements, Problem, Verdict, check, load
+from planopt import Measurements, Problem, Verdict, check
 from planopt.channel import Prediction, condition, marginalise
 from planopt.channel.connectivity_law import UncertainParameters, mixture_quantile_dbm
-from planopt.channel.kriging import predict
 from planopt.channel.prediction import bound_margin_db
 from planopt.planning.certificate import Certificate
 from planopt.planning.plan import History
@@ -317,15 +316,6 @@ def test_searches_by_nearby_measurements(monkeypatch):
     assert nearby.best_margin_db == pytest.approx(exact.best_margin_db, abs=0.05)
 
 
-def test_fewer_measurements_are_never_surer():
-    """A true posterior of less data has no smaller deviation."""
-    belief = belief_of(small_problem(), bad_disc(12.0, 15.0, 3.0))
-    places = np.random.default_rng(0).uniform((0, 0), (40, 30), (50, 2))
-    full = predict(belief.posterior, places)
-    fewer = predictions.predict_nearby(belief.posterior, places, 10)
-    assert (fewer.deviation_db >= full.deviation_db - 1e-9).all()
-
-
 @settings(deadline=None, max_examples=30)
 @given(st.integers(0, 2**32 - 1))
 def test_moving_the_scene_changes_no_judgement(seed):
@@ -432,18 +422,6 @@ def test_plan_keeps_the_bound_of_the_mixture(tmp_path: Path):
     assert chance.min() >= 0.92 - 1e-7
     assert chance.min() < 0.925
     simulate(problem, seed=SEED).save(tmp_path)
-    assert check(tmp_path).reasons == ()
-
-
-def test_way_to_a_goal_with_all_parameters_uncertain(tmp_path: Path):
-    """Driven for a few steps and checked from the files."""
-    problem = load("open_field")
-    problem = all_uncertain(
-        replace(problem, planner=replace(problem.planner, max_steps=3, horizon=4))
-    )
-    driven = simulate(problem, seed=1)
-    assert {plan.verdict for plan in driven.plans[0]} == {Verdict.VERIFIED}
-    driven.save(tmp_path)
     assert check(tmp_path).reasons == ()
 
 

@@ -29,7 +29,16 @@ from planopt.report.motion_map import (
 )
 from planopt.report.motion_series import TIME, Series, plan_series, power_series, run_series
 from planopt.report.motion_words import certificate_in_words, plan_in_words
-from planopt.report.panel import NOTE_PT, Panel, head, legend_below, new_figure, spaced, split_panel
+from planopt.report.panel import (
+    NOTE_PT,
+    Panel,
+    fit_to_map,
+    head,
+    legend_below,
+    new_figure,
+    spaced,
+    split_panel,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -125,6 +134,7 @@ def _draw_courier(run: Run) -> Figure:
     figure, (panel,) = new_figure(10.0, 9.6, maps_only=True)
     message = wrap(f"{spaced(run.outcome)}: {run.reason}", MESSAGE_WIDTH)
     draw_ground(panel, problem.workspace, "\n".join(message))
+    fit_to_map(figure, panel, 8.3)
     if run.truths:
         draw_true_power(figure, panel, run)
     measured = run.belief.posterior.measurements.positions_m

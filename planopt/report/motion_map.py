@@ -49,6 +49,7 @@ from planopt.report.panel import (
     WHITE,
     Look,
     Panel,
+    fit_to_map,
     frame_title,
     head,
     new_figure,
@@ -322,6 +323,7 @@ def save_animation(run: Run, path: Path) -> None:
     draw_ground(panel, problem.workspace, "")
     draw_true_power(figure, panel, run)
     show_bounds(panel, map_window(problem, np.concatenate(shown)))
+    fit_to_map(figure, panel, 5.6)
     head(figure, f"{problem.name}: horizon {problem.planner.horizon}, seed {run.seed}")
     entries = draw_places(panel, problem)
     count = len(run.runs[0].log.t_s)

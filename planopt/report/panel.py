@@ -65,6 +65,9 @@ Look = dict[str, Any]
 """Keyword arguments of Matplotlib that define a style."""
 
 
+MIN_MAP_IN, BESIDE_IN, ABOVE_IN = 5.0, 1.7, 1.7
+"""Minimum width of a map, and space for the colour bar and for titles and legend, in inches."""
+
 Panel = Any
 """A ``matplotlib.axes.Axes``; it is untyped because Matplotlib's style keywords are."""
 
@@ -86,6 +89,14 @@ def new_figure(
     panels: dict[object, Panel] = cast("Any", figure).subplot_mosaic(cells, **ratios)
     names = dict.fromkeys(name for row in cells for name in row if name != ".")
     return figure, [panels[name] for name in names]
+
+
+def fit_to_map(figure: Figure, panel: Panel, side_in: float) -> None:
+    """Set a figure's size so that its only panel, a map, has `side_in` inches as longer side."""
+    (left, right), (bottom, top) = panel.get_xlim(), panel.get_ylim()
+    slender = (top - bottom) / (right - left)
+    width_in = max(side_in * min(1.0, 1.0 / slender), MIN_MAP_IN)
+    figure.set_size_inches(width_in + BESIDE_IN, side_in * min(1.0, slender) + ABOVE_IN)
 
 
 def split_panel(figure: Figure, panel: Panel, shares: Sequence[float]) -> list[Panel]:

@@ -88,7 +88,7 @@ def _goal_ending(robot: Progress) -> tuple[Outcome, str] | None:
     problem, learnt = robot.problem, robot.learnt
     if _has_arrived(problem, robot.states[-1]):
         where = "within" if robot.plans else "the start is within"
-        return Outcome.REACHED, f"{where} goal_radius_m of the goal"
+        return Outcome.REACHED, f"{where} {problem.constraints.goal_radius_m:g} m of the goal"
     why = _circling(robot) if robot.plans else None
     if why is not None and not problem.workspace.moving:
         return Outcome.STALLED, why

@@ -578,6 +578,7 @@ def _tables(
                 **log_format.to_keys(),
                 "spacing_m": step,
             },
+            "fit": {"method": "map"},
         },
         "stations": [
             {

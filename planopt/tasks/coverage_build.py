@@ -475,7 +475,7 @@ def station_map_of(table: RadioTable, ground: Ground, folder: Path) -> StationMa
         station = Station(place)
         try:
             measured = _measured(survey, table, station, ground, bounds, folder)
-            fit = fit_channel(measured, station)
+            fit = fit_channel(measured, station, "reml")
             posteriors.append(condition(fit.parameters, measured))
         except InputError as error:
             raise error.under(f"radio.survey[{number}]") from error

@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 71_260,
-    "lines of code": 51_240,
+    "lines": 71_600,
+    "lines of code": 51_450,
     "files": 288,
-    "functions": 3_715,
+    "functions": 3_725,
     "docstring lines": 8_740,
-    "lines of tests": 47_940,
+    "lines of tests": 48_050,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

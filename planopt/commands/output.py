@@ -53,9 +53,14 @@ def standard_output() -> Generator[None]:
         raise OutputError(f"cannot write to standard output: {error.strerror or error}") from error
 
 
-def say(text: str) -> None:
-    """Print a progress line to stderr."""
-    typer.echo(escaped(text), err=True)
+CLEAR = "\x1b[H\x1b[2J"
+"""Control code that clears a terminal."""
+
+
+def say(text: str, *, clear: bool = False) -> None:
+    """Print progress to stderr, on a cleared terminal if `clear` is set."""
+    words = "\n".join(escaped(line) for line in text.split("\n"))
+    typer.echo(f"{CLEAR}{words}" if clear else words, err=True)
 
 
 _active: list[list[int]] = []
@@ -92,7 +97,9 @@ def stopping() -> Generator[list[int]]:
 
 
 @contextlib.contextmanager
-def progress(description: str, total: int | None = None) -> Generator[Callable[[], None]]:
+def progress(
+    description: str, total: int | None = None, *, bar: bool = True
+) -> Generator[Callable[[], None]]:
     """Show progress on stderr if it is a terminal; yield a function to call after each part.
 
     Interrupts swallowed by callbacks, for instance of CasADi, are raised again.
@@ -100,8 +107,8 @@ def progress(description: str, total: int | None = None) -> Generator[Callable[[
     if any(_active):
         raise KeyboardInterrupt
     with stopping() as received:
-        bar = _bar(description, total) if sys.stderr.isatty() else contextlib.nullcontext()
-        with bar as advance_bar:
+        shown = bar and sys.stderr.isatty()
+        with _bar(description, total) if shown else contextlib.nullcontext() as advance_bar:
 
             def advance() -> None:
                 if received:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
+import sys
+from collections.abc import Callable, Sequence
 from inspect import signature
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -19,6 +22,8 @@ from planopt.commands.output import drawing, progress, results_folder, say, show
 from planopt.errors import InputError, NoPlanError
 
 if TYPE_CHECKING:
+    from planopt.planning.plan import Plan
+    from planopt.problems.problem import Problem
     from planopt.tasks.task import Action, Task
 
 
@@ -35,9 +40,15 @@ def solve(options: PlanningOptions, prove: ProveOption = None) -> int:
 
 
 @with_options(PlanningOptions)
-def simulate(options: PlanningOptions, animation: AnimationOption = False) -> int:
+def simulate(
+    options: PlanningOptions,
+    animation: AnimationOption = False,
+    live: Annotated[
+        bool, option("--live", None, "Show map, plans and powers in the terminal during the run.")
+    ] = False,
+) -> int:
     """Simulate the closed loop. Exit codes: 0 all verified, 3 not all, 4 the task failed."""
-    return _perform("simulate", options, animation)
+    return _perform("simulate", options, animation, live=live)
 
 
 def _perform(
@@ -45,9 +56,11 @@ def _perform(
     options: PlanningOptions,
     animation: bool = False,
     prove_s: float | None = None,
+    live: bool = False,
 ) -> int:
     """Solve or simulate the problem, save, print and plot the result, and return the exit code."""
     from planopt.problems.load import load
+    from planopt.problems.problem import Problem
     from planopt.problems.tasks import task_of
     from planopt.tasks.task import perform
 
@@ -57,6 +70,10 @@ def _perform(
         )
     problem = load(options.problem)
     task: Task = task_of(problem)
+    if live and not isinstance(problem, Problem):
+        raise InputError(
+            f"is not available for the task {problem.task}", key="--live", remedy="leave it out"
+        )
     if animation and task.animate is None:
         raise InputError(
             f"is not available for the task {problem.task}",
@@ -84,9 +101,12 @@ def _perform(
         settings["on_start"] = say_ahead
     report: Any
     total = task.steps(problem) if action == "simulate" else None
+    if live:
+        settings["on_plans"] = _shown_plans(problem)
+    doing = "planning" if action == "solve" else "driving, steps:"
     with results_folder(options.out) as folder:
         try:
-            with progress("planning" if action == "solve" else "driving, steps:", total) as advance:
+            with progress(doing, total, bar=not live) as advance:
                 result = perform(
                     action, problem, seed=options.seed, on_step=lambda *_: advance(), **settings
                 )
@@ -111,6 +131,21 @@ def _perform(
             if new is not None:
                 report.draw(new, animation=animation)
     return report.exit_code
+
+
+def _shown_plans(problem: Problem) -> Callable[[int, Sequence[Plan]], None]:
+    """Return a function that shows the plans of a step on stderr: a map in a terminal, or lines."""
+    from planopt.report.terminal import TerminalMap, step_lines
+
+    if not sys.stderr.isatty():
+        return lambda step, plans: say("\n".join(step_lines(problem, step, plans)))
+    columns, rows = shutil.get_terminal_size()
+    drawn = TerminalMap(problem, columns - 2, rows - 3 - len(problem.robots))
+
+    def show_frame(step: int, plans: Sequence[Plan]) -> None:
+        say(drawn.frame(step, plans), clear=True)
+
+    return show_frame
 
 
 REJECTED = 3

@@ -112,6 +112,7 @@ def simulate(
     scenes: Sequence[Scene] | None = None,
     prepared: Prepared | None = None,
     on_start: Callable[[Sequence[Plan]], None] | None = None,
+    on_plans: Callable[[int, Sequence[Plan]], None] | None = None,
     on_step: Callable[[int], None] | None = None,
 ) -> Run:
     """Return a simulated closed-loop run; arguments as for :func:`planopt.simulate`.
@@ -152,6 +153,7 @@ def simulate(
         target,
         seeds.target,
         on_start=on_start,
+        on_plans=on_plans,
         on_step=on_step,
     )
 

@@ -116,6 +116,7 @@ def simulate(
     seed: int = ...,
     measurements: UserMeasurements | None = ...,
     on_start: Callable[[Sequence[Plan]], None] | None = ...,
+    on_plans: Callable[[int, Sequence[Plan]], None] | None = ...,
     on_step: Callable[[int], None] | None = ...,
 ) -> Run: ...
 def simulate(
@@ -127,6 +128,7 @@ def simulate(
     seed: int = 0,
     measurements: UserMeasurements | None = None,
     on_start: Callable[[Sequence[Plan]], None] | None = None,
+    on_plans: Callable[[int, Sequence[Plan]], None] | None = None,
     on_step: Callable[[int], None] | None = None,
 ) -> Run | TaskResult:
     """Simulate the closed loop: plan, move, measure in the simulated channel, update the belief.
@@ -141,6 +143,9 @@ def simulate(
         Seed of the whole simulation.
     on_start
         Callback with the first plan of each robot before the first step; motion planning only.
+    on_plans
+        Callback with the number and the plans of each step, before it is driven; motion planning
+        only.
     on_step
         Callback after every step with its number, for progress display.
 
@@ -174,6 +179,7 @@ def simulate(
         cost_to_go=cost_to_go,
         measurements=measurements,
         on_start=on_start,
+        on_plans=on_plans,
     )
 
 

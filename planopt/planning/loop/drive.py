@@ -264,6 +264,7 @@ def drive(
     generator: np.random.Generator,  # Noise of target sensors
     *,
     on_start: Callable[[Sequence[Plan]], None] | None = None,
+    on_plans: Callable[[int, Sequence[Plan]], None] | None = None,
     on_step: Callable[[int], None] | None = None,
 ) -> Run:
     """Run the loop until its task is done, the robots stall, or the step limit is reached."""
@@ -284,6 +285,8 @@ def drive(
         step = len(robots.connected) + 1
         if step == 1 and on_start is not None:
             on_start(step_plans)
+        if on_plans is not None:
+            on_plans(step, step_plans)
         _observe(robots, [plan.next_state for plan in step_plans], world, generator)
         if known_at is not None:
             rows.append(world.channel_row(step, robots.beliefs[0].posteriors, known_at))

@@ -13,10 +13,10 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 71_600,
+    "lines": 71_590,
     "lines of code": 51_450,
     "files": 288,
-    "functions": 3_725,
+    "functions": 3_723,
     "docstring lines": 8_740,
     "lines of tests": 48_050,
 }

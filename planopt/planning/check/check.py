@@ -102,11 +102,11 @@ def check_motion(file: Path, data: Mapping[str, Any]) -> CheckResult:
         return CheckResult(Verdict.NONE, (), tuple(_no_plan_reasons(saved)), tuple(remarks))
     made: tuple[tuple[Plan, ...], ...] = ()
     try:
-        start = start_of(saved)
+        start, found = start_of(saved)
     except InputError as error:
         reasons = [f"{saved.beliefs[0].file.name}: the channel cannot be fitted again: {error}"]
     else:
-        remarks += start.remarks
+        remarks += found
         result = replayed(saved, start)
         made = (
             tuple(zip(*result.plans, strict=True)) if isinstance(result, Run) else (result.plans,)
@@ -190,7 +190,7 @@ def load_motion_result(file: Path, data: Mapping[str, Any]) -> Solution | Run:
     saved = saved_from(file, data)
     if isinstance(saved.record, NoPlanRecord):
         raise NoPlanError(saved.record.message)
-    result, record = replayed(saved, start_of(saved)), saved.record
+    result, record = replayed(saved, start_of(saved)[0]), saved.record
     if isinstance(result, Run) and isinstance(record, RunRecord):
         if (result.outcome.value, result.reason) != (record.outcome, record.message):
             raise InputError(result.reason, file=saved.file, key="outcome", remedy=REMEDY)

@@ -8,7 +8,7 @@ both are read from the files.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from planopt.arrays import Floats
 from planopt.bounds.bound import Potential, Tilts
-from planopt.channel.ground_truth import Truth
 from planopt.channel.measurements import SAME_PLACE_M, Measurements
 from planopt.channel.posterior import Belief, condition
 from planopt.channel.prediction import Prediction
@@ -29,7 +28,13 @@ from planopt.planning.files.result_json import PlanRecord, RobotPlan
 from planopt.planning.files.run_tables import KNOWLEDGE_COLUMNS, KNOWLEDGE_FILE, STEPS_FILE
 from planopt.planning.files.saved import Saved, SavedPlan
 from planopt.planning.free_space import build_roads, is_joined, obstacles_met
-from planopt.planning.initial_data import InitialData, draw_initial_data, learn_stations, team_seeds
+from planopt.planning.initial_data import (
+    InitialData,
+    Prepared,
+    draw_initial_data,
+    learn_stations,
+    team_seeds,
+)
 from planopt.planning.loop.drive import World, drive, true_world
 from planopt.planning.loop.log import Outcome
 from planopt.planning.loop.metrics import COSTS
@@ -108,17 +113,8 @@ def _comparable(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
     return lists
 
 
-@dataclass(frozen=True, eq=False)
-class Start:
-    """Initial data of a replay."""
-
-    truths: tuple[Truth, ...]  # One per station; empty if unknown
-    belief: Belief
-    remarks: list[str] = field(default_factory=list[str])
-
-
-def start_of(saved: Saved) -> Start:
-    """Return the initial data of a saved result, drawn again or read from its files."""
+def start_of(saved: Saved) -> tuple[Prepared, list[str]]:
+    """Return the initial data of a saved result, drawn again or from its files, with remarks."""
     problem, seed = saved.problem, saved.record.seed
     first = [own.measurements.take(slice(own.first)) for own in saved.beliefs[0].stations]
     remarks: list[str] = []
@@ -133,10 +129,10 @@ def start_of(saved: Saved) -> Start:
     if not data.truths:
         remarks.append("true powers are taken from the file, which has no ground truth")
     belief = initial_belief(problem, data.measurements, saved.beliefs[0])
-    return Start(data.truths, belief, remarks)
+    return Prepared(data.truths, belief), remarks
 
 
-def replayed(saved: Saved, start: Start) -> Solution | Run:
+def replayed(saved: Saved, start: Prepared) -> Solution | Run:
     """Return a saved solution or run with every plan verified again."""
     problem, seed, planning = saved.problem, saved.record.seed, _planning(saved)
     generator = team_seeds(problem, seed).target

@@ -193,14 +193,6 @@ class Saved:
         return (*self.record.explanation, *crossings)
 
 
-def read_saved(path: Path) -> Saved:
-    """Return a saved plan or run, as read from its files.
-
-    Invalid content raises an InputError. Only a replay verifies the plans.
-    """
-    return saved_from(*read_object(path))
-
-
 def read_object(path: Path) -> tuple[Path, Mapping[str, Any]]:
     """Return the JSON file of a saved plan or run, and its content."""
     file = _json_file(path)
@@ -208,7 +200,10 @@ def read_object(path: Path) -> tuple[Path, Mapping[str, Any]]:
 
 
 def saved_from(file: Path, data: Mapping[str, Any]) -> Saved:
-    """Return the plan or run of a JSON file that is already loaded."""
+    """Return the plan or run of a JSON file that is already loaded.
+
+    Invalid content raises an InputError. Only a replay verifies the plans.
+    """
     if data.get("format") != FORMAT:
         message = f"is {data['format']!r}, should be {FORMAT}" if "format" in data else "is missing"
         raise _damaged(file, "format", message)

@@ -13,7 +13,7 @@ from planopt import InputError, Run, Solution, load
 from planopt.files.tables import documented
 from planopt.planning.files.belief_file import known_before_steps
 from planopt.planning.files.run_tables import KNOWLEDGE_COLUMNS, STEP_COLUMNS
-from planopt.planning.files.saved import read_saved
+from planopt.planning.files.saved import read_object, saved_from
 from planopt.planning.solve import simulate, solve
 
 HEADER = (
@@ -159,7 +159,7 @@ def test_damage_is_an_error(plan_folder: Path, run_folder: Path, file, key, dama
     folder = run_folder if file == RUN else plan_folder
     damage(folder)
     with pytest.raises(InputError) as raised:
-        read_saved(folder)
+        saved_from(*read_object(folder))
     assert raised.value.file == str(folder if file is None else folder / file)
     assert raised.value.key == key
 

@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 71_590,
-    "lines of code": 51_450,
+    "lines": 71_820,
+    "lines of code": 51_620,
     "files": 288,
-    "functions": 3_723,
+    "functions": 3_740,
     "docstring lines": 8_740,
-    "lines of tests": 48_050,
+    "lines of tests": 48_160,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

@@ -121,6 +121,23 @@ class PowerModel:
         most = np.minimum(self._largest_probability(threshold_dbm), 1.0)
         return value, density * slope, whole, most
 
+    def variance_bounds(self) -> tuple[Array, Array, Array]:
+        """Return upper bounds of the variance over each disc: value, slope and constant."""
+        bent = _range_of_form(self.variance_form, self.radius_m)[1]
+        value, slope = self.variance_db2 + self.variance_high + bent, self.variance_slope
+        return value, slope.T, value + np.hypot(*slope) * self.radius_m
+
+    def precision_bounds(self) -> tuple[Array, Array, Array]:
+        """Return upper bounds of one over the variance: value, slope, constant (equation 9.5)."""
+        variance, slope = self.variance_db2, self.variance_slope
+        step = np.hypot(*slope) * self.radius_m
+        low, high = _range_of_form(self.variance_form, self.radius_m)
+        low, high = low + self.variance_low, high + self.variance_high
+        least = np.maximum(variance - step + low, self.least_variance)
+        widest = np.maximum(step + high, step - low)
+        value = 1.0 / variance - low / variance**2 + widest**2 / least**3
+        return value, (-slope / variance**2).T, 1.0 / least
+
     def probability(self, threshold_dbm: float) -> Array:
         """Return P(power >= threshold) at the centres; (n,)."""
         return ndtr((self.mean_db - threshold_dbm) / np.sqrt(self.variance_db2))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize, nnls
 
 from planopt.bounds.tube import StageProblem
-from planopt.objectives.upper_bounds import Discs, UpperBounds
+from planopt.objectives.upper_bounds import Discs, Field
 
 Array = NDArray[np.float64]
 
@@ -38,15 +38,12 @@ AT_P_MIN = 0.02
 """Surplus of the probability of connection up to which p_min may count as active."""
 
 
-def stage_rewards(problem: StageProblem, path_m: Array) -> tuple[Array, Array, UpperBounds]:
-    """Return rewards (N,) and gradients (N, 2) of a path, and its probabilities of connection."""
-    chance = problem.chance(Discs(path_m, 0.0))
-    each = [
-        problem.reward(k, Discs(path_m[[k]], 0.0), chance.at(np.array([k])))
-        for k in range(problem.steps)
-    ]
+def stage_rewards(problem: StageProblem, path_m: Array) -> tuple[Array, Array, Field]:
+    """Return rewards (N,) and gradients (N, 2) of a path, and its predicted quantities."""
+    field = Field(Discs(path_m, 0.0), problem.makers)
+    each = [problem.reward(k, field.at(np.array([k]))) for k in range(problem.steps)]
     values = np.concatenate([reward.value for reward in each])
-    return values, np.vstack([reward.slope for reward in each]), chance
+    return values, np.vstack([reward.slope for reward in each]), field
 
 
 def local_optimum(problem: StageProblem, path_m: Array, surplus: float = 0.0) -> Array:
@@ -58,9 +55,9 @@ def local_optimum(problem: StageProblem, path_m: Array, surplus: float = 0.0) ->
     stage = np.arange(problem.steps)
     least = np.zeros(problem.steps) if problem.p_min is None else problem.p_min
     bounded = np.flatnonzero(least > 0.0)
-    known: dict[bytes, tuple[Array, Array, UpperBounds]] = {}
+    known: dict[bytes, tuple[Array, Array, Field]] = {}
 
-    def at(flat: Array) -> tuple[Array, Array, UpperBounds]:
+    def at(flat: Array) -> tuple[Array, Array, Field]:
         key = flat.tobytes()
         if key not in known:
             known.clear()
@@ -77,15 +74,21 @@ def local_optimum(problem: StageProblem, path_m: Array, surplus: float = 0.0) ->
 
     def room(flat: Array) -> Array:
         moves = np.diff(np.vstack([problem.start_m, flat.reshape(shape)]), axis=0)
-        chance = at(flat)[2].value[bounded] - least[bounded] - surplus
-        return np.concatenate([1.0 - scale * (moves**2).sum(axis=1), chance])
+        rest = 1.0 - scale * (moves**2).sum(axis=1)
+        if not len(bounded):
+            return rest
+        chance = at(flat)[2]["chance"].value[bounded] - least[bounded] - surplus
+        return np.concatenate([rest, chance])
 
     def room_slope(flat: Array) -> Array:
         moves = np.diff(np.vstack([problem.start_m, flat.reshape(shape)]), axis=0)
         found = np.zeros((len(stage) + len(bounded), *shape))
         found[stage, stage] = -2.0 * scale * moves
         found[stage[1:], stage[:-1]] = 2.0 * scale * moves[1:]
-        found[len(stage) + np.arange(len(bounded)), bounded] = at(flat)[2].slope[bounded]
+        if len(bounded):
+            found[len(stage) + np.arange(len(bounded)), bounded] = at(flat)[2]["chance"].slope[
+                bounded
+            ]
         return found.reshape(len(found), -1)
 
     limits = {"type": "ineq", "fun": room, "jac": room_slope}
@@ -122,7 +125,7 @@ def multipliers_of(
     `is_free` (N,) marks stages whose gradient is determined.
     """
     steps = problem.steps
-    _, gradient, chance = stage_rewards(problem, path_m)
+    _, gradient, field = stage_rewards(problem, path_m)
     moves = np.diff(np.vstack([problem.start_m, path_m]), axis=0)
     length = np.linalg.norm(moves, axis=1)
     ahead = moves / np.maximum(length, 1e-12)[:, None]
@@ -147,9 +150,9 @@ def multipliers_of(
             for direction in np.vstack([np.eye(2), -np.eye(2)]):
                 add(k, direction)
         least = 0.0 if problem.p_min is None else float(problem.p_min[k])
-        if least > 0.0 and chance.value[k] <= least + AT_P_MIN:
+        if least > 0.0 and field["chance"].value[k] <= least + AT_P_MIN:
             column = np.zeros((steps, 2))
-            column[k] = -chance.slope[k]
+            column[k] = -field["chance"].slope[k]
             columns.append(column)
             kinds.append((k, None))
     wanted = gradient - fixed + np.vstack([fixed[1:], np.zeros((1, 2))])

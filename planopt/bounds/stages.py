@@ -6,20 +6,31 @@ listed, except for the workspace, static obstacles and p_min.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial, reduce
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from planopt.bounds.enclosure import PowerEnclosure
+from planopt.bounds.enclosure import PowerEnclosure, PowerModel
 from planopt.bounds.reach import ignored_motion, why_not_enclosed
 from planopt.bounds.route import INNER_SHARE
 from planopt.bounds.tube import StageProblem
 from planopt.channel.measurements import SAME_PLACE_M
+from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.terms.context import TermContext
-from planopt.objectives.terms.term import Term
-from planopt.objectives.upper_bounds import Discs, StageBounds, UpperBounds, no_reward
+from planopt.objectives.upper_bounds import (
+    Discs,
+    Field,
+    Makers,
+    Quantity,
+    StageBounds,
+    UpperBounds,
+    constant_bounds,
+    no_reward,
+)
 from planopt.problems.problem import Problem
 
 Array = NDArray[np.float64]
@@ -59,45 +70,27 @@ def summed_terms(problem: Problem, at: TermContext) -> SummedTerms:
     for term in problem.terms:
         if term.weight == 0.0:
             continue
-        bounds = term.stage_bounds(at) if bounds_own_value(term) else "without a proven bound"
+        # A derived class may have another value than the bounds that it inherits.
+        own = "stage_bounds" in vars(type(term))
+        bounds = term.stage_bounds(at) if own else "without a proven bound"
         if not isinstance(bounds, StageBounds):
             return SummedTerms(reason=f"the term {term.kind} is {bounds}")
+        if bounds.most_steps is not None and problem.planner.horizon > bounds.most_steps:
+            words = f"has a proven bound only up to planner.horizon = {bounds.most_steps}"
+            return SummedTerms(reason=f"the term {term.kind} {words}")
         found.append((term.weight, bounds))
     return SummedTerms(tuple(found))
-
-
-def bounds_own_value(term: Term) -> bool:
-    """Return whether the class that defines a term's value defines its bounds as well."""
-    homes = [
-        next(home for home in type(term).__mro__ if name in vars(home))
-        for name in ("value", "stage_bounds")
-    ]
-    return homes[0] is homes[1]
 
 
 def stage_problem(
     problem: Problem, at: TermContext, terms: SummedTerms, kept: NDArray[np.bool_]
 ) -> StageProblem:
     """Return the stage problem of a problem's first robot; p_min holds at the steps `kept` (N,)."""
-    enclosures = [PowerEnclosure(station) for station in at.stations]
 
-    def chance(discs: Discs) -> UpperBounds:
-        if not len(discs.centre_m):
-            return no_reward(0, discs)
-        radius = np.full(len(discs.centre_m), discs.radius_m)
-        silent: UpperBounds | None = None
-        for enclosure, threshold in zip(enclosures, at.thresholds_dbm, strict=True):
-            model = enclosure.over(discs.centre_m, radius)
-            own = UpperBounds(*model.probability_bounds(threshold), discs.radius_m)
-            silent = own if silent is None else either(silent, own)
-        if silent is None:
-            raise AssertionError("a problem has stations")
-        return silent
-
-    def reward(stage: int, discs: Discs, chance: UpperBounds) -> UpperBounds:
-        total = no_reward(stage, discs)
+    def reward(stage: int, field: Field) -> UpperBounds:
+        total = no_reward(stage, field)
         for weight, bounds in terms.each:
-            total = total.plus(bounds.reward(stage, discs, chance).scaled(weight))
+            total = total.plus(bounds.reward(stage, field).scaled(weight))
         return total
 
     return StageProblem(
@@ -106,7 +99,7 @@ def stage_problem(
         steps=len(kept),
         bounds_m=problem.workspace.bounds_m,
         blocked=blocked_parts(problem),
-        chance=chance,
+        makers=quantity_makers(at.stations, at.thresholds_dbm, at.anticipated[0]),
         reward=reward,
         sure_m=at.connected_m,
         sure_radius_m=1.5 * SAME_PLACE_M,
@@ -115,6 +108,54 @@ def stage_problem(
         standstill_m=at.standstill_m,
         p_min=np.where(kept, problem.constraints.p_min - LESS_CHANCE, 0.0) if kept.any() else None,
     )
+
+
+def quantity_makers(
+    stations: Sequence[ChannelPosterior],
+    thresholds_dbm: Sequence[float],
+    measured: ChannelPosterior,
+) -> Makers:
+    """Return functions that bound predicted quantities over discs.
+
+    Connection is to any of the `stations`; variance and path loss are those of `measured`.
+    """
+    shared = replace(measured, theta_covariance=np.zeros((2, 2)))
+    trended = replace(measured, theta_covariance=np.eye(2))
+    enclosures: dict[int, PowerEnclosure] = {}
+
+    def model(posterior: ChannelPosterior, discs: Discs) -> PowerModel:
+        if id(posterior) not in enclosures:
+            enclosures[id(posterior)] = PowerEnclosure(posterior)
+        radius = np.full(len(discs.centre_m), discs.radius_m)
+        return enclosures[id(posterior)].over(discs.centre_m, radius)
+
+    def chance(discs: Discs) -> UpperBounds:
+        each = [
+            UpperBounds(*model(station, discs).probability_bounds(threshold), discs.radius_m)
+            for station, threshold in zip(stations, thresholds_dbm, strict=True)
+        ]
+        return reduce(either, each)
+
+    def variance(discs: Discs) -> UpperBounds:
+        return UpperBounds(*model(measured, discs).variance_bounds(), discs.radius_m)
+
+    def trend(discs: Discs) -> UpperBounds:
+        # With M = I, the variance exceeds that for known path loss by the squared norm of phi.
+        whole = UpperBounds(*model(trended, discs).variance_bounds(), discs.radius_m)
+        share = UpperBounds(*model(shared, discs).precision_bounds(), discs.radius_m)
+        return whole.times(share).plus(constant_bounds(discs, -1.0))
+
+    makers: dict[Quantity, Callable[[Discs], UpperBounds]] = {
+        "chance": chance,
+        "variance_db2": variance,
+        "trend": trend,
+    }
+    return {name: partial(or_nothing, make) for name, make in makers.items()}
+
+
+def or_nothing(make: Callable[[Discs], UpperBounds], discs: Discs) -> UpperBounds:
+    """Return bounds over discs, of which there may be none."""
+    return make(discs) if len(discs.centre_m) else constant_bounds(discs, 0.0)
 
 
 def either(one: UpperBounds, other: UpperBounds) -> UpperBounds:

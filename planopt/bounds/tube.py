@@ -6,7 +6,7 @@ paths through it. Cells whose bound is below the best known value are dropped, t
 divided in four. If a stage has no cells left, no path is better than the threshold.
 
 Multipliers m_k tilt the problem: the sum of m_k . (q_k - q_{k-1}) telescopes, so that it may be
-added to the moves and subtracted from the stages (equation 9.5). Every choice is valid; those of a
+added to the moves and subtracted from the stages (equation 9.8). Every choice is valid; those of a
 local optimum make the bound exact up to the square of the cell size.
 """
 
@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from time import monotonic
 
 import numpy as np
@@ -21,7 +22,7 @@ import shapely
 from numpy.typing import NDArray
 
 from planopt.bounds.bound import Tilts
-from planopt.objectives.upper_bounds import Discs, UpperBounds
+from planopt.objectives.upper_bounds import Discs, Field, Makers, UpperBounds, constant_bounds
 
 Array = NDArray[np.float64]
 Cells = NDArray[np.intp]  # (n, 2) indices of cells along x and y
@@ -36,11 +37,17 @@ MOST_LEVELS = 30
 MOST_CELLS = 200_000
 """Maximum number of cells per level, over all stages."""
 
-MOST_PAIRS = 4_000_000
-"""Maximum number of pairs of cells that are evaluated at once."""
+MOST_PAIRS = 2_000_000
+"""Maximum number of pairs of cells of successive stages that are evaluated one by one."""
+
+PAIRS_PER_NODE, NODES_PER_OFFSET = 0.25, 2000
+"""Pairs of cells that take the time of a grid node, and grid nodes that take that of an offset."""
 
 ROUNDING = 1e-10
 """Relative widening of every bound, far above the rounding errors of its sums."""
+
+OUTSIDE_M = 3e-6
+"""Distance by which a verified position may leave the workspace, for the verifier's tolerance."""
 
 LARGEST = 1e12
 """Limit of the multipliers and the value of a saved certificate."""
@@ -58,10 +65,9 @@ class StageProblem:
     steps: int
     bounds_m: tuple[float, float, float, float]
     blocked: Sequence[shapely.Polygon]  # Areas that contain no position of any path
-    # Maps discs to bounds of the probability of connection
-    chance: Callable[[Discs], UpperBounds]
-    # Maps a stage (from 0), discs and bounds of the probability to bounds of the stage's reward
-    reward: Callable[[int, Discs, UpperBounds], UpperBounds]
+    makers: Makers
+    # Maps a stage (from 0) and bounds of predicted quantities to bounds of the stage's reward
+    reward: Callable[[int, Field], UpperBounds]
     sure_m: Array  # (p, 2) positions at which the connection is certain
     sure_radius_m: float  # Radius within which it is
     per_metre: float = 0.0  # Cost of a metre
@@ -88,7 +94,7 @@ class Level:
     problem: StageProblem
     side_m: float
     active: list[Cells]
-    chances: list[UpperBounds]  # Of the probability of connection, for each stage
+    fields: list[Field]  # Bounds of predicted quantities, for each stage
     rewards: list[UpperBounds]
     # For each stage, pairs of a cell's row and a certain position in it (s, 2), and rewards (s,)
     sure: list[tuple[Cells, Array]]
@@ -193,9 +199,8 @@ def open_cells(problem: StageProblem, cells: Cells, side: float, stage: int) -> 
     inside = np.hypot(*nearest.T) <= stage * problem.step_m * (1.0 + ROUNDING)
     x0, y0, x1, y1 = problem.bounds_m
     corner = problem.start_m + low
-    slack = 1e-6 * (1.0 + problem.step_m)
-    inside &= (corner <= np.array([x1, y1]) + slack).all(axis=1)
-    inside &= (corner + side >= np.array([x0, y0]) - slack).all(axis=1)
+    inside &= (corner <= np.array([x1, y1]) + OUTSIDE_M).all(axis=1)
+    inside &= (corner + side >= np.array([x0, y0]) - OUTSIDE_M).all(axis=1)
     cells, corner = cells[inside], corner[inside]
     if not problem.blocked or not len(cells):
         return cells
@@ -215,21 +220,20 @@ def evaluated(problem: StageProblem, side: float, active: Sequence[Cells]) -> Le
     radius = side * np.sqrt(0.5) * (1.0 + 1e-12)
     cells, place = np.unique(np.vstack(active), axis=0, return_inverse=True)
     centres = problem.start_m + (cells + 0.5) * side
-    chance = problem.chance(Discs(centres, radius))
+    field = Field(Discs(centres, radius), problem.makers)
     level = Level(problem, side, [], [], [], [], [])
     owner, corner = cut_corners(problem, centres, side)
     ends = np.cumsum([len(each) for each in active])[:-1]
     for stage, rows in enumerate(np.split(place.ravel(), ends)):
         own, (pairs, values) = active[stage], sure_rewards(problem, stage, active[stage], side)
         if problem.p_min is not None:
-            kept = chance.most[rows] >= problem.p_min[stage]
+            kept = field["chance"].most[rows] >= problem.p_min[stage]
             kept[pairs[:, 0]] = True
             pairs[:, 0] = (np.cumsum(kept) - 1)[pairs[:, 0]]
             own, rows = own[kept], rows[kept]
         level.active.append(own)
-        level.chances.append(chance.at(rows))
-        discs = Discs(centres[rows], radius)
-        level.rewards.append(problem.reward(stage, discs, level.chances[-1]))
+        level.fields.append(field.at(rows))
+        level.rewards.append(problem.reward(stage, level.fields[-1]))
         level.sure.append((pairs, values))
         level.cut.append(joined(rows, owner, corner))
     return level
@@ -293,22 +297,20 @@ def sure_rewards(
     both = np.column_stack([order[at][inside], number[inside]])
     pairs = np.asarray(np.unique(both, axis=0), dtype=np.intp)
     held = places[pairs[:, 1]]
-    ones = UpperBounds(
-        np.ones(len(held)), np.zeros((len(held), 2)), np.ones(len(held)), problem.sure_radius_m
-    )
-    return pairs, problem.reward(stage, Discs(held, problem.sure_radius_m), ones).most
+    makers: Makers = {**problem.makers, "chance": partial(constant_bounds, value=1.0)}
+    return pairs, problem.reward(stage, Field(Discs(held, problem.sure_radius_m), makers)).most
 
 
 def through_bounds(level: Level, tilts: Sequence[Tilt]) -> list[Array]:
     """Return an upper bound of all paths through each active cell of each stage."""
     best = [np.full(len(each), np.inf) for each in level.active]
+    steps = [Step.between(level, k) for k in range(1, len(best))]
     for of_steps, of_p_min in tilts:
-        own = [tilted(level, k, of_steps, of_p_min) for k in range(level.problem.steps)]
-        moves = [Moves.of(level, of_steps[k]) for k in range(level.problem.steps)]
-        forward = [own[0] + moves[0].first(level)]
-        for k in range(1, len(own)):
-            ahead = moves[k].best(level.active[k - 1], forward[-1], level.active[k], 1)
-            forward.append(own[k] + ahead)
+        own = [tilted(level, k, of_steps, of_p_min) for k in range(len(best))]
+        moves = [step.moves(level, of_steps[k]) for k, step in enumerate(steps, 1)]
+        forward = [own[0] + first_moves(level, of_steps[0])]
+        for k, (step, move) in enumerate(zip(steps, moves, strict=True), 1):
+            forward.append(own[k] + step.best(move, forward[-1], ahead=True))
         back = np.zeros(len(own[-1]))
         for k in range(len(own) - 1, -1, -1):
             size = np.abs(forward[k]) + np.abs(back)
@@ -316,24 +318,31 @@ def through_bounds(level: Level, tilts: Sequence[Tilt]) -> list[Array]:
             widened = found + ROUNDING * np.where(np.isfinite(size), size, 0.0)
             best[k] = np.minimum(best[k], widened)
             if k:
-                back = moves[k].best(level.active[k], own[k] + back, level.active[k - 1], -1)
+                back = steps[k - 1].best(moves[k - 1], own[k] + back, ahead=False)
     # An undefined bound proves nothing.
     return [np.nan_to_num(each, nan=np.inf, posinf=np.inf, neginf=-np.inf) for each in best]
 
 
 def tilted(level: Level, stage: int, of_steps: Array, of_p_min: Array) -> Array:
     """Return bounds of a stage's rewards minus its tilt over each active cell; (n,)."""
-    reward, chance, half = level.rewards[stage], level.chances[stage], 0.5 * level.side_m
+    reward, half = level.rewards[stage], 0.5 * level.side_m
     (pairs, certain), problem = level.sure[stage], level.problem
     tilt = of_steps[stage] - (of_steps[stage + 1] if stage + 1 < problem.steps else 0.0)
     if of_p_min[stage] > 0.0 and problem.p_min is not None:
+        chance = level.fields[stage]["chance"]
         reward = reward.plus(chance.scaled(float(of_p_min[stage])))
         price = of_p_min[stage] * problem.p_min[stage]
         certain = certain + of_p_min[stage]
     else:
         price = 0.0
-    slope = reward.slope - tilt
-    rise, fall = half * np.abs(slope).sum(axis=1), np.full(len(slope), half * np.abs(tilt).sum())
+    slope, centres = reward.slope - tilt, level.offsets_m(stage)
+    # A cell that crosses the border of the workspace ends there.
+    low, high = np.reshape(problem.bounds_m, (2, 2)) - problem.start_m
+    least = np.maximum(-half, low - OUTSIDE_M - centres)
+    most = np.minimum(half, high + OUTSIDE_M - centres)
+    rise, fall = (
+        np.maximum(each * least, each * most).sum(axis=1) for each in (slope, -tilt + 0.0 * slope)
+    )
     rows, corners = level.cut[stage]
     if len(rows):
         # Rounding of the corners
@@ -342,7 +351,7 @@ def tilted(level: Level, stage: int, of_steps: Array, of_p_min: Array) -> Array:
         np.maximum.at(rise, rows, np.einsum("vd,vd->v", corners, slope[rows]) + slack)
         np.maximum.at(fall, rows, -corners @ tilt + ROUNDING)
     found = np.minimum(reward.value + rise, reward.most + fall)
-    found -= level.offsets_m(stage) @ tilt
+    found -= centres @ tilt
     if len(pairs):
         offset = problem.sure_m[pairs[:, 1]] - problem.start_m
         spread = problem.sure_radius_m * float(np.abs(tilt).sum())
@@ -350,79 +359,85 @@ def tilted(level: Level, stage: int, of_steps: Array, of_p_min: Array) -> Array:
     return found - price
 
 
-@dataclass(frozen=True, eq=False)
-class Moves:
-    """Bounds of ``m . x - cost(|x|)`` over the moves x between two cells (equation 9.7)."""
+def first_moves(level: Level, multiplier: Array) -> Array:
+    """Return bounds of the first step, from the start to each active cell (equation 9.10); (n,)."""
+    problem, centres, half = level.problem, level.offsets_m(0), 0.5 * level.side_m
+    away = np.hypot(*np.maximum(np.abs(centres) - half, 0.0).T)
+    found = move_bounds(problem, multiplier, centres, half, away)
+    return np.where(away <= problem.step_m * (1.0 + ROUNDING), found, -np.inf)
 
-    problem: StageProblem
-    side_m: float
-    multiplier: Array  # (2,)
-    offsets: Cells  # (o, 2) of cells within one step
-    values: Array  # (o,)
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """Pairs of active cells of two successive stages within one step."""
+
+    cells: tuple[Cells, Cells]  # (n, 2) of the earlier and (m, 2) of the later stage
+    low: Cells  # (2,) least offset from an earlier to a later cell
+    offsets: Cells  # (o, 2) offsets within one step, minus `low`
+    away_m: Array  # (o,) distances of cells with these offsets
+    shape: tuple[int, int]  # Shape of a table over all offsets
+    places: NDArray[np.intp] | None  # (n, m) place of each pair in the table; None: too many
 
     @classmethod
-    def of(cls, level: Level, multiplier: Array) -> Moves:
-        """Return the bounds of all offsets between cells of a level."""
-        side, step = level.side_m, level.problem.step_m
-        count = int(np.ceil(step / side)) + 1
-        line = np.arange(-count, count + 1)
-        offsets = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
-        away = np.hypot(*(np.maximum(np.abs(offsets) - 1, 0) * side).T)
-        near = away <= step * (1.0 + ROUNDING)
-        offsets = offsets[near]
-        values = move_bounds(
-            level.problem, multiplier, side * offsets.astype(np.float64), side, away[near]
-        )
-        return cls(level.problem, side, multiplier, offsets, values)
-
-    def first(self, level: Level) -> Array:
-        """Return the bounds of the first step, from the start to each cell; (n,)."""
-        centres, half = level.offsets_m(0), 0.5 * self.side_m
-        away = np.hypot(*np.maximum(np.abs(centres) - half, 0.0).T)
-        found = move_bounds(self.problem, self.multiplier, centres, half, away)
-        return np.where(away <= self.problem.step_m * (1.0 + ROUNDING), found, -np.inf)
-
-    def best(self, known: Cells, values: Array, cells: Cells, sign: int) -> Array:
-        """Return the maximum over the `known` cells of value plus move, for each cell; (n,).
-
-        With `sign` -1 the moves lead from `cells` to the known cells.
-        """
-        found = np.full(len(cells), -np.inf)
-        if not len(known) or not len(cells):
-            return found
-        low = np.minimum(known.min(axis=0), cells.min(axis=0))
-        high = np.maximum(known.max(axis=0), cells.max(axis=0))
-        rows, columns = (high - low + 1).tolist()
-        if len(known) * len(cells) < 4 * len(self.offsets) * rows * columns:
-            return self._by_pairs(known, values, cells, sign)
-        margin = int(np.abs(self.offsets).max())
-        grid = np.full((rows + 2 * margin, columns + 2 * margin), -np.inf)
-        grid[tuple((known - low + margin).T)] = values
-        reached = np.full((rows, columns), -np.inf)
-        for (i, j), value in zip(
-            (margin - sign * self.offsets).tolist(), self.values.tolist(), strict=True
+    def between(cls, level: Level, stage: int) -> Step:
+        """Return the pairs of active cells of a stage and its predecessor."""
+        side, longest = level.side_m, level.problem.step_m * (1.0 + ROUNDING)
+        before, after = level.active[stage - 1], level.active[stage]
+        nothing = np.zeros((0, 2), dtype=np.intp)
+        if not len(before) or not len(after):
+            return cls((before, after), nothing, nothing, np.zeros(0), (0, 0), None)
+        count = int(np.ceil(longest / side)) + 2  # Offsets of this size are out of reach
+        low = np.maximum(after.min(axis=0) - before.max(axis=0), -count)
+        high = np.minimum(after.max(axis=0) - before.min(axis=0), count)
+        high = np.maximum(high, low)
+        x, y = (np.arange(low[i], high[i] + 1, dtype=np.intp) for i in (0, 1))
+        grid: Cells = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)
+        away = np.hypot(*np.moveaxis(np.maximum(np.abs(grid) - 1, 0) * side, -1, 0))
+        near = away <= longest
+        rows, columns = len(x), len(y)
+        offsets = np.argwhere(near)
+        size = before.max(axis=0) - before.min(axis=0) + 1
+        places: NDArray[np.intp] | None = None
+        if len(before) * len(after) <= min(
+            MOST_PAIRS, PAIRS_PER_NODE * len(offsets) * (int(size.prod()) + NODES_PER_OFFSET)
         ):
-            np.maximum(reached, grid[i : i + rows, j : j + columns] + value, out=reached)
-        return reached[tuple((cells - low).T)]
+            right, up = (after[:, i] - before[:, i, None] - low[i] for i in (0, 1))
+            outside = (right < 0) | (right >= rows) | (up < 0) | (up >= columns)
+            places = np.where(outside, rows * columns, right * columns + up).astype(np.intp)
+        return cls((before, after), low, offsets, away[near], (rows, columns), places)
 
-    def _by_pairs(self, known: Cells, values: Array, cells: Cells, sign: int) -> Array:
-        """Return :meth:`best` from a table of moves, for few cells."""
-        margin = int(np.abs(self.offsets).max())
-        width = 2 * margin + 3  # One more on each side, for offsets out of reach
-        table = np.full((width, width), -np.inf)
-        table[tuple((self.offsets + margin + 1).T)] = self.values
-        flat, found = table.ravel(), np.empty(len(cells))
-        size = max(1, MOST_PAIRS // len(known))
-        for k in range(0, len(cells), size):
-            part = cells[k : k + size]
-            x, y = (
-                np.clip(sign * (part[:, None, axis] - known[:, axis]) + margin + 1, 0, width - 1)
-                for axis in (0, 1)
-            )
-            x *= width
-            x += y
-            found[k : k + size] = (flat[x] + values).max(axis=1)
-        return found
+    def moves(self, level: Level, multiplier: Array) -> Array:
+        """Return the bounds of the moves of all offsets within one step (equation 9.10); (o,)."""
+        offset = level.side_m * (self.offsets + self.low).astype(np.float64)
+        return move_bounds(level.problem, multiplier, offset, level.side_m, self.away_m)
+
+    def best(self, moves: Array, values: Array, *, ahead: bool) -> Array:
+        """Return the best sum of a move and of the value of the cell at its other end.
+
+        With `ahead`, values are those of the earlier cells and the result is for the later ones.
+        """
+        before, after = self.cells
+        known, wanted = (before, after) if ahead else (after, before)
+        if not len(known) or not len(wanted):
+            return np.full(len(wanted), -np.inf)
+        if self.places is not None:
+            table = np.full(self.shape[0] * self.shape[1] + 1, -np.inf)
+            table[self.offsets[:, 0] * self.shape[1] + self.offsets[:, 1]] = moves
+            sums = table[self.places]
+            sums += values[:, None] if ahead else values
+            return sums.max(axis=0 if ahead else 1)
+        offsets = (self.offsets + self.low) * (1 if ahead else -1)
+        corner, end = wanted.min(axis=0), wanted.max(axis=0) + 1
+        margin = int(np.abs(offsets).max())
+        rows, columns = (end - corner).tolist()
+        grid = np.full((rows + 2 * margin, columns + 2 * margin), -np.inf)
+        at = known - corner + margin
+        inside = ((at >= 0) & (at < grid.shape)).all(axis=1)
+        grid[tuple(at[inside].T)] = values[inside]
+        reached = np.full((rows, columns), -np.inf)
+        for (i, j), move in zip((margin - offsets).tolist(), moves.tolist(), strict=True):
+            np.maximum(reached, grid[i : i + rows, j : j + columns] + move, out=reached)
+        return reached[tuple((wanted - corner).T)]
 
 
 def move_bounds(

@@ -6,8 +6,9 @@ A bound of a function f over the disc with centre c and radius rho has two parts
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 
@@ -46,6 +47,14 @@ class UpperBounds:
         value, slope = self.value + other.value, self.slope + other.slope
         return UpperBounds(value, slope, self.most + other.most, self.radius_m)
 
+    def positive_part(self) -> UpperBounds:
+        """Return bounds of max(0, f)."""
+        # Where the tangent may be negative within the disc, only the constant remains.
+        most = np.maximum(self.most, 0.0)
+        holds = self.value >= self.radius_m * np.hypot(*self.slope.T)
+        slope = np.where(holds[:, None], self.slope, 0.0)
+        return UpperBounds(np.where(holds, self.value, most), slope, most, self.radius_m)
+
     def times(self, other: UpperBounds) -> UpperBounds:
         """Return bounds of the product of two functions >= 0 (equation 9.4)."""
         # The product of both linear parts is a quadratic form with this largest eigenvalue.
@@ -59,20 +68,71 @@ class UpperBounds:
         )
 
 
+Quantity = Literal["chance", "variance_db2", "trend"]
+"""Predicted quantity: probability of connection, variance of the power, or the trace of the
+information on the path loss (equation 9.6)."""
+
+
+Makers = Mapping[Quantity, Callable[[Discs], UpperBounds]]
+"""Functions that bound predicted quantities over discs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """Bounds of predicted quantities over discs, computed once where they are used."""
+
+    discs: Discs
+    makers: Makers
+    parent: tuple[Field, Indices] | None = None  # Larger set of discs, and rows in it
+    made: dict[Quantity, UpperBounds] = field(default_factory=dict[Quantity, UpperBounds])
+
+    def __getitem__(self, name: Quantity) -> UpperBounds:
+        """Return the bounds of a quantity."""
+        if name not in self.made:
+            if self.parent is None:
+                self.made[name] = self.makers[name](self.discs)
+            else:
+                larger, rows = self.parent
+                self.made[name] = larger[name].at(rows)
+        return self.made[name]
+
+    def at(self, rows: Indices) -> Field:
+        """Return the bounds over some of the discs."""
+        discs = Discs(self.discs.centre_m[rows], self.discs.radius_m)
+        return Field(discs, self.makers, (self, rows))
+
+
 @dataclass(frozen=True)
 class StageBounds:
     """Upper bounds of a term that is a sum over stages, and its costs of moves."""
 
-    # Maps a stage (from 0), discs and bounds of P(connected) to bounds of the stage's reward
-    reward: Callable[[int, Discs, UpperBounds], UpperBounds]
+    # Maps a stage (from 0) and bounds of predicted quantities to bounds of the stage's reward
+    reward: Callable[[int, Field], UpperBounds]
     per_metre: float = 0.0  # Cost of a metre
     per_move: float = 0.0  # Cost of a step longer than a standstill
+    most_steps: int | None = None  # Maximum number of steps of a plan; None: any
 
 
-def no_reward(stage: int, discs: Discs, chance: UpperBounds | None = None) -> UpperBounds:
+def no_reward(stage: int, field: Field) -> UpperBounds:
     """Return the bounds of a term without stage rewards."""
-    nothing = np.zeros(len(discs.centre_m))
-    return UpperBounds(nothing, np.zeros_like(discs.centre_m), nothing, discs.radius_m)
+    return constant_bounds(field.discs, 0.0)
+
+
+def constant_bounds(discs: Discs, value: float) -> UpperBounds:
+    """Return the bounds of a constant."""
+    values = np.full(len(discs.centre_m), value)
+    return UpperBounds(values, np.zeros_like(discs.centre_m), values, discs.radius_m)
+
+
+def closeness_bounds(decay_per_m: float, here_m: Floats, discs: Discs) -> UpperBounds:
+    """Return upper bounds of exp(-zeta |q - here|) over discs (equation 9.7)."""
+    offset = discs.centre_m - here_m
+    distance = np.hypot(*offset.T)
+    value = np.exp(-decay_per_m * distance)
+    reach = decay_per_m * discs.radius_m
+    slope = (-decay_per_m * value / np.maximum(distance, 1e-300))[:, None] * offset
+    most = np.exp(-decay_per_m * np.maximum(distance - discs.radius_m, 0.0))
+    return UpperBounds(value * (1.0 + 0.5 * reach**2 * np.exp(reach)), slope, most, discs.radius_m)
 
 
 def sensing_bounds(sensor: Sensor, target_m: Floats, discs: Discs) -> UpperBounds:

@@ -17,6 +17,7 @@ import numpy as np
 from planopt.arrays import Floats
 from planopt.bounds.bound import Bound, Tilts
 from planopt.bounds.multipliers import local_optimum, tilts_near
+from planopt.bounds.one_step import best_place
 from planopt.bounds.reach import route_problem, why_unbounded
 from planopt.bounds.route import route_bounds
 from planopt.bounds.tube import tube_bounds
@@ -81,7 +82,11 @@ def with_sum_bound(
     stages = stages_of(problem, at, plan)
     if isinstance(stages, str):
         return replace(plan, bound=Bound(None, plan.objective, reason=stages))
-    optimum = local_optimum(stages, plan.positions_m[1:], SURPLUS)
+    if stages.steps == 1:
+        exact = replace(stages, step_m=at.step_length_m)
+        optimum = best_place(exact, 0.3 * seconds).place_m[None]
+    else:
+        optimum = local_optimum(stages, plan.positions_m[1:], SURPLUS)
     if robots == 1 or problem.constraints.separation_m == 0.0:
         plan = better_of(at, plan, optimum)
     kinks = np.vstack([each.measurements.positions_m for each in belief.posteriors])

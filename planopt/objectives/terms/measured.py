@@ -26,6 +26,13 @@ from planopt.objectives.path_derivatives import PathDerivatives, by_positions
 from planopt.objectives.terms.context import NearPath, NodeChannel, Nodes, Part, Paths, TermContext
 from planopt.objectives.terms.distance import SteeredTerm
 from planopt.objectives.terms.term import Steers, Term, TermSetting
+from planopt.objectives.upper_bounds import Field as DiscField
+from planopt.objectives.upper_bounds import (
+    StageBounds,
+    UpperBounds,
+    closeness_bounds,
+    constant_bounds,
+)
 
 
 @dataclass(frozen=True)
@@ -165,6 +172,12 @@ class LearningTerm(MeasuredTerm):
             return VarianceRemoved(spread)
         return VarianceRemoved(spread @ square_root(map_criterion(posterior, at.region)))
 
+    def stage_bounds(self, at: TermContext) -> StageBounds | str:
+        """Return upper bounds of criterion T one step ahead, with one station."""
+        if self.criterion != "T" or len(at.stations) > 1:
+            return "without a proven bound for other criteria than T or several stations"
+        return StageBounds(lambda stage, field: field["trend"].positive_part(), most_steps=1)
+
     def node_gain(self, station: NodeChannel, posterior: ChannelPosterior) -> Floats:
         """Return each node's gain: for criterion T the trace, otherwise the gain of D in nats."""
         trend, covariance = station.trend, posterior.theta_covariance
@@ -262,6 +275,22 @@ class MappingTerm(MeasuredTerm):
             x, y = (float(each) for each in at.position_m)
             return PathUncertainty((x, y), self.variance_threshold_db2, self.closeness_per_m)
         return Information() if self.form == "information" else VarianceRemoved()
+
+    def stage_bounds(self, at: TermContext) -> StageBounds | str:
+        """Return upper bounds of the form ``path`` with one station, exact one step ahead.
+
+        Variances given earlier positions of the path are at most those given the measurements, and
+        path lengths at least the distances from the robot.
+        """
+        if self.form != "path" or len(at.stations) > 1:
+            return "without a proven bound for other forms than path or several stations"
+
+        def reward(stage: int, field: DiscField) -> UpperBounds:
+            near = closeness_bounds(self.closeness_per_m, at.position_m, field.discs)
+            least = constant_bounds(field.discs, -self.variance_threshold_db2)
+            return field["variance_db2"].plus(least).positive_part().times(near)
+
+        return StageBounds(reward)
 
     def node_gain(self, station: NodeChannel, posterior: ChannelPosterior) -> Floats:
         """Return the form's gain of one measurement at each node; for ``average``, the variance."""

@@ -27,7 +27,8 @@ from planopt.objectives.tracking import (
     recourse_costs,
     retreats_of,
 )
-from planopt.objectives.upper_bounds import Discs, StageBounds, UpperBounds, sensing_bounds
+from planopt.objectives.upper_bounds import Field as DiscField
+from planopt.objectives.upper_bounds import StageBounds, UpperBounds, sensing_bounds
 from planopt.plain_values import make_plain
 from planopt.targets.information_filter import Sensor, sensing_derivatives, sensing_information
 from planopt.targets.rounding import Derivatives, add_products
@@ -252,9 +253,9 @@ class TrackingTerm(Term):
             return f"without a proven bound for form = {self.form}"
         settings = self.settings(at)
 
-        def reward(stage: int, discs: Discs, chance: UpperBounds) -> UpperBounds:
-            sensing = sensing_bounds(settings.sensor, settings.target_m[stage], discs)
-            return chance.times(sensing).scaled(float(settings.weight[stage]))
+        def reward(stage: int, field: DiscField) -> UpperBounds:
+            sensing = sensing_bounds(settings.sensor, settings.target_m[stage], field.discs)
+            return field["chance"].times(sensing).scaled(float(settings.weight[stage]))
 
         return StageBounds(reward)
 

@@ -1,0 +1,108 @@
+"""Best position within one step, proven by branch and bound over squares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from time import monotonic
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+
+from planopt.bounds.multipliers import local_optimum, tilts_near
+from planopt.bounds.tube import (
+    FIRST_SHARE,
+    MARGIN,
+    MOST_LEVELS,
+    StageProblem,
+    evaluated,
+    first_cells,
+    kept_cells,
+    through_bounds,
+    untilted,
+)
+from planopt.objectives.upper_bounds import Discs, Field, Makers, constant_bounds
+
+Array = NDArray[np.float64]
+
+STARTS = 3
+"""Number of cells per level whose centres are evaluated."""
+
+GAP, LEAST_VALUE = 1e-6, 0.02
+"""Relative gap at which a position counts as optimal, and the least value that it refers to."""
+
+
+@dataclass(frozen=True, eq=False)
+class BestPlace:
+    """Best known position of a one-step problem, with a proven bound."""
+
+    place_m: Array  # (2,)
+    value: float
+    bound: float
+    levels: int
+    seconds: float
+
+    @property
+    def gap(self) -> float:
+        """Return the relative gap between value and bound."""
+        return (self.bound - self.value) / max(abs(self.value), LEAST_VALUE)
+
+
+def best_place(problem: StageProblem, seconds: float) -> BestPlace:
+    """Return the best position within one step, with a bound that is hardly above it.
+
+    The bound is valid, but looser, if the time ends first.
+    """
+    begun, bound, levels = monotonic(), np.inf, 0
+    place, value = problem.start_m, -np.inf
+    near = problem.sure_m[np.hypot(*(problem.sure_m - problem.start_m).T) <= problem.step_m]
+    if len(near):
+        makers: Makers = {**problem.makers, "chance": partial(constant_bounds, value=1.0)}
+        place, value = best_of(problem, near, makers)
+    tilts = [untilted(problem)]
+    side, active = FIRST_SHARE * problem.step_m, first_cells(problem)
+    while len(active[0]) and levels < MOST_LEVELS:
+        levels += 1
+        level = evaluated(problem, side, active)
+        highest = np.argsort(-level.rewards[0].value)[:STARTS]
+        centres = problem.start_m + level.offsets_m(0)[highest]
+        found, worth = best_of(problem, centres, problem.makers)
+        if worth > value or levels == 1:
+            begins = found if np.isfinite(worth) else problem.start_m
+            both = np.vstack([local_optimum(problem, begins[None]), begins])
+            found, worth = best_of(problem, both, problem.makers)
+        if worth > value:
+            place, value = found, worth
+            tilts = [untilted(problem), *tilts_near(problem, [place[None]], np.zeros((0, 2)))]
+        through = through_bounds(level, tilts)
+        threshold = value + 0.5 * GAP * max(abs(value), LEAST_VALUE)
+        bound = min(bound, max(threshold, float(through[0].max(initial=-np.inf))))
+        if bound <= threshold or monotonic() - begun > seconds:
+            break
+        active, side = kept_cells(level, through, threshold), 0.5 * side
+    bound += MARGIN * abs(bound)
+    return BestPlace(place, value, bound, levels, monotonic() - begun)
+
+
+def best_of(problem: StageProblem, places_m: Array, makers: Makers) -> tuple[Array, float]:
+    """Return the best of positions (n, 2), moved within reach, and its value.
+
+    The value is minus infinity if no position is allowed.
+    """
+    moves = places_m - problem.start_m
+    longest = np.maximum(np.hypot(*moves.T), problem.step_m)
+    places = problem.start_m + moves * (problem.step_m / longest)[:, None]
+    x0, y0, x1, y1 = problem.bounds_m
+    places = np.clip(places, [x0, y0], [x1, y1])
+    field = Field(Discs(places, 0.0), makers)
+    values = problem.reward(0, field).value.copy()
+    length = np.hypot(*(places - problem.start_m).T)
+    values -= problem.per_metre * length
+    values -= np.where(length > problem.standstill_m, problem.per_move, 0.0)
+    for area in problem.blocked:
+        values[shapely.contains_xy(area, *places.T)] = -np.inf
+    if problem.p_min is not None:
+        values[field["chance"].value < problem.p_min[0]] = -np.inf
+    best = int(values.argmax())
+    return places[best], float(values[best])

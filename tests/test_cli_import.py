@@ -259,3 +259,46 @@ def test_log_outside_the_map(yard: Path, tmp_path: Path, capsys) -> None:
     )
     said = " ".join(data["warnings"])
     assert "outside the map" in said and "occupied or unknown cells" in said
+
+
+def test_a_map_that_is_turned_twice(yard: Path, tmp_path: Path, capsys) -> None:
+    """By its yaw in the frame, and the frame from east: the log lies in the free space."""
+    yaw, corner, origin = 0.4, np.array([-20.0, -10.0]), (*ORIGIN, 25.0)
+    turn = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+    places, powers = readings()
+    placed = corner + (places - corner) @ turn
+    lines = ["lat,lon,rssi"]
+    for (longitude, latitude), power in zip(
+        longitude_latitude_deg(placed, origin), powers["aa:01"], strict=True
+    ):
+        lines.append(f"{latitude:.7f},{longitude:.7f},{power:.0f}")
+    (tmp_path / "log.csv").write_text("\n".join(lines))
+    Image.fromarray(yard_image()).save(tmp_path / "yard.pgm")
+    text = (yard / "yard.yaml").read_text().replace("-10.0, 0.0]", f"-10.0, {yaw}]")
+    (tmp_path / "yard.yaml").write_text(text)
+    ends = corner + (np.array([[-12.0, -4.0], [50.0, 43.0]]) - corner) @ turn
+    data = imported(
+        *(capsys, "--map", tmp_path / "yard.yaml", "--log", tmp_path / "log.csv"),
+        *("--origin", "48.1374,11.5755,25", "--out", tmp_path / "mine.toml"),
+        *(f"--start={ends[0][0]},{ends[0][1]}", f"--goal={ends[1][0]},{ends[1][1]}"),
+    )
+    site = corner + (np.array(SITES["aa:01"]) - (20.0, 10.0) - corner) @ turn
+    assert np.hypot(*(np.array(data["stations"][0]["position_m"]) - site)) < 8.0
+    assert not any("occupied or unknown" in each for each in data["warnings"])
+    problem = planopt.load(tmp_path / "mine.toml")
+    assert planopt.solve(problem, horizon=2).verdict is planopt.Verdict.VERIFIED
+    assert problem.channel.origin_deg == origin
+
+
+def test_buildings_in_degrees(yard: Path, tmp_path: Path, capsys) -> None:
+    """GeoJSON as RFC 7946 describes is projected by the origin of the log."""
+    ring = np.array([[5.0, 10.0], [15.0, 10.0], [15.0, 30.0], [5.0, 30.0], [5.0, 10.0]])
+    shape = {"type": "Polygon", "coordinates": [longitude_latitude_deg(ring, ORIGIN).tolist()]}
+    (tmp_path / "houses.geojson").write_text(json.dumps(shape))
+    imported(
+        *(capsys, "--map", tmp_path / "houses.geojson", "--log", yard / "log.csv"),
+        *("--origin", "48.1374,11.5755", "--out", tmp_path / "mine.toml"),
+        *(f"--start={START}", f"--goal={GOAL}"),
+    )
+    (house,) = planopt.load(tmp_path / "mine.toml").workspace.obstacles
+    np.testing.assert_allclose(house.polygon.bounds, (5.0, 10.0, 15.0, 30.0), atol=0.01)

@@ -77,6 +77,8 @@ class Estimate:
     # The estimate from more readings ranks higher; where readings age, the newer one does.
     rank: tuple[int, int]
     value: EventEstimate
+    # Number of readings, step of the earliest one, and step of the estimate
+    source: tuple[int, int, int]
 
     @property
     def std_m(self) -> float:
@@ -234,7 +236,8 @@ def estimate_event(
         found = _located(_taken(belief.readings, rows), age_s, sensing, hull, last)
         size = int(rows.sum())
         rank = (size, step) if sensing.memory_s is None else (step, size)
-        ranked.append((Estimate(rank, found), np.array(agents)))
+        source = size, int(belief.steps[rows].min()), step
+        ranked.append((Estimate(rank, found, source), np.array(agents)))
     ranked.sort(key=lambda one: one[0].rank)
     chosen = np.full(len(belief.chosen), NONE, dtype=np.intp)
     for number, (_, agents) in enumerate(ranked):

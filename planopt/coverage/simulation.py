@@ -137,6 +137,10 @@ class NetworkRun:
     estimates_m: Floats
     stds_m: Floats
     beliefs_m: Floats  # (T, k, n, 2) position that each agent believes; NaN if it knows no event
+    # (T, k, 3) number of readings in the best estimate, step of the earliest one, and step in which
+    # it was made; 0 if unknown
+    sources: Indices
+    readings: tuple[Floats, ...]  # (k,) arrays (r, 4): step, position in metres, and signal
     # (T, 3) transmissions over links: for counting, assignment (estimates and lists), readings
     messages: Indices
     settled: bool  # Whether the last step found all agents settled
@@ -466,11 +470,17 @@ def _run(scene: Scene, motions: list[Motion], rows: list[NetworkStep]) -> Networ
     """Return the record of a run, made from the decisions of all steps."""
     steps, events = len(rows), len(scene.events)
     places, stds = np.full((steps, events, 2), np.nan), np.full((steps, events), np.nan)
+    sources = np.zeros((steps, events, 3), dtype=np.intp)
+    readings = [[np.zeros((0, 4))] for _ in range(events)]
     for step, row in enumerate(rows):
         for number, belief in enumerate(row.beliefs):
             if belief.best != NONE:
                 best = belief.estimates[belief.best]
                 places[step, number], stds[step, number] = best.value.position_m, best.std_m
+                sources[step, number] = best.source
+            new, taken = belief.steps == step, belief.readings
+            columns = belief.steps[new], taken.positions_m[new], taken.signal[new]
+            readings[number].append(np.column_stack(columns))
     agents = len(motions[0].places_m)
     believed = np.array([[belief.places_m for belief in row.beliefs] for row in rows])
     return NetworkRun(
@@ -487,6 +497,8 @@ def _run(scene: Scene, motions: list[Motion], rows: list[NetworkStep]) -> Networ
         places,
         stds,
         believed.reshape(steps, events, agents, 2),
+        sources,
+        tuple(np.concatenate(each) for each in readings),
         np.array([row.messages for row in rows]),
         rows[-1].settled,
     )

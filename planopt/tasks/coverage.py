@@ -17,6 +17,7 @@ from planopt.coverage.limits import Motion, packing_reach_m
 from planopt.coverage.optima import STARTS, best_deployment
 from planopt.coverage.simulation import ABSENT, NetworkController, NetworkRun, simulate_network
 from planopt.coverage.verify import verify_moves
+from planopt.coverage.verify_estimates import SignalModel, estimate_fault
 from planopt.files.tables import Column, Data
 from planopt.files.typed_json import finite
 from planopt.tasks.coverage_build import CoverageProblem, build, has_room, overlapping
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from planopt.report import NetworkPicture
 
 STEPS_FILE, NETWORK_FILE, EVENTS_FILE = "steps.csv", "network.csv", "events.csv"
+READINGS_FILE = "readings.csv"
 RUN_PICTURE, PLAN_PICTURE = "run.png", "plan.png"
 
 STEP_COLUMNS = (
@@ -69,16 +71,29 @@ EVENT_COLUMNS = (
     Column("estimate_x_m", "best estimate of any agent; empty before the event is detected", "m"),
     Column("estimate_y_m", "best estimate of any agent; empty before the event is detected", "m"),
     Column("std_m", "standard deviation of the best estimate", "m"),
+    Column("readings", "number of readings in the best estimate", kind="count", required=True),
+    Column("first_step", "step of the earliest of these readings", kind="count", required=True),
+    Column("made_step", "step in which the best estimate was made", kind="count", required=True),
     Column("informed", "number of agents that know of the event", kind="count", required=True),
     Column("spread_m", "largest distance of a responding agent's estimate from the best", "m"),
     Column("wanted", "number of agents wanted", kind="count", required=True),
     Column("responding", "number of agents that respond", kind="count", required=True),
+)
+READING_COLUMNS = (
+    Column("event", "name of the event", kind="text", required=True),
+    Column("step", "number of the step", kind="count", required=True),
+    Column("x_m", "position of the agent", "m", required=True),
+    Column("y_m", "position of the agent", "m", required=True),
+    Column("signal", "reading of the sensor, in the unit of its strength", required=True),
 )
 COVERS, AWAY = "covers", "absent"
 """Names of the states of agents that respond to no event."""
 
 ON_TARGET_M = 1e-9
 """Rounding tolerance of the settling distance."""
+
+CHECKED = 10
+"""Number of estimates of each event, evenly spaced over its steps, that the verifier recomputes."""
 
 BOUND_METHOD = "Lagrangian relaxation with a price of each position"
 """Method of the lower bound on the coverage cost."""
@@ -174,6 +189,37 @@ def faults(result: TaskResult) -> list[str]:
             f"{STEPS_FILE}: {agent_name(each)} moves in step {step} and takes no part"
             for each in away.tolist()
         ]
+    return reasons + _estimate_faults(problem, run)
+
+
+def _estimate_faults(problem: CoverageProblem, run: NetworkRun) -> list[str]:
+    """Return faults of estimates and their standard deviations, recomputed from the readings.
+
+    Where messages are lost, estimates from a part of the readings of their time are left out.
+    """
+    table, sensing, reasons = problem.given.sensor, problem.scene.sensing, list[str]()
+    if table is None or sensing is None:
+        return reasons
+    known, hull = table.strength_known, problem.scene.ground.hull
+    model = SignalModel(
+        table.noise_std, table.strength, known, table.scale_m, sensing.speed_std_m_s
+    )
+    for number, event in enumerate(problem.scene.events):
+        rows, source = run.readings[number], run.sources[:, number]
+        place_m, std_m = run.estimates_m[:, number], run.stds_m[:, number]
+        made = np.flatnonzero((std_m < hull.radius_m) & (source[:, 2] == np.arange(len(std_m))))
+        for step in made[np.linspace(0, len(made) - 1, min(CHECKED, len(made))).astype(np.intp)]:
+            count, first, _ = source[step]
+            held = rows[(rows[:, 0] >= first) & (rows[:, 0] <= step)]
+            inner = bool(hull.excess_m(place_m[step, None])[0] < -std_m[step])
+            if len(held) != count:
+                continue
+            ages_s = problem.scene.time_step_s * (step - held[:, 0])
+            fault = estimate_fault(
+                model, held[:, 1:3], held[:, 3], ages_s, place_m[step], float(std_m[step]), inner
+            )
+            if fault is not None:
+                reasons.append(f"{EVENTS_FILE}: {event.name}, step {step}: {fault}")
     return reasons
 
 
@@ -354,6 +400,7 @@ def tables_of(problem: CoverageProblem, run: NetworkRun) -> dict[str, Data]:
     own = run.states[:, None] == np.arange(events)[:, None]
     spread_m = np.where(own, off_m, -np.inf).max(axis=2, initial=-np.inf)
     numbers = np.array(range(steps + 1), dtype=np.int64)
+    taken = np.concatenate((np.zeros((0, 4)), *run.readings))
     there = [[int(e.is_there(t)) for t in times_s.tolist()] for e in problem.scene.events]
     return {
         STEPS_FILE: {
@@ -391,10 +438,23 @@ def tables_of(problem: CoverageProblem, run: NetworkRun) -> dict[str, Data]:
             "estimate_x_m": run.estimates_m[..., 0].T.ravel(),
             "estimate_y_m": run.estimates_m[..., 1].T.ravel(),
             "std_m": np.where(np.isfinite(stds), stds, np.nan),
+            "readings": run.sources[..., 0].T.ravel(),
+            "first_step": run.sources[..., 1].T.ravel(),
+            "made_step": run.sources[..., 2].T.ravel(),
             "informed": np.isfinite(run.beliefs_m[..., 0]).sum(axis=2).T.ravel(),
             "spread_m": np.where(spread_m >= 0.0, spread_m, np.nan).T.ravel(),
             "wanted": run.wanted.T.ravel(),
             "responding": team.ravel(),
+        },
+        READINGS_FILE: {
+            "event": np.repeat(
+                np.array([e.name for e in problem.scene.events], dtype=np.str_),
+                [len(rows) for rows in run.readings],
+            ),
+            "step": taken[:, 0].astype(np.int64),
+            "x_m": taken[:, 1],
+            "y_m": taken[:, 2],
+            "signal": taken[:, 3],
         },
     }
 
@@ -499,6 +559,7 @@ TASK = Task(
         STEPS_FILE: STEP_COLUMNS,
         NETWORK_FILE: NETWORK_COLUMNS,
         EVENTS_FILE: EVENT_COLUMNS,
+        READINGS_FILE: READING_COLUMNS,
     },
     figures=_figures,
     animate=_animate,

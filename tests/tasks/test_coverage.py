@@ -68,7 +68,7 @@ def test_simulate_and_check(written, tmp_path, run):
     assert leak["error_m"] < 1.0
     assert found["metrics"]["messages"]["assignment"] > 0
     assert found["metrics"]["messages"]["counting"] == 0
-    names = {"run.json", "steps.csv", "network.csv", "events.csv"}
+    names = {"run.json", "steps.csv", "network.csv", "events.csv", "readings.csv"}
     assert {path.name for path in out.iterdir()} == names
     assert run("check", out)[0] == 0
     run("simulate", written(), "--seed", 3, "--out", again)
@@ -256,7 +256,7 @@ def test_bodies_in_place_hold_shells():
 
 
 def test_compare_horizons_paired(written, tmp_path, run):
-    """Settings are paired by seed; without limits that bind, receding is the law."""
+    """Settings are paired by seed; with one step receding is the law, with three it costs less."""
     file = written(("duration_s = 200", "duration_s = 12"), ("speed_max_m_s = 2.0\n", ""))
     out = tmp_path / "out"
     code, found = run(
@@ -271,7 +271,8 @@ def test_compare_horizons_paired(written, tmp_path, run):
         ("receding", 1),
         ("receding", 3),
     ]
-    assert [row["paired_ratio"] for row in rows] == pytest.approx([1.0, 1.0, 1.0], abs=1e-6)
+    ratios = [row["paired_ratio"] for row in rows]
+    assert ratios[:2] == pytest.approx([1.0, 1.0], abs=1e-6) and ratios[2] < 1.0
     one = planopt.simulate(planopt.load(file), seed=1).data["metrics"]
     mine = next(each for each in found["runs"] if each["seed"] == 1 and each["planner"] == "law")
     mine = mine["metrics"]

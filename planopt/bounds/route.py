@@ -38,9 +38,12 @@ from planopt.world.shortest_paths import INNER_SHARE
 
 Array = NDArray[np.float64]
 
-FIRST_TRIANGLES = 600
-"""Number of new triangles for each second, and one more, by which the corridor of good routes is
-refined before the first solve."""
+FIRST_TRIANGLES = 1_500, 600
+"""Number of new triangles, and for each second, by which the corridor of good routes is refined
+before the first solve."""
+
+FIRST_SOLVE_S = 2.0
+"""Time that the first solve gets in any case; it usually takes less than half a second."""
 
 GROWTH = 1.8
 """Largest ratio of the numbers of triangles in successive solves."""
@@ -69,7 +72,7 @@ FRAME_SHARE = 0.02
 CLEARANCE_TOLERANCE_M = 1e-5
 """Tolerance of the verifier, by which obstacles are grown less than the clearance."""
 
-SOLVER_TOLERANCE = 1e-3
+SOLVER_TOLERANCE = 3e-4
 """Relative gap of the solver. It affects the tightness of the bound, never its validity."""
 
 EPSILON = 32.0 * np.finfo(float).eps
@@ -140,7 +143,7 @@ def route_bounds(problem: RouteProblem, seconds: float) -> Iterator[RouteBound]:
             area = np.abs(doubled_areas(mesh.nodes_m, inner)) / 2.0
             chosen &= (loose > LOOSE_SHARE) | (area > most_area)
             first = first or len(inner)
-            room = round(first + FIRST_TRIANGLES * (1.0 + seconds)) - len(inner)
+            room = round(first + FIRST_TRIANGLES[0] + FIRST_TRIANGLES[1] * seconds) - len(inner)
             if room > 0 and mesh.refine(_largest(area, inner, chosen, room)):
                 continue
         best = replace(best, corridor=corridor)
@@ -149,9 +152,8 @@ def route_bounds(problem: RouteProblem, seconds: float) -> Iterator[RouteBound]:
         if best.potential is not None and left <= 0.0:
             return
         at_goal = _touches_goal(problem, mesh.nodes_m, inner)
-        potential, flow = _best_potential(
-            mesh.nodes_m, corners, is_open, cost, at_goal, max(left, 0.1)
-        )
+        limit_s = max(left, FIRST_SOLVE_S if best.potential is None else 0.1)
+        potential, flow = _best_potential(mesh.nodes_m, corners, is_open, cost, at_goal, limit_s)
         value = _certified_value(potential, is_open, cost, at_goal)
         covered = covers_bounds(mesh.nodes_m, corners, problem.bounds_m)
         elapsed = monotonic() - begun

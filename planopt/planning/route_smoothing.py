@@ -43,7 +43,7 @@ MetreCost = Callable[[Floats], Floats]
 PIECES = 128
 """Number of pieces into which smoothing divides a route."""
 
-OFFSETS = np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
+OFFSETS = np.array([-1.0, 0.0, 1.0])
 """Sideways displacements of a point in each pass, in units of the pass."""
 
 WIDEST, NARROWEST = 0.25, 0.002
@@ -160,7 +160,7 @@ class CostRaster:
     def legs_m(self, starts_m: Floats, ends_m: Floats) -> Floats:
         """Return the costs of straight legs (n, 2), by the midpoint rule."""
         lengths = np.linalg.norm(ends_m - starts_m, axis=1)
-        count = max(1, math.ceil(float(lengths.max()) / self.spacing_m))
+        count = max(1, math.ceil(float(lengths.max(initial=0.0)) / self.spacing_m))
         share = (np.arange(count) + 0.5) / count
         places = starts_m[:, None] + share[None, :, None] * (ends_m - starts_m)[:, None]
         return lengths * self(places.reshape(-1, 2)).reshape(-1, count).mean(axis=1)
@@ -174,15 +174,18 @@ def _taut(
 ) -> Floats:
     """Return the cheapest route with straight legs between some of the corners (n, 2)."""
     count = len(corners_m)
-    cost, before = np.full(count, np.inf), np.zeros(count, dtype=int)
-    cost[0] = 0.0
+    back = min(LOOKBACK, count - 1)
+    legs = np.full((back, count), np.inf)
+    for skipped in range(back):
+        starts, ends = corners_m[: -1 - skipped], corners_m[1 + skipped :]
+        clear = segments_clear(index, starts, ends, clearance_m) | (skipped == 0)
+        values = np.full(len(starts), np.inf)
+        values[clear] = raster.legs_m(starts[clear], ends[clear])
+        legs[skipped, 1 + skipped :] = values
+    cost, before = np.zeros(count), np.zeros(count, dtype=int)
     for k in range(1, count):
-        first = np.arange(max(0, k - LOOKBACK), k)
-        ends = np.broadcast_to(corners_m[k], (len(first), 2))
-        legs = raster.legs_m(corners_m[first], ends)
-        clear = segments_clear(index, corners_m[first], ends, clearance_m)
-        clear[-1] = True
-        through = np.where(clear, cost[first] + legs, np.inf)
+        first = np.arange(k - 1, max(-1, k - 1 - back), -1)
+        through = cost[first] + legs[: len(first), k]
         before[k] = first[int(through.argmin())]
         cost[k] = through.min()
     chosen = [count - 1]

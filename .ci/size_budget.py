@@ -18,7 +18,7 @@ BUDGET = {
     "files": 288,
     "functions": 3_740,
     "docstring lines": 8_740,
-    "lines of tests": 48_210,
+    "lines of tests": 48_265,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

@@ -11,6 +11,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.channel.posterior import Belief
 from planopt.planning.certificate import BlockedWay, Hole
 from planopt.planning.loop.log import RobotRun, StepLog, TargetLog
@@ -239,32 +240,34 @@ def draw_clearance(panel: Panel, problem: Problem, window: Bounds) -> list[Artis
 def draw_connected_track(panel: Panel, log: StepLog) -> list[Artist]:
     """Draw an executed path: solid on white where connected, dashed on black where not.
 
-    Lightness and dashes distinguish both without colour. A step's state is that at its end.
+    Steps of unknown power are thin. Lightness and dashes distinguish the others without colour. A
+    step's state is that at its end.
     """
     entries: list[Artist] = []
-    for label, colour, casing, dashes, state in (
-        ("driven, connected", CONNECTED, WHITE, "solid", True),
-        ("driven, not connected", DISCONNECTED, BLACK, (0, (1.2, 0.8)), False),
+    unknown = ~log.connected & ~log.disconnected
+    for label, colour, casing, dashes, width, states in (
+        ("driven, connected", CONNECTED, WHITE, "solid", 4.0, log.connected),
+        ("driven, not connected", DISCONNECTED, BLACK, (0, (1.2, 0.8)), 4.0, log.disconnected),
+        ("driven, no reading", BLACK, WHITE, "solid", 1.2, unknown),
     ):
-        pieces = _pieces(log, state)
+        pieces = _pieces(log, states[1:])
         if not pieces:
             continue
-        draw_lines(panel, pieces, colors=casing, linewidths=6.0, capstyle="round")
-        look: Look = {"colors": colour, "linewidths": 4.0, "linestyles": [dashes]}
+        draw_lines(panel, pieces, colors=casing, linewidths=width + 2.0, capstyle="round")
+        look: Look = {"colors": colour, "linewidths": width, "linestyles": [dashes]}
         look |= {"capstyle": "butt", "zorder": PATH_Z + 0.1, "label": label}
         entries.append(draw_lines(panel, pieces, **look))
     return entries
 
 
-def _pieces(log: StepLog, connected: bool) -> list[NDArray[np.float64]]:
-    """Return the maximal pieces of the path whose steps all have the state `connected`."""
-    states = log.connected[1:]
+def _pieces(log: StepLog, states: Mask) -> list[Floats]:
+    """Return the maximal pieces of the path whose steps are all in `states` (steps,)."""
     changes = np.flatnonzero(np.diff(states)) + 1
     bounds = [0, *changes.tolist(), len(states)] if len(states) else [0]
     return [
         log.positions_m[first : last + 1]
         for first, last in itertools.pairwise(bounds)
-        if states[first] == connected
+        if states[first]
     ]
 
 
@@ -361,7 +364,7 @@ def _draw_robot(panel: Panel, run: Run, number: int, step: int) -> list[Artist]:
     look: Look = {"color": colour, "linewidth": 2.4, "marker": robot_marker(number)}
     look |= {"markersize": 9.0, "markevery": [-1], "markeredgecolor": WHITE}
     drawn += draw_path(panel, path, zorder=PATH_Z + 0.5, label=f"{name}driven", **look)
-    lost = path[~log.connected[: step + 1]]
+    lost = path[log.disconnected[: step + 1]]
     if len(lost):
         look = {"marker": "x", "s": 26.0, "color": DISCONNECTED, "linewidths": 1.6}
         cross = panel.scatter(*lost.T, zorder=PATH_Z + 0.6, label="out of contact", **look)

@@ -215,7 +215,7 @@ def _draw_connection(panel: Panel, run: Run) -> None:
     for number, one in enumerate(run.runs):
         own = {"marker": robot_marker(number), "color": robot_colour(number)}
         cross = {"marker": "x", "color": BLACK}
-        for selection, look in ((one.log.connected, own), (~one.log.connected, cross)):
+        for selection, look in ((one.log.connected, own), (one.log.disconnected, cross)):
             times = one.log.t_s[selection]
             if len(times):
                 panel.scatter(times, np.full(len(times), float(number)), s=20.0, **look)

@@ -255,12 +255,12 @@ def _step_notes(log: StepLog) -> list[str]:
     return [
         f"predicted {_known(predicted, ' dBm', 3)}, received {_known(true, ' dBm', 3)}, "
         f"P(connected) {_known(chance)}, {verdict.value} ({rung.value})"
-        + ("" if connected else ", not connected")
-        for predicted, true, chance, connected, verdict, rung in zip(
+        + (", not connected" if is_out else "")
+        for predicted, true, chance, is_out, verdict, rung in zip(
             log.predicted_dbm,
             log.true_dbm,
             log.connectivity,
-            log.connected,
+            log.disconnected,
             log.verdict,
             log.rung,
             strict=True,

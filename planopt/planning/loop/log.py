@@ -70,6 +70,11 @@ class StepLog:
 
     __repr__ = short_repr
 
+    @property
+    def disconnected(self) -> Mask:
+        """Return the steps known to be out of contact, ``(steps + 1,)``."""
+        return ~self.connected & ~np.isnan(self.true_dbm)
+
 
 @dataclass(frozen=True)
 class Metrics:

@@ -70,7 +70,7 @@ def metrics_of(
     # Between the readings of a measured ground truth nothing is known of the connection.
     known = ~np.isnan(log.true_dbm[1:])
     connected = log.connected[1:]
-    outage_m = longest_run(lengths, known & ~connected)
+    outage_m = longest_run(lengths, log.disconnected[1:])
     gains = [plan.polish_gain for plan in plans]
     nothing = float("nan")
     return Metrics(

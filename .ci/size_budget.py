@@ -16,7 +16,7 @@ BUDGET = {
     "lines": 72_010,
     "lines of code": 51_770,
     "files": 288,
-    "functions": 3_740,
+    "functions": 3_741,
     "docstring lines": 8_740,
     "lines of tests": 48_265,
 }

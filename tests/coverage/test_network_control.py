@@ -15,6 +15,7 @@ def test_studies_run(monkeypatch: pytest.MonkeyPatch) -> None:
 
     try:
         assert network_control.faults(0, 5, 9, 4) == 0
+        assert network_control.failures(100, 1, 6)[network_control.QUIET][0] < 1.1
         assert network_control.optima(1, 1, 5)[0] < 1.02
         compared = network_control.horizons(0, 2, 9, 40)
         moving = network_control.moving(0, 2, 9, 6)

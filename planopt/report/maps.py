@@ -144,7 +144,7 @@ def draw_ground(panel: Panel, workspace: Workspace, title: str) -> None:
 
     Temporary obstacles are hatched and labelled with their times.
     """
-    draw_polygons(panel, [each.polygon for each in workspace.lasting])
+    draw_polygons(panel, joined([each.polygon for each in workspace.lasting]))
     timed: Look = {"facecolors": "none", "edgecolors": FRAME, "linewidths": 0.9, "hatch": "///"}
     draw_polygons(panel, [each.polygon for each in workspace.timed], linestyles="dashed", **timed)
     for obstacle in workspace.timed:
@@ -158,6 +158,12 @@ def draw_ground(panel: Panel, workspace: Workspace, title: str) -> None:
     dress(panel, title, X_LABEL, Y_LABEL, grid=False)
     panel.set_aspect("equal")
     show_bounds(panel, workspace.bounds_m)
+
+
+def joined(polygons: Sequence[shapely.Polygon]) -> list[shapely.Polygon]:
+    """Return the polygons with shared sides removed, such as those of a grid's tiles."""
+    found = shapely.union_all(list(polygons))
+    return [each for each in shapely.get_parts(found) if isinstance(each, shapely.Polygon)]
 
 
 def draw_polygons(

@@ -22,6 +22,7 @@ import shapely
 from numpy.typing import NDArray
 
 from planopt.errors import InputError
+from planopt.report.maps import joined
 from planopt.report.panel import BLACK, ROBOT_COLOURS
 from planopt.world.moving_discs import centres_at
 from planopt.world.raster import Raster
@@ -204,7 +205,7 @@ def _script_json(data: object) -> str:
 def _map_json(drawn: PageMap) -> dict[str, Any]:
     """Return the data of the map."""
     times_s = drawn.times_s
-    lasting = [one.polygon for one in drawn.obstacles if not one.is_timed]
+    lasting = joined([one.polygon for one in drawn.obstacles if not one.is_timed])
     timed = [one for one in drawn.obstacles if one.is_timed]
     return {
         "times": rounded(times_s, METRE_DIGITS),

@@ -13,6 +13,7 @@ from planopt.report.maps import (
     draw_layer,
     draw_level,
     drawn_cells,
+    joined,
     outline,
     window_about,
 )
@@ -141,3 +142,12 @@ def test_a_station_outside_the_bounds_stays_in_sight() -> None:
     places = np.array([[5.0, 5.0], [90.0, 10.0]])
     x_min, y_min, x_max, y_max = window_about(problem, places)
     assert x_min < 5.0 and x_max > 90.0 and y_min < 5.0 and y_max > 10.0
+
+
+def test_tiles_of_a_grid_have_no_seams() -> None:
+    """Neighbouring tiles are one outline; the area and separate obstacles stay."""
+    tiles = [shapely.box(x, 0, x + 2, 2) for x in (0, 2, 4)]
+    house = shapely.box(10, 0, 11, 1)
+    found = joined([*tiles, house])
+    assert sorted(each.area for each in found) == [1.0, 12.0]
+    assert joined([]) == []

@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 72_010,
+    "lines": 72_013,
     "lines of code": 51_770,
     "files": 288,
-    "functions": 3_741,
+    "functions": 3_742,
     "docstring lines": 8_740,
-    "lines of tests": 48_265,
+    "lines of tests": 48_272,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

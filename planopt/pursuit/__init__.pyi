@@ -10,6 +10,10 @@ from planopt.pursuit.certificate import Inequality as Inequality
 from planopt.pursuit.certificate import Theorem as Theorem
 from planopt.pursuit.certificate import certify as certify
 from planopt.pursuit.certificate import verify_guarantees as verify_guarantees
+from planopt.pursuit.cooperation import Hunt as Hunt
+from planopt.pursuit.cooperation import Mate as Mate
+from planopt.pursuit.cooperation import blocking_aim_m as blocking_aim_m
+from planopt.pursuit.cooperation import consistent_m as consistent_m
 from planopt.pursuit.design import MAX_BITS as MAX_BITS
 from planopt.pursuit.design import DesignTask as DesignTask
 from planopt.pursuit.design import MoteNetwork as MoteNetwork

@@ -339,6 +339,9 @@ def verify_guarantees(
         name, radius_m = claim.theorem.value, data.capture_radius_m
         case = _case(data, 0, 0, claim.distances, detour)
         needs, floor = premises(claim.theorem, case), floor_m(claim.theorem, case)
+        lost = data.service.loss_probability
+        if lost > 0.0:
+            needs = [Inequality("share of lost records", lost, 0.0), *needs]
         if claim.holds and not all(each.holds for each in needs):
             failing = next(each for each in needs if not each.holds)
             found.append(Violation("guarantee", f"{name}: {failing}"))

@@ -131,7 +131,7 @@ class Zigzag(Table):
 class Foresighted(Table):
     """An evader that plans two legs to maximise its distance from pursuers that chase directly."""
 
-    # Obstacles are ignored.
+    # Obstacles block the first step of a plan; the rest of it ignores them.
 
     kind: Literal["foresighted"] = "foresighted"
     horizon: int = Field(ge=1, le=100)
@@ -147,8 +147,11 @@ class Foresighted(Table):
             headings = _away_rad(view.place_m, view.pursuers_m[nearest]) + _fan()[::2]
             first, then = (_unit(each.ravel()) for each in np.meshgrid(headings, headings))
             score = self._score_m(view, first, then)
-            move_m = view.speed_m_s * view.step_s * first[int(score.argmax())]
-            return view.arena.moved(view.place_m, move_m[None])[0]
+            move_m = view.speed_m_s * view.step_s * first
+            ends_m = view.arena.moved(view.place_m, move_m)
+            if view.arena.obstacles is not None:
+                score[(ends_m == view.place_m).all(axis=1)] = -np.inf
+            return ends_m[int(score.argmax())]
 
         return decide
 

@@ -9,7 +9,7 @@ not extrapolated far. Reports enter the filter in order of sample time (rule R).
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -17,6 +17,7 @@ import numpy as np
 
 from planopt.arrays import Floats
 from planopt.pursuit.arena import Arena
+from planopt.pursuit.cooperation import Hunt, Mate, blocking_aim_m, consistent_m
 from planopt.pursuit.service import Record
 from planopt.robots.models import Unicycle
 
@@ -73,6 +74,7 @@ class UnicycleMotion:
     """Unicycle that turns on the spot and drives straight, or drives an arc if that is faster."""
 
     robot: Unicycle
+    arcs: bool = True  # False among obstacles, where only the straight route is known to be free
 
     @property
     def speed_max_m_s(self) -> float:
@@ -102,7 +104,7 @@ class UnicycleMotion:
         along = away / np.sinc(np.where(ahead, bearing, 0.0) / np.pi)
         arc_s = np.maximum(along / speed, 2.0 * np.abs(bearing) / rate)
         spot_s = np.abs(bearing) / rate
-        arcs = ahead & (arc_s <= spot_s + away / speed)
+        arcs = self.arcs & ahead & (arc_s <= spot_s + away / speed)
         turn_s = np.where(arcs, 0.0, np.minimum(spot_s, step_s))
         turned = self._after(states, np.zeros_like(away), rate * np.sign(bearing), turn_s)
         lasts_s = np.where(arcs, arc_s, away / speed)
@@ -131,6 +133,7 @@ class PursuerView:
     step_s: float  # Time until the next decision
     state: Floats  # State of the pursuer
     ask: Callable[[Record | None], Record | None]  # Current local record, given the one in use
+    mates: Sequence[Mate] = ()  # Other pursuers of the same evader
 
     @property
     def place_m(self) -> Floats:
@@ -158,6 +161,7 @@ class Quest:
     motion: Motion  # Motion of the pursuer
     evader_speed_m_s: float  # Maximum speed over all evaders
     arena: Arena
+    capture_radius_m: float = 0.0
 
 
 class Policy(Protocol):
@@ -219,7 +223,8 @@ def _remaining(route_m: Floats, view: PursuerView, quest: Quest) -> Floats:
 class RecedingHorizon:
     """Policy that predicts the evader N plan steps ahead and drives to the first meeting point."""
 
-    # A plan is made for every fresher record, and once per plan step.
+    # A plan is made for every fresher record, and once per plan step. Several pursuers of one
+    # evader cooperate instead.
 
     horizon: int  # N, in plan steps
     plan_step_s: float  # Duration of a plan step
@@ -287,7 +292,7 @@ class _PlanningDriver:
         self._route = _remaining(self._route, view, self._quest)
         stale = view.time_s - self._planned_s >= self._policy.plan_step_s
         if fresh or stale or not len(self._route):
-            goal_m = self._meeting_m(view, self._estimate)
+            goal_m = self._goal_m(view, self._estimate)
             self._route = self._quest.arena.route_m(view.place_m, goal_m)
             self._planned_s = view.time_s
         return self._route[0] if len(self._route) else view.place_m
@@ -303,6 +308,24 @@ class _PlanningDriver:
             ahead = predicted(self._estimate, record.sampled_s, speed, manoeuvre_s)
             self._estimate = updated(ahead, record)
         self.record = record
+
+    def _goal_m(self, view: PursuerView, estimate: Estimate) -> Floats:
+        if not view.mates:
+            return self._meeting_m(view, estimate)
+        quest, policy = self._quest, self._policy
+        speed_m_s = quest.motion.speed_max_m_s
+        held = [each.record for each in view.mates if each.record is not None]
+        records = held if self.record is None else [self.record, *held]
+        centre_m, places_m = consistent_m(records, view.time_s, quest.evader_speed_m_s, quest.arena)
+        hunt = Hunt(
+            view.place_m,
+            speed_m_s,
+            view.mates,
+            quest.evader_speed_m_s,
+            quest.capture_radius_m,
+            quest.arena,
+        )
+        return blocking_aim_m(hunt, centre_m, places_m, policy.horizon * policy.plan_step_s)
 
     def _meeting_m(self, view: PursuerView, estimate: Estimate) -> Floats:
         """Return the first predicted position that the pursuer reaches in time, else the last."""

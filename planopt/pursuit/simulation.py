@@ -16,6 +16,7 @@ from planopt.arrays import Floats, Indices
 from planopt.errors import InputError
 from planopt.pursuit.arena import Arena
 from planopt.pursuit.certificate import Distances
+from planopt.pursuit.cooperation import Mate
 from planopt.pursuit.evaders import Behaviour, EvaderView
 from planopt.pursuit.pursuers import Driver, Motion, Policy, PursuerView, Quest, StraightMotion
 from planopt.pursuit.service import Record, RecordSource, Track
@@ -151,6 +152,7 @@ class PursuitController:
         self.scene = scene
         self._drivers: list[Driver | None] = [None] * len(scene.pursuers)
         self._chased = np.full(len(scene.pursuers), -1)
+        self._aims_m = [each.start_m for each in scene.pursuers]
         self._steps = 0
 
     def step(
@@ -206,22 +208,35 @@ class PursuitController:
     ) -> PursuitStep:
         """Return the points that pursuers drive to in the next step, from validated arguments."""
         self._assign(states, reports, left)
-        step_s, aims = self.scene.step_s, list[Floats]()
+        step_s = self.scene.step_s
         taken = list[tuple[int, int, Record]]()
         for number, (driver, state) in enumerate(zip(self._drivers, states, strict=True)):
             if driver is None:
-                aims.append(state[:2])
+                self._aims_m[number] = state[:2]
                 continue
             before, evader = driver.record, int(self._chased[number])
 
             def ask(held: Record | None, number: int = number, evader: int = evader):
                 return reports(number, evader, held)
 
-            aims.append(driver.aim_m(PursuerView(self._steps * step_s, step_s, state, ask)))
+            view = PursuerView(
+                self._steps * step_s, step_s, state, ask, self._mates(number, evader, states)
+            )
+            self._aims_m[number] = driver.aim_m(view)
             if driver.record is not None and driver.record is not before:
                 taken.append((number, evader, driver.record))
         self._steps += 1
-        return PursuitStep(self._chased.copy(), np.array(aims), tuple(taken))
+        return PursuitStep(self._chased.copy(), np.array(self._aims_m), tuple(taken))
+
+    def _mates(self, number: int, evader: int, states: Sequence[Floats]) -> list[Mate]:
+        """Return the other pursuers of an evader, with their last aims."""
+        return [
+            Mate(states[other][:2], self._aims_m[other], each.motion.speed_max_m_s, driver.record)
+            for other, (each, driver) in enumerate(
+                zip(self.scene.pursuers, self._drivers, strict=True)
+            )
+            if other != number and driver is not None and self._chased[other] == evader
+        ]
 
     def _assign(self, states: Sequence[Floats], reports: Reports, left: Indices) -> None:
         """Assign an evader to every pursuer without one."""
@@ -247,7 +262,8 @@ class PursuitController:
         fastest = max(each.speed_max_m_s for each in self.scene.evaders)
         for number in free:
             each = self.scene.pursuers[number]
-            self._drivers[number] = each.policy.begin(Quest(each.motion, fastest, self.scene.arena))
+            quest = Quest(each.motion, fastest, self.scene.arena, self.scene.capture_radius_m)
+            self._drivers[number] = each.policy.begin(quest)
 
 
 def simulate_pursuit(

@@ -131,7 +131,11 @@ def verify_pursuit(data: PursuitData, log: PursuitLog) -> list[Violation]:
         over_m = np.linalg.norm(np.diff(places_m, axis=0), axis=1)
         over_m -= robot.speed_max_m_s * data.step_s
         _worst(found, "speed", robot.name, "is too fast", over_m)
-    paths_m = (*(each[:, :2] for each in log.states), *log.evaders_m)
+    own_m = (
+        np.concatenate([states[:1, :2], each.places_m.reshape(-1, 2)])
+        for states, each in zip(log.states, drives, strict=True)
+    )
+    paths_m = (*own_m, *log.evaders_m)
     for robot, places_m in zip((*data.pursuers, *data.evaders), paths_m, strict=True):
         found += _position_faults(data, robot, places_m)
     found += _report_faults(data, log)
@@ -160,6 +164,9 @@ def _reconstructed(
     turn = spot_s = np.zeros(len(move))
     arc = np.zeros(len(move), dtype=np.bool_)
     drive_s = length / speed
+    away_m = np.linalg.norm(aims_m - here, axis=1)
+    off_line_m = _off_segment_m(here, aims_m, there)
+    bearing = off_circle_m = np.zeros(len(move))
     if robot.turn_rate_max_rad_s is not None:
         rate, heading = robot.turn_rate_max_rad_s, states[:, 2]
         turn = _wrapped(np.diff(heading))
@@ -167,26 +174,25 @@ def _reconstructed(
         on_spot, along = _is_along(heading[1:], move), _is_along(heading[:-1] + 0.5 * turn, move)
         spot_s = np.abs(turn) / rate
         on_time = on_spot & (spot_s + drive_s <= step_s + TIME_S)
-        arc = along & ~on_time
+        bearing = np.arctan2(*(aims_m - here).T[::-1]) - heading[:-1]
+        bearing = np.where(away_m > PLACE_M, _wrapped(bearing), 0.0)
+        # On an arc, the aim must lie on the circle. Wide arcs resemble a turn and a straight drive.
+        sine = np.sin(bearing)
+        circle_m = away_m * np.divide(np.sin(0.5 * turn), sine, out=0.0 * sine, where=sine != 0.0)
+        off_circle_m = np.abs(circle_m - length)
+        arc = along & (~on_time | (off_circle_m < off_line_m))
         aside_m = np.where(on_spot | along, 0.0, length)
         _worst(found, "motion", robot.name, "moves sideways", aside_m)
         arc_s = np.maximum(length / np.sinc(0.5 * turn / np.pi) / speed, spot_s)
         drive_s, spot_s = np.where(arc, arc_s, drive_s), np.where(arc, 0.0, spot_s)
     over_s = spot_s + drive_s - step_s
     _worst(found, "speed", robot.name, "is too fast", speed * over_s)
-    away_m = np.linalg.norm(aims_m - here, axis=1)
-    if robot.turn_rate_max_rad_s is None:
-        missed_m = _off_segment_m(here, aims_m, there)
-    else:
-        bearing = np.arctan2(*(aims_m - here).T[::-1]) - states[:-1, 2]
-        bearing = np.where(away_m > PLACE_M, _wrapped(bearing), 0.0)
-        # A turn on the spot must not overshoot; on an arc, the aim must lie on the circle.
+    missed_m = off_line_m
+    if robot.turn_rate_max_rad_s is not None:
+        # A turn on the spot must not overshoot.
         unturned = np.abs(_wrapped(bearing - turn)) + np.abs(turn) - np.abs(bearing)
-        sine = np.sin(bearing)
-        circle_m = away_m * np.divide(np.sin(0.5 * turn), sine, out=0.0 * sine, where=sine != 0.0)
-        missed_m = np.where(arc, np.abs(circle_m - length), unturned * speed * step_s)
-        straight = ~arc & (length > PLACE_M)
-        missed_m[straight] = _off_segment_m(here[straight], aims_m[straight], there[straight])
+        missed_m = np.where(length > PLACE_M, off_line_m, unturned * speed * step_s)
+        missed_m = np.where(arc, off_circle_m, missed_m)
     early = (over_s < -TIME_S) & (np.linalg.norm(aims_m - there, axis=1) > PLACE_M)
     missed_m = np.where(early, np.maximum(missed_m, -speed * over_s), missed_m)
     _worst(found, "aim", robot.name, "does not drive to its aim, off by", missed_m)

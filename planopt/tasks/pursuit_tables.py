@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,7 +18,7 @@ from planopt.problems.schema import TaskFile, WorldTable, obstacle_table, obstac
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
 from planopt.problems.tasks import TaskProblem
 from planopt.pursuit.arena import EVADER_SHARE, Arena, arena_of
-from planopt.pursuit.certificate import Distances, Theorem
+from planopt.pursuit.certificate import Distances, Inequality, Theorem
 from planopt.pursuit.design import MAX_BITS
 from planopt.pursuit.evaders import Fleeing, Foresighted, Static, Wandering, Zigzag
 from planopt.pursuit.guarantees import (
@@ -112,14 +112,15 @@ class PursuerTable(Table):
     speed_max_m_s: float = Field(ge=SMALLEST, le=1e4)
     """Largest speed in m/s."""
     turn_rate_max_rad_s: float | None = Field(default=None, ge=SMALLEST, le=1e3)
-    """Turn rate limit of a unicycle in rad/s, in open space only; default: holonomic motion."""
+    """Turn rate limit of a unicycle in rad/s; default: holonomic motion. A unicycle drives arcs in
+    open space, and turns on the spot among obstacles."""
 
-    @property
-    def motion(self) -> Motion:
-        """Return the motion model of the pursuer."""
+    def motion(self, arena: Arena) -> Motion:
+        """Return the motion model of the pursuer in an arena."""
         if self.turn_rate_max_rad_s is None:
             return StraightMotion(self.speed_max_m_s)
-        return UnicycleMotion(Unicycle(self.speed_max_m_s, self.turn_rate_max_rad_s))
+        robot = Unicycle(self.speed_max_m_s, self.turn_rate_max_rad_s)
+        return UnicycleMotion(robot, arcs=arena.obstacles is None)
 
 
 class PlannerTable(Table):
@@ -182,7 +183,7 @@ class PursuitProblem(TaskProblem):
             lost = generator.random(shape) < probability
         return Scene(
             tuple(
-                Pursuer(start, each.motion, given.planner.policy)
+                Pursuer(start, each.motion(self.arena), given.planner.policy)
                 for start, each in zip(starts, given.pursuers, strict=True)
             ),
             tuple(
@@ -218,17 +219,28 @@ class PursuitProblem(TaskProblem):
         A stage takes one step (and one turn of a unicycle) longer than straight driving; each path
         corner adds the same delay. With obstacles, the distance with the lower floor is used.
         """
-        motion = self.given.pursuers[pursuer].motion
+        motion = self.given.pursuers[pursuer].motion(self.arena)
         speed = max(self.given.evaders[evader].speed_max_m_s, LEAST_SPEED_M_S)
         delay_s = (1 + self.arena.corners) * (self.given.pursuit.step_s + motion.turning_s)
         chase, bounds = Chase(speed, motion.speed_max_m_s, delay_s), self.service.bounds
         if self.arena.obstacles is None:
-            return capture_guarantees(chase, bounds)
-        kinds = guarantees_among_obstacles(chase, bounds, self.arena.detour)
-        return {
-            theorem: min((each[theorem] for each in kinds.values()), key=lambda one: one.floor_m)
-            for theorem in kinds[Distances.PATHS]
-        }
+            found = capture_guarantees(chase, bounds)
+        else:
+            kinds = guarantees_among_obstacles(chase, bounds, self.arena.detour)
+            found = {
+                theorem: min(
+                    (each[theorem] for each in kinds.values()), key=lambda one: one.floor_m
+                )
+                for theorem in kinds[Distances.PATHS]
+            }
+        lost = self.given.network.loss_probability
+        if lost > 0.0:
+            none_lost = Inequality("share of lost records", lost, 0.0)
+            found = {
+                theorem: replace(each, inequalities=(none_lost, *each.inequalities))
+                for theorem, each in found.items()
+            }
+        return found
 
     def tables(self) -> dict[str, Any]:
         """Return the complete tables, with defaults and obstacles as polygons."""
@@ -275,8 +287,6 @@ def build(given: PursuitFile, folder: Path, file: Path | None) -> PursuitProblem
         workspace = Workspace(given.world.bounds_m, obstacles)
         arena = arena_of(workspace, given.pursuit.clearance_m)
     _require_covered(given, service)
-    if obstacles:
-        _require_open(given)
     problem = PursuitProblem(given, file, service, arena, obstacles)
     problem.scene(np.random.default_rng(0))
     return problem
@@ -299,21 +309,3 @@ def _require_covered(given: PursuitFile, service: SnapshotService) -> None:
             key="world.bounds_m",
             remedy="reduce the bounds, or set network.endless = true",
         )
-
-
-def _require_open(given: PursuitFile) -> None:
-    """Raise `InputError` if unicycles or foresighted evaders are used with obstacles."""
-    for index, pursuer in enumerate(given.pursuers):
-        if pursuer.turn_rate_max_rad_s is not None:
-            raise InputError(
-                "cannot be combined with obstacles: turning circles are not planned around them",
-                key=f"pursuers[{index}].turn_rate_max_rad_s",
-                remedy="leave it out, or remove world.obstacles",
-            )
-    for index, evader in enumerate(given.evaders):
-        if isinstance(evader.behaviour, Foresighted):
-            raise InputError(
-                'is "foresighted", which cannot be combined with obstacles',
-                key=f"evaders[{index}].behaviour.kind",
-                remedy="choose another behaviour, or remove world.obstacles",
-            )

@@ -3,7 +3,9 @@
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
+import shapely
 from refusals import refused
 
 import planopt
@@ -69,16 +71,6 @@ def test_pictures(tmp_path, run):
             ("start_m = [20, 20]", "start_m = [100, 100]"),
             "no free start position",
         ),
-        (
-            "pursuit_obstacles",
-            ('"wandering" }', '"foresighted", horizon = 3, plan_step_s = 1.0 }'),
-            "evaders[0].behaviour.kind",
-        ),
-        (
-            "pursuit_obstacles",
-            ("speed_max_m_s = 4.0", "speed_max_m_s = 4.0\nturn_rate_max_rad_s=1"),
-            "turn_rate_max_rad_s",
-        ),
         ("pursuit_fleeing", ('kind = "fleeing"', 'kind = "flying"'), "evaders[0].behaviour.kind"),
         ("pursuit_fleeing", ("frame_s = 0.1", "frame_s = inf"), "network.frame_s"),
         ("pursuit_fleeing", ("step_s = 0.2", "stepp_s = 0.2"), "did you mean step_s"),
@@ -103,6 +95,37 @@ def test_evader_faster_than_its_pursuer(planner, written, run, tmp_path):
     assert code == 4 and found["outcome"] == "step_limit" and found["faults"] == []
     assert not any(each["holds"] for each in found["guarantee"]["theorems"].values())
     assert run("check", out)[0] == 0
+
+
+@pytest.mark.parametrize("planner", ["drive", "receding"])
+def test_unicycle_and_foresight_among_obstacles(planner, written, run, tmp_path):
+    """The unicycle turns on the spot at corners and keeps the clearance between steps too."""
+    file = written(
+        "pursuit_obstacles",
+        ("speed_max_m_s = 4.0", "speed_max_m_s = 4.0\nturn_rate_max_rad_s = 1.0"),
+        ('"wandering" }', '"foresighted", horizon = 3, plan_step_s = 1.0 }'),
+    )
+    out = tmp_path / "run"
+    code, found = run("simulate", file, "--planner", planner, "--out", out)
+    assert code == 0 and found["outcome"] == "captured" and found["faults"] == []
+    assert run("check", out)[0] == 0
+    table = pd.read_csv(out / "steps.csv")
+    obstacles = [each.polygon for each in planopt.load(file).obstacles]
+    for _, rows in table.groupby("robot"):
+        path = shapely.LineString(rows[["x_m", "y_m"]].to_numpy())
+        assert min(path.distance(each) for each in obstacles) >= 2.0 - 1e-6
+    own = table[table.robot == "pursuer"]
+    turned = np.abs(np.angle(np.exp(1j * np.diff(own.heading_rad))))
+    moved = np.hypot(np.diff(own.x_m), np.diff(own.y_m))
+    assert turned.max() > 0.1
+    assert (turned / 1.0 + moved / 4.0 <= 0.2 * (1 + 1e-9)).all()
+
+
+def test_lost_records_void_the_guarantee(written, run):
+    """The theorems assume that no record is lost."""
+    file = written("pursuit_fleeing", ("frame_s = 0.1", "frame_s = 0.1\nloss_probability = 0.2"))
+    code, found = run("simulate", file)
+    assert code == 4 and "share of lost records" in found["reason"]
 
 
 def test_radius_under_the_floor(written, run, tmp_path):

@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 72_013,
-    "lines of code": 51_770,
+    "lines": 72_185,
+    "lines of code": 51_895,
     "files": 288,
-    "functions": 3_742,
-    "docstring lines": 8_740,
-    "lines of tests": 48_272,
+    "functions": 3_748,
+    "docstring lines": 8_753,
+    "lines of tests": 48_409,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

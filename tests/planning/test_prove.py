@@ -159,6 +159,19 @@ def test_bounds_of_a_team_add_up() -> None:
     assert any("separation" in words for words in solution.bound.relaxed)
 
 
+def test_the_bound_finds_a_passage_between_lattice_nodes() -> None:
+    """The improved plan takes a gap of 1.2 m that the lattice misses, and is close to its bound."""
+    walls = [shapely.box(18.0, 0.0, 21.0, 12.3), shapely.box(18.0, 13.5, 21.0, 28.0)]
+    obstacles = [planopt.Obstacle(str(number), wall) for number, wall in enumerate(walls)]
+    problem = field(workspace=planopt.Workspace((0.0, 0.0, 40.0, 30.0), obstacles))
+    plain = planopt.solve(problem, measurements=readings()).plan
+    plan = planopt.solve(problem, measurements=readings(), prove_s=2.0).plan
+    assert plan.bound is not None and plan.bound.gap is not None
+    assert plan.verdict is planopt.Verdict.VERIFIED
+    assert plan.bound.cost < 0.9 * plain.objective
+    assert plan.bound.gap < 0.1
+
+
 @pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan"), float("inf")])
 def test_a_proof_needs_a_time(seconds: float) -> None:
     """Zero, negative and infinite times are rejected by name."""

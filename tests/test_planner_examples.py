@@ -1,6 +1,7 @@
 """The planners of ``examples/planners``: registered by name, verified, and what they know."""
 
 import importlib
+import os
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -80,3 +81,12 @@ def test_do_mpc() -> None:
     plans = {name: solve(problem, planner=name, horizon=3).plans for name in ("auto", "do_mpc")}
     own, other = (sum(plan.objective for plan in plans[name]) for name in ("auto", "do_mpc"))
     assert 0.0 < other <= 1.001 * own
+
+
+@pytest.mark.skipif("SGP_PYTHON" not in os.environ, reason="no environment with SGP-Tools")
+def test_sgp_tools() -> None:
+    """Its waypoints are driven in order, within the length of N steps, and verified."""
+    planner_of("sgp_tools", "SgpToolsPlanner")
+    plan = solve(load("outdoor_map"), planner="sgp_tools", horizon=4).plan
+    assert plan.verdict is Verdict.VERIFIED
+    assert np.linalg.norm(np.diff(plan.positions_m, axis=0), axis=1).sum() > 5.0

@@ -114,7 +114,7 @@ def outside_steps(
     problem: Problem, scene: Scene, make: type[AStarPlanner], seed: int
 ) -> Callable[[Any, Any], Any]:
     """Return a function of belief and position: the first step of a planner's own path."""
-    planner = make(problem, scene.ground, np.random.default_rng(seed))
+    planner = make(problem, scene, np.random.default_rng(seed))
     region = workspace_region(problem)
 
     def next_m(belief: Any, here: Any) -> Any:

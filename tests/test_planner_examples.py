@@ -66,7 +66,7 @@ def test_who_sees_coverage() -> None:
     lows = {}
     for name, class_name in GOALS.items():
         kind = getattr(importlib.import_module(name), class_name)
-        route = kind(problem, scene.ground, np.random.default_rng(0)).route(step)
+        route = kind(problem, scene, np.random.default_rng(0)).route(step)
         assert np.allclose(route[[0, -1]], [start, problem.robots[0].goal_m])
         assert (swept_clearance_m(scene.index, route) >= problem.constraints.clearance_m).all()
         lows[name] = route[:, 1].min()

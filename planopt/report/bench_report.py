@@ -67,6 +67,7 @@ LIMITATIONS = (
     "Verdicts are about the model of each problem; whether its channel is right is not tested.",
     "Closed loops of robots stop after 20 steps.",
     "The lattice misses passages that are hardly wider than twice the clearance (gap_two_doors).",
+    "The cost-to-go of robots with inertia begins at rest after braking; it may miss the bound.",
     "Times are comparable within one run only; other processes of the machine delay deadlines.",
 )
 

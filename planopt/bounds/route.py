@@ -114,7 +114,7 @@ def route_bounds(problem: RouteProblem, seconds: float) -> Iterator[RouteBound]:
     problem
         Start, goal, free space and cost per metre.
     seconds
-        Wall time. The last solve is interrupted, and its iterate certifies a bound as well.
+        Wall time. The first solve may exceed it; later solves are interrupted.
     """
     begun = monotonic()
     straight = float(np.linalg.norm(problem.goal_m - problem.start_m)) - problem.goal_radius_m

@@ -340,9 +340,8 @@ def tilted(level: Level, stage: int, of_steps: Array, of_p_min: Array) -> Array:
     low, high = np.reshape(problem.bounds_m, (2, 2)) - problem.start_m
     least = np.maximum(-half, low - OUTSIDE_M - centres)
     most = np.minimum(half, high + OUTSIDE_M - centres)
-    rise, fall = (
-        np.maximum(each * least, each * most).sum(axis=1) for each in (slope, -tilt + 0.0 * slope)
-    )
+    fallen = np.broadcast_to(-tilt, slope.shape)
+    rise, fall = (np.maximum(each * least, each * most).sum(axis=1) for each in (slope, fallen))
     rows, corners = level.cut[stage]
     if len(rows):
         # Rounding of the corners

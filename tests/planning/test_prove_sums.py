@@ -75,3 +75,20 @@ def test_terms_without_a_bound_say_so() -> None:
         plan = planopt.solve(changed, horizon=2, prove_s=0.5).plan
         assert plan.bound is not None and plan.bound.value is None
         assert plan.bound.gap is None and words in plan.bound.reason
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [("fig2", {"criterion": "T"}), ("fig3", {"form": "path", "closeness_per_m": 0.1})],
+)
+def test_single_measurements_are_proven_best(name: str, changes: dict[str, object]) -> None:
+    """Learning and mapping one step ahead have bounds; two steps of learning do not."""
+    problem = planopt.load(name)
+    objective = planopt.objectives.TermsObjective((replace(problem.terms[0], **changes),))
+    problem = replace(problem, objective=objective)
+    bound = planopt.solve(problem, horizon=1, prove_s=3.0).plan.bound
+    assert bound is not None and bound.value is not None
+    assert bound.cost <= bound.value <= 1.001 * bound.cost
+    if name == "fig2":
+        longer = planopt.solve(problem, horizon=2, prove_s=1.0).plan.bound
+        assert longer is not None and longer.value is None and "horizon = 1" in longer.reason

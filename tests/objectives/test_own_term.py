@@ -20,7 +20,8 @@ from planopt.objectives.terms import term as registry
 from planopt.objectives.terms.term import registered_terms
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.solve import solve
-from planopt.planning.values.objective_value import ObjectiveValue, local_value
+from planopt.planning.values.local_value import local_value
+from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.problems import problem_to_dict
 from planopt.problems.load import with_overrides
 

@@ -120,9 +120,9 @@ def integrated_cost_s(
 ) -> float:
     """Return the objective of a plan with the outage integrated along its steps.
 
-    For a robot with dynamics, a step's outage remains the mean of the step's two ends.
+    For a robot with dynamics, the route is driven from its last position.
     """
-    if plan.drive is not None or plan.pivot is None:
+    if plan.pivot is None:
         return plan.objective
     places, pivot = plan.positions_m, plan.pivot
     metre_cost = metre_cost_of(problem, posteriors)
@@ -135,6 +135,10 @@ def integrated_cost_s(
         problem.planner.step_s,
         problem.reach.effort_weight_s2_m2,
     )
+    if plan.drive is not None and len(plan.route_m):
+        # The cost-to-go of a moving robot is that of its rest position, which is nearer.
+        route = np.vstack([places[-1:], plan.route_m])
+        return own_s + rate_s_m(problem) * (outage_m + integrated_cost_m(metre_cost, route))
     to_pivot = float(np.linalg.norm(places[-1] - pivot.position_m))
     ahead_m = outage_m + pivot.metre_cost * to_pivot + pivot.cost_m
     return own_s + rate_s_m(problem) * ahead_m

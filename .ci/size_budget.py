@@ -14,7 +14,7 @@ from pathlib import Path
 
 BUDGET = {
     "lines": 72_185,
-    "lines of code": 51_895,
+    "lines of code": 51_896,
     "files": 288,
     "functions": 3_748,
     "docstring lines": 8_753,

@@ -13,7 +13,7 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 72_185,
+    "lines": 72_186,
     "lines of code": 51_896,
     "files": 288,
     "functions": 3_748,

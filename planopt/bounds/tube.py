@@ -141,7 +141,7 @@ def tube_bounds(
 
 
 def proves(problem: StageProblem, tilts: Tilts) -> bool:
-    """Return whether a certificate proves its value; no multiplier is computed."""
+    """Return whether the stored multipliers prove a certificate's value; none is recomputed."""
     of_steps, of_p_min, steps = tilts.of_steps, tilts.of_p_min, problem.steps
     if of_steps.shape[1:] != (steps, 2) or of_p_min.shape != of_steps.shape[:2]:
         return False

@@ -201,7 +201,7 @@ def multipath_of(
 
 
 def _as_nakagami(source: Multipath) -> Nakagami:
-    """Return Nakagami fading of equal power variance, or of equal omega for a lognormal law."""
+    """Return Nakagami fading of the same power variance; of the same omega as lognormal fading."""
     if isinstance(source, Lognormal):
         return Nakagami(_with_std(lambda m: Nakagami(m).std_db, MIN_M, source.std_db))
     if isinstance(source, Nakagami):
@@ -211,7 +211,7 @@ def _as_nakagami(source: Multipath) -> Nakagami:
 
 
 def _as_rician(source: Multipath) -> Rician:
-    """Return Rician fading of equal power variance, or of equal omega for a lognormal law."""
+    """Return Rician fading of the same power variance; of the same omega as lognormal fading."""
     if isinstance(source, Lognormal):
         return Rician(_with_std(lambda k: Rician(k).std_db, 0.0, source.std_db))
     if isinstance(source, Rician):

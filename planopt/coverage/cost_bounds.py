@@ -263,7 +263,8 @@ def _cells_of_nodes(ground: GeodesicGround, middles_m: Floats, sides_m: Floats) 
 def _pairs(
     middles_m: Floats, half_m: Floats, cells: Cells, prices_m2: Floats
 ) -> Iterator[tuple[Indices, Indices]]:
-    """Yield numbers of boxes and cells that are nearer than the square root of the cell's price."""
+    """Yield index pairs (box, cell); includes all within the root of the cell's price lambda."""
+    # The price in m^2 is the squared distance up to which an agent gains from the cell.
     radius, middle = np.sqrt(prices_m2), 0.5 * (cells.low_m + cells.high_m)
     extent = 0.5 * np.linalg.norm(cells.high_m - cells.low_m, axis=1)
     # Cells of similar prices share one search radius.

@@ -350,7 +350,7 @@ class GoalRefinement:
     budget: Budget
 
     def attempts(self, shifted_m: Floats | None) -> Iterator[Candidate]:
-        """Yield verified or rejected candidates, those from the best guess first.
+        """Yield candidate plans with their verdicts, first those refined from the best guess.
 
         If the shifted last plan costs less than the lattice path, it is the best guess.
         """

@@ -132,7 +132,7 @@ class PursuerView:
     time_s: float  # Current time
     step_s: float  # Time until the next decision
     state: Floats  # State of the pursuer
-    ask: Callable[[Record | None], Record | None]  # Current local record, given the one in use
+    ask: Callable[[Record | None], Record | None]  # Current local record, given the one followed
     mates: Sequence[Mate] = ()  # Other pursuers of the same evader
 
     @property
@@ -146,7 +146,7 @@ class Driver(Protocol):
 
     @property
     def record(self) -> Record | None:
-        """Return the record in use."""
+        """Return the record of the evader's position that the pursuer currently follows."""
         ...
 
     def aim_m(self, view: PursuerView) -> Floats:
@@ -173,7 +173,7 @@ class Policy(Protocol):
 
 
 def fresher(found: Record, held: Record | None) -> bool:
-    """Return True if the record found replaces the record in use (rule R)."""
+    """Return True if the record found replaces the one that the pursuer follows (rule R)."""
     # A record never replaces one with a later sample time; of equal ones the more exact is used.
     if held is None or found.sampled_s > held.sampled_s:
         return True
@@ -194,7 +194,7 @@ class DriveToReport:
 
 
 class _ReportDriver:
-    """Driver that keeps the record in use and the route to its position."""
+    """Driver that keeps the record that it follows and the route to the reported position."""
 
     def __init__(self, policy: DriveToReport, quest: Quest) -> None:
         self._policy, self._quest = policy, quest

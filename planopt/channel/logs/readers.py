@@ -202,7 +202,7 @@ def _reader_of(table: LogTable, log_format: LogFormat) -> tuple[str, LogReader] 
 
 
 def readings_of(table: LogTable, columns: LogColumns) -> LogTable:
-    """Return the table without the rows of a known program that contain no reading."""
+    """Return the table without the rows that a known logging program writes without a reading."""
     reader = columns.reader
     if reader is None:
         return table

@@ -23,7 +23,7 @@ class SteeredTerm(Term):
 
     @property
     def structure(self) -> Structure:
-        """Return ``stagewise``, as the value is a sum over steps."""
+        """Return ``stagewise``: the value is a sum over steps."""
         return "stagewise"
 
     def value(self, at: TermContext, path_m: Floats) -> float:
@@ -78,7 +78,7 @@ class GoalTerm(SteeredTerm):
 
     @property
     def steers(self) -> Steers | None:
-        """Return ``goal``, as the robot is steered to its goal."""
+        """Return ``goal``: the term steers the robot to its goal."""
         return "goal"
 
 
@@ -95,7 +95,7 @@ class MotionEnergyTerm(Term):
 
     @property
     def structure(self) -> Structure:
-        """Return ``chain``, as each step couples its two end positions."""
+        """Return ``chain``: each step couples its two end positions."""
         return "chain"
 
     def value(self, at: TermContext, path_m: Floats) -> float:

@@ -276,7 +276,7 @@ class UntilConnectedTerm(Term):
 
     @property
     def steers(self) -> Steers | None:
-        """Return ``connection``, as the robot is steered to a position to probe."""
+        """Return ``connection``: the term steers to positions where the robot tries to connect."""
         return "connection"
 
     def search(self, at: TermContext) -> Search:

@@ -75,7 +75,7 @@ class Key:
     name: str  # Name in the problem file
     unit: str  # Empty for probabilities and counts
     value: float  # NaN for an obstacle
-    limit: float  # Loosest value to consider, above or below `value`
+    limit: float  # Loosest value to consider; may be larger or smaller than `value`
 
     @property
     def most(self) -> float:
@@ -163,12 +163,12 @@ def rounded(value: float, digits: int, down: bool) -> float:
 def bisected(
     suffices: Callable[[float], bool], least: float, most: float, count: int, settled: float = 0.0
 ) -> float:
-    """Return the value nearest to `least` that suffices; `most` does, above or below `least`.
+    """Bisect between `least` and `most` for the sufficient value nearest to `least`.
 
-    The search ends after `count` halvings, or at the relative tolerance `settled`.
+    `most` must suffice, and may be the smaller one. At most `count` halvings are made.
     """
     for _ in range(count):
-        if abs(most - least) <= settled * most:
+        if abs(most - least) <= settled * most:  # Relative tolerance
             break
         middle = rounded(0.5 * (least + most), BISECTED_DIGITS, down=most < least)
         least, most = (least, middle) if suffices(middle) else (middle, most)

@@ -26,7 +26,7 @@ from planopt.world.workspace import LONGEST_MOVE
 
 @dataclass(frozen=True)
 class MoveTable:
-    """Table of the open moves of a lattice."""
+    """Table of the open moves of a lattice, which no obstacle blocks."""
 
     lattice: Lattice
     # (21, ny + 2 REACH, nx + 2 REACH): 0 for an open move from the node, else minus infinity; has a
@@ -210,7 +210,7 @@ STANDING = 0
 
 @dataclass(frozen=True, eq=False)
 class MoveValues:
-    """Values and surcharges of the moves of a search, with the open moves."""
+    """Values and surcharges of the moves of a search, and the moves that are not blocked."""
 
     table: MoveTable  # Open moves
     value: Floats  # (21,)
@@ -222,7 +222,7 @@ class MoveValues:
 
     @property
     def are_free(self) -> bool:
-        """Return whether all open moves have zero cost."""
+        """Return whether every move that is not blocked has value and surcharge zero."""
         return not self.value.any() and self.charge is None
 
     def surcharge(self, rows: Indices, columns: Indices) -> Floats:
@@ -251,7 +251,7 @@ class MoveValues:
 class StageFrame:
     """Values of the previous stage at all nodes that later stages read.
 
-    If moves are free and unblocked, the maximum over a node's 21 predecessors is a disc-shaped max
+    Without cost and blocked moves, the maximum over a node's 21 predecessors is a disc-shaped max
     filter: five maxima along rows and columns. At other nodes, predecessors are compared singly.
     """
 

@@ -107,9 +107,10 @@ def input_error(
             message = "is not a known key"
             remedy = nearest(str(path[-1]), list(fields))
         case "missing" if isinstance(path[-1], int):
-            # pydantic reports the absent numbers of a short array as missing.
-            path = path[:-1]
-            message = f"is {shown(fault['input'])}, should have more numbers"
+            # pydantic reports the absent numbers of a short array as missing, each once.
+            path, array = path[:-1], fault["loc"][:-1]
+            count = 1 + max(int(each["loc"][-1]) for each in faults if each["loc"][:-1] == array)
+            message = f"is {shown(fault['input'])}, should have {count} numbers"
         case "missing":
             message = "is missing"
         case "union_tag_not_found" | "union_tag_invalid":

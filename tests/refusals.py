@@ -36,9 +36,8 @@ VARIABLE = (
     (r"line \d+ column \d+ \(char \d+\)", "line N"),
     (r"(?<=\d\.\d{3})\d{6,}", ""),
     (r"\(Possible options?: [^)]*\) ", ""),
-    (r"(?<=\(known: connect_rooftop, )[^)]*", "..."),
 )
-"""Parts of messages that depend on the run, versions, registered terms, rules and problems."""
+"""Parts of messages that depend on the run, versions, registered terms and rules."""
 
 recorded: dict[str, str] = {}
 """Messages of this session by test and number within the test."""

@@ -30,6 +30,6 @@ plan = solution.plan
 certificate = plan.certificate
 print(plan.verdict.value)
 print(f"clearance of the swept path {certificate.min_clearance_m:.2f} m")
-print(f"lowest P(connected) over the planned steps: {certificate.min_connectivity:.2f}")
+print(f"lowest P(connected) of the planned steps: {certificate.min_connectivity:.2f}")
 print(f"cost {plan.objective:.1f} s; of the lattice path {plan.lattice_objective:.1f} s")
 plan_figure = draw_solution(solution)

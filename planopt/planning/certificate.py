@@ -288,8 +288,8 @@ def plan_message(certificate: Certificate, positions_m: Floats) -> str:
         else:
             parts.append(
                 f"P(connected) is below p_min at {steps}, by up to {worst:.2f} dB of power. "
-                f"The price of outage allows this: the planned route costs {path_m:.4g} m "
-                f"including outage, and the cheapest that the verifier found {best_m:.4g} m"
+                f"Outage is priced, not forbidden: the planned route costs {path_m:.4g} m "
+                f"including outage; the verifier's own search found {best_m:.4g} m at best"
             )
     if np.linalg.norm(positions_m[1:] - positions_m[0], axis=1).max() <= STANDSTILL_M:
         parts.append("the plan stands still")

@@ -111,10 +111,10 @@ class Crossing:
         if self.outside_m < SHORTEST_IN_WORDS_M and not self.at_goal:
             return f"The shortest route that stays connected is {self.kept_m:.0f} m long. {cost}"
         length, outside = f"{self.kept_m:.0f} m", f"{self.outside_m:.0f} m"
-        part = "all of it" if outside == length else f"{outside} of it"
+        part = f"all of its {length}" if outside == length else f"{outside} of its {length}"
         return (
-            f"No route stays connected throughout. The route with the least outage is {length} "
-            f"long, {part} with P(connected) below {self.p_min:g}. {cost}"
+            "No route stays connected throughout. The route with the least outage has P(connected) "
+            f"below {self.p_min:g} over {part}. {cost}"
         )
 
     def __str__(self) -> str:

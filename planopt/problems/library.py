@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import json
 import os
 import re
@@ -163,15 +164,18 @@ def find_problem(path_or_name: Path | str) -> Path:
         is_name = is_folder = False
     if is_folder:
         raise InputError("is a folder, not a problem file", file=path, remedy="name its .toml file")
-    from planopt.keys import nearest  # Imported late because it loads pydantic
-
-    known = [entry.stem for entry in library_folder().glob(f"*{SUFFIX}")]
+    known = sorted(entry.stem for entry in library_folder().glob(f"*{SUFFIX}"))
+    # The run time of the comparison is quadratic in the length.
+    close = difflib.get_close_matches(path.stem[:100], known)
+    remedy = "`planopt list` names all problems of the library"
+    if close:
+        remedy = f"did you mean {' or '.join(close)}? {remedy}"
     if is_name:
         raise InputError(
             f"there is neither a file nor a library problem named {str(path_or_name)!r}",
-            remedy=nearest(path.name, known),
+            remedy=remedy,
         )
-    raise InputError("does not exist", file=path, remedy=nearest(path.stem, known))
+    raise InputError("does not exist", file=path, remedy=remedy)
 
 
 def _text(path: Path, key: str, default: str) -> str:

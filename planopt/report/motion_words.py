@@ -92,6 +92,7 @@ def _value(problem: Problem, objective: float) -> str:
 def plan_in_words(problem: Problem, plan: Plan) -> list[str]:
     """Return verdict, objective, distances, connectivity and coverage holes of a robot's plan."""
     proof, unit = plan.certificate, " s" if problem.task == "reach" else ""
+    limited = problem.constraints.asks_connection or problem.task == "reach"
     lines = [
         f"{plan.robot}: {plan.verdict.value}; {ORIGINS[plan.rung.value]}; solver "
         f"{STOPPED[plan.termination.value]} after {plan.iterations} iterations; planned in "
@@ -99,7 +100,7 @@ def plan_in_words(problem: Problem, plan: Plan) -> list[str]:
         f"  {_value(problem, plan.objective)}; "
         f"{shown_number(plan.lattice_objective, unit)} before refinement",
         f"  {planned_in_words(proof.min_clearance_m, proof.min_connectivity)}"
-        + ("" if problem.constraints.asks_connection or problem.task == "reach" else " (no limit)"),
+        + ("" if limited else " (no minimum required)"),
         *apart_in_words(proof.min_separation_m, proof.min_moving_clearance_m),
     ]
     if proof.rule is not None:
@@ -159,11 +160,11 @@ def run_in_words(run: Run) -> list[str]:
     """Return the outcome of a run and its metrics as text."""
     problem = run.problem
     planner = problem.planner
-    origins = ", ".join(f"{ORIGINS.get(name, name)} {count}" for name, count in run.rungs.items())
+    origins = "; ".join(f"{ORIGINS.get(name, name)} ({count})" for name, count in run.rungs.items())
     robots = "1 robot" if len(run.runs) == 1 else f"{len(run.runs)} robots"
     steps = sum(len(one.log.t_s) - 1 for one in run.runs)
     measured = sum(one.metrics.measured_steps for one in run.runs)
-    ahead = f"; cost-to-go {problem.cost_to_go}" if problem.cost_to_go is not None else ""
+    ahead = f", cost-to-go {problem.cost_to_go!r}" if problem.cost_to_go is not None else ""
     head = (
         f"{problem.name}: {run.outcome.value} ({run.reason}), horizon {planner.horizon}, "
         f"planner {planner.name}{ahead}, seed {run.seed}"
@@ -173,7 +174,7 @@ def run_in_words(run: Run) -> list[str]:
     lines = [
         f"{robots}; plans verified: {run.verified_rate:.1%}; {measured} measurements in {steps} "
         "steps" + (" of all robots" if len(run.runs) > 1 else ""),
-        f"released paths: {origins or 'none'}",
+        f"executed steps by kind of plan: {origins or 'none'}",
         *in_columns([*_metrics_in_words(run)]),
         *_unverified_in_words(run),
     ]
@@ -318,7 +319,7 @@ def planned_in_words(clearance_m: float | None, connectivity: float | None) -> s
     """
     return (
         f"clearance {shown_number(clearance_m, ' m')}, lowest P(connected) "
-        f"{shown_number(connectivity)} over the planned steps"
+        f"of the planned steps: {shown_number(connectivity)}"
     )
 
 

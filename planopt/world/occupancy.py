@@ -555,6 +555,8 @@ def _cell(text: str, row: int, key: str) -> float:
             f"{_shown(text)} is not a number",
             key=key,
             row=row,
-            remedy="write 0 (free) to 100 (occupied), or -1 for unknown",
+            remedy="write 0 (free) to 100 (occupied), or -1 for unknown"
+            if key.startswith("column ")
+            else "write a finite number",
         )
     return value

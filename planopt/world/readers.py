@@ -23,6 +23,8 @@ from planopt.world.geodesy import Origin, east_north_m, require_origin
 from planopt.world.occupancy import OccupancyGrid, UnknownCells, grid_obstacles, is_grid, read_grid
 from planopt.world.workspace import Obstacle, footprint
 
+WKT_EXAMPLE = "write POLYGON ((0 0, 4 0, 4 3, 0 0)); the last corner is the first"
+
 DEEPEST = 32
 """Maximum nesting depth of geometries, which protects the stack of recursive parsers."""
 
@@ -92,7 +94,8 @@ def _from_wkt_file(stem: str, text: str) -> Iterator[Obstacle]:
         try:
             yield from obstacles_of_geometry(name, _parsed_wkt(name, line))
         except InputError as error:
-            raise InputError(error.message, row=row, remedy=error.remedy) from error
+            message = error.message.removeprefix(f"{name}: ")
+            raise InputError(message, row=row, remedy=error.remedy) from error
 
 
 def _tolerant_wkt(text: str) -> shapely.Geometry | None:
@@ -102,7 +105,7 @@ def _tolerant_wkt(text: str) -> shapely.Geometry | None:
     if depth.max(initial=0) > DEEPEST:
         raise InputError(
             f"the WKT is nested too deeply ({depth.max()} levels)",
-            remedy="write POLYGON ((x y, x y, x y))",
+            remedy=WKT_EXAMPLE,
         )
     try:
         with np.errstate(all="ignore"):
@@ -119,9 +122,7 @@ def _parsed_wkt(name: str, text: str) -> shapely.Geometry:
     try:
         return shapely.from_wkt(text)
     except (shapely.GEOSException, NotImplementedError) as error:
-        raise InputError(
-            f"{name}: invalid WKT: {error}", remedy="write POLYGON ((x y, x y, x y))"
-        ) from error
+        raise InputError(f"{name}: invalid WKT: {error}", remedy=WKT_EXAMPLE) from error
 
 
 def obstacles_of_geometry(name: str, geometry: shapely.Geometry) -> Iterator[Obstacle]:

@@ -213,17 +213,23 @@ def _parsed(program: str, symbols: Mapping[str, Any], steps: int) -> Any:
     for row, line in enumerate(lines, start=1):
         try:
             if len(lines) * steps > MOST_LINES or len(line) > LONGEST_LINE:
-                raise ValueError
+                raise ValueError("the program or the line is too long for the horizon")
             match ast.parse(line).body:
                 case [ast.Assign([ast.Name(name)], right)] if name not in symbols:
                     names[name] = _built(right, names, symbols)
                 case [ast.Expr(right)] if row == len(lines):
                     return _built(right, names, symbols)
                 case _:
-                    raise ValueError
-        except (SyntaxError, ValueError, KeyError, TypeError, RecursionError, MemoryError):
+                    raise ValueError("neither `name = expression` nor the value in the last line")
+        except (SyntaxError, ValueError, KeyError, TypeError, RecursionError, MemoryError) as error:
+            reason = "not an expression, or nested too deeply"
+            if type(error) is ValueError:
+                reason = str(error)
+            elif isinstance(error, KeyError):  # Name, or class of an operation
+                name = getattr(error.args[0], "__name__", error.args[0])
+                reason = f"{name} is no operation, function, earlier line or indexed input"
             raise InputError(
-                f"is invalid in line {row} of {len(lines)} for a horizon of {steps}: {line[:60]}",
+                f"is invalid in line {row} of {len(lines)}, {line[:30]!r}: {reason}",
                 key="program",
                 remedy="create programs with planopt.extend.casadi_term",
             ) from None
@@ -241,8 +247,10 @@ def _built(node: ast.AST, names: Mapping[str, Any], symbols: Mapping[str, Any]) 
             ast.Name(name), ast.Tuple([ast.Constant(int() as row), ast.Constant(int() as column)])
         ):
             if row >= symbols[name].size1() or column >= symbols[name].size2():
-                raise ValueError
+                raise ValueError(f"the shape of {name} is {symbols[name].shape}")
             return symbols[name][row, column]
+        case ast.Subscript():
+            raise ValueError("an index must be [step, column] of an input, and not negative")
         case ast.UnaryOp(sign, one):
             return OPERATORS[type(sign)](_built(one, names, symbols))
         case ast.BinOp(one, sign, other) | ast.Compare(one, [sign], [other]):
@@ -251,10 +259,10 @@ def _built(node: ast.AST, names: Mapping[str, Any], symbols: Mapping[str, Any]) 
         case ast.Call(ast.Name(name), arguments, []):
             count, apply = FUNCTIONS[name]
             if len(arguments) != count:
-                raise ValueError
+                raise ValueError(f"{name} needs {count} arguments")
             return apply(*(_built(each, names, symbols) for each in arguments))
         case _:
-            raise ValueError
+            raise ValueError(f"{type(node).__name__} is not allowed in an expression")
 
 
 def _shapes(steps: int) -> dict[str, tuple[int, int]]:

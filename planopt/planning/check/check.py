@@ -193,5 +193,7 @@ def load_motion_result(file: Path, data: Mapping[str, Any]) -> Solution | Run:
     result, record = replayed(saved, start_of(saved)[0]), saved.record
     if isinstance(result, Run) and isinstance(record, RunRecord):
         if (result.outcome.value, result.reason) != (record.outcome, record.message):
-            raise InputError(result.reason, file=saved.file, key="outcome", remedy=REMEDY)
+            ends = f"'{record.outcome} ({record.message})' differs from the recomputed "
+            ends += f"'{result.outcome.value} ({result.reason})'"
+            raise InputError(ends, file=saved.file, key="outcome", remedy=REMEDY)
     return result

@@ -239,6 +239,8 @@ def _resolve(
     field: FieldInfo | None = None
     tables: list[type[BaseModel]] = [model]
     for part in location:
+        if isinstance(part, str) and part.startswith("tuple["):
+            continue  # pydantic names the alternative of a union of tuples
         if len(tables) > 1 and isinstance(part, str):
             tables = [table for table in tables if part in _kinds(table)]
         else:

@@ -31,7 +31,7 @@ VARIABLE = (
     (r"0x[0-9a-f]{6,}", "0x..."),
     (r"([nx])\1{20,}\.\.\.\1+", r"\1..."),
     (r"(?<=while decoding a JSON )(array|object)", "..."),
-    (r"(?<=,) '(corridor|sending)',| or (corridor|sending)", ""),
+    (r"(?<=,) '(corridor|doubled_for_bounds|sending)',| or (corridor|sending)", ""),
     (r"(?<=each_step, average, joint, outage, data)(, \w+)+(?= \()", ""),
     (r"line \d+ column \d+ \(char \d+\)", "line N"),
     (r"(?<=\d\.\d{3})\d{6,}", ""),

@@ -78,7 +78,7 @@ def test_show(name: str, capsys) -> None:
     lines = capsys.readouterr().out.splitlines()
     assert lines[0] == f"{name}: {problem.description}"
     for word, things in (("robot", problem.robots), ("station", problem.stations)):
-        named = [line.split()[1] for line in lines if line.strip().startswith(word)]
+        named = [line.split()[1] for line in lines[1:] if line.strip().startswith(word)]
         assert named == [thing.name for thing in things]
     assert main(["show", name, "--json"]) == 0
     assert problem_from_dict(json.loads(capsys.readouterr().out), file=problem.file) == problem

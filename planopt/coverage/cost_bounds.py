@@ -2,7 +2,7 @@
 
 For every function ``lambda(q) >= 0`` (a price of each position) and n agents, the cost is at least
 ``integral of lambda dm - n max_p G(p)``, ``G(p) = integral of max(lambda(q) - |q - p|^2, 0) dm``
-(equation 7.20). Prices are optimised on coarse cells, and then interpolated on fine ones, where an
+(equation 7.21). Prices are optimised on coarse cells, and then interpolated on fine ones, where an
 upper bound of G is computed on boxes that cover all positions of an agent.
 """
 

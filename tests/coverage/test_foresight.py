@@ -28,7 +28,7 @@ LIMITS = MoveLimits(speed_m_s=4.0)
 def plan_cost(
     ground: ConvexGround, here_m: NDArray[np.float64], path_m: NDArray[np.float64], weights: object
 ) -> float:
-    """The objective (7.21) of a plan, with the weights of its moves."""
+    """The objective (7.15) of a plan, with the weights of its moves."""
     costs = [ground.cover(path_m[:, step]).cost for step in range(HORIZON)]
     moves = np.diff(path_m, axis=1, prepend=here_m[:, None])
     effort = (1.0 - GAIN) / GAIN**2 * (weights * (moves**2).sum(axis=(1, 2))).sum()

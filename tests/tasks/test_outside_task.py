@@ -85,7 +85,7 @@ def test_every_command_takes_it(
         (["show", str(file)], 0, "task        walk"),
         (["validate", str(file)], 0, "valid"),
         (["bench", "run", "--problems", str(file), "--out", f"{out}/bench"], 0, "4 cases answered"),
-        (["bench", "report", f"{out}/bench", "--no-figures"], 0, "walk"),
+        (["bench", "report", f"{out}/bench", "--no-page"], 0, "walk"),
         (["schema", "--task", "walk"], 0, "Radius of the circle"),
         (["simulate", str(file), "--animation", "--out", out], 2, "is not available for"),
         (["simulate", str(file), "--planner", "auto"], 2, "is not an option of the task walk"),

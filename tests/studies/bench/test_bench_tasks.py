@@ -60,7 +60,8 @@ def test_commands(tmp_path: Path, capsys) -> None:
     }
     capsys.readouterr()
     assert main(["bench", "report", out, "--json"]) == 0
-    scores = json.loads(capsys.readouterr().out)["planners"]
+    kinds = json.loads(capsys.readouterr().out)["scores"]
+    scores = [score for kind in kinds.values() for score in kind]
     assert [score["success_rate"] for score in scores] == [1.0, 1.0]
     assert all(score["fallback_share"] == 0.0 for score in scores)
 

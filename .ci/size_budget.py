@@ -13,8 +13,8 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 72_205,
-    "lines of code": 51_914,
+    "lines": 72_300,
+    "lines of code": 51_980,
     "files": 288,
     "functions": 3_748,
     "docstring lines": 8_753,

@@ -253,7 +253,9 @@ def _check(distances_m: Floats, demands: Indices) -> None:
         )
     if not (np.isfinite(distances_m) & (distances_m >= 0.0)).all():
         raise InputError("has a distance that is negative, NaN or infinite", key="distances_m")
-    if (demands < 0).any() or demands.sum() > len(distances_m):
+    if (demands < 0).any():
+        raise InputError(f"has the negative entry {int(demands.min())}", key="demands")
+    if demands.sum() > len(distances_m):
         raise InputError(
             f"add up to {int(demands.sum())} agents, but there are {len(distances_m)}",
             key="demands",

@@ -78,7 +78,7 @@ class BlockedError(NoPlanError):
 
 
 def margins_asked_db(problem: Problem, power: Prediction) -> Floats:
-    """Return the margin (n,) in dB by which each predicted power meets p_min."""
+    """Return the margin (n,) in dB by which each power exceeds the requirement of p_min."""
     return bound_margin_db(
         power.mean_db,
         power.deviation_db,
@@ -128,7 +128,7 @@ def named_holes(holes: Sequence[Hole], before: str, more: str) -> list[str]:
 
 
 def holes_in_words(problem: Problem, holes: Sequence[Hole], verb: str = "crosses") -> list[str]:
-    """Return lines that describe the holes on the path to a goal."""
+    """Return lines of text that describe the coverage holes on the path to a goal."""
     holes = [hole for hole in holes if hole.length_m >= SHORTEST_IN_WORDS_M]
     if not holes:
         return []
@@ -356,7 +356,7 @@ def excused_in_words(steps: Sequence[Excused]) -> list[str]:
 
 
 def _excused(proof: Certificate, number: int, step: int) -> Excused:
-    """Return the excused step at index `number` of a certificate, renumbered `step`."""
+    """Return entry `number` of the steps that may miss p_min, as step number `step` of the run."""
     missed_db = proof.relaxation_db[number]
     if proof.excess_m is not None:
         return Excused(step, missed_db, "price", proof.path_cost_m, proof.best_cost_m)

@@ -500,7 +500,7 @@ class ChannelSetup(Part):
         if self.truth is not None:
             remedy = (
                 "give one ArrayTruth, FunctionTruth, RasterTruth, ModelTruth, FittedTruth or "
-                "MeasuredTruth; one has the powers of all stations, (stations, ...)"
+                "MeasuredTruth; a single one has the powers (stations, ...) of all stations"
             )
             part_of("channel.truth", self.truth, cast("type[object]", ChannelTruth), remedy)
         part_of(

@@ -119,7 +119,7 @@ def _check_stopping_apart(problem: Problem, number: int, other: int) -> None:
             f"comes within {distance:.3g} m of {problem.robots[slow].name}; the required "
             f"separation is {separation:g} m",
             key=f"robots[{fast}].start_velocity_m_s",
-            remedy="reduce it, start elsewhere, or reduce constraints.separation_m",
+            remedy="reduce the start velocity, start elsewhere, or reduce constraints.separation_m",
         )
 
 

@@ -196,7 +196,7 @@ class Snapshot:
 
 
 def snapshot(service: SnapshotService, track: Track, time_s: float) -> Snapshot:
-    """Return the snapshot of an object that moved along `track`."""
+    """Return the records that the service holds of an object that moved along `track`."""
     sampled_s = service.sample_numbers(time_s) * service.periods_s
     sampled_m = track.at(sampled_s)
     on_grid = (sampled_m >= 0.0) & (sampled_m <= service.side_m)

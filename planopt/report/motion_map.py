@@ -261,7 +261,7 @@ def draw_connected_track(panel: Panel, log: StepLog) -> list[Artist]:
 
 
 def _pieces(log: StepLog, states: Mask) -> list[Floats]:
-    """Return the maximal pieces of the path whose steps are all in `states` (steps,)."""
+    """Return the longest pieces of the path on which the flag `states` (steps,) stays set."""
     changes = np.flatnonzero(np.diff(states)) + 1
     bounds = [0, *changes.tolist(), len(states)] if len(states) else [0]
     return [

@@ -242,7 +242,7 @@ def true_world(
     truths: tuple[Truth, ...],
     road_maps: Callable[[], Sequence[RoadMap]],  # One per robot with a goal
 ) -> World:
-    """Return the world that simulates a known ground truth."""
+    """Return the simulated world whose measurements are drawn from a known ground truth."""
     return World(
         truths=truths,
         serving_dbm=lambda _number, _step, places: true_serving_dbm(problem, truths, places),

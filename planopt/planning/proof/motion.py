@@ -67,7 +67,7 @@ def _least(away_m: Floats) -> float | None:
 
 
 def swept_motion(problem: Problem, positions_m: Floats, drive: Drive | None) -> TimedMotion:
-    """Return the first robot's motion along a path of finite numbers, including braking.
+    """Return the first robot's motion along a path (finite positions), including braking.
 
     If the drive is invalid, which the verifier rejects, straight motion is returned.
     """
@@ -94,7 +94,7 @@ def verify_motion(
     positions_m: Floats,  # (N + 1, 2)
     drive: Drive | None,  # None for the single integrator
 ) -> MotionFinding:
-    """Return the verifier's findings on the first robot's motion along a path of finite numbers."""
+    """Return the verifier's findings on the first robot's motion along a path."""
     if problem.robots[0].moves_freely:
         return _straight(problem, index, start, positions_m)
     dynamics = problem.robots[0].dynamics
@@ -105,7 +105,7 @@ def verify_motion(
 
 
 def drive_fault(dynamics: Dynamics, positions_m: Floats, drive: Drive | None) -> str:
-    """Return why a drive does not reproduce a path of finite numbers; empty if it does."""
+    """Return why a drive does not reproduce a path of finite positions; empty if it does."""
     states, inputs = len(dynamics.state_names), len(dynamics.input_names)
     if (
         drive is None

@@ -479,7 +479,8 @@ def _run(scene: Scene, motions: list[Motion], rows: list[NetworkStep]) -> Networ
                 places[step, number], stds[step, number] = best.value.position_m, best.std_m
                 sources[step, number] = best.source
             new, taken = belief.steps == step, belief.readings
-            columns = belief.steps[new], taken.positions_m[new], taken.signal[new]
+            heard = belief.steps[new].astype(np.float64)
+            columns = heard, taken.positions_m[new], taken.signal[new]
             readings[number].append(np.column_stack(columns))
     agents = len(motions[0].places_m)
     believed = np.array([[belief.places_m for belief in row.beliefs] for row in rows])

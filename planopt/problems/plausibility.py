@@ -31,8 +31,8 @@ STRONGEST_DBM = 30.0
 LARGEST_STEP_SHARE = 0.5
 """Largest plausible step length as a share of the diagonal of the world."""
 
-FARTHEST_STATION = 20.0
-"""Largest plausible distance of a station in diagonals of the world (at least 20 km)."""
+FARTHEST_STATION = 10.0
+"""Largest plausible distance of a station in diagonals of the world (at least 2 km)."""
 
 COARSEST_CELL_M = 5.0
 """Largest plausible cell side of an occupancy grid; robots map at centimetres."""
@@ -120,7 +120,7 @@ def _scales(problem: Problem) -> Iterator[str]:
 
 def _stations(problem: Problem) -> Iterator[str]:
     low, high = np.reshape(problem.workspace.bounds_m, (2, 2))
-    farthest_m = max(FARTHEST_STATION * _diagonal_m(problem), 20_000.0)
+    farthest_m = max(FARTHEST_STATION * _diagonal_m(problem), 2_000.0)
     for number, station in enumerate(problem.stations):
         key = f"stations[{number}]"
         place = np.array(station.position_m)

@@ -89,6 +89,14 @@ def test_a_changed_bound_is_rejected(solution: Solution, tmp_path: Path, factor:
     assert any("bound" in reason for reason in found.reasons)
 
 
+def test_the_bound_of_a_boat_holds_for_plan_and_route() -> None:
+    """The objective of a robot with inertia omits its braking and may lie below the bound."""
+    plan = planopt.solve(planopt.load("harbour_reach"), prove_s=2.0).plan
+    bound = plan.bound
+    assert bound is not None and bound.value is not None and "inertia" in str(bound.relaxed)
+    assert plan.objective < bound.value < bound.cost
+
+
 def test_a_steeper_potential_proves_no_more(solution: Solution, tmp_path: Path) -> None:
     """Random changes of the certificate never prove more than the cost of the plan."""
     generator = np.random.default_rng(0)

@@ -18,7 +18,7 @@ BUDGET = {
     "files": 288,
     "functions": 3_748,
     "docstring lines": 8_753,
-    "lines of tests": 48_460,
+    "lines of tests": 48_480,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

@@ -212,6 +212,10 @@ def import_rasterio(path: Path) -> ModuleType:
     return rasterio
 
 
+TURN_TAG = "planopt_turn_rad"
+"""Tag of a GeoTIFF with the angle in rad by which its axes are turned in its reference system."""
+
+
 def write_geotiff(path: Path, rasters: Mapping[str, Raster], origin_deg: Origin | None) -> None:
     """Write rasters that share axes as the bands of one compressed GeoTIFF."""
     rasterio = import_rasterio(path)
@@ -244,6 +248,7 @@ def write_geotiff(path: Path, rasters: Mapping[str, Raster], origin_deg: Origin 
         for band, raster in enumerate(rasters.values(), start=1):
             file.write(raster.values[::-1], band)
             file.update_tags(band, quantity=raster.quantity)
+        file.update_tags(**{TURN_TAG: repr(turn)})
 
 
 def read_geotiff(path: Path, variable: str) -> Raster:
@@ -268,9 +273,12 @@ def read_geotiff(path: Path, variable: str) -> Raster:
             raise InputError("is not numeric", key=variable, remedy="choose a numeric band")
         values = file.read(band, masked=True).astype(np.float64).filled(np.nan)
         quantity, unit = file.tags(band).get("quantity", ""), file.units[band - 1] or ""
-        transform, system = file.transform, file.crs
+        # The axes of the map, which planopt may have turned in the reference system.
+        turn = math.degrees(float(file.tags().get(TURN_TAG, 0.0)))
+        transform, system = rasterio.Affine.rotation(-turn) * file.transform, file.crs
         in_degrees = system is not None and system.is_geographic
-    if transform.b or transform.d or transform.is_identity:
+    sheared = max(abs(transform.b), abs(transform.d)) > 1e-9 * abs(transform.a)
+    if sheared or transform.is_identity:
         raise InputError(
             "the map is rotated or has no coordinates",
             remedy="resample it to axis-parallel cells in metres",

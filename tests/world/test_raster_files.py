@@ -151,6 +151,10 @@ def test_a_geotiff_lies_where_its_cells_are(tmp_path: Path) -> None:
         np.testing.assert_array_equal(file.read(1), MEAN.values[::-1])
     expected = degrees_of(MEAN)[::-1].reshape(-1, 2)
     np.testing.assert_allclose(found, expected, atol=1e-8)
+    again = read_raster(tmp_path / "map.tif", "mean_db")
+    np.testing.assert_allclose(again.values, MEAN.values)
+    np.testing.assert_allclose(again.x_m, MEAN.x_m, atol=1e-6)
+    np.testing.assert_allclose(again.y_m, MEAN.y_m, atol=1e-6)
 
 
 @pytest.mark.parametrize("ending", ["nc", "csv", "npz"])

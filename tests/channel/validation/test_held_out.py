@@ -1,6 +1,7 @@
 """Held-out walks: predictors, scores against sums by hand, and a real log where it is there."""
 
 import dataclasses
+import os
 from functools import partial
 from pathlib import Path
 
@@ -36,7 +37,7 @@ from planopt.channel.logs.power_log import read_groups
 PREDICTORS = ["channel", "marginal", "path_loss", "plain_line", "plain_process"]
 CHANNEL = ChannelParameters(-30.0, 2.8, 6.0, 30.0, 2.0, Station((20.0, 35.0), 3.0))
 PLAIN = ChannelParameters(-40.0, 3.0, 6.0, 40.0, 2.0, Station((50.0, 50.0), 10.0))
-CAMPUS = Path(__file__).parents[4] / "shared" / "data" / "campus"
+CAMPUS = Path(os.environ.get("PLANOPT_DATA", "")) / "campus"
 
 
 COUNT = 20_000

@@ -91,7 +91,7 @@ EDGES = (0.0, 0.15, 0.35, 0.55, 0.75, 0.85, 0.925, 0.975, 0.995, 1.0)
 required probability, because plans often satisfy the chance constraint with equality."""
 
 FEWEST_GROUPS = 5
-"""Minimum number of groups for an interval."""
+"""Minimum number of groups for a confidence interval."""
 
 
 @dataclass(frozen=True)

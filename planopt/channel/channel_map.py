@@ -1,9 +1,9 @@
-"""Maps of the posterior: on a user's grid, and on a planner's lattice updated by measurements.
+"""Posterior maps of received power, on a user's grid or on a planner's lattice.
 
 In :class:`TileMap` the nodes of a square tile share the measurements nearest to its centre. A new
-measurement affects only nearby tiles, where it replaces the farthest one by two rank-one updates; a
-new theta is combined with stored terms. All tiles are recomputed if the channel varies in time, or
-with several receivers, whose offsets change with every measurement.
+measurement changes only nearby tiles: two rank-one updates put it in place of the farthest one. If
+only theta changes, the stored kriging terms are reused. All tiles are recomputed if the channel
+varies in time, or with several receivers, whose offsets change with every measurement.
 """
 
 from __future__ import annotations
@@ -122,7 +122,7 @@ class TileMap:
         return trend.reshape(*self.mean_db.shape, 2)
 
     def _mark(self, posterior: ChannelPosterior, wanted: Mask) -> tuple[Indices, Indices]:
-        """Return the tiles that one new measurement updates, and the measurement's index."""
+        """Return the tiles that a single new measurement affects, and its index for each tile."""
         # All other affected tiles are marked dirty.
         measured, last = posterior.measurements, self._last
         before = 0 if last is None else len(last.measurements)
@@ -164,7 +164,7 @@ class TileMap:
         self._terms.variance_db2[tiles] = terms.variance_db2.reshape(shape)
 
     def _build(self, posterior: ChannelPosterior, stale: Indices) -> None:
-        """Compute the tiles `stale` from their nearest measurements."""
+        """Recompute the stale tiles from the measurements nearest to their centres."""
         if not len(self._indices):
             count, places, size = *self._places_m.shape[:2], self._neighbours
             self._indices = np.zeros((count, size), dtype=np.intp)
@@ -190,7 +190,7 @@ class TileMap:
         tiles: Indices,  # (k,)
         newcomers: Indices,  # (k,)
     ) -> None:
-        """Replace the farthest neighbour of each tile by a new measurement."""
+        """Replace the farthest of the measurements that each tile uses by a new one."""
         # Removing measurement j from P = U^-1 subtracts w w' with w = P e_j / sqrt(P_jj). Adding
         # one with covariance c to the others adds v v' with v = [1; -P c] / sqrt(delta), delta its
         # variance given the others. The kriging terms change along the same directions.
@@ -241,7 +241,7 @@ class TileMap:
         columns: Floats,
         sign: float,
     ) -> None:
-        """Update the kriging terms for the change `sign` v v' of P, where v is `direction`."""
+        """Update the kriging terms for a change `sign` v v' of U^-1, where v is `direction`."""
         seen = (across @ direction[:, :, None])[:, :, 0]
         projected = sign * (direction[:, None, :] @ columns)
         self._terms.data_db[tiles] += seen * projected[:, :, 0]
@@ -250,7 +250,7 @@ class TileMap:
 
 
 def _columns(posterior: ChannelPosterior, indices: Indices) -> Floats:
-    """Return [y, Gamma] of the measurements `indices` (k, m); ``(k, m, 3)``."""
+    """Return powers and regressors [y, Gamma] of measurements (k, m); ``(k, m, 3)``."""
     columns = np.empty((*indices.shape, 3))
     columns[..., 0] = posterior.values_db[indices]
     at = posterior.measurements.positions_m[indices]
@@ -261,21 +261,21 @@ def _columns(posterior: ChannelPosterior, indices: Indices) -> Floats:
 Bounds = tuple[float, float, float, float]
 
 MAP_VARIABLES = ("mean_db", "deviation_db", "connectivity")
-"""Variables of a map, as in its files."""
+"""Variables of a map, as named in its files."""
 
 CELLS_ALONG = 200
-"""Default number of cells along the longer side."""
+"""Default number of cells along the longer side of a map."""
 
 MAX_CELLS = 4_000_000
 
 EXACT_OPERATIONS = 2e11
-"""Maximum product of squared number of measurements and cells for an exact map."""
+"""Maximum n^2 c for an exact map of c cells from n measurements."""
 
 NEIGHBOURS = 256
 """Minimum number of nearest measurements per cell of an approximate map. On the three campus logs
 (4,193 to 5,006 measurements, up to 869 censored) the mean's error is 0.003 dB on average and at
-most 0.25 dB, that of the standard deviation (7.5 dB) at most 0.06 %. Without a factor, theta
-and sites are also approximate; the errors are then 0.022 dB, 0.26 dB and 0.6 %."""
+most 0.25 dB, that of the standard deviation (7.5 dB) at most 0.06 %. For logs without a Cholesky
+factor, theta and sites are approximate too, and the errors are 0.022 dB, 0.26 dB and 0.6 %."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -470,8 +470,8 @@ def serving_map(
 ) -> PosteriorMap:
     """Predict the power of the best server and P(connected to any station) on a grid.
 
-    Mean and standard deviation belong to the station with the largest margin above its
-    threshold, as a power for the first threshold.
+    Mean and standard deviation are those of the station with the largest margin above its
+    threshold. The mean is shifted so that the first station's threshold applies to it.
 
     Parameters
     ----------

@@ -42,18 +42,18 @@ def lower_factor(matrix: Floats) -> Floats:
 
 
 def whitened_by(matrix: Floats, right: Floats) -> Floats:
-    """Return L^-1 `right` (n, m), with L the factor of `matrix`; `matrix` is overwritten."""
+    """Overwrite `matrix` and return L^-1 `right` (n, m), with L its lower Cholesky factor."""
     return factor_and_whitened(matrix, right)[1]
 
 
 def factor_and_whitened(matrix: Floats, right: Floats) -> tuple[Floats, Floats]:
-    """Return L (n, n), undefined above the diagonal, and L^-1 `right`; `matrix` is overwritten."""
+    """Overwrite `matrix`; return its factor L, undefined above the diagonal, and L^-1 `right`."""
     factor = _half_factor(matrix, overwrite=True)
     return factor, solve_lower(factor, right)
 
 
 def put_lower_factor(into: Floats, matrix: Floats) -> None:
-    """Write the factor of `matrix` into `into` (n, n), initially zero; `matrix` is overwritten."""
+    """Write the Cholesky factor of `matrix` to the zero array `into` (n, n); overwrite `matrix`."""
     factor = _half_factor(matrix, overwrite=True)
     for start in range(0, len(into), PUT_ROWS):
         rows = slice(start, start + PUT_ROWS)
@@ -72,7 +72,7 @@ def _half_factor(matrix: Floats, overwrite: bool) -> Floats:
 
 
 def solve_lower(lower: Floats, right: Floats) -> Floats:
-    """Return L^-1 `right`, for `right` (n,) or (n, m)."""
+    """Solve L x = `right` for a lower triangular L; `right` is (n,) or (n, m)."""
     # SciPy's wrapper costs more than solving a small system. A factor in C order is passed as its
     # transpose to avoid a copy.
     if not right.size:
@@ -83,7 +83,7 @@ def solve_lower(lower: Floats, right: Floats) -> Floats:
 
 
 def lower_inverse(lower: Floats) -> Floats:
-    """Return L^-1, lower triangular, in Fortran order; (n, n)."""
+    """Return the inverse of a lower triangular matrix in Fortran order; (n, n)."""
     inverted, info = INVERT_LOWER(lower, lower=1)
     if info != 0:
         raise AssertionError("a Cholesky factor has no zero on its diagonal")
@@ -91,7 +91,7 @@ def lower_inverse(lower: Floats) -> Floats:
 
 
 def factor_and_inverse(matrix: Floats) -> tuple[Floats, Floats]:
-    """Return the diagonal of L (n,) and L^-1 (n, n); fast for a few hundred rows."""
+    """Return the diagonal of the Cholesky factor L and L^-1 (n, n); fast for a few hundred rows."""
     lower, info = FACTOR(matrix.T, lower=True, clean=True)
     if info != 0:
         raise AssertionError("a covariance with a nugget is positive definite")
@@ -110,7 +110,7 @@ def _halved_inverse(lower: Floats) -> Floats:
 
 
 def solve_upper(lower: Floats, right: Floats) -> Floats:
-    """Return L'^-1 `right`, for `right` (n,) or (n, m)."""
+    """Solve L' x = `right` for a lower triangular L; `right` is (n,) or (n, m)."""
     return solve_triangular(lower, right, lower=True, trans=1, check_finite=False)
 
 
@@ -130,7 +130,7 @@ def symmetric_product(half: Floats, columns: Floats) -> Floats:
 
 
 def inverse(lower: Floats) -> Floats:
-    """Return (L L')^-1, symmetric; (n, n)."""
+    """Return the symmetric inverse of L L' for a lower triangular L; (n, n)."""
     if not len(lower):
         # LAPACK prints a warning for an empty matrix.
         return np.zeros_like(lower)
@@ -139,13 +139,13 @@ def inverse(lower: Floats) -> Floats:
 
 
 def log_determinant(lower: Floats) -> float:
-    """Return log |L L'|."""
+    """Return the log-determinant of L L' for a lower triangular L."""
     return 2.0 * float(np.log(np.diag(lower)).sum())
 
 
 DETERMINED = 1e-10
-"""A value is a function of the earlier ones if its conditional variance is below this share of the
-largest variance."""
+"""Conditional variance, as a share of the largest variance, below which a value counts as a
+function of the earlier values."""
 
 
 def semidefinite_factor(covariance: Floats) -> Floats:
@@ -186,7 +186,7 @@ SOLVE_BLOCK = 136
 
 
 def unwhiten(lower: Floats, columns: Floats) -> Floats:
-    """Return L'^-1 `columns` (n, m), computed by blocks as in :func:`whiten`."""
+    """Solve L' x = `columns` (n, m) by blocks, as in :func:`whiten`."""
     solved = np.array(columns, dtype=np.float64)
     for start in range((len(lower) - 1) // SOLVE_BLOCK * SOLVE_BLOCK, -1, -SOLVE_BLOCK):
         rows, below = slice(start, start + SOLVE_BLOCK), slice(start + SOLVE_BLOCK, None)
@@ -196,7 +196,7 @@ def unwhiten(lower: Floats, columns: Floats) -> Floats:
 
 
 def whiten(lower: Floats, columns: Floats) -> Floats:
-    """Return L^-1 `columns` (n, m), computed by blocks so that `lower` is not copied."""
+    """Solve L x = `columns` (n, m) by blocks, so that `lower` is not copied."""
     solved = np.array(columns, dtype=np.float64)
     for start in range(0, len(lower), SOLVE_BLOCK):
         rows = slice(start, start + SOLVE_BLOCK)

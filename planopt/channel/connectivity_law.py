@@ -12,8 +12,8 @@ only if S >= t_1. S is not normal. It is represented by the normal law with the 
 S >= t_1 and the same margin, i.e. the same power exceeded with probability p_min. The margin is the
 amount by which all thresholds may rise until the chance constraint is active.
 
-Multipath is constant at a position. A reading within `SAME_PLACE_M` is therefore the power of a
-later packet at this position: it replaces the prediction, with standard deviation zero.
+Multipath is constant at a position. A reading within `SAME_PLACE_M` is therefore the power of any
+later packet there. It replaces the prediction and has standard deviation zero.
 
 Station i connects with probability Phi(z_i). For independent stations
 
@@ -69,7 +69,7 @@ def any_score(scores: NDArray[np.float64]) -> NDArray[np.float64]:
 def any_score_derivatives(
     scores: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return z with its gradient (m, ...) and Hessian (m, m, ...) for finite scores (m, ...).
+    """Return the combined score z, its gradient (m, ...) and Hessian for finite scores (m, ...).
 
     With phi the normal density, Q = prod (1 - Phi(z_j)) and h_j = phi(z_j) / (1 - Phi(z_j)):
 
@@ -92,7 +92,7 @@ def _log_normal(scores: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _log_any(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return log P(any) by repeated P(a or b) = P(a) + P(b) (1 - P(a)), without cancellation."""
+    """Return log P(any connected) by P(a or b) = P(a) + P(b) (1 - P(a)), without cancellation."""
     found = _log_normal(scores[0])
     none = _log_normal(-scores[0])
     with np.errstate(invalid="ignore"):  # NaN scores remain NaN
@@ -109,7 +109,7 @@ def _score(log_any: NDArray[np.float64], log_none: NDArray[np.float64]) -> NDArr
 
 
 SECANT_FROM_DB = 1e-4
-"""Minimum |margin| in dB for the score's secant slope; below, its derivative is used."""
+"""Minimum |margin| in dB at which the score's slope is a secant; below it is the derivative."""
 
 SETTLED_DB = 1e-10
 """Tolerance of Newton's method on the margin, which typically takes six steps."""
@@ -171,10 +171,10 @@ def above_thresholds_db(
 def any_margin_db(
     above_db: NDArray[np.float64], deviation_db: NDArray[np.float64], p_min: float
 ) -> NDArray[np.float64]:
-    """Return the rise of all thresholds at which P(connected to any) = `p_min`; (m, n) -> ``(n,)``.
+    """Return the common rise of the thresholds that makes P(connected to any) = `p_min`; ``(n,)``.
 
     The combined score :func:`any_score` is convex and decreasing in the rise, so Newton's method
-    converges from the margin of the best station. The margin of m such stations is an upper bound.
+    converges from the margin of the best station. Inputs have shape (m, n) for m stations.
     """
     wanted = bound_quantile(p_min)
     shared = bound_quantile(-math.expm1(math.log1p(-p_min) / len(above_db)))
@@ -261,7 +261,7 @@ class ConnectivityLaw:
 
     posteriors: tuple[ChannelPosterior, ...]  # One per station
     thresholds_dbm: tuple[float, ...]  # Minimum power for a connection, one per station
-    p_min: float  # Required probability, for which the combined law has the exact margin
+    p_min: float  # Required probability; the combined law's margin is exact for it
 
     def combined(self, powers: Sequence[Prediction]) -> Prediction:
         """Return the normal law of the serving power from each station's predicted power."""
@@ -302,7 +302,7 @@ class ConnectivityLaw:
     def predicted(
         self, positions_m: NDArray[np.float64], predict: Predictor = predict
     ) -> Prediction:
-        """Return the serving power predicted without known readings, a smooth function."""
+        """Return the predicted serving power, smooth because readings do not replace it."""
         return self.combined([predict(station, positions_m) for station in self.posteriors])
 
     def power(self, positions_m: NDArray[np.float64], predict: Predictor = predict) -> Prediction:

@@ -35,11 +35,11 @@ NODES, WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
 """Quadrature over [0, 1]; 40 nodes integrate the normal density with an error of 5e-14."""
 
 NEGLIGIBLE = 76.0
-"""Increase of x^2 above its minimum at which the density is smaller by exp(-38) = 3e-17."""
+"""Increase of x^2 at which the normal density has fallen by a factor of exp(-38) = 3e-17."""
 
 LEAST_CLOSED_FORM = -20.0
-"""Minimum end of a half-line for the closed form. The variance's relative error grows with the
-fourth power of the end and is 1e-10 here."""
+"""Minimum upper end of a half-line whose moments use the closed form. The relative error of the
+variance grows with the fourth power of the end and is 1e-10 here."""
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ def truncated_normal(upper: Floats, width: Floats) -> TruncatedNormal:
 
 
 def _half_line(upper: Floats) -> TruncatedNormal:
-    """Return moments given ``x <= upper``: mean -h, variance 1 - h (upper + h), h the hazard."""
+    """Return normal moments given x <= upper: mean -h, variance 1 - h (upper + h), h the hazard."""
     hazard = np.sqrt(2.0 / np.pi) / np.asarray(erfcx(-np.sqrt(0.5) * upper), dtype=np.float64)
     return TruncatedNormal(
         np.asarray(log_ndtr(upper), dtype=np.float64), -hazard, 1.0 - hazard * (upper + hazard)
@@ -93,18 +93,18 @@ MAX_SITE_VARIANCE_DB2 = 1e5
 """Maximum variance of a site; replaces the infinite variance of an uninformative limit."""
 
 TOLERANCE = 1e-7
-"""Default tolerance of the sites' fixed point."""
+"""Default convergence tolerance of the sites."""
 
 MAX_SWEEPS = 300
 
 MIN_NOISE_VARIANCE_DB2 = 1e-4
-"""Minimum omega^2, so that factors exist if positions repeat."""
+"""Minimum omega^2, so that covariances are positive definite if positions repeat."""
 
 FINE_STEP = 2.0
 """Maximum rounding step r for Sheppard's correction, as a multiple of omega.
 
 Compared with EP, in 40 channels of 300 measurements, the gradient of log L and the mean noise-free
-power are then off by at most 0.06 and 0.015 of their standard deviations (0.1 and 0.03 for ten
+power then differ by at most 0.06 and 0.015 of their standard deviations (0.1 and 0.03 for ten
 measurements per position). With r = 3 omega and ten measurements per position, the errors are 0.6
 and 0.17."""
 
@@ -142,12 +142,12 @@ class LatentPrior:
 
     @staticmethod
     def known_mean(mean_db: Floats, covariance_db2: Floats) -> LatentPrior:
-        """Return the prior N(mean, covariance)."""
+        """Return the Gaussian prior N(mean, covariance)."""
         nothing = np.zeros((len(mean_db), 0))
         return LatentPrior(mean_db, covariance_db2, nothing, np.zeros((0, 0)), np.zeros(0))
 
     def integrated(self) -> tuple[LatentPrior, float]:
-        """Return the prior with delta integrated out, and the log of the integral."""
+        """Return the prior with the path loss delta integrated out, and the log of the integral."""
         # This makes EP's sweeps cheaper. `information` must be positive definite.
         lower = lower_factor(self.information)
         moved = solve_lower(lower, self.columns.T)
@@ -163,7 +163,7 @@ class LatentPrior:
 
 @dataclass(frozen=True)
 class IntervalSites:
-    """EP's approximation of the prior times the probability of the intervals."""
+    """Gaussian sites by which EP approximates the likelihood of the intervals."""
 
     mean_db: Floats  # (m,) prior mean, the origin of the sites
     # (m,) natural parameters: exp(-precision (f - mean)^2 / 2 + shift (f - mean))
@@ -173,7 +173,7 @@ class IntervalSites:
     evidence_slope: float  # d log_evidence / d omega^2, with sites fixed
 
     def as_measurements(self) -> Sites:
-        """Return the sites as Gaussian measurements of f."""
+        """Return the sites as Gaussian measurements of the noise-free power."""
         precision = np.maximum(self.precision, 1.0 / MAX_SITE_VARIANCE_DB2)
         return Sites(self.mean_db + self.shift / precision, 1.0 / precision)
 
@@ -330,8 +330,8 @@ def intervals(measurements: Measurements) -> Intervals:
 @one_blas_thread()
 def gaussian_sites(parameters: ChannelParameters, measurements: Measurements) -> Sites:
     """Replace censored and coarsely rounded measurements by Gaussian ones."""
-    # Sites are matched jointly given all measurements: a limit among strong neighbours is more
-    # informative than one where a weak signal is expected.
+    # Sites are matched jointly given all measurements: an upper limit among strong readings is more
+    # informative than one in an area of weak ones.
     omega2 = parameters.multipath_std_db**2
     values = measurements.power_dbm.astype(np.float64)
     variances = omega2 + rounded_variance_db2(measurements.resolution_db)

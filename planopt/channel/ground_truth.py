@@ -41,7 +41,7 @@ MIN_M = 0.5
 """Minimum m of the Nakagami distribution; 1 is Rayleigh fading."""
 
 STRONGEST = 1e8
-"""Upper end of the search for m and K; omega is then below 0.001 dB."""
+"""Upper end of the search for Nakagami m and Rician K; omega is then below 0.001 dB."""
 
 BISECTIONS = 60
 
@@ -201,7 +201,7 @@ def multipath_of(
 
 
 def _as_nakagami(source: Multipath) -> Nakagami:
-    """Return Nakagami fading of the same power variance; of the same omega as lognormal fading."""
+    """Return Nakagami fading of equal power variance, or equal omega for a lognormal `source`."""
     if isinstance(source, Lognormal):
         return Nakagami(_with_std(lambda m: Nakagami(m).std_db, MIN_M, source.std_db))
     if isinstance(source, Nakagami):
@@ -211,7 +211,7 @@ def _as_nakagami(source: Multipath) -> Nakagami:
 
 
 def _as_rician(source: Multipath) -> Rician:
-    """Return Rician fading of the same power variance; of the same omega as lognormal fading."""
+    """Return Rician fading of equal power variance, or of equal omega for a lognormal `source`."""
     if isinstance(source, Lognormal):
         return Rician(_with_std(lambda k: Rician(k).std_db, 0.0, source.std_db))
     if isinstance(source, Rician):
@@ -226,7 +226,7 @@ def _as_rician(source: Multipath) -> Rician:
 
 
 def _with_std(std_db: Callable[[float], float], least: float, wanted_db: float) -> float:
-    """Return the parameter with a required standard deviation, by logarithmic bisection."""
+    """Return the fading parameter for a required standard deviation, by logarithmic bisection."""
     most_db, least_db = std_db(least), std_db(STRONGEST)
     if not least_db <= wanted_db <= most_db:
         raise InputError(
@@ -263,7 +263,7 @@ def multipath_field_db(
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """Measured powers, and the distance up to which a reading stands for the power there."""
+    """Measured powers, and the distance up to which the nearest one is the ground truth."""
 
     measured: Measurements
     within_m: float
@@ -273,7 +273,7 @@ class Readings:
         return PlaceTree(self.measured.positions_m)
 
     def nearest(self, places_m: Floats) -> tuple[Indices, Mask]:
-        """Return the row of the nearest reading of each place (n, 2), and which are in reach."""
+        """Return the row of the reading nearest to each place (n, 2) and whether it is in reach."""
         rows, away_m = self._tree.nearest(places_m, 1)
         return rows[:, 0], away_m[:, 0] <= self.within_m
 
@@ -296,8 +296,8 @@ class Truth:
     mean_dbm
         ``[iy, ix]`` power without small-scale fading in the same cells.
     readings
-        Measured power as ground truth (:func:`measured_truth`), None if the power is simulated. A
-        position then has the power of the nearest reading, NaN without one in reach.
+        Readings of a measured ground truth (:func:`measured_truth`); None if it is simulated. Each
+        position has the power of the nearest reading, or NaN if none is in reach.
     """
 
     raster: Raster
@@ -435,11 +435,11 @@ def measured_truth(
     cell_m: float,
     within_m: float,
 ) -> Truth:
-    """Return the ground truth that was measured: the nearest reading within `within_m`.
+    """Return a measured ground truth: the power of the nearest reading within `within_m`.
 
-    Nothing is known elsewhere: the power is NaN there, and a robot measures nothing. The raster
-    has the power at cell centres, for pictures. Of several readings at one position the first
-    counts, and a censored reading remains censored.
+    Farther from all readings the power is NaN, and a robot measures nothing. The raster has the
+    power at cell centres, for pictures. Among readings at one position the first counts. Censored
+    readings remain censored.
     """
     _, first = np.unique(readings.positions_m, axis=0, return_index=True)
     known = Readings(readings.take(np.sort(first)), within_m)
@@ -469,7 +469,7 @@ def mean_power_dbm(truth: Truth, positions_m: ArrayLike) -> Floats:
 def measure(truth: Truth, positions_m: ArrayLike) -> Measurements:
     """Measure the power at `positions_m` (n, 2); values at the floor are censored.
 
-    Positions without a reading of a measured ground truth are left out.
+    Positions where a measured ground truth has no reading in reach are left out.
     """
     if truth.readings is not None:
         places = require_places(positions_m, at_least=0)

@@ -184,7 +184,7 @@ def _most_likely(positions_m: Floats, centred_db: Floats) -> Point:
     distance_m = pairwise_distance_m(positions_m, positions_m)
 
     def likelihood(point: Point) -> float:
-        """Return the log-likelihood at a point, with the most likely variance inserted."""
+        """Return the log-likelihood at a point, with the variance profiled out."""
         lower = lower_factor(_correlation(distance_m, math.exp(point[0]), _logistic(point[1])))
         half = solve_lower(lower, centred_db)
         variance = max(float(half @ half) / len(half), LEAST_VARIANCE_DB2)

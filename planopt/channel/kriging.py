@@ -203,7 +203,7 @@ class LocalChannel:
 
     @cached_property
     def inverse(self) -> Floats:
-        """Inverse U_mm^-1 with uncertain receiver offsets, without age factors; ``(..., m, m)``."""
+        """Inverse covariance with uncertain receiver offsets, without age factors; (..., m, m)."""
         # The result is P - P Z V Z' P, P the inverse for known offsets, V their covariance.
         if self.covariance_db2.ndim == 2:
             found = inverse(lower_factor(self.covariance_db2))
@@ -216,7 +216,7 @@ class LocalChannel:
 
     @cached_property
     def _weighted(self) -> Floats:
-        """Product U_mm^-1 [y, Gamma_m] for mean offsets, without age factors; ``(..., m, 3)``."""
+        """Inverse covariance times [y, Gamma] at mean offsets, without age factors; (..., m, 3)."""
         if not len(self.offsets.receivers):
             return self.inverse @ self.columns
         return np.asarray(np.linalg.solve(self.covariance_db2, self.columns), dtype=np.float64)
@@ -229,19 +229,19 @@ class LocalChannel:
 
     @cached_property
     def precision(self) -> Floats:
-        """Inverse U_mm^-1 with age factors, ``(..., m, m)``."""
+        """Inverse covariance of the measurements with age factors, ``(..., m, m)``."""
         aged = self._aged
         return self.inverse if aged is None else self.inverse * aged[..., None] * aged[..., None, :]
 
     @cached_property
     def weights(self) -> Floats:
-        """Kriging weights U_mm^-1 y with age factors, ``(..., m)``."""
+        """Kriging weights: inverse covariance times powers, with age factors; ``(..., m)``."""
         weights = self._weighted[..., 0]
         return np.ascontiguousarray(weights if self._aged is None else self._aged * weights)
 
     @cached_property
     def trend(self) -> Floats:
-        """Product U_mm^-1 Gamma_m with age factors, ``(..., m, 2)``."""
+        """Inverse covariance times the regressors Gamma, with age factors; ``(..., m, 2)``."""
         trend = self._weighted[..., 1:]
         return np.ascontiguousarray(trend if self._aged is None else self._aged[..., None] * trend)
 

@@ -71,12 +71,12 @@ class VecchiaInformation:
     products: Floats
 
     def path_loss_products(self) -> Floats:
-        """Return the products (3, 3) of [y - Gamma theta_0, Gamma] with offsets integrated out."""
+        """Return C' U^-1 C (3, 3) for C = [y - Gamma theta_0, Gamma], offsets integrated out."""
         crossed = self.products[:3, 3:]
         return self.products[:3, :3] - crossed @ self.offset_covariance_db2() @ crossed.T
 
     def offset_covariance_db2(self) -> Floats:
-        """Return the covariance of the offsets given theta, (I / s^2 + Z' U0^-1 Z)^-1; (R, R)."""
+        """Return the offset covariance (I / s^2 + Z' U0^-1 Z)^-1 of R receivers given theta."""
         prior = np.eye(len(self.receivers)) / RECEIVER_OFFSET_STD_DB**2
         return np.asarray(np.linalg.inv(self.products[3:, 3:] + prior), dtype=np.float64)
 
@@ -88,7 +88,7 @@ def vecchia_information(
     noise_variance_db2: Floats,  # (n,) with sites for intervals
     before: tuple[VecchiaInformation, PlaceIndex] | None = None,  # Sums over the first ones
 ) -> VecchiaInformation:
-    """Return the information of all `measurements`; `before` has that of the first ones."""
+    """Return the information from all `measurements`; `before` is that from the first ones."""
     places = measurements.positions_m
     if before is None:
         windows = earlier_windows(places, place_blocks(places, BLOCK), BLOCK_NEIGHBOURS)
@@ -144,7 +144,7 @@ class OffsetsGivenTheta:
 
 
 def offsets_given_theta(posterior: ChannelPosterior) -> OffsetsGivenTheta:
-    """Return the law of offsets given all measurements and theta; O(R kappa^2) with a factor."""
+    """Return the distribution of the receiver offsets given all measurements and theta."""
     if posterior.information is not None:
         # s^2 Z' U^-1 = V Z' U0^-1, with V the offsets' covariance.
         covariance = posterior.information.offset_covariance_db2()
@@ -167,8 +167,8 @@ def offsets_given_theta(posterior: ChannelPosterior) -> OffsetsGivenTheta:
 def receiver_offsets(posterior: ChannelPosterior) -> tuple[ReceiverOffset, ...]:
     """Return estimated offsets of all receivers except number 0, in ascending order.
 
-    Without measurements from receiver 0 the offsets are known up to a common constant. It then
-    follows from the prior (mean 0, standard deviation `RECEIVER_OFFSET_STD_DB`), and the standard
+    Without measurements from receiver 0 the offsets are known up to a common constant. The prior
+    (mean 0, standard deviation `RECEIVER_OFFSET_STD_DB`) then fixes this constant, and the standard
     errors include its uncertainty.
     """
     found = offsets_given_theta(posterior)
@@ -239,7 +239,7 @@ def window_sites(
     start: WindowSites | None,
     tolerance: float,
 ) -> WindowSites:
-    """Match the sites by sweeps over the windows until they converge."""
+    """Match the Gaussian sites of intervals by sweeps over the windows until they converge."""
     omega2 = parameters.multipath_std_db**2
     rows, mean = intervals.rows, mean_db[intervals.rows]
     limit = intervals.known.upper_db - mean

@@ -247,7 +247,7 @@ def join(first: Measurements, second: Measurements) -> Measurements:
 Real = TypeVar("Real", np.float32, np.float64)
 
 BLUR_SHARE = 1.2
-"""Increase of a squared distance per variance of a coordinate's position error."""
+"""Increase of a squared distance per unit variance of the position error in one coordinate."""
 
 RECEIVER_OFFSET_STD_DB = 20.0
 """Prior standard deviation s of a receiver's offset, large enough to be uninformative."""
@@ -342,7 +342,7 @@ class Origins:
 
 
 def measured_origins(measurements: Measurements, parameters: ChannelParameters) -> Origins:
-    """Return the origins of measurements; columns that do not affect covariances are None."""
+    """Return the positions, times and receivers of measurements; None if without effect."""
     std_m = measurements.position_std_m
     return Origins(
         measurements.positions_m,
@@ -358,7 +358,7 @@ def place_origins(
     parameters: ChannelParameters,
     position_std_m: Floats | None = None,  # (..., n) of position errors
 ) -> Origins:
-    """Return the origins of predictions at the time `now_s`."""
+    """Return the positions and the time `now_s` of predictions."""
     return Origins(
         positions_m,
         None if position_std_m is None else BLUR_SHARE * position_std_m**2,

@@ -24,10 +24,10 @@ from planopt.arrays import Floats, Indices
 KDTree: Any = ScipyKDTree
 
 MOST_UNTREED = 256
-"""Maximum number of positions compared one by one, unless the tree is large."""
+"""Maximum number of positions outside the search tree, unless the tree is large."""
 
 UNTREED_SHARE = 1.0 / 16.0
-"""Maximum number of positions compared one by one, as a share of those in the tree."""
+"""Maximum number of positions outside the search tree, as a share of those in it."""
 
 BLOCK, BLOCK_NEIGHBOURS = 48, 128
 """Block size, and number of neighbours in Vecchia's factorisation. On the three campus logs (3,401
@@ -36,7 +36,7 @@ the exact ones, and theta within 0.11. 32 and 64 give 0.46 and 0.24; 64 and 192 
 without a gain."""
 
 PRESELECTED = 4
-"""Number of candidates per neighbour, preselected by distance from the block's box."""
+"""Number of candidates per required neighbour, preselected by distance from the block's box."""
 
 
 class PlaceTree:

@@ -218,7 +218,7 @@ def _design(data: LikelihoodData, centre: Floats, box: Floats) -> Floats:
 
 
 def _likelihood(data: LikelihoodData, point: Floats) -> tuple[float, float]:
-    """Return the log-likelihood integrated over alpha (plus a constant), and the best alpha."""
+    """Return the log-likelihood up to a constant, with alpha integrated out, and the best alpha."""
     return profiled_log_likelihood(data, *_values(point))
 
 
@@ -228,7 +228,7 @@ def _values(point: Floats) -> tuple[float, float]:
 
 
 ELEMENTS = 2**17
-"""Target number of pairs of a position and a measurement in a block."""
+"""Target number of position-measurement pairs in a block."""
 
 
 PERTURBED = ("k_pl_db", "n_pl", "shadow_variance_db2", "decorrelation_m", "multipath_std_db")

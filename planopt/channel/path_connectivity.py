@@ -128,7 +128,7 @@ def prefix_probabilities(
 
 
 def _products(bound: Floats, lower: Floats, uniform: Floats) -> Floats:
-    """Return lattice means of the products of the first k conditional probabilities; (h,)."""
+    """Return cumulative products of conditional probabilities, averaged over the lattice; (h,)."""
     # Products are stored as logarithms, so that improbable prefixes do not underflow.
     samples, count = len(uniform), len(bound)
     drawn = np.zeros((samples, count))

@@ -53,10 +53,10 @@ from planopt.errors import InputError
 from planopt.short_repr import short_repr
 
 FACTOR_BLOCK = 264
-"""Number of rows appended to a factor at once; powers of two cause cache conflicts."""
+"""Number of rows appended to a Cholesky factor at once; powers of two cause cache conflicts."""
 
 AT_ONCE = 768
-"""Maximum number of rows of a factor that is computed in one block."""
+"""Maximum number of rows of a Cholesky factor that is computed in one block."""
 
 WEAK_THETA_DEVIATION = (20.0, 1.0)
 """Prior standard deviation of K_PL (dB) and n_PL, used if measurements do not identify theta."""
@@ -70,7 +70,7 @@ MOST_JOINT_SITES = 300
 window by window (:mod:`planopt.channel.long_logs`), as a joint sweep costs their number cubed."""
 
 EXACT_LIMIT = 5_000
-"""Maximum number of measurements with a factor. It takes 200 MB, or 450 MB with room to grow."""
+"""Maximum number of measurements with a Cholesky factor (200 MB, or 450 MB with room to grow)."""
 
 SHARED_NEIGHBOURS = 512
 """Number of measurements used for the joint law along a path if there is no full factor."""
@@ -217,7 +217,7 @@ class ChannelPosterior:
         return measured_origins(self.measurements, self.parameters)
 
     def continues(self, earlier: ChannelPosterior) -> bool:
-        """Return whether this posterior equals or extends `earlier`, whatever their `now_s`."""
+        """Return whether this posterior equals or extends `earlier`, regardless of `now_s`."""
         if self is earlier:
             return True
         count = len(earlier.measurements)

@@ -38,8 +38,8 @@ from planopt.world.raster import Raster, cell_centres_m
 fft: Any = scipy_fft
 
 CLIPPED_SHARE_TOLERANCE = 1e-4
-"""Maximum clipped share of the sum of eigenvalues. It bounds the relative error of any covariance
-and requires a torus of about eight decorrelation distances."""
+"""Maximum share of negative eigenvalues, which are clipped, in their sum. It bounds the relative
+error of any covariance and requires a torus of about eight decorrelation distances."""
 
 GROWTH = 1.25
 MAX_TORUS_CELLS = 2**24
@@ -116,7 +116,7 @@ def _embedding(
     shape: tuple[int, int],
     step: float,  # Cell side in decorrelation distances
 ) -> tuple[tuple[int, int], Floats, float]:
-    """Return the torus, a quarter of its eigenvalues, and the share of negative ones."""
+    """Return the torus' shape, a quarter of its eigenvalues, and the share of negative ones."""
     ny, nx = shape
     torus = (2 * ny, 2 * nx)
     while True:

@@ -95,7 +95,7 @@ def from_correlation(
     count: int,
     bounds: CovarianceBounds,
 ) -> CovarianceFit:
-    """Return the fit with omega^2 = alpha - xi^2 (equation 2.3), clipped to `bounds`."""
+    """Return the covariance fit with omega^2 = alpha - xi^2 (equation 2.3), clipped to `bounds`."""
     warnings: list[str] = []
     shadow = float(np.clip(shadow_variance_db2, *bounds.shadow_db2))
     shadow_error = errors[0] / (2.0 * math.sqrt(shadow))
@@ -198,8 +198,8 @@ class ChannelFit:
     warnings
         Messages for the user, with the reasons for the status.
     log_likelihood
-        Restricted log-likelihood, for ``map`` plus the prior's logarithm; None for other methods
-        than these.
+        Restricted log-likelihood of ``reml``; for ``map`` the logarithm of the prior is added. None
+        for other methods.
     receiver_offsets
         Offsets of all receivers except number 0; empty if all measurements are from receiver 0.
     station_covariance_m2

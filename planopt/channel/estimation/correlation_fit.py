@@ -146,7 +146,7 @@ def lemma1_fit(
 def convex_fit(
     bins: LogBins, alpha_db2: float, count: int, bounds: CovarianceBounds, loss: Loss = "squares"
 ) -> CovarianceFit:
-    """Estimate by ``min sum rho(sqrt(tau) (log r - a + b d))`` within the parameters' bounds."""
+    """Fit xi, beta and omega by ``min sum rho(sqrt(tau) (log r - a + b d))`` within `bounds`."""
     # With squared loss and no active bound, the result equals `lemma1_fit` on the same bins.
     if loss == "squares":
         intercept, rate = _convex_line(bins, alpha_db2, bounds, loss)
@@ -171,7 +171,7 @@ def convex_fit(
 def nls_fit(
     correlation: EmpiricalCorrelation, alpha_db2: float, count: int, bounds: CovarianceBounds
 ) -> CovarianceFit:
-    """Estimate by ``min sum n (xi^2 exp(-d / beta) - r)^2`` over all bins."""
+    """Fit xi, beta and omega by ``min sum n (xi^2 exp(-d / beta) - r)^2`` over all bins."""
     lag, share = correlation.lag_m, np.clip(correlation.covariance_db2 / alpha_db2, -1e3, 1e3)
     root = np.sqrt(correlation.pairs / correlation.pairs.sum())
     low, high = (math.log(end) for end in bounds.decorrelation_m)

@@ -101,7 +101,7 @@ MAP_LOG_BETA_STD = 0.7
 
 
 def _by_likelihood(data: _FitInput, *, has_prior: bool) -> _Estimate:
-    """Return the estimate of restricted maximum likelihood, or of maximum posterior density."""
+    """Estimate the channel by restricted maximum likelihood, or by maximum posterior density."""
     line = least_squares(data.model, data.measurements)
     beta_bounds = data.allows.decorrelation_bounds_m
     bounds = covariance_bounds(line.variance_db2, beta_bounds)
@@ -155,7 +155,7 @@ def _by_assumption(data: _FitInput, reason: str) -> _Estimate:
 def _with_line(
     coefficients: Floats, data: _FitInput, covariance: CovarianceFit, notes: tuple[str, ...] = ()
 ) -> _Estimate:
-    """Return the estimate of a least-squares line under the shadowing of `covariance`."""
+    """Return the estimate with the line's covariance under shadowing of `covariance`."""
     parameters = data.parameters(coefficients, covariance.values)
     spread = coefficient_covariance(data.model, data.measurements, parameters)
     return _Estimate(covariance, coefficients, spread, notes)
@@ -209,7 +209,7 @@ PLAUSIBLE_POWER_DBM = (-200.0, 100.0)
 """Plausible range of powers; thermal noise in 1 Hz is -174 dBm, and 100 dBm are ten megawatts."""
 
 LEAST_PILE = 5
-"""Minimum count of the lowest power for a suspected floor."""
+"""Minimum number of readings at the lowest power for a suspected receiver floor."""
 
 PILE_RATIO = 2.0
 """A floor is suspected if the lowest power's count exceeds any other by this ratio. Rounded

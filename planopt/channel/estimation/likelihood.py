@@ -225,7 +225,7 @@ class Precision:
     spread: Floats  # (q, q) S
 
     def projection(self) -> Floats:
-        """Return P = V^-1 - V^-1 X S X' V^-1, ``(n, n)``."""
+        """Return the projection P = V^-1 - V^-1 X S X' V^-1; ``(n, n)``."""
         whole = self.half + np.triu(self.half, 1).T
         return whole - self.weights @ self.spread @ self.weights.T
 
@@ -262,7 +262,7 @@ class LogNormal:
         return replace(at, log_likelihood=value, gradient=gradient, information=information)
 
     def information(self, beta: float) -> Floats:
-        """Return the information (3, 3) on xi^2, omega^2 and beta."""
+        """Return the prior's information (3, 3) on xi^2, omega^2 and beta."""
         return np.diag([0.0, 0.0, (self.deviation * beta) ** -2.0])
 
 
@@ -562,7 +562,7 @@ def _expected_information(
 def profiled_log_likelihood(
     data: LikelihoodData, correlated_share: float, decorrelation_m: float
 ) -> tuple[float, float]:
-    """Return log L of Gaussian measurements with alpha profiled out, and alpha."""
+    """Return log L of Gaussian measurements at the best total variance alpha, and alpha."""
     # Receivers' offsets have a flat prior and position errors are ignored: terms that do not scale
     # with alpha cannot be profiled.
     count = len(data.values_db)

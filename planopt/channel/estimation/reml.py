@@ -48,8 +48,8 @@ EXACT_ROWS = 2_000
 8 s if 60 % are censored, and 0.8 s by blocks."""
 
 MOST_DENSE = 800
-"""Maximum sample size where a dense likelihood is evaluated many times: in the search for the
-station, and for the weights of covariances."""
+"""Maximum sample size if a dense likelihood is evaluated many times: in the search for the
+station's position, and for the weights of :func:`planopt.channel.marginalise`."""
 
 FINE, BLOCK_FINE = 1e-5, 2e-3
 """A search ends when the predicted gain of a Newton step in log-likelihood is below this. For
@@ -69,7 +69,7 @@ STARTS_FOLLOWED = 2
 """Minimum number of initial guesses that are optimised, the most likely first."""
 
 ROUGH = 3e-2
-"""Counterpart of `FINE` for the sample's likelihood."""
+"""Predicted gain in log-likelihood at which a search on the sample ends, as `FINE`."""
 
 SAME_LOGS = 0.05
 """Optima that differ by less than this in every logarithm are the same."""

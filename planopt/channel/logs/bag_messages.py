@@ -64,7 +64,7 @@ STANDARD = {
         for name in ("Float32", "Float64", "Int8", "Int16", "Int32", "Int64")
     },
 }
-"""Definitions of messages without those of their parts, by type."""
+"""Message definitions by type, without the definitions of nested types."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Recorded:
 
 
 Wanted = Callable[[str, str, str], bool]
-"""Whether messages of a topic, with a kind and a definition, are decoded."""
+"""Function of topic, message type and definition that returns whether to decode messages."""
 
 
 def is_recording(path: Path) -> bool:

@@ -24,7 +24,7 @@ from planopt.channel.logs.log_table import LogTable, fold
 from planopt.errors import InputError
 
 LONGEST_GAP_S, STANDING_M = 5.0, 1.0
-"""No position is interpolated in longer gaps, unless the robot is at the same place after it."""
+"""Positions are not interpolated over longer gaps (s) in which the robot moved farther (m)."""
 
 IN_MAP = "map"
 """Frame of maps, by convention (REP 105)."""
@@ -60,7 +60,7 @@ class _Track:
 
     @property
     def rank(self) -> tuple[bool, bool, int]:
-        """Order of preference, the smallest first."""
+        """Sort key of tracks; the preferred track has the smallest."""
         return self.in_degrees, self.frame != IN_MAP, PREFERRED.index(self.kind)
 
     def at(self, time_s: Floats) -> Floats:
@@ -123,18 +123,18 @@ def _is_wanted(topic: str, kind: str, definition: str) -> bool:
 
 
 def _is_number(topic: str, words: set[str]) -> bool:
-    """Return whether a topic with a power's name has plain numbers."""
+    """Return whether a topic is named like a power and carries plain numbers."""
     return "data" in words and _power_name(topic.split("/")) is not None
 
 
 def _power_name(names: Sequence[str]) -> str | None:
-    """Return the name of a power among names."""
+    """Return the first of `names` that denotes a power, or None."""
     folded = {fold(name.rsplit(".", 1)[-1]): name for name in names}
     return next((folded[each] for each in ALIASES["power"] if each in folded), None)
 
 
 def _powers(message: Recorded) -> Iterator[_Reading]:
-    """Yield the readings of a message: its own, or one of each entry of a list."""
+    """Yield the power readings of a message: its own, and one from each entry of its lists."""
     content = message.content
     lists: list[Any] = [value for _, value in _fields(content) if isinstance(value, list)]
     entries = [each for one in lists for each in one if isinstance(each, SimpleNamespace)]
@@ -228,7 +228,7 @@ def _rotated(turn: Floats, place: Floats) -> Floats:
 
 
 def _interpolated(time_s: Floats, times_s: Floats, values: Floats) -> Floats:
-    """Return values (n, k) at other times, component by component."""
+    """Return values (n, k) interpolated at `time_s`, component by component."""
     # Quaternions of opposite sign are the same rotation.
     if values.shape[1] > 4:
         flipped: Mask = np.sum(values[1:, 3:] * values[:-1, 3:], axis=1) < 0.0

@@ -128,7 +128,7 @@ def _with_points(frame: Any, columns: dict[str, list[Any]]) -> dict[str, list[An
         )
     names = ("x_m", "y_m")
     if frame.crs is not None:
-        # Logs in any reference system are read in degrees, for which --origin is given.
+        # Any reference system is converted to degrees; the user gives --origin for these.
         points, names = points.to_crs(4326), ("longitude", "latitude")
     left = {name: values for name, values in columns.items() if not is_position(name)}
     left.pop(str(points.name), None)

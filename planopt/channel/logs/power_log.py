@@ -284,7 +284,7 @@ def transmitters_of(
 
 
 def labels_of(table: LogTable, column: str) -> dict[str, int]:
-    """Return the labels in a column of a table with the number of their rows, frequent first."""
+    """Return the labels in a column with the number of their rows, most frequent first."""
     counts: dict[str, int] = {}
     for cell in table.cells(column):
         label = cell.label()

@@ -39,7 +39,7 @@ READERS = Registry(
         "network_survey_nr": f"{PROGRAMS}.network_survey:NR",
         "network_survey_wifi": f"{PROGRAMS}.network_survey:WIFI",
         "network_survey_bluetooth": f"{PROGRAMS}.network_survey:BLUETOOTH",
-        # The first of two equally long signatures counts.
+        # If two signatures of equal length match, the first one is used.
         "meshtastic": f"{PROGRAMS}.meshtastic:RSSI",
         "meshtastic_snr": f"{PROGRAMS}.meshtastic:SNR",
         "wifi_logger": f"{PROGRAMS}.wifi_logger:WIFI_LOGGER",
@@ -48,7 +48,7 @@ READERS = Registry(
     },
     "planopt.log_readers",
 )
-"""Readers of the logs of known programs."""
+"""Registry of readers for the logs of known programs."""
 
 KINDS: dict[str, Callable[[Path, Ranked], LogTable]] = {
     **dict.fromkeys((".db", ".sqlite", ".sqlite3", ".db3"), read_sqlite),
@@ -75,7 +75,7 @@ class LogReader:
     accuracy: str | None = None
     preamble: str | None = None  # Start of lines above the header
     no_power: tuple[str, ...] = ()  # Texts that mean no reading
-    remark: str | None = None  # Warning about what the log does not contain
+    remark: str | None = None  # Warning about the meaning or limits of the columns
 
 
 @dataclass(frozen=True)

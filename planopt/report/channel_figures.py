@@ -67,6 +67,9 @@ PANEL_IN, AROUND_IN, MAX_SLENDER = 4.0, 1.9, 2.0
 SHOWN_DECORRELATIONS, SHOWN_EXTENT = 5.0, 0.25
 """Maximum lag shown: the larger of 5 decorrelation distances and 25 % of the extent."""
 
+SHOWN_DISTANCES_M = (1.0, 1000.0)
+"""Distances to the station for which a fit without measurements is drawn."""
+
 LINE_DEVIATIONS, LINE_POINTS = 2.0, 200
 """Half width of a fitted line's band in standard deviations, and number of points per curve."""
 
@@ -177,24 +180,25 @@ def _prediction_maps(
     return draw_level(panels[2], chance, p_min, VERMILLION, f"p_min = {p_min:g}")
 
 
-def draw_fit(measurements: Measurements, fit: ChannelFit, station: Station) -> Figure:
+def draw_fit(measurements: Measurements | None, fit: ChannelFit, station: Station) -> Figure:
     """Draw power over distance with the fitted line, and residual covariance over lag.
 
     Parameters
     ----------
     measurements
-        Measurements used by the fit.
+        Measurements used by the fit; None draws the fitted curves alone.
     fit
         Fitted channel.
     station
         Origin of distances.
     """
-    ratios: Look = {"width_ratios": [1.15, 1.0], "height_ratios": [3.0, 1.0]}
-    figure, panels = new_figure(13.0, 5.8, ["AB", "AC"], **ratios)
-    _draw_path_loss(panels[0], measurements, fit.parameters, station)
-    _draw_covariance(panels[1], panels[2], measurements, fit, station)
-    censored = int(measurements.censored.sum())
-    words = f"{len(measurements)} measurements, {censored} of them censored: {fit.status}"
+    heights = [1.0] if measurements is None else [3.0, 1.0]
+    ratios: Look = {"width_ratios": [1.15, 1.0], "height_ratios": heights}
+    figure, panels = new_figure(13.0, 5.8, ["AB", "AC"][: len(heights)], **ratios)
+    shown = measurements or Measurements(np.zeros((0, 2)), np.zeros(0))
+    _draw_path_loss(panels[0], shown, fit.parameters, station)
+    _draw_covariance(panels[1], panels[2:], shown, fit, station)
+    words = f"{fit.measurements} measurements, {fit.censored} of them censored: {fit.status}"
     head(figure, f"{fit.method} fit to {words}")
     return figure
 
@@ -213,7 +217,9 @@ def _draw_path_loss(
         if selection.any():
             power = measurements.power_dbm[selection]
             panel.scatter(distance[selection], power, s=14.0, alpha=0.7, label=label, **look)
-    nearest, farthest = float(distance.min()), float(distance.max())
+    nearest, farthest = SHOWN_DISTANCES_M
+    if len(distance):
+        nearest, farthest = float(distance.min()), float(distance.max())
     if farthest < 1.01 * nearest:
         nearest, farthest = 0.9 * nearest, 1.1 * farthest  # an axis needs a positive extent
     span = np.geomspace(nearest, farthest, LINE_POINTS)
@@ -229,7 +235,11 @@ def _draw_path_loss(
 
 
 def _draw_covariance(
-    panel: Panel, counts: Panel, measurements: Measurements, fit: ChannelFit, station: Station
+    panel: Panel,
+    counts: Sequence[Panel],  # One panel, or none
+    measurements: Measurements,
+    fit: ChannelFit,
+    station: Station,
 ) -> None:
     """Draw products of residuals over lag, the fitted covariance, and the number of pairs.
 
@@ -248,7 +258,7 @@ def _draw_covariance(
         near = bins.lag_m <= shown
         lag, pairs = bins.lag_m[near], bins.pairs[near]
         panel.scatter(lag, bins.covariance_db2[near], s=22.0, color=BLACK, label="mean of a bin")
-        counts.bar(lag, pairs, width=0.8 * extent / BINS, color=OBSTACLE_EDGE)
+        counts[0].bar(lag, pairs, width=0.8 * extent / BINS, color=OBSTACLE_EDGE)
     lags = np.linspace(0.0, shown, LINE_POINTS)
     shadow, decorrelation = parameters.shadow_std_db**2, parameters.decorrelation_m
     errors = {
@@ -263,9 +273,16 @@ def _draw_covariance(
     panel.plot(lags, shadow * np.exp(-lags / decorrelation), label=words[0], **look)
     look = {"linestyle": "none", "marker": "D", "color": PREDICTED, "clip_on": False}
     panel.plot([0.0], [shadow + parameters.multipath_std_db**2], label=words[1], **look)
-    dress(panel, "covariance of the residuals (uncensored)", "", "covariance [dB²]")
-    dress(counts, "", "distance between measurements [m]", "pairs [count]")
-    for either in (panel, counts):
+    lag_label = "distance between measurements [m]"
+    dress(
+        panel,
+        "covariance of the residuals" + (" (uncensored)" if counts else ""),
+        "" if counts else lag_label,
+        "covariance [dB²]",
+    )
+    for each in counts:
+        dress(each, "", lag_label, "pairs [count]")
+    for either in (panel, *counts):
         either.set_xlim(0.0, shown)
     legend_inside(panel, "upper right")
 

@@ -9,7 +9,7 @@ from html import escape
 from itertools import islice
 from typing import TYPE_CHECKING, Any, cast
 
-from planopt.report.channel_figures import draw_posterior_map
+from planopt.report.channel_figures import draw_fit, draw_posterior_map
 from planopt.report.page import cell_text
 from planopt.report.page_content import key_figures
 from planopt.report.panel import DPI
@@ -31,7 +31,7 @@ def result_html(result: Solution | Run) -> str:
 
 
 def fit_html(fit: ChannelFit) -> str:
-    """Return a fit as HTML, with standard errors and warnings."""
+    """Return a fit as HTML: fitted curves, standard errors and warnings."""
     figures = [
         ("status", f"{fit.status}, by {fit.method} from {fit.measurements} measurements"),
         *(
@@ -40,7 +40,8 @@ def fit_html(fit: ChannelFit) -> str:
         ),
     ]
     notes = "".join(f"<li>{escape(each)}</li>" for each in fit.warnings)
-    return summary_html("channel fit", figures, None, len(figures)) + f"<ul>{notes}</ul>"
+    picture = draw_fit(None, fit, fit.parameters.station)
+    return summary_html("channel fit", figures, picture, len(figures)) + f"<ul>{notes}</ul>"
 
 
 def map_html(maps: PosteriorMap) -> str:

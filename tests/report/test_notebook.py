@@ -26,9 +26,10 @@ def test_results_display_picture_and_key_figures(kind: str, request: pytest.Fixt
 
 
 def test_fits_and_maps_display_themselves() -> None:
-    """A fit its parameters with errors, a map its picture."""
+    """With a picture; a fit has its parameters with errors."""
     belief = planopt.solve(planopt.load("open_field"), horizon=1).belief
     html = belief.fit._repr_html_()
+    assert picture_of(html).startswith(b"\x89PNG")
     assert "n_pl" in html and "±" in html
     assert all(warning.split()[0] in html for warning in belief.fit.warnings)
     maps = planopt.channel.posterior_map(belief.posterior, (0.0, 0.0, 60.0, 40.0), 10.0, -60.0)

@@ -226,5 +226,5 @@ class ChannelFit:
     __repr__ = short_repr
 
     def _repr_html_(self) -> str:
-        """Return the parameters for notebooks."""
+        """Return an HTML view for notebooks: fitted curves and parameters."""
         return import_module("planopt.report.notebook").fit_html(self)

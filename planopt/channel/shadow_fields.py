@@ -7,8 +7,8 @@ would change the covariance.
 
 A conditional field is an unconditional one plus the kriged differences to the measured values
 (conditioning by kriging). Its mean and covariance are those of the posterior, but no covariance
-between all cells is needed. A field has one time and exact positions: measurements that age or
-have position errors are rejected.
+between all cells is needed. A field has one time: measurements that age are rejected. Measurements
+with position errors are simulated at positions drawn around the recorded ones.
 """
 
 from __future__ import annotations
@@ -257,25 +257,24 @@ def conditional_field(
     Raises
     ------
     InputError
-        The lattice does not fit into memory, or measurements age or have position errors.
+        The lattice does not fit into memory, or measurements age.
     """
     parameters, measurements = posterior.parameters, posterior.measurements
-    for part, what in (
-        (posterior.origins.time_s, "taken at different times"),
-        (posterior.origins.blur_m2, "with position errors"),
-    ):
-        if part is not None:
-            raise InputError(
-                f"conditional fields cannot be drawn for measurements {what}",
-                key="posterior",
-                remedy="use sample_power, which is limited only by memory",
-            )
+    if posterior.origins.time_s is not None:
+        raise InputError(
+            "conditional fields cannot be drawn for measurements taken at different times",
+            key="posterior",
+            remedy="use sample_power, which is limited only by memory",
+        )
     x_min, y_min, x_max, y_max = bounds_m
     x, y = cell_centres_m(x_min, x_max, cell_m), cell_centres_m(y_min, y_max, cell_m)
     covariance = (parameters.shadow_std_db, parameters.decorrelation_m)
     lattice = shadow_field_db((y.size, x.size), cell_m, *covariance, generator).values_db
     measured = measurements.positions_m
-    at_measured = added_to_lattice_db(x, y, lattice, measured, *covariance, generator)
+    places, std_m = measured, measurements.position_std_m
+    if std_m.any():
+        places = measured + std_m[:, None] * generator.standard_normal(measured.shape)
+    at_measured = added_to_lattice_db(x, y, lattice, places, *covariance, generator)
     theta = generator.multivariate_normal(
         posterior.theta, posterior.theta_covariance, method="eigh"
     )
@@ -292,5 +291,8 @@ def conditional_field(
     block = max(1, PREDICTION_ELEMENTS // max(1, len(measured)))
     for start in range(0, len(centres), block):
         part = slice(start, start + block)
-        values[part] += shadow_covariance_db2(centres[part], measured, parameters) @ weights
+        across = shadow_covariance_db2(
+            centres[part], measured, parameters, posterior.origins.blur_m2
+        )
+        values[part] += across @ weights
     return Raster(x, y, values.reshape(lattice.shape))

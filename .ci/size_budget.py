@@ -16,8 +16,8 @@ BUDGET = {
     "lines": 72_300,
     "lines of code": 51_980,
     "files": 288,
-    "functions": 3_748,
-    "docstring lines": 8_753,
+    "functions": 3_749,
+    "docstring lines": 8_754,
     "lines of tests": 48_480,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""

@@ -32,11 +32,24 @@ counter-clockwise to the x axis, by default 0."""
 
 def parse_origin(text: str, key: str = "--origin") -> Origin:
     """Return the origin in a text ``LAT,LON`` or ``LAT,LON,ANGLE`` in degrees."""
+    require_points(text, key, "ANGLE")
     try:
         numbers = tuple(float(part) for part in text.split(","))
     except ValueError:
         numbers = ()
     return require_origin(numbers, key, text)
+
+
+def require_points(text: str, key: str, third: str) -> None:
+    """Raise an InputError for three numbers in degrees that may be two with a decimal comma."""
+    parts = text.split(",")
+    if len(parts) == 3 and not ("." in parts[0] and "." in parts[1]):
+        raise InputError(
+            f"{text!r} may have a decimal comma",
+            key=key,
+            remedy=f"write LAT,LON with decimal points, such as 48.1,11.0; LAT,LON,{third} needs a "
+            "point in LAT and in LON",
+        )
 
 
 def require_origin(origin_deg: tuple[float, ...], key: str, shown: object = None) -> Origin:

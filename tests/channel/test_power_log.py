@@ -207,6 +207,8 @@ def test_station_option():
     for text in ("", "1", "1,2,3,4", "1,two", "1,nan", "inf,0"):
         with refused():
             parse_station(text)
+    with refused():  # 48.1374,11.57 with a decimal comma
+        parse_station("48.1374,11,57", (48.1, 11.6))
 
 
 @pytest.mark.parametrize("row", ["3,1e11,-60", "3e300,1,-60", "3,1,970", "3,1,-999"])

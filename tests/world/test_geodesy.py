@@ -65,9 +65,11 @@ def test_the_inverse(origin: tuple[float, float]) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "48", "48,1,11,5", "48,11,361", "a,b", "nan,0", "90,0", "0,181", "inf,0"]
+    "text",
+    ["", "48", "48,1,11,5", "48.0,11.0,361", "a,b", "nan,0", "90,0", "0,181", "inf,0"]
+    + ["48,11,5", "48.1374,11,57", "48,13,11.57"],
 )
 def test_origins_that_are_none(text: str) -> None:
-    """Neither is the pole one: it has no east."""
+    """Neither is the pole one: it has no east. Three numbers may be two with a comma."""
     with refused():
         parse_origin(text)

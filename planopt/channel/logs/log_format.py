@@ -13,7 +13,7 @@ from pydantic import Field
 from planopt.channel.parameters import Station
 from planopt.errors import InputError
 from planopt.keys import Decibels, Distance, OriginKey, Part, ReadAs, Table
-from planopt.world.geodesy import FARTHEST_M, Origin, east_north_m
+from planopt.world.geodesy import FARTHEST_M, Origin, east_north_m, require_points
 
 Columns = tuple[str | None, str | None, str | None]
 """Names of the columns for x, y and power; None if the name is detected."""
@@ -161,6 +161,7 @@ def parse_station(text: str, origin_deg: Origin | None = None) -> Station | None
         )
     place, height_m = np.array(numbers[:2]), (*numbers, 0.0)[2]
     if origin_deg is not None:
+        require_points(text, "station", "HEIGHT")
         (place,) = east_north_m(place[1:], place[:1], origin_deg)
         if np.isnan(place).any():
             raise InputError(

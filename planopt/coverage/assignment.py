@@ -137,7 +137,7 @@ def propagate_flags(
     history = [np.isin(own, lists)]
 
     def merge(sender: Indices, receiver: Indices) -> Mask:
-        """Merge received lists, truncated to `most` (n,) entries."""
+        """Merge the senders' lists into the receivers' lists, truncated to `most` (n,) entries."""
         nonlocal lists
         sizes = np.bincount(lists // n, minlength=n)
         begin, length = np.cumsum(sizes) - sizes, sizes[sender]
@@ -175,7 +175,7 @@ class Assignment:
 
 
 def fair_shares(demands: Indices, agents: int) -> Indices:
-    """Return the agents per event for demands ``(k,)``, rationed if they exceed `agents`; (k,)."""
+    """Return the number of agents per event: the demands (k,), cut if they exceed `agents`."""
     # Agents go one by one to the event with the smallest fulfilled share of its demand (max-min
     # fairness in lexicographic order). Ties go to the smaller demand, then to the smaller event
     # number.

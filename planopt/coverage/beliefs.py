@@ -1,9 +1,9 @@
 """Beliefs of agents about events: readings, estimates and teams travel over lossy links.
 
-Every agent knows what it has measured or received from a neighbour, and nothing else. Agents that
-respond to an event, or detect it, ask their neighbours for readings; all of these agents pass
-readings on. An asking agent estimates the event from the readings it holds. The best estimate
-travels to all agents, and lists of the nearest agents then decide who responds.
+Every agent knows only its own measurements and the messages of its neighbours. Agents that respond
+to an event, or detect it, request readings from their neighbours; all of these agents pass readings
+on. A requesting agent estimates the event from the readings it holds. The best estimate travels to
+all agents, and lists of the nearest agents then decide which agents respond.
 """
 
 from __future__ import annotations
@@ -38,10 +38,10 @@ from planopt.coverage.network import Loss, Merge, Network, flood
 from planopt.coverage.voronoi import ConvexRegion
 
 GRID_READINGS = 150
-"""Number of readings above which only the last estimate serves as initial guess."""
+"""Number of readings above which the last estimate replaces the grid of initial guesses."""
 
 NEVER = -(10**9)
-"""Step of the last detection of an event that an agent never heard of."""
+"""Value of the last detection's step for an agent that knows of no detection."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +74,7 @@ class Medium:
 class Estimate:
     """Estimate of an event with its rank among the estimates of all agents."""
 
-    # The estimate from more readings ranks higher; where readings age, the newer one does.
+    # Estimates from more readings rank higher; if readings expire, newer estimates rank higher.
     rank: tuple[int, int]
     value: EventEstimate
     # Number of readings, step of the earliest one, and step of the estimate
@@ -91,13 +91,13 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class Belief:
-    """Knowledge of each of `n` agents about one event, with `r` readings in all."""
+    """Knowledge of `n` agents about one event, with `r` readings in total."""
 
     steps: Indices  # (r,) step in which each reading was taken
     readings: Readings
     held: Mask  # (n, r) readings that each agent holds
     estimates: tuple[Estimate, ...]  # Estimates that agents hold, of ascending rank
-    chosen: Indices  # (n,) number of each agent's estimate; `NONE` for agents without
+    chosen: Indices  # (n,) number of each agent's estimate; `NONE` for agents without one
     heard: Indices  # (n,) step of the last detection that the agent knows of
 
     @classmethod
@@ -114,7 +114,7 @@ class Belief:
 
     @property
     def known(self) -> Mask:
-        """Return which agents regard the event as active; (n,)."""
+        """Return a mask of the agents that consider the event active; (n,)."""
         return self.chosen != NONE
 
     @property
@@ -144,11 +144,11 @@ class Belief:
 
     @property
     def stds_m(self) -> Floats:
-        """Return the standard deviation of each agent's estimate; (n,), NaN without."""
+        """Return the standard deviation of each agent's estimate; (n,), NaN without an estimate."""
         return np.array([*(each.std_m for each in self.estimates), math.nan])[self.chosen]
 
     def of(self, agents: Mask) -> Belief:
-        """Return the belief without the knowledge of all other agents; `agents` is a mask (n,)."""
+        """Return the belief reduced to the knowledge of the agents in a mask (n,)."""
         return replace(
             self,
             held=self.held & agents[:, None],
@@ -163,11 +163,11 @@ def share_readings(
     medium: Medium,
     agents_m: Floats,  # (n, 2)
     signal: Floats,  # (n,); negative infinity for absent agents
-    asks: Mask,  # (n,) mask of the agents that ask their neighbours for readings
+    asks: Mask,  # (n,) mask of the agents that request readings from their neighbours
     step: int,
     time_step_s: float,
 ) -> tuple[Belief, int]:
-    """Share the readings of a step and those that an agent lacks; return the messages sent too."""
+    """Exchange new and missing readings; return the belief and the number of messages."""
     sender, receiver = medium.network.directed
     count, near = len(signal), asks.copy()
     near[receiver[asks[sender]]] = True
@@ -180,7 +180,7 @@ def share_readings(
     work = np.concatenate((now, belief.held[:, partly]), axis=1)
 
     def merge(senders: Indices, receivers: Indices) -> Mask:
-        """Unite the readings of receivers with those of their senders and with their own one."""
+        """Add the senders' readings, and the receiver's new reading, to those of each receiver."""
         changed, order = np.zeros(count, dtype=np.bool_), np.argsort(receivers, kind="stable")
         first = np.flatnonzero(np.diff(receivers[order], prepend=NONE))
         if len(first):
@@ -219,7 +219,7 @@ def estimate_event(
     step: int,
     time_step_s: float,
 ) -> Belief:
-    """Estimate an event by all asking agents, each from the readings it holds."""
+    """Update the estimate of each requesting agent from the readings that this agent holds."""
     moves = sensing.speed_std_m_s is not None
     fresh = belief.held if moves else belief.held[:, belief.steps == step]
     groups: dict[bytes, list[int]] = {}  # Agents with equal readings have equal estimates
@@ -246,7 +246,7 @@ def estimate_event(
 
 
 def _taken(readings: Readings, rows: Mask) -> Readings:
-    """Return the readings in a mask."""
+    """Return the readings that a mask (r,) selects."""
     return Readings(readings.positions_m[rows], readings.signal[rows], readings.counts[rows])
 
 
@@ -277,9 +277,9 @@ def _located(
 def share_estimates(
     belief: Belief, medium: Medium, step: int, silent_steps: int
 ) -> tuple[Belief, int]:
-    """Pass on estimates and times of detection; agents that hear of none in time forget the event.
+    """Exchange estimates and detection times; return the belief and the number of messages.
 
-    Returns the belief and the number of messages.
+    Agents that know of no detection in the last `silent_steps` steps forget the event.
     """
     chosen, heard = belief.chosen.copy(), belief.heard.copy()
 
@@ -325,11 +325,11 @@ def choose_teams(
     states: Indices,  # (n,) event that each agent responded to in the last step
     hysteresis_m: float,
 ) -> Response:
-    """Decide which events agents respond to, each agent from its own belief and the lists it has.
+    """Assign agents to events; each agent decides from its own belief and lists of nearest agents.
 
-    An agent announces its distances to the events that it knows, plus the hysteresis to those that
-    it does not respond to. The lists of an agent are as long as the sum of all demands, so they
-    contain every agent that deferred acceptance may request.
+    An agent announces its distance to every event that it knows. The hysteresis is added for events
+    that it does not respond to. Lists are as long as the sum of all demands, so that they contain
+    every agent that deferred acceptance may request.
     """
     agents, events = len(counts), len(beliefs)
     known = np.array([belief.known for belief in beliefs]).reshape(events, agents).T
@@ -371,7 +371,7 @@ def choose_teams(
 
 
 def _shares(known: Mask, demands: Sequence[Demand], counts: Floats) -> tuple[Indices, Indices]:
-    """Return the demands (n, k) of known events by each agent's count, and its fair shares."""
+    """Return each agent's demands (n, k) for the events it knows, and the fair shares (n, k)."""
     wants, shares = (np.zeros(known.shape, dtype=np.intp) for _ in range(2))
     done: dict[tuple[bytes, int], tuple[Indices, Indices]] = {}
     for agent in np.flatnonzero(known.any(axis=1) & np.isfinite(counts)).tolist():

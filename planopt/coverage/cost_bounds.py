@@ -28,22 +28,22 @@ EFFORT_S = 1.0
 """Processor time in seconds of a bound on a common core, by default."""
 
 PAIRS_PER_S = 2.0e7, 1.5e6
-"""Pairs of boxes and cells per second: in a step of the prices, and in the certificate."""
+"""Number of box-cell pairs processed per second in a price step, and in the certificate."""
 
 COARSE = 5.0
 """Maximum number of coarse cells along the radius of an agent's cell."""
 
 STEPS = 100
-"""Number of steps of the prices that the size of the coarse cells allows."""
+"""Number of price steps assumed for the choice of the coarse cells' size."""
 
 SMOOTHINGS = (0.05, 0.02, 0.01, 0.004, 0.002, 0.001)
 """Relative temperatures of the soft maximum over positions, in sequence."""
 
 MOST_STEPS = 80
-"""Maximum number of steps of the prices at each temperature."""
+"""Maximum number of price steps at each temperature."""
 
 GROWTH = 1.7
-"""Largest factor of a price at each temperature."""
+"""Maximum factor by which a price grows at each temperature."""
 
 NEAREST = 4
 """Number of positions between which prices are interpolated."""
@@ -66,7 +66,7 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Measure of the region, divided into cells."""
+    """Mass distribution of the region, divided into m cells."""
 
     centroids_m: Floats  # (m, 2)
     mass: Floats  # (m,)
@@ -105,7 +105,7 @@ def cost_bound(ground: Ground, places_m: Floats, effort_s: float = EFFORT_S) -> 
     places_m
         A good deployment (n, 2), from which the prices start. It does not affect validity.
     effort_s
-        Approximate processor time in seconds. The result depends on it, not on the time.
+        Intended processor time in seconds. It sets resolution and iterations; no clock is read.
     """
     if not isinstance(ground, GeodesicGround) and isinstance(ground.density, CallableDensity):
         return 0.0
@@ -154,7 +154,7 @@ def certified(
     prices_m2: Floats,  # (m,) at most the square of the sensing range
     count: int,
 ) -> float:
-    """Return the bound for prices of cells, valid for all prices; at least 0."""
+    """Return the lower bound that prices of cells prove, valid for any prices; at least 0."""
     half, settled = 0.5 * sides_m, 0.0
     gains = _largest_gains(middles_m, half, cells, prices_m2)
     for _ in range(SPLITS):
@@ -177,7 +177,7 @@ def _sums(numbers: Indices, values: Floats | Mask, count: int) -> Floats:
 
 
 def _first_prices(ground: Ground, places_m: Floats) -> Prices:
-    """Return the squared radii of the discs that cost as much as the cells of a deployment."""
+    """Return initial prices: squared radii of discs that cost as much as a deployment's cells."""
     # The second nearest agent, which a single one lacks, is not used.
     agents = np.repeat(places_m, 2, axis=0) if len(places_m) == 1 else places_m
     two, count = ground.two_nearest(agents), len(agents)
@@ -222,7 +222,7 @@ def _touches(ground: Ground, middles_m: Floats, sides_m: Floats) -> Mask:
 
 
 def _cells(ground: Ground, middles_m: Floats, sides_m: Floats) -> Cells:
-    """Return the measure of a ground on squares that cover it."""
+    """Return the mass distribution of a ground on squares that cover it."""
     if isinstance(ground, GeodesicGround):
         return _cells_of_nodes(ground, middles_m, sides_m)
     free = ground.free
@@ -243,7 +243,7 @@ def _cells(ground: Ground, middles_m: Floats, sides_m: Floats) -> Cells:
 
 
 def _cells_of_nodes(ground: GeodesicGround, middles_m: Floats, sides_m: Floats) -> Cells:
-    """Return the nodes of a ground, those in the same square as one cell."""
+    """Return the nodes of a ground, merged to one cell per square."""
     places, weight = ground.ends_m, ground.mass
     square = np.asarray(KDTree(middles_m).query(places)[1], dtype=np.intp)  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
     count = len(middles_m)
@@ -263,7 +263,7 @@ def _cells_of_nodes(ground: GeodesicGround, middles_m: Floats, sides_m: Floats) 
 def _pairs(
     middles_m: Floats, half_m: Floats, cells: Cells, prices_m2: Floats
 ) -> Iterator[tuple[Indices, Indices]]:
-    """Yield index pairs (box, cell); includes all within the root of the cell's price lambda."""
+    """Yield index pairs (box, cell), including all closer than the root of the cell's price."""
     # The price in m^2 is the squared distance up to which an agent gains from the cell.
     radius, middle = np.sqrt(prices_m2), 0.5 * (cells.low_m + cells.high_m)
     extent = 0.5 * np.linalg.norm(cells.high_m - cells.low_m, axis=1)
@@ -293,7 +293,7 @@ class Candidates:
 
 
 def _candidates(cells: Cells, places_m: Floats, most_m2: Floats) -> Candidates:
-    """Return the pairs of positions (b, 2) and cells up to squared distances (m,)."""
+    """Return pairs of positions (b, 2) and cells within the cells' squared distances (m,)."""
     found = list(_pairs(places_m, np.zeros(len(places_m)), cells, most_m2))
     box, cell = (np.concatenate([pair[side] for pair in found]) for side in (0, 1))
     offsets = cells.centroids_m[cell] - places_m[box]
@@ -305,7 +305,7 @@ def _candidates(cells: Cells, places_m: Floats, most_m2: Floats) -> Candidates:
 def _soft_loss(
     logarithms: Floats, cells: Cells, at: Candidates, count: int, heat: float
 ) -> tuple[float, Floats]:
-    """Return minus the bound over candidates, by a soft maximum, and its derivatives (m,).
+    """Return the negative bound with a soft maximum over candidates, and its gradient (m,).
 
     Both are relative to the mass.
     """
@@ -355,7 +355,7 @@ def _optimised(
 
 
 def _largest_gains(middles_m: Floats, half_m: Floats, cells: Cells, prices_m2: Floats) -> Floats:
-    """Return upper bounds (b,) of G over square boxes.
+    """Return upper bounds (b,) of the gain G(p) over square boxes of positions p.
 
     A cell within the price's disc of every position in the box contributes a quadratic function. A
     cell that the disc's boundary may cross contributes a linear function, and a bound of the rest.

@@ -20,7 +20,7 @@ from planopt.errors import InputError
 from planopt.world.raster import Raster
 
 NODES = 6
-"""Number of Gauss points along each side of a patch."""
+"""Number of Gauss points along each side of a quadrature patch."""
 
 BUMP_NODES = 8
 """Number of Gauss points along a boundary part as long as a Gaussian's standard deviation."""

@@ -23,12 +23,12 @@ class Deployer:
     def __init__(self, ground: Ground, generator: np.random.Generator) -> None:
         self._ground, self._generator = ground, generator
         self._agents: Indices = np.zeros(0, dtype=np.intp)  # Covering agents, ascending
-        self._places = np.zeros((0, 2))  # Their positions
+        self._places = np.zeros((0, 2))  # Their targets
 
     def places_m(self, agents: Indices, here_m: Floats) -> Floats:
-        """Return the positions (k, 2) of covering agents with ascending numbers (k,)."""
+        """Return target positions (k, 2) for covering agents with ascending numbers (k,)."""
         if not np.array_equal(agents, self._agents):
-            # A changed network settles from the positions it had, and from newcomers' own.
+            # After a change, the search starts from the old targets and newcomers' positions.
             first = here_m.copy()
             stays = np.isin(agents, self._agents)
             first[stays] = self._places[np.isin(self._agents, agents)]

@@ -294,7 +294,7 @@ def geodesic_cells(ground: GeodesicGround, agents_m: Floats) -> GeodesicCells:
             near[waiting] = _nearest(tree, nodes[waiting], fetched)
         agent = near[waiting, rank]
         straight = np.linalg.norm(nodes[waiting] - agents_m[agent], axis=1)
-        # The straight line also wins a tie with the path over the agent's own corner.
+        # A straight line is preferred to an equally long path over the agent's own corner.
         kept = straight <= distance[waiting] * (1.0 + AT_CORNER)
         waiting, agent, straight = waiting[kept], agent[kept], straight[kept]
         if not len(waiting):

@@ -44,7 +44,7 @@ class EventSensor:
     scale_m: float = 1.0  # Distance at which the signal has half its strength
 
     def profile(self, distance_m: Floats) -> Floats:
-        """Return F at distances, in their shape."""
+        """Return the signal profile F at distances, in the shape of the input."""
         return 1.0 / ((distance_m / self.scale_m) ** 2 + 1.0)
 
     def slope(self, distance_m: Floats) -> Floats:

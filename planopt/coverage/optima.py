@@ -25,7 +25,7 @@ CANDIDATES = 20
 """Number of candidate positions per agent for random initial deployments."""
 
 SINGLES = 3
-"""Number of agents, and of destinations, for the final trials of single relocations."""
+"""Number of agents, and of destination cells, for the final trials of single relocations."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +110,7 @@ def _candidates(
 
 
 def _relocated(ground: Ground, places: Floats, cost: float) -> tuple[Floats, float]:
-    """Relocate the least useful agents to the cells that gain most from a second one, and settle.
+    """Relocate the least useful agents to cells that gain most from a second agent, then settle.
 
     Gains are estimated on sample points. All moves are tried at once, then fewer, then single ones.
     """
@@ -138,7 +138,7 @@ Relocation = tuple[int, int, Floats]
 
 
 def _relocations(ground: Ground, places: Floats) -> tuple[list[Relocation], list[Relocation]]:
-    """Return relocations with positive estimated gain, best first, and candidate single ones.
+    """Return relocations with positive estimated gain, best first, and candidates for single moves.
 
     If an agent leaves, the second nearest agent takes over its part of the region. A second agent
     in a cell halves it across its longest extent.

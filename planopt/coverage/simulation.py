@@ -71,7 +71,7 @@ class Scene:
     hysteresis_m: float  # Advantage in distance beyond which a new agent replaces an assigned one
     counting: Counting
     links: LinkModel | None  # Loss of messages by distance; None without losses
-    flag_rounds: int  # Most rounds of each flood in a step, with losses
+    flag_rounds: int  # Maximum number of rounds of a flood with losses
     time_step_s: float
     duration_s: float
     settled_m: float  # Distance to its target up to which an agent counts as settled
@@ -167,7 +167,7 @@ class NetworkStep:
     residual_m: float
     counts: Floats
     wanted: Indices
-    beliefs: tuple[Belief, ...]  # (k,) what each agent knows about each event
+    beliefs: tuple[Belief, ...]  # (k,) knowledge of all agents about each event
     messages: tuple[int, ...]
     settled: bool  # Whether all agents are settled permanently
 
@@ -304,7 +304,7 @@ class NetworkController:
         )  # fmt: skip
 
     def _aims(self, here_m: Floats, targets_m: Floats, responds: Mask, who: Indices) -> Aims:
-        """Return the targets of the members, which are the agents `who`, over the horizon.
+        """Return the targets of the members `who` over the horizon.
 
         Members with a horizon of several steps know the plans of their neighbours. The last step of
         every plan is extended by the control law.
@@ -345,7 +345,7 @@ class NetworkController:
         readings: Signals,
         who: Indices,
     ) -> tuple[int, int]:
-        """Update beliefs and responses; return the messages for assignment and with readings."""
+        """Update beliefs and responses; return the message counts of assignment and readings."""
         # All arrays are by agent (n,); `who` are the members, which alone measure and have links.
         scene, sensing = self.scene, self.scene.sensing
         if sensing is None:
@@ -355,7 +355,7 @@ class NetworkController:
         for number, before in enumerate(self._beliefs):
             signal = np.full(len(states), -np.inf)
             signal[who] = readings(number, who)
-            # An agent that detects an event asks unless it knows that others respond.
+            # A detecting agent requests readings unless it knows that others respond.
             detects = signal > sensing.detection_std * sensing.sensor.noise_std
             asks = detects & ~(before.known & (self._response.shares[:, number] > 0))
             asks = members & (asks | (states == number))

@@ -22,7 +22,7 @@ SLACK = 1e-6
 """Relative tolerance of motion limits; tolerance in metres of distances to boundaries."""
 
 SAMPLES = 512
-"""Number of shorter lengths at which a link's failure probability is evaluated in addition."""
+"""Number of additional, shorter lengths at which a link's failure probability is evaluated."""
 
 LOOKS = 9
 """Number of positions along a move at which estimated base-station channels are evaluated."""

@@ -1,4 +1,4 @@
-"""Verifier of event estimates, independent of the estimator: it solves for them from readings."""
+"""Verifier that recomputes event estimates from readings, independently of the estimator."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ FINE = 1e-12
 
 @dataclass(frozen=True)
 class SignalModel:
-    """Model of readings ``K / ((d / scale)^2 + 1)`` of an event, as a verifier knows it."""
+    """Model ``K / ((d / scale)^2 + 1)`` of an event's readings, as used by the verifier."""
 
     noise_std: float
     strength: float

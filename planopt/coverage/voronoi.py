@@ -213,7 +213,7 @@ def agent_neighbours(cells: Cells) -> Indices:
 
 
 def merge_coincident(places_m: Floats, within_m: float) -> tuple[Floats, Indices]:
-    """Merge points that chains of short gaps link; return merged points and group numbers."""
+    """Merge points linked by gaps up to `within_m`; return merged points and group numbers."""
     # Shapes: places_m (n, d); returns (g, d) and (n,).
     tree = KDTree(places_m)
     found = tree.query_pairs(within_m, output_type="ndarray")  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]

@@ -28,14 +28,14 @@ BLENDS = (1.0, 0.999, 0.99, 0.9, 0.5)
 """Blending factors of planned move and braking, tried in turn before pure braking."""
 
 HEAVY = 1e3
-"""Largest ratio of the masses that an agent's cell has at two steps of a plan."""
+"""Maximum ratio between the masses of an agent's cell at two steps of a plan."""
 
 ROUNDING = 1e-12
 """Tolerance of positions outside their sets, as a share of the ground's radius."""
 
 SPLIT = 1e-9
-"""Distance, as a share of the region's radius, by which coincident covering agents are separated.
-Their common cell is then split into sectors, and they separate."""
+"""Distance, as a share of the region's radius, by which coincident covering agents are moved apart.
+Each of them then gets a sector of their common cell."""
 
 Partition = Literal["all", "coverage_only"]
 """Agents that get a cell of the region: all agents, or only the covering ones."""
@@ -116,7 +116,7 @@ def _clipped_moves(agents: Floats, targets: Floats, share: Floats, most_m: float
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Plan of `n` agents: the state after its first move, and positions over the horizon."""
+    """Plan of `n` agents: the state after the first move, and positions over the horizon."""
 
     motion: Motion
     paths_m: Floats  # (n, N, 2)
@@ -127,7 +127,7 @@ class Aims:
     """Targets of `n` agents over a horizon of `N` steps."""
 
     places_m: Floats  # (n, N, 2)
-    masses: Floats  # (n, N) masses of the cells as shares of that at the end of the horizon
+    masses: Floats  # (n, N) masses of the cells relative to those at the end of the horizon
 
     @property
     def steady(self) -> Mask:
@@ -137,7 +137,7 @@ class Aims:
 
 
 def held_aims(targets_m: Floats, horizon: int) -> Aims:
-    """Return the aims of agents with targets (n, 2) that do not change over the horizon."""
+    """Return aims with constant targets (n, 2) over the horizon."""
     return Aims(np.repeat(targets_m[:, None], horizon, axis=1), np.ones((len(targets_m), horizon)))
 
 
@@ -364,7 +364,7 @@ class LawMover:
         responds: Mask,  # (n,)
         drifts_m_s: Floats,
     ) -> Plan:
-        """Return a step of the control laws toward the first aims."""
+        """Return the plan of one control-law step toward the first aims of the horizon."""
         here, gains, targets_m = motion.places_m, self.gains, aims.places_m[:, 0]
         moved = law_moves(here, targets_m, responds, gains, self.time_step_s, self.speed_m_s)
         velocities = (moved - here) / self.time_step_s
@@ -385,7 +385,7 @@ class RecedingMover:
     def __call__(
         self, ground: Ground, motion: Motion, aims: Aims, responds: Mask, drifts_m_s: Floats
     ) -> Plan:
-        """Return a plan toward aims that move by drifts (n, 2) if the planner leads them."""
+        """Return a plan toward the aims, which move by drifts (n, 2) if `lead` is true."""
         step_s, kept = self.limits.time_step_s, UNBOUNDED
         most = self.limits.acceleration_m_s2
         if self.radio is not None:

@@ -15,7 +15,7 @@ from planopt.arrays import Floats, Indices, Mask
 from planopt.coverage.control.safe_sets import SafeSets
 
 BLOCK = 50
-"""Number of agents solved together; a block takes the iterations of its hardest programme."""
+"""Number of agents solved together; a block needs the iterations of its hardest programme."""
 
 VIOLATION = 1e-8
 """Violation above which a constraint is added to the programme."""
@@ -27,7 +27,7 @@ LEAST_UNIT = 1e-3
 """Minimum length unit of an agent as a share of the largest one."""
 
 NO_LIMIT = 1e3
-"""Radius, in scaled lengths, of inactive discs that fill up tables."""
+"""Radius, in scaled lengths, of inactive discs that pad the constraint tables."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +155,7 @@ class Inertia:
 
 
 def stage_weights(share: Floats, horizon: int) -> tuple[Floats, Floats]:
-    """Return weights ``(n, N)`` of positions and ``(n,)`` of moves that match the control law."""
+    """Return weights of positions (n, N) and moves (n,) that reproduce the control law."""
     # Shapes: share (n,).
     places = np.ones((len(share), horizon))
     places[:, -1] = 1.0 / share

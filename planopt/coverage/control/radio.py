@@ -26,7 +26,7 @@ LENGTHS_M = np.geomspace(1e-2, 1e5, 40_001)
 """Tabulated link lengths; the length of a link is rounded up to the next entry."""
 
 HOP = 0.02
-"""Minimum weight of a link as a share of the allowed failure; it limits the tree depth."""
+"""Minimum link weight as a share of the allowed failure probability; it limits the tree depth."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,13 +142,13 @@ def _at(failures: Floats, lengths_m: Floats) -> Floats:
 
 
 def _longest(failures: Floats, may_fail: float) -> float:
-    """Return the largest link length with at most a failure probability; 0 if there is none."""
+    """Return the largest link length with failure probability at most `may_fail`; 0 if none."""
     number = int(np.searchsorted(failures, may_fail, side="right"))
     return float(LENGTHS_M[number - 1]) if number else 0.0
 
 
 def _links(places: Floats, stops: Floats, longest_m: float) -> tuple[Indices, Floats, Floats]:
-    """Return pairs (e, 2) of linkable agents, and circles around both their braking paths."""
+    """Return pairs (e, 2) of agents in link range, and circles that contain both braking paths."""
     # Circles have centres (e, 2) and diameters (e,); the diameter counts as the link length.
     middle, half = 0.5 * (places + stops), 0.5 * np.linalg.norm(stops - places, axis=1)
     tree = KDTree(middle)

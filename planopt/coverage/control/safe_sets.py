@@ -25,7 +25,7 @@ SPARE = 1e-3
 """Extra margin, as a share of the body radius, for rounding and solver tolerances."""
 
 TOUCHES = 1e-9
-"""Distance, as a share of the region's radius, up to which a boundary touches a corridor's seed."""
+"""Distance, relative to the region's radius, up to which a boundary counts as touching a seed."""
 
 LOOKS = 36
 """Number of directions in which `SafeSets.thinned` keeps the nearest half-planes."""
@@ -84,7 +84,7 @@ class SafeSets:
         return replace(self, offsets_m=offsets, radii_m=radii)
 
     def thinned(self, starts_m: Floats, reach_m: Floats) -> SafeSets:
-        """Return the sets without those half-planes that hardly matter near starts ``(n, 2)``."""
+        """Return the sets without half-planes that hardly restrict moves from starts ``(n, 2)``."""
         # A half-plane is kept if it is the first or almost the first within reach (n,) in one of
         # `LOOKS` directions. The result serves planning only; moves are checked against all sets.
         turn = np.linspace(0.0, 2.0 * np.pi, LOOKS, endpoint=False)

@@ -13,11 +13,11 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 72_300,
-    "lines of code": 51_980,
+    "lines": 72_248,
+    "lines of code": 51_942,
     "files": 288,
-    "functions": 3_749,
-    "docstring lines": 8_754,
+    "functions": 3_748,
+    "docstring lines": 8_753,
     "lines of tests": 48_480,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""

@@ -26,7 +26,7 @@ from planopt.planning.candidates import (
 from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_drive
 from planopt.planning.programme.path_nlp import METHODS
 from planopt.planning.proof.motion import swept_motion, verify_apart, verify_motion
-from planopt.planning.refinement import GuessRefinement
+from planopt.planning.refinement import Refinement
 from planopt.planning.scene import Ground
 from planopt.planning.search.guess_search import COUPLED_GUESSES, Guess, GuessSearch
 from planopt.planning.search.local_ranking import can_climb
@@ -100,7 +100,7 @@ class FallbackCascade:
         again = self._driven and problem.task != "reach"
         self._rounds = DRIVEN_ROUNDS if again else 0
         refines = problem.planner.name in METHODS and problem.can_be_polished
-        self.refinement = GuessRefinement(problem, ground) if refines else None
+        self.refinement = Refinement(problem, ground) if refines else None
 
     def first_verified(
         self,

@@ -16,6 +16,7 @@ import numpy as np
 
 from planopt.arrays import Floats
 from planopt.channel.posterior import Belief
+from planopt.objectives.reach import cruising_speed_m_s
 from planopt.planning.candidates import (
     Budget,
     Candidate,
@@ -25,7 +26,7 @@ from planopt.planning.candidates import (
     budget_from,
     drive_candidate,
     shifted_path,
-    solve_limit_s,
+    verified_of,
     without_guess,
 )
 from planopt.planning.certificate import (
@@ -47,13 +48,11 @@ from planopt.planning.plan import (
     shifted_drive,
 )
 from planopt.planning.programme.goal_value import ROUNDING_STEPS, GoalCharge
-from planopt.planning.programme.path_nlp import GOAL, METHODS, PathNlp, build_path_nlp
-from planopt.planning.programme.path_polish import MOVING_LINES
-from planopt.planning.programme.solver import PathShape
+from planopt.planning.programme.path_nlp import METHODS
 from planopt.planning.proof.context import VerifierContext, search_prediction, verifier_context
 from planopt.planning.proof.motion import stands, stops_at_goal
 from planopt.planning.proof.searches import build_goal_grid
-from planopt.planning.refinement import GoalRefinement
+from planopt.planning.refinement import Refinement, goal_value
 from planopt.planning.reservations import reserved_path
 from planopt.planning.scene import Scene, first_moves, retime
 from planopt.planning.search.global_search import GlobalSearch, GlobalStart
@@ -64,6 +63,7 @@ from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M
 from planopt.planning.values.context import Aim, StepContext, step_context
 from planopt.planning.values.exploration import workspace_region
 from planopt.planning.values.objective_value import ReachCost, resting_places_m
+from planopt.planning.values.rule_rows import step_rows
 from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Drive, rolled_out
 from planopt.world.moving_discs import MovingDiscs
@@ -77,9 +77,6 @@ GAIN_SHARE = 0.15
 
 STAGNANT_STEPS = 0.1
 """Displacement of the resting position up to which a plan counts as stagnant, in longest steps."""
-
-LINES_PER_SEGMENT = 4
-"""Number of nearest convex pieces with a separating line per segment; the verifier checks all."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,14 +122,10 @@ class ReachPlanner:
         # A soft chance constraint needs cost comparisons; a hard one does not.
         may_miss = problem.constraints.rule.slack_max_db is None
         self._goal_grid = build_goal_grid(problem, scene.index) if may_miss else None
-        self._nlp: PathNlp | None = None
+        self._refinement: Refinement | None = None
         self._driven = None if problem.robots[0].moves_freely else DrivenReach(problem, scene)
         if problem.planner.name in METHODS and self._driven is None:
-            moving = len(problem.workspace.moving) + others
-            lines = LINES_PER_SEGMENT + min(moving, MOVING_LINES)
-            shape = PathShape(problem.planner.horizon, lines, "chain", bounded=True, slacked=False)
-            method, limit_s = METHODS[problem.planner.name], solve_limit_s(problem)
-            self._nlp = build_path_nlp(shape, method, limit_s, GOAL)
+            self._refinement = Refinement(problem, scene, others)
 
     def plan(
         self,
@@ -219,11 +212,14 @@ class ReachPlanner:
                     chosen = without_guess(scorer, warm)
             else:
                 lattice = scorer.candidate(start.path_m, Rung.LATTICE, Termination.LATTICE_ONLY)
-                refinement = None
-                if self._nlp is not None and _moves(scorer, start.path_m):
-                    shared = (step, scorer, cost, start, ahead, lattice.objective, budget)
-                    refinement = GoalRefinement(self._nlp, self.scene, *shared)
-                candidates = list(self._candidates(scorer, refinement, lattice, warm, budget))
+                guesses: list[tuple[Guess, Rung]] = []
+                if self._refinement is not None and _moves(scorer, start.path_m):
+                    near = partial(goal_value, cost, ahead.leading)
+                    guesses = [
+                        (Guess(path, scorer.score(lattice), 0.0, clear=False, near=near), rung)
+                        for path, rung in self._guesses(step, scorer, start, ahead, lattice, warm)
+                    ]
+                candidates = list(self._candidates(step, scorer, guesses, lattice, budget))
                 chosen = best_of(scorer, candidates, warm, scorer.score(lattice))
             pivot = cost.pivot_of(chosen.path_m)
         plan = scorer.plan_from(chosen, wall_s=perf_counter() - begun)
@@ -252,29 +248,82 @@ class ReachPlanner:
         words = "; ".join([blocked, *goal_in_words(self.problem, holes)])
         return BlockedError(words, (BlockedWay(self.problem.robots[0].name, places, holes),))
 
-    def _candidates(
+    def _guesses(
         self,
+        step: StepContext,
         scorer: Scorer,
-        refinement: GoalRefinement | None,
+        start: GlobalStart,
+        ahead: Ahead,
         lattice: Candidate,
         warm: Plan | None,
+    ) -> list[tuple[Floats, Rung]]:
+        """Return initial guesses (N, 2), best first; RELAXED ones violate the chance constraint.
+
+        If the shifted last plan costs less than the lattice path, it is the best guess.
+        """
+        problem = self.problem
+        guesses = [(start.path_m, Rung.RELAXED)]
+        if not (start.margin_db < 0.0).any():
+            effort, fastest = problem.reach.effort_weight_s2_m2, problem.robots[0].speed_max_m_s
+            step_m = cruising_speed_m_s(effort, fastest) * problem.planner.step_s - STEP_PAD_M
+            retimed = retime(scorer.position_m, start.path_m, start.beyond_m, step_m)
+            guesses = [(retimed, Rung.PLAN), (start.path_m, Rung.COLD_RETRY)]
+        shifted_m = shifted_path(scorer, warm)
+        if shifted_m is not None:
+            # The last step moves towards the terminal waypoint.
+            before = shifted_m[-1]
+            to_pivot = ahead.leading(before).position_m - before
+            away, longest = float(np.linalg.norm(to_pivot)), problem.step_length_m - STEP_PAD_M
+            goal_away = np.linalg.norm(before - np.asarray(problem.goal_m))
+            if len(shifted_m) > 1 and away and goal_away > problem.constraints.goal_radius_m:
+                last = before + to_pivot * min(1.0, longest / away)
+                shifted_m = np.vstack([shifted_m[:-1], last])
+            is_best = scorer.objective(shifted_m) < lattice.objective
+            rung = Rung.PLAN if is_best else Rung.COLD_RETRY
+            margins = step_rows(step, shifted_m).margins_db(step.power(shifted_m))
+            rung = Rung.RELAXED if (margins < 0.0).any() else rung
+            guesses.insert(0 if is_best else len(guesses), (shifted_m, rung))
+        return guesses
+
+    def _candidates(
+        self,
+        step: StepContext,
+        scorer: Scorer,
+        guesses: list[tuple[Guess, Rung]],
+        lattice: Candidate,
         budget: Budget,
     ) -> Iterator[Candidate]:
         """Yield candidates, most promising first: refined guesses, then the lattice path."""
-        if refinement is not None:
-            shifted = shifted_path(scorer, warm)
-            for attempt in refinement.attempts(shifted):
-                yield attempt
-                if attempt.verdict is Verdict.VERIFIED and attempt.objective <= lattice.objective:
+        if self._refinement is not None and guesses:
+            refined = partial(self._refinement.candidates, step, scorer, budget=budget)
+            for guess, rung in guesses:
+                found = refined(guess, rung)
+                for each in verified_of(found):
+                    sooner_m = self._sooner(scorer, each.path_m)
+                    if sooner_m is not None:
+                        found = [*refined(replace(guess, path_m=sooner_m), each.rung), *found]
+                yield from found
+                if any(each.objective <= lattice.objective for each in verified_of(found)):
                     return
-                if attempt.sound and attempt.hopeless:
+                if any(each.sound and each.hopeless for each in found):
                     break
             if budget.spent:
                 lattice = replace(lattice, termination=Termination.TIME_LIMIT)
         lattice = scorer.assessed(lattice)
-        if self._nlp is None:
+        if self._refinement is None:
             lattice = replace(lattice, rung=Rung.PLAN)
         yield replace(lattice, rung=Rung.RELAXED) if lattice.relaxes else lattice
+
+    def _sooner(self, scorer: Scorer, path_m: Floats) -> Floats | None:
+        """Return positions (N, 2) along a path in fewer steps to the goal; None if impossible."""
+        problem = self.problem
+        away = np.linalg.norm(path_m - np.asarray(problem.goal_m), axis=1)
+        there = np.flatnonzero(away <= problem.constraints.goal_radius_m)
+        if not there.size or there[0] == 0:
+            return None
+        step_m = problem.step_length_m - STEP_PAD_M
+        faster = retime(scorer.position_m, path_m, path_m[:0], step_m)
+        return faster if (faster[there[0] - 1] == faster[-1]).all() else None
 
 
 def _course(

@@ -2,23 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
 
-from planopt.arrays import Floats
+from planopt.arrays import Floats, Mask
 from planopt.channel.prediction import Prediction
-from planopt.objectives.reach import cruising_speed_m_s
 from planopt.objectives.stage_power import scores_of, stage_predictor
 from planopt.planning.candidates import Budget, Candidate, Scorer, solve_limit_s
 from planopt.planning.certificate import RuleResult
-from planopt.planning.plan import Rung, Termination, Verdict
-from planopt.planning.programme.goal_value import GoalValue, OutagePrice, margins_of
-from planopt.planning.programme.path_nlp import METHODS, PathNlp, build_path_nlp, near_start
+from planopt.planning.plan import Pivot, Rung, Termination
+from planopt.planning.programme.goal_value import (
+    EvaluatePath,
+    GoalValue,
+    OutagePrice,
+    margins_of,
+)
+from planopt.planning.programme.path_nlp import GOAL, METHODS, PathNlp, build_path_nlp, near_start
 from planopt.planning.programme.path_polish import (
     LINE_REACH_STEPS,
+    MOVING_LINES,
     REPAIRS,
     MotionTask,
     PathTask,
@@ -33,11 +38,9 @@ from planopt.planning.programme.solver import MotionShape, PathShape
 from planopt.planning.proof.context import SEARCH_ERROR_DB, is_search_exact, obstacles_ahead
 from planopt.planning.proof.motion import is_at_goal
 from planopt.planning.proof.rule import rule_of
-from planopt.planning.scene import Ground, Scene, retime
-from planopt.planning.search.global_search import GlobalStart
+from planopt.planning.scene import Ground
 from planopt.planning.search.guess_search import Guess
-from planopt.planning.search.pivot import Ahead
-from planopt.planning.tolerances import MARGIN_PAD_DB, MARGIN_TOLERANCE_DB, STANDSTILL_M, STEP_PAD_M
+from planopt.planning.tolerances import MARGIN_TOLERANCE_DB, STANDSTILL_M
 from planopt.planning.values.context import StepContext, structure_of
 from planopt.planning.values.local_value import local_value
 from planopt.planning.values.objective_value import ReachCost
@@ -131,33 +134,70 @@ def with_bounds(task: PathTask, context: StepContext, rows: RuleRows) -> PathTas
 
 
 def lacks(
-    context: StepContext, rows: RuleRows, point: RefinedPath, *, firmly: bool = False
+    context: StepContext, power: Prediction, rows: RuleRows, held: Mask, *, firmly: bool = False
 ) -> bool:
-    """Return whether a solver's path violates a constraint that it satisfies by the local model.
+    """Return whether a path with these powers violates one of the rows that its solver `held`.
 
     With `firmly`, a margin below the error of search predictions counts as a violation, since
     verification may be expensive.
     """
-    if not len(point.slack_db) or not np.isfinite(point.path_m).all():
-        return False
-    short_db = rows.shortfall_db(context.predicted(point.path_m))
     unsure = firmly and rows.weight is None and not is_search_exact(context.posterior)
     most = -SEARCH_ERROR_DB if unsure else MARGIN_TOLERANCE_DB
-    return bool((short_db[point.slack_db <= GIVEN_UP_DB] > most).any())
+    return bool((rows.shortfall_db(power)[held] > most).any())
 
 
-def moved(
-    task: PathTask, context: StepContext, rows: RuleRows, path_m: Floats, drive: Drive | None
-) -> PathTask:
-    """Return the task for another guess, with the local channel model around its path (N, 2)."""
-    evaluate, motion = local_value(context, path_m, rows), task.motion
+def moved(task: PathTask, evaluate: EvaluatePath, path_m: Floats, drive: Drive | None) -> PathTask:
+    """Return the task for another guess (N, 2), with the local model around its path."""
+    motion = task.motion
     if motion is not None and drive is not None:
         motion = replace(motion, drive=drive)
     return replace(task, path_m=path_m, evaluate=evaluate, motion=motion)
 
 
-LINES_PER_SEGMENT = 2
-"""Number of nearest convex pieces with a separating line per segment; the verifier checks all."""
+def goal_value(
+    cost: ReachCost,
+    leading: Callable[[Floats], Pivot],  # Maps a path's end (2,) to an unreachable pivot
+    context: StepContext,
+    path_m: Floats,
+    rows: RuleRows,
+) -> GoalValue:
+    """Return the local model of a goal's cost around the path (N, 2) of a single integrator."""
+    pivot, effort = leading(path_m[-1]), cost.problem.reach.effort_weight_s2_m2
+    before, charged = cost.outage_charges(path_m)
+    # The rate must cover the most expensive metre of the path, or driving it would not pay.
+    metre_cost = max(pivot.metre_cost, float(cost.metre_costs(path_m).max()))
+    predict_stages = stage_predictor(context.law, path_m, cost.problem.planner.neighbours)
+
+    def margins(positions_m: Floats) -> tuple[Derivatives, Derivatives]:
+        power = predict_stages(positions_m)
+        scores = scores_of(*power, cost.threshold_dbm)
+        return margins_of(*power, rows.threshold_dbm, rows.quantile), scores
+
+    return GoalValue(
+        start_m=cost.position_m,
+        pivot_m=pivot.position_m,
+        effort_s_m2=effort / cost.problem.planner.step_s,
+        rate_s_m=cost.rate_s_m * metre_cost,
+        outage=OutagePrice(cost.rate_s_m * cost.outage_price, before, charged),
+        margins=margins,
+    )
+
+
+def arrival_step(problem: Problem, path_m: Floats) -> int | None:
+    """Return the step (1..N) from which a path (N, 2) to a goal waits; None if it never does.
+
+    A guess that waits at its end has arrived, at the goal or a waiting position. A refinement over
+    the whole horizon would never arrive.
+    """
+    standing = np.linalg.norm(path_m - path_m[-1], axis=1) <= STANDSTILL_M
+    arrival = len(path_m) - int(np.argmin(standing[::-1])) if not standing.all() else 0
+    dwells = is_at_goal(problem, path_m[-1]) or arrival < len(path_m) - 1
+    return arrival + 1 if dwells else None
+
+
+LINES_PER_SEGMENT, GOAL_LINES = 2, 4
+"""Number of nearest convex pieces with a separating line per segment, for sums of terms and for
+single integrators to a goal; the verifier checks all."""
 
 ALLOCATIONS = 6
 """Maximum number of refinements, each of which redistributes the total risk over the steps."""
@@ -169,37 +209,48 @@ RETURNED = frozenset((Termination.CONVERGED, Termination.ACCEPTABLE))
 """Terminations whose point may be the guess of another solve."""
 
 
-class GuessRefinement:
-    """Refinement of guesses for sums of terms; it caches the built solvers."""
+class Refinement:
+    """Refinement of guesses for goals and for sums of terms; it caches the built solvers."""
 
-    def __init__(self, problem: Problem, ground: Ground) -> None:
+    def __init__(self, problem: Problem, ground: Ground, others: int = 0) -> None:
         self._problem = problem
         self._ground = ground
+        # The programme of a robot with dynamics contains the goal cost itself.
+        self._to_goal = problem.task == "reach" and problem.robots[0].moves_freely
+        self._moving = min(len(problem.workspace.moving) + others, MOVING_LINES)
         self._built: dict[int, PathNlp] = {}
         self._nlp_for(obstacles_ahead(problem, 0))
 
+    def _tail(self, discs: MovingDiscs) -> int:
+        """Return the number of lines for discs that move after the plan of a sum of terms."""
+        return 0 if self._to_goal else tail_count(discs, self._problem.planner.horizon)
+
     def _nlp_for(self, discs: MovingDiscs) -> PathNlp:
         """Return the solver for this number of moving discs, built on first use."""
-        settings = self._problem.planner
-        lines = LINES_PER_SEGMENT + moving_count(discs) + tail_count(discs, settings.horizon)
+        problem, settings, robot = self._problem, self._problem.planner, self._problem.robots[0]
+        lines = max(self._moving, moving_count(discs)) + self._tail(discs)
+        lines += GOAL_LINES if self._to_goal else LINES_PER_SEGMENT
         if lines not in self._built:
-            robot, motion = self._problem.robots[0], None
-            if not robot.moves_freely:
-                motion = MotionShape(robot.dynamics, settings.step_s, settings.horizon, lines)
-            shape = PathShape(
-                settings.horizon,
-                lines,
-                structure_of(self._problem),
-                has_step_rows(self._problem),
-                has_sum_row(self._problem),
-                motion,
-                charged=self._problem.task == "reach",
-            )
+            if self._to_goal:
+                shape = PathShape(settings.horizon, lines, "chain", bounded=True, slacked=False)
+            else:
+                motion = None
+                if not robot.moves_freely:
+                    motion = MotionShape(robot.dynamics, settings.step_s, settings.horizon, lines)
+                shape = PathShape(
+                    settings.horizon,
+                    lines,
+                    structure_of(problem),
+                    has_step_rows(problem),
+                    has_sum_row(problem),
+                    motion,
+                    charged=problem.task == "reach",
+                )
             self._built[lines] = build_path_nlp(
                 shape,
                 METHODS[settings.name],
-                solve_limit_s(self._problem),
-                near_start(shape, until_settled=True),
+                solve_limit_s(problem),
+                GOAL if self._to_goal else near_start(shape, until_settled=True),
             )
         return self._built[lines]
 
@@ -213,11 +264,12 @@ class GuessRefinement:
     ) -> list[Candidate]:
         """Return refined candidates of a guess, verified; none once the budget is spent."""
         budget = Budget() if budget is None else budget
-        problem, moving = self._problem, context.moving
-        nlp = self._nlp_for(moving)
+        problem, to_goal = self._problem, self._to_goal
+        nlp = self._nlp_for(context.moving)
         if budget.spent:
             return []
-        rows = rule_rows(context, guess.path_m)
+        rows = (step_rows if to_goal else rule_rows)(context, guess.path_m)
+        predicted = context.power if to_goal else context.predicted
         lines, stop = self._lines_about(context, guess.path_m, guess.drive, nlp.shape.lines)
         motion = None
         if nlp.shape.motion is not None and guess.drive is not None:
@@ -226,6 +278,7 @@ class GuessRefinement:
         value = guess.value
         if guess.charge is not None:
             value = problem.planner.step_s * len(guess.path_m)
+        near = guess.near or local_value
         task = PathTask(
             start_m=context.position_m,
             path_m=guess.path_m,
@@ -233,14 +286,22 @@ class GuessRefinement:
             clearance_m=problem.constraints.clearance_m,
             step_length_m=problem.step_length_m,
             bounds_m=problem.workspace.bounds_m,
-            evaluate=local_value(context, guess.path_m, rows),
-            scale=VALUE_IN_SOLVER / (abs(value) or VALUE_IN_SOLVER),
+            evaluate=near(context, guess.path_m, rows),
+            scale=1.0 if to_goal else VALUE_IN_SOLVER / (abs(value) or VALUE_IN_SOLVER),
             motion=motion,
             charge=guess.charge,
+            arrival=arrival_step(problem, guess.path_m) if to_goal else None,
         )
-        task = with_bounds(task, context, rows)
+        if to_goal:
+            power = predicted(guess.path_m)
+            # Steps that satisfy p_min in the guess keep it; RELAXED frees the others.
+            freed = (rows.margins_db(power) < 0.0) & (rung is Rung.RELAXED)
+            bound = tightened(task, rows, power, feasible=True)
+            task = replace(task, bound=np.where(freed, -np.inf, bound))
+        else:
+            task = with_bounds(task, context, rows)
         correlates = rule_of(problem).correlates(problem.constraints.p_min)
-        allocations = ALLOCATIONS if correlates else 0
+        allocations = ALLOCATIONS if correlates and not to_goal else 0
         found: list[Candidate] = []
         earlier: list[tuple[float, RuleResult]] = []
         for attempt in range(REPAIRS + allocations):
@@ -252,23 +313,28 @@ class GuessRefinement:
                 drive = rolled_out(dynamics, scorer.state, point.inputs, step_s)
             solve_s, lattice = perf_counter() - begun, scorer.sense * guess.value
             candidate = candidate_of(scorer, point, rung, lattice, solve_s, drive)
-            if lacks(context, rows, point, firmly=attempt == 0):
-                # The local model was inaccurate, and verification is expensive.
-                found.append(candidate)
-                if budget.spent or point.termination not in RETURNED:
-                    return found
-                # The next solve corrects the local model by its error at the returned path.
-                task = moved(task, context, rows, point.path_m, drive)
-                power = context.predicted(point.path_m)
-                task = replace(task, bound=tightened(task, rows, power, feasible=False))
-                continue
+            bound = np.zeros(0) if task.bound is None else task.bound
+            held = point.slack_db <= GIVEN_UP_DB if nlp.shape.slacks else np.isfinite(bound)
+            if held.any() and np.isfinite(point.path_m).all():
+                power = predicted(point.path_m)
+                if lacks(context, power, rows, held, firmly=attempt == 0):
+                    # The local model was inaccurate, and verification is expensive.
+                    found.append(candidate)
+                    if budget.spent or point.termination not in RETURNED:
+                        return found
+                    # The next solve corrects the local model by its error at the returned path.
+                    task = moved(task, near(context, point.path_m, rows), point.path_m, drive)
+                    again = tightened(task, rows, power, feasible=False)
+                    task = replace(task, bound=np.where(np.isneginf(bound), -np.inf, again))
+                    continue
             improvable = guess.clear and guess.missing_db == 0.0 and not allocations
             if improvable and scorer.score(candidate) < guess.value:
                 # The guess itself is verified instead.
                 return [*found, candidate]
             candidate = scorer.assessed(candidate)
-            if candidate.relaxes:
-                candidate = replace(candidate, rung=Rung.RELAXED)
+            if candidate.relaxes or rung is Rung.RELAXED:
+                now = Rung.RELAXED if candidate.relaxes else Rung.PLAN
+                candidate = replace(candidate, rung=now)
             found.append(candidate)
             repaired = self._repaired(task, context, candidate)
             if budget.spent:
@@ -283,7 +349,8 @@ class GuessRefinement:
             if again is None:
                 return found
             rows, allocations = again, allocations - 1
-            task = moved(task, context, rows, candidate.path_m, drive)
+            evaluate = near(context, candidate.path_m, rows)
+            task = moved(task, evaluate, candidate.path_m, drive)
             task = with_bounds(task, context, rows)
         return found
 
@@ -293,8 +360,7 @@ class GuessRefinement:
         """Return the task with separating lines for a candidate's collisions; None without any."""
         if candidate.sound or not np.isfinite(candidate.path_m).all():
             return None
-        discs = context.moving
-        tail = tail_count(discs, len(task.path_m))
+        discs, tail = context.moving, self._tail(context.moving)
         first, last = split_lines(task.lines, int(task.lines.piece.shape[1]) - tail)
         path = candidate.path_m
         lines = lines_with_violated(self._problem, self._ground.pieces, discs, task, path, first)
@@ -317,7 +383,7 @@ class GuessRefinement:
         The last lines of each are for discs that move after the plan.
         """
         problem, discs, pieces = self._problem, context.moving, self._ground.pieces
-        ends, tail = np.vstack([context.position_m, path_m]), tail_count(discs, len(path_m))
+        ends, tail = np.vstack([context.position_m, path_m]), self._tail(discs)
         reach = LINE_REACH_STEPS * problem.step_length_m
         end = rest = path_m[-1]
         if drive is not None:
@@ -333,166 +399,3 @@ class GuessRefinement:
         clearance = problem.constraints.clearance_m
         last, still = tail_lines(discs, motion, len(path_m), rest, clearance, tail, reach)
         return joined_lines(lines, last), joined_lines(stop, still)
-
-
-@dataclass(frozen=True, eq=False)
-class GoalRefinement:
-    """Refinement of initial guesses for one step to a goal, in the order of the fallbacks."""
-
-    nlp: PathNlp
-    scene: Scene
-    step: StepContext  # Planner's context, thresholds lowered by bounded slack
-    scorer: Scorer
-    cost: ReachCost
-    start: GlobalStart
-    ahead: Ahead
-    lattice_objective: float
-    budget: Budget
-
-    def attempts(self, shifted_m: Floats | None) -> Iterator[Candidate]:
-        """Yield candidate plans with their verdicts, first those refined from the best guess.
-
-        If the shifted last plan costs less than the lattice path, it is the best guess.
-        """
-        start_m = self.start.path_m
-        starts = [(start_m, Rung.RELAXED)]
-        if not (self.start.margin_db < 0.0).any():
-            problem = self.scorer.problem
-            effort, fastest = problem.reach.effort_weight_s2_m2, problem.robots[0].speed_max_m_s
-            step_m = cruising_speed_m_s(effort, fastest) * problem.planner.step_s - STEP_PAD_M
-            retimed = retime(self.scorer.position_m, start_m, self.start.beyond_m, step_m)
-            starts = [(retimed, Rung.PLAN), (start_m, Rung.COLD_RETRY)]
-        if shifted_m is not None:
-            shifted_m = self._drawn_on(shifted_m)
-            margins = step_rows(self.step, shifted_m).margins_db(self.cost.power(shifted_m))
-            relaxes = bool((margins < 0.0).any())
-            if self.scorer.objective(shifted_m) < self.lattice_objective:
-                starts.insert(0, (shifted_m, Rung.RELAXED if relaxes else Rung.PLAN))
-            else:
-                starts.append((shifted_m, Rung.RELAXED if relaxes else Rung.COLD_RETRY))
-        for path_m, rung in starts:
-            for candidate in self._from(path_m, rung):
-                sooner = self._sooner(candidate)
-                if sooner is not None:
-                    yield sooner
-                    candidate = replace(candidate, solve_s=0.0, iterations=0)
-                yield candidate
-
-    def _drawn_on(self, shifted_m: Floats) -> Floats:
-        """Return the shifted last plan, whose last step moves towards the terminal waypoint."""
-        problem, before = self.scorer.problem, shifted_m[-1]
-        to_pivot = self.ahead.leading(before).position_m - before
-        away, longest = float(np.linalg.norm(to_pivot)), problem.step_length_m - STEP_PAD_M
-        goal_away = np.linalg.norm(before - np.asarray(problem.goal_m))
-        if len(shifted_m) == 1 or away == 0.0 or goal_away <= problem.constraints.goal_radius_m:
-            return shifted_m
-        return np.vstack([shifted_m[:-1], before + to_pivot * min(1.0, longest / away)])
-
-    def _sooner(self, candidate: Candidate) -> Candidate | None:
-        """Return a candidate that drives the same path in fewer steps; None if there is none."""
-        problem = self.scorer.problem
-        path = np.vstack([self.scorer.position_m, candidate.path_m])
-        away = np.linalg.norm(path - np.asarray(problem.goal_m), axis=1)
-        there = np.nonzero(away <= problem.constraints.goal_radius_m)[0]
-        arrives = there.size > 0 and there[0] >= 2
-        if candidate.verdict is not Verdict.VERIFIED or not arrives or self.budget.spent:
-            return None
-        faster = retime(path[0], candidate.path_m, path[:0], problem.step_length_m - STEP_PAD_M)
-        if np.linalg.norm(faster[there[0] - 2] - faster[-1]) > 0.0:
-            return None
-        begun, rows = perf_counter(), step_rows(self.step, faster)
-        task = self._task(faster, rows)
-        bound = tightened(task, rows, self.cost.power(faster), feasible=True)
-        better = self._refined(task, bound, candidate.rung, begun)
-        better = replace(
-            better,
-            solve_s=better.solve_s + candidate.solve_s,
-            iterations=better.iterations + candidate.iterations,
-        )
-        is_better = better.objective < candidate.objective
-        return better if better.verdict is Verdict.VERIFIED and is_better else None
-
-    def _from(self, path_m: Floats, rung: Rung) -> Iterator[Candidate]:
-        """Yield refinements of a path, each with separating lines for its predecessor's collisions.
-
-        Steps that satisfy p_min in the guess keep it as a constraint; RELAXED frees the others.
-        """
-        if self.budget.spent:
-            return
-        rows = step_rows(self.step, path_m)
-        task = self._task(path_m, rows)
-        power = self.cost.power(path_m)
-        bound = tightened(task, rows, power, feasible=True)
-        free = (rows.margins_db(power) < 0.0) & (rung is Rung.RELAXED)
-        bound[free] = -np.inf
-        begun = perf_counter()
-        for _ in range(REPAIRS):
-            if self.budget.spent:
-                return
-            candidate = self._refined(task, bound, rung, begun)
-            yield candidate
-            begun = perf_counter()
-            if not candidate.sound:
-                scene = self.scorer.problem, self.scene.pieces, self.scorer.context.moving
-                lines = lines_with_violated(*scene, task, candidate.path_m, task.lines)
-                if lines is None:
-                    return
-                task = replace(task, lines=lines)
-            power = None if candidate.found is None else candidate.found.power
-            if power is None:
-                return
-            planned = Prediction(power.mean_db[1:], power.deviation_db[1:])
-            lacking = np.where(free, 0.0, -rows.margins_db(planned))
-            if candidate.sound and not (lacking > 0.0).any():
-                return
-            bound = bound + np.where(lacking > 0.0, lacking + MARGIN_PAD_DB, 0.0)
-
-    def _refined(self, task: PathTask, bound: Floats, rung: Rung, begun_s: float) -> Candidate:
-        """Return the candidate that refines a task under constraint bounds `bound`, verified."""
-        point = polish_path(self.nlp, replace(task, bound=bound))
-        spent_s, before = perf_counter() - begun_s, self.lattice_objective
-        assessed = self.scorer.assessed(candidate_of(self.scorer, point, rung, before, spent_s))
-        # The refined path may satisfy a constraint that the guess violates.
-        met_after_all = rung is Rung.RELAXED and not assessed.relaxes
-        return replace(assessed, rung=Rung.PLAN) if met_after_all else assessed
-
-    def _task(self, path_m: Floats, rows: RuleRows) -> PathTask:
-        """Return the optimisation problem that refines a guess `path_m`."""
-        scorer, cost = self.scorer, self.cost
-        problem, pivot = scorer.problem, self.ahead.leading(path_m[-1])
-        ends = np.vstack([scorer.position_m, path_m])
-        pieces, moving = self.scene.pieces, scorer.context.moving
-        # A guess that waits at its end has arrived, at the goal or a waiting position. A refinement
-        # over the whole horizon would never arrive.
-        standing = np.linalg.norm(path_m - path_m[-1], axis=1) <= STANDSTILL_M
-        arrival = len(path_m) - int(np.argmin(standing[::-1])) if not standing.all() else 0
-        dwells = is_at_goal(problem, path_m[-1]) or arrival < len(path_m) - 1
-        before, charged = cost.outage_charges(path_m)
-        # The rate must cover the most expensive metre of the path, or driving it would not pay.
-        metre_cost = max(pivot.metre_cost, float(cost.metre_costs(path_m).max()))
-        predict_stages = stage_predictor(scorer.context.law, path_m, problem.planner.neighbours)
-
-        def margins(positions_m: Floats) -> tuple[Derivatives, Derivatives]:
-            power = predict_stages(positions_m)
-            scores = scores_of(*power, cost.threshold_dbm)
-            return margins_of(*power, rows.threshold_dbm, rows.quantile), scores
-
-        value = GoalValue(
-            start_m=scorer.position_m,
-            pivot_m=pivot.position_m,
-            effort_s_m2=problem.reach.effort_weight_s2_m2 / problem.planner.step_s,
-            rate_s_m=cost.rate_s_m * metre_cost,
-            outage=OutagePrice(cost.rate_s_m * cost.outage_price, before, charged),
-            margins=margins,
-        )
-        return PathTask(
-            start_m=scorer.position_m,
-            path_m=path_m,
-            lines=lines_about(problem, pieces, moving, ends, self.nlp.shape.lines),
-            clearance_m=problem.constraints.clearance_m,
-            step_length_m=problem.step_length_m,
-            bounds_m=problem.workspace.bounds_m,
-            evaluate=value,
-            scale=1.0,
-            arrival=arrival + 1 if dwells else None,
-        )

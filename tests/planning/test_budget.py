@@ -16,7 +16,6 @@ import planopt.planning.refinement as polish_module
 from planopt import InputError, MovingObstacle, Problem, Verdict
 from planopt.extend import Rung, Termination
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.programme.path_polish import RefinedPath
 from planopt.planning.proof import context as predictions
 from planopt.planning.proof.context import SEARCH_ERROR_DB
 from planopt.planning.reach_planner import ReachPlanner
@@ -184,6 +183,6 @@ def test_a_margin_within_the_error_of_searches_is_not_relied_on(exact, monkeypat
     rows = replace(rows, threshold_dbm=rows.threshold_dbm + least - 0.5 * SEARCH_ERROR_DB)
     if not exact:
         monkeypatch.setattr(predictions, "SEARCH_EXACT_LIMIT", 0)
-    point = RefinedPath(path, np.zeros(4), Termination.CONVERGED, 5, 0.0, {})
-    assert lacks(situation, rows, point, firmly=True) is not exact
-    assert not lacks(situation, rows, point)
+    power, held = situation.power(path), np.ones(4, dtype=bool)
+    assert lacks(situation, power, rows, held, firmly=True) is not exact
+    assert not lacks(situation, power, rows, held)

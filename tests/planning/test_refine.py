@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
-from reach_tasks import goal_nlp
 from scenes import (
     bad_band,
     bad_disc,
@@ -20,36 +20,36 @@ from scenes import (
 import planopt.planning.refinement as refine
 from planopt import Verdict
 from planopt.extend import Rung
-from planopt.planning.candidates import Budget, Scorer
+from planopt.planning.candidates import Scorer
 from planopt.planning.proof.context import VerifierContext
+from planopt.planning.search.guess_search import Guess
 from planopt.planning.search.pivot import Ahead
 from planopt.planning.values.objective_value import ReachCost
 
 
-def refiner_of(problem, power_at=good_everywhere, lines=4):
-    """A refiner of the step from the problem's start, its scorer and its start path."""
+def attempts_of(problem, power_at=good_everywhere):
+    """Attempts from the lattice path of the problem's first step, their scorer and that path."""
     search, _, scene = search_of(problem, power_at)
     belief = belief_of(problem, power_at)
     at = np.asarray(problem.robots[0].start_m)
     situation = context_of(problem, belief, at)
     start = search.find_start(situation)
     ahead = Ahead(problem, scene, start, None)
-    reach_cost = ReachCost(problem, at, situation.power, ahead)
-    scorer = Scorer(VerifierContext(problem, scene.index, belief.posteriors, at), reach_cost)
-    nlp = goal_nlp(problem.planner.horizon, lines)
-    cost = scorer.objective(start.path_m)
-    refiner = refine.GoalRefinement(
-        nlp, scene, situation, scorer, reach_cost, start, ahead, cost, Budget()
-    )
-    return refiner, scorer, start
+    cost = ReachCost(problem, at, situation.power, ahead)
+    scorer = Scorer(VerifierContext(problem, scene.index, belief.posteriors, at), cost)
+    near = partial(refine.goal_value, cost, ahead.leading)
+    guess = Guess(start.path_m, -cost(start.path_m), 0.0, clear=False, near=near)
+    rung = Rung.RELAXED if (start.margin_db < 0.0).any() else Rung.PLAN
+    found = refine.Refinement(problem, scene).candidates(situation, scorer, guess, rung)
+    return found, scorer, start.path_m
 
 
 @pytest.mark.parametrize("width_m", [3.0, 6.0])
 def test_a_hole_that_nothing_leads_round_is_crossed(width_m):
     """Attempts across it are verified, say what they miss, and cost what the verifier finds."""
     problem = small_problem(start_m=(15.0, 15.0), horizon=8)
-    refiner, _, _ = refiner_of(problem, bad_band(18.0, 18.0 + width_m))
-    verified = [a for a in refiner.attempts(None) if a.verdict is Verdict.VERIFIED]
+    attempts, _, _ = attempts_of(problem, bad_band(18.0, 18.0 + width_m))
+    verified = [a for a in attempts if a.verdict is Verdict.VERIFIED]
     best = min(verified, key=lambda attempt: attempt.objective)
     assert best.rung is Rung.RELAXED and best.relaxes
     assert best.path_m[-1, 0] > 18.0 + width_m
@@ -61,10 +61,10 @@ def test_a_hole_that_nothing_leads_round_is_crossed(width_m):
 def test_relaxed_start_is_made_as_good_as_can_be():
     """Out of a hole: missing dB at the step that cannot keep the bound, none elsewhere."""
     problem = small_problem(horizon=6)
-    refiner, scorer, start = refiner_of(problem, bad_disc(5.0, 15.0, 3.5))
-    attempts = [a for a in refiner.attempts(None) if a.verdict is Verdict.VERIFIED]
+    found, scorer, path_m = attempts_of(problem, bad_disc(5.0, 15.0, 3.5))
+    attempts = [a for a in found if a.verdict is Verdict.VERIFIED]
     assert attempts
-    lattice = scorer.assessed(scorer.candidate(start.path_m, Rung.LATTICE, attempts[0].termination))
+    lattice = scorer.assessed(scorer.candidate(path_m, Rung.LATTICE, attempts[0].termination))
     assert attempts[0].rung is Rung.RELAXED
     assert attempts[0].certificate.relaxed_steps == (1,)
     assert sum(attempts[0].certificate.relaxation_db) <= sum(lattice.certificate.relaxation_db)
@@ -73,7 +73,6 @@ def test_relaxed_start_is_made_as_good_as_can_be():
 def test_optimistic_neighbours_are_corrected(monkeypatch):
     """A local model that promises 3 dB too much: the proof objects, and is heard."""
     problem = small_problem(horizon=8)
-    refiner, _, _ = refiner_of(problem, bad_disc(12.0, 15.0, 3.0))
     margins = refine.margins_of
 
     def rosy(*arguments):
@@ -81,4 +80,5 @@ def test_optimistic_neighbours_are_corrected(monkeypatch):
         return replace(found, value=found.value + 3.0)
 
     monkeypatch.setattr(refine, "margins_of", rosy)
-    assert any(attempt.verdict is Verdict.VERIFIED for attempt in refiner.attempts(None))
+    attempts, _, _ = attempts_of(problem, bad_disc(12.0, 15.0, 3.0))
+    assert any(attempt.verdict is Verdict.VERIFIED for attempt in attempts)

@@ -7,6 +7,7 @@ approximated by the sum of the values of single positions.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,7 +16,7 @@ from planopt.arrays import Floats, Indices
 from planopt.channel.prediction import bound_margin_db, connection_probability
 from planopt.parts import calling
 from planopt.planning.candidates import UNLIMITED, Budget
-from planopt.planning.programme.goal_value import GoalCharge
+from planopt.planning.programme.goal_value import EvaluatePath, GoalCharge
 from planopt.planning.scene import Ground, first_moves
 from planopt.planning.search.fan_guesses import FanGuesses
 from planopt.planning.search.lattice_search import (
@@ -36,7 +37,7 @@ from planopt.planning.tolerances import (
 )
 from planopt.planning.values.context import StepContext, bends_guesses, shares_places
 from planopt.planning.values.objective_value import ObjectiveValue, rule_missing
-from planopt.planning.values.rule_rows import Guide, find_guided
+from planopt.planning.values.rule_rows import Guide, RuleRows, find_guided
 from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Drive
 from planopt.world.moving_discs import paths_gap_m
@@ -161,6 +162,9 @@ class Guess:
     drive: Drive | None = None  # Drive of a robot with dynamics
     clear: bool = True  # Whether the unrefined path is feasible and collision-free
     charge: GoalCharge | None = None  # Goal cost in a refinement; None without a goal
+    # Maps context, path (N, 2) and constraint rows to the objective's local model around the path;
+    # None for that of a sum of terms
+    near: Callable[[StepContext, Floats, RuleRows], EvaluatePath] | None = None
 
 
 def without_waiting(position_m: Floats, path_m: Floats) -> Floats:

@@ -46,8 +46,8 @@ class Bound:
     value
         Bound in the unit of the objective; None if none is proven.
     cost
-        Objective of the solution to compare with the bound. To a goal, the outage is integrated
-        along plan and route (equation 6.13).
+        Objective of the solution to compare with the bound. In tasks with a goal, outage is
+        integrated along plan and route (equation 6.13).
     method
         Name of the method, with the size of its problem; None if there is no bound.
     reason

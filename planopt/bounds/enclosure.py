@@ -59,7 +59,7 @@ class PowerModel:
     least_variance: float
 
     def probability_above(self, threshold_dbm: float, corners_m: Array) -> Array:
-        """Return bounds (n, k) at the corners of polygons, whose interpolation P never exceeds.
+        """Return corner values (n, k) of polygons, whose interpolation bounds P from above.
 
         `corners_m` (n, k, 2) are offsets from the centres within the discs (equation 6.17). P is
         the probability that the power is at least the threshold.
@@ -122,13 +122,13 @@ class PowerModel:
         return value, density * slope, whole, most
 
     def variance_bounds(self) -> tuple[Array, Array, Array]:
-        """Return upper bounds of the variance over each disc: value, slope and constant."""
+        """Return upper bounds of the variance over each disc: centre value, slope and constant."""
         bent = _range_of_form(self.variance_form, self.radius_m)[1]
         value, slope = self.variance_db2 + self.variance_high + bent, self.variance_slope
         return value, slope.T, value + np.hypot(*slope) * self.radius_m
 
     def precision_bounds(self) -> tuple[Array, Array, Array]:
-        """Return upper bounds of one over the variance: value, slope, constant (equation 9.5)."""
+        """Return upper bounds of 1 / variance: centre value, slope and constant (equation 9.5)."""
         variance, slope = self.variance_db2, self.variance_slope
         step = np.hypot(*slope) * self.radius_m
         low, high = _range_of_form(self.variance_form, self.radius_m)
@@ -170,7 +170,7 @@ def _range_of_form(form: Array, radius: Array) -> tuple[Array, Array]:
 
 
 def _convex_part(form: Array) -> Array:
-    """Return the quadratic forms (3, n) of the positive eigenvalues of forms."""
+    """Return the positive semidefinite parts (3, n) of quadratic forms."""
     middle = 0.5 * (form[0] + form[2])
     apart = np.maximum(0.5 * np.hypot(form[0] - form[2], form[1]), 1e-300)
     low, high = middle - apart, middle + apart
@@ -212,7 +212,7 @@ class PowerEnclosure:
         return PowerModel(radius_m=radius_m, **found, least_variance=noise)
 
     def _block(self, centre: Array, radius: Array) -> tuple[Array, ...]:
-        """Return values, tangents and remainder ranges of mean and variance for some discs."""
+        """Return values, tangents and remainder ranges of mean and variance over several discs."""
         posterior, root, sides, weight = self._posterior, self._root, self._sides, self._weight
         parameters = posterior.parameters
         shadow, beta = parameters.shadow_std_db**2, parameters.decorrelation_m
@@ -350,7 +350,7 @@ def _square_of_change(
     radius: Array,
     noise: float,
 ) -> tuple[Array, Array]:
-    """Return delta' U^-1 delta over each disc as a quadratic form (3, n), and its remainder (n,).
+    """Return the square of phi's change, delta' U^-1 delta, as forms (3, n) and remainders (n,).
 
     The triangle inequality in the norm of U^-1 bounds the remainder, as the smallest eigenvalue of
     U is at least omega^2.

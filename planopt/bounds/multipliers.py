@@ -2,7 +2,7 @@
 """Multipliers of a path for tilted bounds: a least-squares solution of its optimality conditions.
 
 At a local optimum the gradient of stage k is ``m_k - m_{k+1}`` minus the forces of p_min and of
-obstacles. Multipliers need not be right: wrong ones only loosen the bound.
+obstacles. All multipliers are valid: inaccurate ones only loosen the bound.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from planopt.objectives.upper_bounds import Discs, Field
 Array = NDArray[np.float64]
 
 FULL_STEP = 0.99
-"""Length of a step that may count as full, in lengths of the longest step; solvers stop short."""
+"""Step length, relative to the longest step, that counts as full; solvers stop short of it."""
 
 LEFT_OUT = 1e-3
-"""Weight of stages whose gradient is not determined: at kinks, and beside obstacles."""
+"""Weight of stages whose gradient is not determined: at kinks, and next to obstacles."""
 
 MOST_ITERATIONS = 100
 """Maximum number of iterations of a local search."""
 
 ROUNDED = 1e-3
-"""Smoothing width of lengths in a local search, in lengths of the longest step."""
+"""Smoothing width of step lengths in a local search, relative to the longest step."""
 
 AT_KINK_M = 0.02
 """Distance from a position of a measurement at which the gradient is not determined."""
@@ -47,9 +47,9 @@ def stage_rewards(problem: StageProblem, path_m: Array) -> tuple[Array, Array, F
 
 
 def local_optimum(problem: StageProblem, path_m: Array, surplus: float = 0.0) -> Array:
-    """Return a path (N, 2) near a locally optimal one, which ignores obstacles.
+    """Return an approximately locally optimal path (N, 2), ignoring obstacles.
 
-    The probability of connection exceeds p_min by at least `surplus`, where p_min must hold.
+    At steps with a chance constraint, the probability of connection exceeds p_min by `surplus`.
     """
     shape, scale = path_m.shape, 1.0 / problem.step_m**2
     stage = np.arange(problem.steps)
@@ -102,7 +102,7 @@ def local_optimum(problem: StageProblem, path_m: Array, surplus: float = 0.0) ->
 def tilts_near(
     problem: StageProblem, paths_m: Sequence[Array], kinks_m: Array
 ) -> list[tuple[Array, Array]]:
-    """Return multipliers of paths (N, 2), for tilted bounds.
+    """Return the multipliers of steps and of p_min for each of several paths (N, 2).
 
     Gradients jump at `kinks_m` (k, 2), the positions of measurements.
     """

@@ -30,7 +30,7 @@ STARTS = 3
 """Number of cells per level whose centres are evaluated."""
 
 GAP, LEAST_VALUE = 1e-6, 0.02
-"""Relative gap at which a position counts as optimal, and the least value that it refers to."""
+"""Relative gap at which a position counts as optimal, and the minimum of its denominator."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,9 +50,9 @@ class BestPlace:
 
 
 def best_place(problem: StageProblem, seconds: float) -> BestPlace:
-    """Return the best position within one step, with a bound that is hardly above it.
+    """Return the best position within one step, with a nearly equal upper bound of its value.
 
-    The bound is valid, but looser, if the time ends first.
+    If the time limit comes first, the bound is valid but looser.
     """
     begun, bound, levels = monotonic(), np.inf, 0
     place, value = problem.start_m, -np.inf

@@ -39,11 +39,11 @@ from planopt.world.shortest_paths import INNER_SHARE
 Array = NDArray[np.float64]
 
 FIRST_TRIANGLES = 1_500, 600
-"""Number of new triangles, and for each second, by which the corridor of good routes is refined
-before the first solve."""
+"""Number of triangles added to the corridor of good routes before the first solve: a constant, and
+a number per second of available time."""
 
 FIRST_SOLVE_S = 2.0
-"""Time that the first solve gets in any case; it usually takes less than half a second."""
+"""Minimum time limit of the first solve in seconds; it usually takes less than half a second."""
 
 GROWTH = 1.8
 """Largest ratio of the numbers of triangles in successive solves."""
@@ -55,7 +55,7 @@ LOOSE_SHARE = 0.01
 """Relative gap between certified and actual cost above which corridor triangles are refined."""
 
 CORRIDORS = 0.15, 0.1, 0.04
-"""Relative excess cost of the routes through the corridor in each of its refinements."""
+"""Maximum relative excess cost of routes through the corridor, for each of its refinements."""
 
 MESH_SHARE = 3e-4
 """Largest area of a triangle in the corridor, as a share of the workspace."""
@@ -64,7 +64,7 @@ FLOW_WEIGHT = 0.005
 """Expected relative gain of refining a triangle whose certified cost is exact."""
 
 SCORE_SHARE = 0.95
-"""Share of the total expected gain that the refined triangles make up."""
+"""Share of the total expected gain that the triangles selected for refinement make up."""
 
 FRAME_SHARE = 0.02
 """Width of the blocked frame around the workspace, as a share of the workspace diagonal."""
@@ -162,7 +162,7 @@ def route_bounds(problem: RouteProblem, seconds: float) -> Iterator[RouteBound]:
             yield best
         widths.clear()
         left = seconds - (monotonic() - begun)
-        # A turn takes time about proportional to the triangles to the power of 1.3.
+        # The time of an iteration grows with about the 1.3rd power of the number of triangles.
         growth = min(GROWTH, (0.8 * max(left, 0.0) / (elapsed - turn + begun)) ** (1.0 / 1.3))
         room = min(growth * len(inner), MAX_TRIANGLES) - len(inner)
         if room < 0.02 * len(inner):
@@ -272,7 +272,7 @@ def _touches_goal(
 def _largest(
     area: Array, corners: NDArray[np.intp], chosen: NDArray[np.bool_], room: int
 ) -> NDArray[np.intp]:
-    """Return the largest of the chosen triangles, as many as `room` new ones permit; (k, 3)."""
+    """Return the largest chosen triangles (k, 3) whose refinement adds at most `room` triangles."""
     order = np.argsort(np.where(chosen, -area, 0.0))
     return corners[order[: min(int(chosen.sum()), max(1, room // 3))]]
 
@@ -284,7 +284,7 @@ def _known_costs(
     mesh: Mesh,
     corners: NDArray[np.intp],
 ) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Return which triangles (t, 3) are open, and their :func:`metre_costs`, cached for each."""
+    """Return a mask of open triangles (t, 3), and their :func:`metre_costs` from a cache."""
     keys = [tuple(row) for row in corners.tolist()]
     new = np.array([k for k, key in enumerate(keys) if key not in mesh.known], dtype=np.intp)
     if len(new):

@@ -154,7 +154,7 @@ def quantity_makers(
 
 
 def or_nothing(make: Callable[[Discs], UpperBounds], discs: Discs) -> UpperBounds:
-    """Return bounds over discs, of which there may be none."""
+    """Return upper bounds over discs, whose number may be zero."""
     return make(discs) if len(discs.centre_m) else constant_bounds(discs, 0.0)
 
 

@@ -41,7 +41,7 @@ MOST_PAIRS = 2_000_000
 """Maximum number of pairs of cells of successive stages that are evaluated one by one."""
 
 PAIRS_PER_NODE, NODES_PER_OFFSET = 0.25, 2000
-"""Pairs of cells that take the time of a grid node, and grid nodes that take that of an offset."""
+"""Cell pairs that take as long as one grid node, and grid nodes that take as long as one offset."""
 
 ROUNDING = 1e-10
 """Relative widening of every bound, far above the rounding errors of its sums."""
@@ -79,7 +79,7 @@ class StageProblem:
 
 @dataclass(frozen=True)
 class TubeBound:
-    """Upper bound of all paths, with its proof's size."""
+    """Upper bound on the value of all paths, with the size of its proof."""
 
     value: float
     cells: int  # Number of cells at the last level, over all stages
@@ -96,7 +96,7 @@ class Level:
     active: list[Cells]
     fields: list[Field]  # Bounds of predicted quantities, for each stage
     rewards: list[UpperBounds]
-    # For each stage, pairs of a cell's row and a certain position in it (s, 2), and rewards (s,)
+    # For each stage, pairs (s, 2) of a cell and a surely connected position in it, and rewards (s,)
     sure: list[tuple[Cells, Array]]
     # For each stage, rows (v,) of cells that blocked areas cut, and corners (v, 2) of what is left
     # relative to the centre
@@ -114,7 +114,7 @@ def tube_bounds(
     seconds: float,
     gap: float = 1e-4,
 ) -> Iterator[TubeBound]:
-    """Yield better and better upper bounds of all paths, until the time is over.
+    """Yield ever tighter upper bounds on the value of all paths until the time limit.
 
     `known` is the value of a feasible path; cells that cannot beat it by the relative `gap` are
     dropped. Each tilt has multipliers of steps (N, 2) and of p_min (N,).
@@ -162,7 +162,7 @@ def proves(problem: StageProblem, tilts: Tilts) -> bool:
 
 
 def untilted(problem: StageProblem) -> Tilt:
-    """Return multipliers of zero."""
+    """Return zero multipliers for all steps of a problem."""
     return np.zeros((problem.steps, 2)), np.zeros(problem.steps)
 
 
@@ -265,7 +265,7 @@ def cut_corners(
 def joined(
     rows: NDArray[np.intp], owner: NDArray[np.intp], corner: Array
 ) -> tuple[NDArray[np.intp], Array]:
-    """Return the corners of the cells `rows` (n,), with the cells' places in `rows`."""
+    """Return the corners of the cells `rows` (n,), and for each corner an index into `rows`."""
     first = np.searchsorted(owner, rows, side="left")
     count = np.searchsorted(owner, rows, side="right") - first
     which = np.repeat(np.arange(len(rows)), count)
@@ -277,7 +277,7 @@ def joined(
 def sure_rewards(
     problem: StageProblem, stage: int, cells: Cells, side: float
 ) -> tuple[Cells, Array]:
-    """Return pairs (s, 2) of a cell's row and a certain position in it, and their rewards (s,)."""
+    """Return pairs (s, 2) of a cell and a surely connected position in it, and rewards (s,)."""
     places = problem.sure_m
     if not len(places) or not len(cells):
         return np.zeros((0, 2), dtype=np.intp), np.zeros(0)
@@ -406,7 +406,7 @@ class Step:
         return cls((before, after), low, offsets, away[near], (rows, columns), places)
 
     def moves(self, level: Level, multiplier: Array) -> Array:
-        """Return the bounds of the moves of all offsets within one step (equation 9.10); (o,)."""
+        """Return upper bounds of the move terms of all offsets (equation 9.10); (o,)."""
         offset = level.side_m * (self.offsets + self.low).astype(np.float64)
         return move_bounds(level.problem, multiplier, offset, level.side_m, self.away_m)
 

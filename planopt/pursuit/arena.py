@@ -81,7 +81,7 @@ class Arena:
         return max((_ring_detour(ring) for ring in rings), default=1.0)
 
     def moved(self, place_m: Floats, moves_m: Floats) -> Floats:
-        """Return ends of moves (k, 2) from a position (2,), clipped to the bounds or not made."""
+        """Return the ends (k, 2) of moves from a position (2,), limited by bounds and clearance."""
         # A move that violates the clearance is not made at all.
         ends_m = self.within(place_m + moves_m)
         if self.obstacles is not None:
@@ -181,7 +181,7 @@ def arena_of(workspace: Workspace, clearance_m: float) -> Arena:
 
 
 def _ring_detour(ring_m: Floats) -> float:
-    """Return a ring's largest ratio of shorter arc to chord, for chords on the right side."""
+    """Return a ring's largest ratio of shorter arc to chord, for chords on its right-hand side."""
     # For points at s and t on two edges, the arc is a concave function of (s, t) and the chord a
     # convex one, so nested golden-section searches find the largest ratio.
     ahead = np.roll(ring_m, -1, axis=0) - ring_m

@@ -81,7 +81,7 @@ TURN_SEGMENTS = 2
 """Straight segments per quarter turn of a path around an obstacle vertex."""
 
 RING_SAMPLES = 100
-"""Number of boundary points at which the detour factor is compared with the chord."""
+"""Number of boundary points between which detours are compared with chords."""
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,7 @@ class Case:
 
     @property
     def contraction(self) -> float:
-        """Return a: remaining distance after a stage with fresh records, per metre of distance."""
+        """Return a: distance after a stage with fresh records, per metre of distance before it."""
         ratio = self.evader_m_s / self.pursuer_m_s
         return ratio + self.error * (1.0 + ratio)
 
@@ -138,7 +138,7 @@ class Case:
 
     @property
     def levels(self) -> LevelBounds:
-        """Return the bounds of the pursuit level by level."""
+        """Return the pursuit's distance bounds for each level of the snapshot service."""
         period_s = 0.5 * self.period_s_m * self.spacing_m
         return LevelBounds(
             *(self.evader_m_s, self.pursuer_m_s, self.delay_s, self.spacing_m),
@@ -147,7 +147,7 @@ class Case:
         )
 
     def start_m(self, distance_m: float) -> float:
-        """Return the bound W at the first record, for the evader's distance at its sample time."""
+        """Return the distance bound W at the first record, from the evader's sampled distance."""
         return distance_m + self.evader_m_s * max(self.age_s_m * distance_m, self.least_age_s)
 
     def least_distance_m(self, bound_m: Floats) -> Floats:
@@ -180,7 +180,7 @@ def premises(theorem: Theorem, case: Case) -> list[Inequality]:
 
 
 def stages(theorem: Theorem, case: Case, before_m: Floats) -> list[tuple[Floats, Floats]]:
-    """Return next bound and duration of a driving and a waiting stage, for bounds (k,)."""
+    """Return the next bounds and durations of a driving and a waiting stage, from bounds (k,)."""
     # The bound is on W, for the Lemma on the sampled distance. All premises must hold. Snapshots
     # are bounded by level instead.
     age_m = np.maximum(case.moved * before_m, case.evader_m_s * case.least_age_s)
@@ -211,7 +211,7 @@ def next_bound_m(theorem: Theorem, case: Case, before_m: Floats) -> Floats:
 
 
 def floor_m(theorem: Theorem, case: Case) -> float:
-    """Return the largest bound W that a stage may fail to reduce; infinite if a premise fails."""
+    """Return the largest distance bound that a stage may not reduce; infinite if premises fail."""
     if not all(each.holds for each in premises(theorem, case)):
         return math.inf
     if theorem is Theorem.SNAPSHOTS:

@@ -1,4 +1,4 @@
-"""Cooperation of pursuers that chase one evader: each blocks where the others do not capture soon.
+"""Cooperation of pursuers of one evader: each blocks directions that the others leave open.
 
 The evader is in the set of positions consistent with the last records of all pursuers. Each
 pursuer chooses, among points around that set, the aim that minimises the worst and the mean time to
@@ -39,7 +39,7 @@ class Mate:
 
 @dataclass(frozen=True, eq=False)
 class Hunt:
-    """Situation of a pursuer that cooperates."""
+    """Inputs to the decision of a cooperating pursuer."""
 
     place_m: Floats  # (2,)
     speed_m_s: float
@@ -82,9 +82,9 @@ def blocking_aim_m(hunt: Hunt, centre_m: Floats, places_m: Floats, horizon_s: fl
     aims_m = _candidates_m(hunt, centre_m, ahead_s)
     there_m = _driven_m(hunt.arena, hunt.place_m, aims_m, hunt.speed_m_s * ahead_s)
     own_s = _capture_s(hunt, there_m, hunt.speed_m_s, flown_m, velocity)
-    # The evader flees where nobody comes soon; its position in the set is unknown.
+    # The evader flees in the direction of latest capture; its position in the set is unknown.
     soonest_s = np.minimum(own_s, others_s)
-    # The mean decides where two pursuers cannot shorten the worst flight. The centre wins ties.
+    # The mean decides if two pursuers cannot shorten the worst flight. The centre wins ties.
     value_s = np.asarray((soonest_s.max(axis=2) + soonest_s.mean(axis=2)).mean(axis=1))
     return aims_m[int(value_s.round(6).argmin())]
 
@@ -100,7 +100,7 @@ def _candidates_m(hunt: Hunt, centre_m: Floats, ahead_s: float) -> Floats:
 
 
 def _driven_m(arena: Arena, place_m: Floats, aims_m: Floats, range_m: float) -> Floats:
-    """Return the positions (k, 2) after a drive towards aims; straight if the way is longer."""
+    """Return the positions (k, 2) after a drive towards aims, approximated on straight lines."""
     lengths_m = np.maximum(arena.distances_m(place_m, aims_m), 1e-9)
     return place_m + np.minimum(1.0, range_m / lengths_m)[:, None] * (aims_m - place_m)
 

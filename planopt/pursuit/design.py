@@ -47,7 +47,7 @@ PAYLOAD_FITS = "slot of the payload below the widest slot"
 IN_TIME = "time to capture below the deadline"
 
 SHARP_ORDER = {"capture_radius": 1, "deadline": 2, "payload": 3}
-"""Rank of each requirement by the order of checks; a later failure is nearer to a design."""
+"""Order in which requirements are checked; a later failure is closer to a feasible design."""
 
 ELASTICITY_STEP = 1e-5
 """Relative step of the finite differences for sensitivities."""
@@ -131,7 +131,7 @@ class MoteNetwork(Table):
     def power_w(
         self, slot_width_s: float, bits_per_axis: float, rate_divisor: float = 1.0
     ) -> float:
-        """Return the power of the network; if r > 1, motes sleep except in every r-th round."""
+        """Return the network's power in W; if r > 1, motes sleep except in every r-th round."""
         lasts_s = self.slots_per_frame * slot_width_s * rate_divisor
         sent_w = self.energy_j_per_bit * self.frame_bits(bits_per_axis) / lasts_s
         return self.motes * (sent_w + self.idle_w)
@@ -177,7 +177,7 @@ class DesignTask:
         return self.network.staleness_per_slot(self.chase.evader_speed_m_s)
 
     def room(self, bits_per_axis: float) -> float:
-        """Return 1 - a - delta, the upper limit of x."""
+        """Return 1 - a - delta, the upper limit of the staleness x."""
         kappa = relative_error(bits_per_axis)
         return 1.0 - contraction(self.chase.speed_ratio, kappa) - self.margin
 
@@ -217,7 +217,7 @@ def cheapest_design(task: DesignTask) -> Design:
 
 
 def cheapest_rated_design(task: DesignTask) -> Design:
-    """Return the minimum-power design by the Lemma, where only every r-th round takes place."""
+    """Return the minimum-power design by the Lemma if only every r-th round takes place."""
     # Ages are then at most ``6 (1 + r) eta_s s_w`` frames per spacing. Short slots with infrequent
     # rounds cost down to half as much as long slots, provided that motes sleep in between.
     return _scan(task, partial(_rated_candidate, task))
@@ -306,7 +306,7 @@ def _scan(
     candidate: Callable[[int], Candidate],
     objective: Callable[[Design], float] = lambda design: design.cost_w,
 ) -> Design:
-    """Return the best design over all numbers of bits, or raise the failure closest to success."""
+    """Return the best design over all numbers of bits; raise the error of the closest failure."""
     designs: list[Design] = []
     failures: list[tuple[_Failed, int]] = []
     for c in task.bits:
@@ -340,7 +340,7 @@ def _rated_candidate(task: DesignTask, bits: int) -> Candidate:
 
 
 def _energy_candidate(task: DesignTask, bits: int) -> Candidate:
-    """Return the feasible slot width s with minimum ``(A / s + B) / (q - p s)``."""
+    """Return the feasible slot width of minimum energy per capture, ``(A / s + B) / (q - p s)``."""
     # A and B are the costs of transmission and idling, q = 1 - a and p s = x.
     widest_s = _widest_s(task, bits)
     if isinstance(widest_s, _Failed):

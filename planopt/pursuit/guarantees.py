@@ -46,7 +46,7 @@ FLOOR_PLACES, FLOOR_ROUNDS = 65, 11
 """Grid points and number of grid refinements of the search for the floor."""
 
 REPORT_SHARE = 2.0
-"""Maximum error ratio after replacing a report inside an obstacle by the nearest free point."""
+"""Maximum factor on a report's error if the report is moved to the nearest free point."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Guarantee:
 
     @cached_property
     def floor_m(self) -> float:
-        """Return the largest bound W that may fail to decrease; infinite if an inequality fails."""
+        """Return the largest distance bound W that may not decrease; infinite if no guarantee."""
         if self.levels is not None:
             return self.levels.floor_m() if self.holds else math.inf
         floor_m = _floor_m(self.stages) if self.holds else math.inf
@@ -191,9 +191,9 @@ def capture_guarantees(chase: Chase, bounds: ServiceBounds) -> dict[Theorem, Gua
 def _by_snapshots(
     chase: Chase, bounds: ServiceBounds, period_s_m: float, spacing_m: float
 ) -> Guarantee:
-    """Return the guarantee by nested rounds, with a period per metre of distance."""
+    """Return the guarantee for nested snapshot rounds, whose period grows with the distance."""
     # A level is used because the next finer one, sampled at most a period later, placed the evader
-    # elsewhere. In between it moved at most y = v_e times the period.
+    # elsewhere. Between both samples it moved at most y = v_e times the period.
     lag, x = period_s_m * chase.evader_speed_m_s, staleness(chase, bounds)
     late = Inequality("y = v_e period below 1", lag, 1.0)
     if not late.holds:
@@ -305,13 +305,13 @@ def _error_m(bounds: ServiceBounds, distance_m: Floats) -> Floats:
 
 
 def _start_m(chase: Chase, bounds: ServiceBounds, sampled_m: float) -> float:
-    """Return the bound W at the first record, for the evader's distance at its sample time."""
+    """Return the distance bound W at the first record, from the evader's sampled distance."""
     age_s = max(bounds.age_s_m * sampled_m, bounds.age_floor_s)
     return sampled_m + chase.evader_speed_m_s * age_s
 
 
 def _least_distance_m(chase: Chase, bounds: ServiceBounds, bound_m: Floats) -> Floats:
-    """Return the smallest sampled distances for bounds W (...), the inverse of :func:`_start_m`."""
+    """Return the smallest sampled distances for distance bounds W; inverts :func:`_start_m`."""
     moved_m = chase.evader_speed_m_s * bounds.age_floor_s
     return np.maximum(
         0.0, np.minimum(bound_m / (1.0 + staleness(chase, bounds)), bound_m - moved_m)
@@ -319,7 +319,7 @@ def _least_distance_m(chase: Chase, bounds: ServiceBounds, bound_m: Floats) -> F
 
 
 def _floor_m(stages: tuple[Stage, ...]) -> float:
-    """Return the floor: the largest W that a stage may increase."""
+    """Return the floor: the largest distance bound W that a stage may increase."""
 
     def lifts(bounds_m: Floats) -> Mask:
         return np.any([stage(bounds_m)[0] > bounds_m for stage in stages], axis=0)

@@ -43,12 +43,12 @@ class LevelBounds:
 
     @cached_property
     def _unseen_m(self) -> Floats:
-        """Return the least distance at which the next finer level misses the evader, by level."""
+        """Return, by level, the least distance at which the next finer level misses the evader."""
         return np.append(0.0, SIZES[:-1]) * self.spacing_m
 
     @cached_property
     def _least_m(self) -> Floats:
-        """Return the least bound W at which each level is used, (levels,)."""
+        """Return, by level, the least distance bound W at which the level is used; (levels,)."""
         moved_m = self.evader_m_s * self.round_s * SIZES[:-1]
         return self._unseen_m + np.append(0.0, moved_m)
 
@@ -58,12 +58,12 @@ class LevelBounds:
 
     @cached_property
     def _oldest_m(self) -> Floats:
-        """Return the largest displacement of the evader during the age of a record, by level."""
+        """Return, by level, the largest displacement of the evader during the age of a record."""
         return self.evader_m_s * (self.round_s + self.period_s) * SIZES
 
     @cached_property
     def _waited(self) -> tuple[Floats, Floats]:
-        """Return the bound W after a wait at each level, -inf if none, and the longest wait."""
+        """Return, by level, the bound W after a wait (-inf without one) and the longest wait."""
         # A record is older than the one in use only at levels whose cells are as small as errors.
         unseen_m = (1.0 - self.lag) * self._unseen_m
         level = np.searchsorted(unseen_m, self._error_m, side="right") - 1
@@ -77,7 +77,7 @@ class LevelBounds:
         return np.searchsorted(self._least_m, bound_m, side="right") - 1
 
     def start_m(self, distance_m: float) -> float:
-        """Return the bound W at the first record, for the evader's distance at its sample time."""
+        """Return the distance bound W at the first record, from the evader's sampled distance."""
         unseen_m = (1.0 - self.lag) * self._unseen_m
         level = int(np.searchsorted(unseen_m, distance_m, side="right")) - 1
         return distance_m + float(self._oldest_m[level])
@@ -98,7 +98,7 @@ class LevelBounds:
         return left_m + self.evader_m_s * self.delay_s
 
     def floor_m(self) -> float:
-        """Return the largest bound W that a stage may fail to reduce."""
+        """Return the largest distance bound W that a stage may not reduce."""
         # Below the age limit of a level W changes by a constant, above it W / alpha plus a constant
         # has one fixed point; the constant is negative if and only if this point is below the
         # limit.

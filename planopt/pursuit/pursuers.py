@@ -132,7 +132,7 @@ class PursuerView:
     time_s: float  # Current time
     step_s: float  # Time until the next decision
     state: Floats  # State of the pursuer
-    ask: Callable[[Record | None], Record | None]  # Current local record, given the one followed
+    ask: Callable[[Record | None], Record | None]  # Local record, given the one in use
     mates: Sequence[Mate] = ()  # Other pursuers of the same evader
 
     @property
@@ -194,7 +194,7 @@ class DriveToReport:
 
 
 class _ReportDriver:
-    """Driver that keeps the record that it follows and the route to the reported position."""
+    """Driver that follows one record along the shortest path to the reported position."""
 
     def __init__(self, policy: DriveToReport, quest: Quest) -> None:
         self._policy, self._quest = policy, quest

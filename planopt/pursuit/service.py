@@ -106,7 +106,7 @@ class SnapshotService:
 
     @property
     def rounds_s(self) -> Floats:
-        """Return the duration of a round from sample to last mote, by level (L + 1,)."""
+        """Return the time from sampling to delivery at the last mote, by level (L + 1,)."""
         return self.hops_per_round * self.frame_s * np.exp2(np.arange(self.levels + 1))
 
     @property

@@ -97,7 +97,7 @@ class FallbackCascade:
         self._followed = COUPLED_GUESSES if coupled else 1
         self._driven = not problem.robots[0].moves_freely
         # In goal tasks, the next terminal waypoint cancels any further gain.
-        again = self._driven and problem.task != "reach"
+        again = self._driven and not problem.has_goal
         self._rounds = DRIVEN_ROUNDS if again else 0
         refines = problem.planner.name in METHODS and problem.can_be_polished
         self.refinement = Refinement(problem, ground) if refines else None
@@ -134,7 +134,7 @@ class FallbackCascade:
                 break
             if not any(scorer.score(c) >= scorer.score(unrefined) for c in verified):
                 unrefined = scorer.assessed(unrefined)
-                if unrefined.relaxes and self._problem.task == "reach":
+                if unrefined.relaxes and self._problem.has_goal:
                     unrefined = replace(unrefined, rung=Rung.RELAXED)
                 candidates.append(unrefined)
                 if unrefined.verdict is Verdict.VERIFIED:

@@ -52,7 +52,7 @@ def proven_plans(
     for number, (plan, aim) in enumerate(zip(plans, aims, strict=True)):
         own = problem_of_robot(problem, number)
         share = seconds / len(plans)
-        if problem.task != "reach":
+        if not problem.has_goal:
             found.append(with_sum_bound(own, belief, plan, aim, share, len(plans)))
             continue
         reason = why_unbounded(own, belief.posteriors)

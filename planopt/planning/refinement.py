@@ -216,7 +216,7 @@ class Refinement:
         self._problem = problem
         self._ground = ground
         # The programme of a robot with dynamics contains the goal cost itself.
-        self._to_goal = problem.task == "reach" and problem.robots[0].moves_freely
+        self._to_goal = problem.has_goal and problem.robots[0].moves_freely
         self._moving = min(len(problem.workspace.moving) + others, MOVING_LINES)
         self._built: dict[int, PathNlp] = {}
         self._nlp_for(obstacles_ahead(problem, 0))
@@ -244,7 +244,7 @@ class Refinement:
                     has_step_rows(problem),
                     has_sum_row(problem),
                     motion,
-                    charged=problem.task == "reach",
+                    charged=problem.has_goal,
                 )
             self._built[lines] = build_path_nlp(
                 shape,

@@ -108,7 +108,7 @@ def build_scenes(
     problem: Problem, places_m: Sequence[Floats] | None = None
 ) -> tuple[Scene, ...] | None:
     """Return the geometry of each robot at positions (2,); None for problems without goals."""
-    if problem.task != "reach":
+    if not problem.has_goal:
         return None
     scenes: list[Scene] = []
     for number, robot in enumerate(problem.robots):

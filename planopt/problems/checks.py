@@ -269,7 +269,7 @@ def check(problem: Problem) -> None:
                 key=f"{key}.speed_max_m_s",
                 remedy="increase it, or planner.step_s",
             )
-        if robot.start_spread_m > 0.0 and (problem.task == "reach" or not robot.moves_freely):
+        if robot.start_spread_m > 0.0 and (problem.has_goal or not robot.moves_freely):
             raise InputError(
                 f"is {robot.start_spread_m:g} m, but random starts are available only for "
                 "single integrators and not for the task reach",
@@ -363,7 +363,7 @@ def check_rule(problem: Problem) -> None:
     """Raise an `InputError` if the planner does not support the connectivity rule."""
     rule = problem.constraints.rule
     rule.kind.check(problem)
-    if problem.task == "reach" and rule.slack_price > 0.0:
+    if problem.has_goal and rule.slack_price > 0.0:
         raise InputError(
             f"is {rule.slack_price:g}, but the task reach has no price of slack",
             key="constraints.slack_price",

@@ -251,8 +251,7 @@ def _overridden(
     changes = {name: value for name, value in changes.items() if value is not None}
     # The constructor of the changed part validates it.
     settings = replace(problem.planner, **changes) if changes else problem.planner
-    is_reach = isinstance(problem.objective, ReachObjective)
-    if is_reach and not planner_kind(settings.name).reaches_goals:
+    if problem.has_goal and not planner_kind(settings.name).reaches_goals:
         raise InputError(
             f"is {settings.name}, which cannot plan to a goal",
             key="planner.name",
@@ -263,7 +262,7 @@ def _overridden(
         changed = replace(changed, objective=problem.objective.at_horizon(horizon))
     if cost_to_go is None:
         return changed
-    if not is_reach:
+    if not problem.has_goal:
         raise InputError(
             f"applies only to the task reach, but the task of {problem.name} is {problem.task}",
             key="objective.cost_to_go",

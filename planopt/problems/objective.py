@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property, lru_cache
-from typing import Annotated, Any, Literal, Union
+from typing import Annotated, Any, ClassVar, Literal, Union
 
 from pydantic import (
     AfterValidator,
@@ -112,6 +112,10 @@ class ReachObjective(Part):
 
     at = "objective"
     Keys = TermsKeys
+    task: ClassVar[str] = "reach"
+    has_goal: ClassVar[bool] = True
+    sense: ClassVar[Literal["min", "max"]] = "min"
+    terms: ClassVar[tuple[Term, ...]] = ()
 
     effort_weight_s2_m2: Annotated[float, Field(ge=0, le=1e6)] = 0.1
     """Weight of speed squared in the cost rate 1 + weight * speed^2, in s^2/m^2."""
@@ -135,7 +139,16 @@ class ReachObjective(Part):
 class TermsObjective:
     """Objective to maximise a weighted sum of terms over the horizon."""
 
+    has_goal: ClassVar[bool] = False
+    sense: ClassVar[Literal["min", "max"]] = "max"
+    cost_to_go: ClassVar[None] = None
+
     terms: tuple[Term, ...]  # At least one; the first determines the task
+
+    @property
+    def task(self) -> str:
+        """Return the task of the first term."""
+        return self.terms[0].task or "custom"
 
     def __post_init__(self) -> None:
         if not self.terms:

@@ -194,18 +194,16 @@ class Problem:
     @property
     def sense(self) -> Literal["min", "max"]:
         """Return ``min`` or ``max``, the sense of the objective."""
-        return "min" if isinstance(self.objective, ReachObjective) else "max"
+        return self.objective.sense
 
     @property
     def cost_to_go(self) -> CostToGo | None:
         """Return the form of the cost-to-go; None without a goal."""
-        return self.objective.cost_to_go if isinstance(self.objective, ReachObjective) else None
+        return self.objective.cost_to_go
 
     @cached_property
     def terms(self) -> tuple[Term, ...]:
         """Return the terms of the objective as used in planning; empty for the task reach."""
-        if isinstance(self.objective, ReachObjective):
-            return ()
         return tuple(term.planned(self.term_setting) for term in self.objective.terms)
 
     @property
@@ -232,23 +230,24 @@ class Problem:
     @property
     def term_setting(self) -> TermSetting:
         """Return those properties of the problem on which terms depend."""
-        objective = self.objective
-        has_one = isinstance(objective, TermsObjective) and len(objective.terms) == 1
         return TermSetting(
             self.planner.horizon,
             len(self.stations),
             bool(self.targets),
             self.has_dynamics,
-            not self.constraints.asks_connection and has_one,
+            not self.constraints.asks_connection and len(self.objective.terms) == 1,
             any(target.packets == "estimates" for target in self.targets),
         )
 
     @property
     def task(self) -> Task:
         """Return the task of the problem: reach, or the first term's task."""
-        if isinstance(self.objective, ReachObjective):
-            return "reach"
-        return cast("Task", self.objective.terms[0].task or "custom")
+        return cast("Task", self.objective.task)
+
+    @property
+    def has_goal(self) -> bool:
+        """Return True if the objective is to reach a goal."""
+        return self.objective.has_goal
 
 
 def _objective(

@@ -194,7 +194,7 @@ def _reach_fault(tables: ProblemFile) -> str | None:
                 f"task reach has no terms, and no robots[{number}].weights of any: leave weights "
                 "out, or say another problem.task and a term of kind goal"
             )
-    if isinstance(tables.objective, TermsObjective):
+    if tables.objective.terms:
         return (
             "task reach has no objective.terms: leave them out, or say the problem.task of the "
             "first of them, and add a term of kind goal"
@@ -214,7 +214,7 @@ def _reach_fault(tables: ProblemFile) -> str | None:
 def _terms_fault(tables: ProblemFile) -> str | None:
     """Return a message if the tables do not define a problem with a sum of terms."""
     task, objective = tables.problem.task, tables.objective
-    terms = objective.terms if isinstance(objective, TermsObjective) else ()
+    terms = objective.terms
     if not terms or terms[0].task != task:
         kinds = [each.kind for each in registered_terms() if each.task == task]
         given = (

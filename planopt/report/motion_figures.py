@@ -65,7 +65,7 @@ def draw_solution(solution: Solution) -> Figure:
     words = _certificates(solution)
     series = plan_series(problem, plans, target_m)
     figure, maps, curves = _sheet(problem, [*series, (lambda panel: None, 0.3 + 0.11 * len(words))])
-    alone = problem.task == "reach" and len(plans) == 1
+    alone = problem.has_goal and len(plans) == 1
     window = (window_about if alone else map_window)(problem, positions)
     entries = draw_belief_maps(figure, maps, problem, solution.belief, positions, window)
     measured = solution.belief.posterior.measurements.positions_m
@@ -116,7 +116,7 @@ def draw_run(run: Run) -> Figure:
         Result of :func:`planopt.simulate`.
     """
     problem = run.problem
-    alone = problem.task == "reach" and len(run.runs) == 1
+    alone = problem.has_goal and len(run.runs) == 1
     figure = _draw_courier(run) if alone else _draw_team(run)
     cost = f", {problem.cost_to_go} cost-to-go" if problem.cost_to_go else ""
     steps = len(run.runs[0].log.t_s) - 1

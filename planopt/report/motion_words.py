@@ -84,15 +84,15 @@ def solution_in_words(solution: Solution) -> list[str]:
 
 def _value(problem: Problem, objective: float) -> str:
     """Return an objective value as text; with a goal, as a cost in seconds."""
-    if problem.task == "reach":
+    if problem.has_goal:
         return f"cost {shown_number(objective, ' s')} (travel time, effort and outage)"
     return f"objective ({problem.sense}imised) {shown_number(objective)}"
 
 
 def plan_in_words(problem: Problem, plan: Plan) -> list[str]:
     """Return verdict, objective, distances, connectivity and coverage holes of a robot's plan."""
-    proof, unit = plan.certificate, " s" if problem.task == "reach" else ""
-    limited = problem.constraints.asks_connection or problem.task == "reach"
+    proof, unit = plan.certificate, " s" if problem.has_goal else ""
+    limited = problem.constraints.asks_connection or problem.has_goal
     lines = [
         f"{plan.robot}: {plan.verdict.value}; {ORIGINS[plan.rung.value]}; solver "
         f"{STOPPED[plan.termination.value]} after {plan.iterations} iterations; planned in "
@@ -109,7 +109,7 @@ def plan_in_words(problem: Problem, plan: Plan) -> list[str]:
         lines.append(f"  the proposed path is rejected: {plan.rejected}")
     if plan.message:
         lines.append(f"  {plan.message}")
-    if problem.task == "reach":
+    if problem.has_goal:
         words = goal_in_words(problem, plan.holes)
         words += holes_in_words(problem, plan.holes, "the route to the goal crosses")
         lines += [f"  {line}" for line in words]
@@ -178,7 +178,7 @@ def run_in_words(run: Run) -> list[str]:
         *in_columns([*_metrics_in_words(run)]),
         *_unverified_in_words(run),
     ]
-    if problem.task == "reach":
+    if problem.has_goal:
         lines += _costs_in_words(run)
         for one in run.runs:
             crossed = f"{one.robot} crossed" if len(run.runs) > 1 else "crossed"
@@ -190,7 +190,7 @@ def run_in_words(run: Run) -> list[str]:
 def _metrics_in_words(run: Run) -> Iterator[tuple[str, str]]:
     """Yield name and value of each finite metric that a run's other lines do not show."""
     elsewhere = {"measured_steps", *BAND_ENDS}
-    elsewhere |= {"realised_cost_m", "clairvoyant_cost_m"} if run.problem.task == "reach" else set()
+    elsewhere |= {"realised_cost_m", "clairvoyant_cost_m"} if run.problem.has_goal else set()
     for metric, value in run.metrics.items():
         if metric in elsewhere or isnan(value):
             continue
@@ -245,7 +245,7 @@ def _costs_in_words(run: Run) -> list[str]:
 
 def words_ahead(problem: Problem, plans: Sequence[Plan]) -> Iterator[str]:
     """Yield the coverage holes on the route to each goal, according to the first plans."""
-    if problem.task != "reach":
+    if not problem.has_goal:
         return
     for number, plan in enumerate(plans):
         own = problem_of_robot(problem, number)

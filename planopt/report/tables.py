@@ -164,7 +164,7 @@ def comparison_text(comparison: Comparison) -> str:
     """
     settings = comparison.settings
     problems = (comparison.problem, *comparison.others)
-    to_goal = all(problem.task == "reach" for problem in problems)
+    to_goal = all(problem.has_goal for problem in problems)
     shown = GOAL_COLUMNS if to_goal else _columns(comparison.rows)
     title = (
         f"{', '.join(problem.name for problem in problems)}: {len(comparison.runs)} runs in "

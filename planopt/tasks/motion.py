@@ -70,7 +70,7 @@ def _figures(value: Solution | Run) -> Mapping[str, Figure]:
 
     plan = isinstance(value, Solution)
     figures = {"plan.png" if plan else "run.png": value.plot()}
-    if value.problem.task != "reach":
+    if not value.problem.has_goal:
         return figures
     if not isinstance(value, Solution) and len(value.runs) == 1:
         figures["series.png"] = draw_run_series(value)
@@ -152,7 +152,7 @@ class MotionTask(Task):
 
     def compared_costs_to_go(self, problem: Problem) -> Sequence[str | None]:
         """Return both costs-to-go for problems with a goal."""
-        return ("geodesic", "connected") if problem.task == "reach" else (None,)
+        return ("geodesic", "connected") if problem.has_goal else (None,)
 
     def shared(self, problem: Problem, seed: int) -> Any:
         """Return data shared by all runs of a seed: ground truth, belief, and goal geometry."""
@@ -295,7 +295,7 @@ def _run_answer(problem: Problem, seed: int, shared: Any, recorded: States) -> d
     begun = process_time()
     problem = with_drawn_starts(problem, seed)
     seeds = team_seeds(problem, seed)
-    prepared, scenes = shared["prepared"], shared["scenes"] if problem.task == "reach" else None
+    prepared, scenes = shared["prepared"], shared["scenes"] if problem.has_goal else None
     steps, states = first_steps(
         problem,
         prepared.belief,

@@ -144,7 +144,7 @@ def replayed(saved: Saved, start: Prepared) -> Solution | Run:
         return Solution(problem, seed, start.belief, plans, aims, saved.explanation(plans))
     world = _saved_world(saved)
     if start.truths:
-        led = range(len(problem.robots) if problem.task == "reach" else 0)
+        led = range(len(problem.robots) if problem.has_goal else 0)
         owns = [problem_of_robot(problem, number) for number in led]
         goals = [(own, np.asarray(own.goal_m)) for own in owns]
         world = true_world(problem, start.truths, lambda: [build_roads(*each) for each in goals])
@@ -196,7 +196,7 @@ def _planning(saved: Saved) -> Planning:
     def made(problem: Problem, states: Sequence[Floats]) -> PlanStep:
         owns = [problem_of_robot(problem, number) for number in range(len(problem.robots))]
         index = index_obstacles(problem.workspace)
-        region = None if problem.task == "reach" else workspace_region(problem)
+        region = None if problem.has_goal else workspace_region(problem)
         grids: list[GoalGrid | None] = [None for _ in owns]
 
         def plan_step(at: TeamMoment) -> tuple[list[Plan], list[Aim]]:
@@ -248,7 +248,7 @@ def _no_plan(saved: Saved, owns: Sequence[Problem], states: Sequence[Floats]) ->
         way.holes and np.abs(way.way_m[0] - places[way.robot]).max() <= SAME_PLACE_M
         for way in saved.blocked
     )
-    for own in owns if saved.problem.task == "reach" else ():
+    for own in owns if saved.problem.has_goal else ():
         x, y = places[own.robots[0].name].tolist()
         here = replace(own, robots=(replace(own.robots[0], start_m=(x, y)),))
         shown = shown or not is_joined(here, here.constraints.clearance_m)
@@ -295,7 +295,7 @@ def _verified_again(
         return plan
     planned = ("wall_s", "solve_s", "iterations", "rejected")
     plan = replace(plan, **{name: getattr(record, name) for name in planned})
-    if problem.task == "reach" and record.route is not None:
+    if problem.has_goal and record.route is not None:
         route_m = record.route.positions_m
         places = np.vstack([path_m, route_m])
         holes = holes_on(problem, search_prediction(context.law, places), places)

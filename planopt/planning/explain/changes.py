@@ -377,7 +377,7 @@ def explain_violated(case: Case, trials: Trials) -> tuple[Relaxation, ...]:
 def _elastic(case: Case, trials: Trials) -> list[Case]:
     """Return the case replanned with priced slack, which minimises the rule's violation, if any."""
     problem, rule = case.problem, case.problem.constraints.rule
-    if problem.task == "reach" or (rule.by_step and rule.slack_max_db is None):
+    if problem.has_goal or (rule.by_step and rule.slack_max_db is None):
         return []
     elastic = replace(rule, slack_max_db=MOST_DB, slack_price=SLACK_PRICE)
     constraints = replace(problem.constraints, rule=elastic)

@@ -204,7 +204,7 @@ class ReleasedPlan(Trajectory):
 def _written(record: type[Trajectory], problem: Problem, plan: Plan, aim: Aim) -> dict[str, Any]:
     """Return the JSON data of a robot's plan; some keys exist only for plans to a goal."""
     to_goal = ("pivot", "route", "holes", "path_cost_m", "best_cost_m")
-    omitted = dict.fromkeys(to_goal if problem.task != "reach" else (), OMITTED)
+    omitted = dict.fromkeys(to_goal if not problem.has_goal else (), OMITTED)
     values = {**xy(plan.positions_m), "aim": AimRecord.written(aim), **omitted}
     return record.written(plan, **values)
 
@@ -431,7 +431,7 @@ def run_json(run: Run) -> dict[str, Any]:
 
     def robot(one: RobotRun, plans: Iterable[Plan]) -> dict[str, Any]:
         excused = excused_steps([plan.certificate for plan in plans])
-        omitted = {} if run.problem.task == "reach" else {"holes": OMITTED}
+        omitted = {} if run.problem.has_goal else {"holes": OMITTED}
         return RobotRunRecord.written(one, excused=excused, **omitted)
 
     return RunRecord.written(

@@ -228,7 +228,7 @@ def steps_dataframe(result: Solution | Run) -> Any:
 def columns_of_run(problem: Problem) -> dict[str, Sequence[Column]]:
     """Return the columns of every table of a run, by file name."""
     columns: dict[str, Sequence[Column]] = {STEPS_FILE: step_columns(problem)}
-    if problem.task != "reach":
+    if not problem.has_goal:
         columns[KNOWLEDGE_FILE] = KNOWLEDGE_COLUMNS
     if problem.targets and any(term.sensor is not None for term in problem.terms):
         columns[TARGET_FILE] = target_columns(problem)

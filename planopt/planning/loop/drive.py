@@ -270,7 +270,7 @@ def drive(
     """Run the loop until its task is done, the robots stall, or the step limit is reached."""
     robots = Stepper(problem, belief, planning, target)
     # Errors over the whole workspace are slow to compute and not needed for runs to a goal.
-    known_at = None if problem.task == "reach" else workspace_region(problem).grid_m
+    known_at = None if problem.has_goal else workspace_region(problem).grid_m
     rows: list[tuple[float, ...]] = []
     if known_at is not None:
         rows.append(world.channel_row(0, robots.beliefs[0].posteriors, known_at))
@@ -368,7 +368,7 @@ def _ending(robots: Stepper) -> tuple[Outcome, str] | None:
             robots.owns, robots.states, robots.learnt, robots.plans, robots.beliefs, strict=True
         )
     ]
-    if robots.problem.task == "reach":
+    if robots.problem.has_goal:
         return goals_ending(robots.problem, progress)
     connected = robots.connected
     return terms_ending(robots.problem, connected, progress) if len(connected) else None

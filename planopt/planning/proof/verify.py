@@ -64,7 +64,7 @@ class StepsFinding:
 
 def is_priced(problem: Problem) -> bool:
     """Return whether single steps may violate p_min at the outage price."""
-    return problem.task == "reach" and problem.constraints.rule.is_plain
+    return problem.has_goal and problem.constraints.rule.is_plain
 
 
 def verify_single_steps(
@@ -326,7 +326,7 @@ def verify(
 def _gets_nowhere(context: VerifierContext, positions_m: Floats, drive: Drive | None) -> bool:
     """Return whether a robot waits short of its goal although no obstacle moves."""
     problem = context.problem
-    if problem.task != "reach" or len(context.moving) or is_at_goal(problem, positions_m[0]):
+    if not problem.has_goal or len(context.moving) or is_at_goal(problem, positions_m[0]):
         return False
     track = positions_m if drive is None else drive.states
     return bool(np.abs(track - track[0]).max() <= STANDSTILL_M)

@@ -340,7 +340,7 @@ class Table(BaseModel):
             cls.__annotations__[name] = Annotated[hint, Field(description=said)]
 
 
-def _folder(info: ValidationInfo) -> Path:
+def folder_of(info: ValidationInfo) -> Path:
     """Return the folder against which relative file names are resolved."""
     context = cast("Mapping[str, Path] | None", info.context)
     return Path() if context is None else context["folder"]
@@ -351,6 +351,10 @@ class ValidatedAs:
 
     def __init__(self, kind: Any) -> None:
         self._kind = kind
+
+    def tables(self) -> Sequence[type[BaseModel]]:
+        """Return the models of the tables in the type."""
+        return _tables(self._kind)
 
     def __get_pydantic_core_schema__(
         self, source: object, handler: GetCoreSchemaHandler
@@ -365,7 +369,7 @@ def _text_of(value: object) -> object:
 
 def _in_folder(name: str, info: ValidationInfo) -> Path:
     if not name.startswith(PRIVATE):
-        return _folder(info) / name
+        return folder_of(info) / name
     folder = os.environ.get(DATA_FOLDER)
     return Path(name) if folder is None else Path(folder).absolute() / name.removeprefix(PRIVATE)
 
@@ -467,14 +471,12 @@ class ReadAs:
     def __init__(
         self,
         table: type[BaseModel],
-        make: Callable[..., Any],  # From a validated table, and the folder if `needs_folder`
+        make: Callable[[Any], Any],  # From a validated table
         *kinds: type[Any],
         # From a Python object to its table for validation; None if the object validates itself
         to_keys: Callable[[Any], dict[str, Any]] | None = None,
-        needs_folder: bool = False,
     ) -> None:
-        self._table, self._make, self._kinds = table, make, kinds
-        self._to_keys, self._needs_folder = to_keys, needs_folder
+        self._table, self._make, self._kinds, self._to_keys = table, make, kinds, to_keys
 
     def tables(self) -> Sequence[type[BaseModel]]:
         """Return the model of the table that describes the object."""
@@ -484,19 +486,18 @@ class ReadAs:
         self, source: object, handler: GetCoreSchemaHandler
     ) -> CoreSchema:
         """Return a schema that accepts the object itself or its table."""
-        return core_schema.with_info_wrap_validator_function(
-            self._read, handler.generate_schema(self._table)
+        return core_schema.no_info_wrap_validator_function(
+            self._read,
+            handler.generate_schema(self._table),
+            serialization=core_schema.plain_serializer_function_ser_schema(saved),
         )
 
-    def _read(
-        self, value: object, handler: ValidatorFunctionWrapHandler, info: ValidationInfo
-    ) -> Any:
+    def _read(self, value: object, handler: ValidatorFunctionWrapHandler) -> Any:
         if isinstance(value, self._kinds):
             if self._to_keys is not None:
                 handler(self._to_keys(value))
             return value
-        table = handler(value)
-        return self._make(table, _folder(info)) if self._needs_folder else self._make(table)
+        return self._make(handler(value))
 
 
 def fault_of(words: str) -> PydanticCustomError:

@@ -15,10 +15,29 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import shapely
-from pydantic import Field, model_validator
+from pydantic import (
+    AfterValidator,
+    Field,
+    PlainSerializer,
+    Strict,
+    ValidationInfo,
+    model_validator,
+)
 
 from planopt.errors import InputError
-from planopt.keys import FileName, Name, OriginKey, Pair, Quad, ReadAs, Table, fault_of, saved
+from planopt.keys import (
+    FileName,
+    Name,
+    OriginKey,
+    Pair,
+    Quad,
+    ReadAs,
+    Table,
+    ValidatedAs,
+    fault_of,
+    folder_of,
+    saved,
+)
 from planopt.objectives.terms.term import Term, registered_terms
 from planopt.problems.channel_setup import BaseStation, ChannelSetup
 from planopt.problems.objective import OBJECTIVE, Constraints, ReachObjective, TermsObjective
@@ -92,12 +111,39 @@ class ObstacleTable(Table):
         return self
 
 
+def _read_entries(entries: Sequence[ObstacleTable], info: ValidationInfo) -> tuple[Obstacle, ...]:
+    """Return the obstacles of ``world.obstacles``, read from their files; errors name the entry."""
+    return tuple(
+        replace(
+            obstacle,
+            known_from_s=entry.known_from_s,
+            until_s=math.inf if entry.until_s is None else entry.until_s,
+        )
+        for index, entry in enumerate(entries)
+        for obstacle in _entry_obstacles(entry, index, folder_of(info))
+    )
+
+
+def _entries_of(obstacles: Sequence[Obstacle]) -> list[dict[str, Any]]:
+    """Return obstacles as entries of ``world.obstacles``."""
+    return [_obstacle_table(each) for each in obstacles]
+
+
+Obstacles = Annotated[
+    tuple[Obstacle, ...],
+    ValidatedAs(Annotated[tuple[ObstacleTable, ...], Strict(False)]),
+    AfterValidator(_read_entries),
+    PlainSerializer(_entries_of),
+]
+"""Obstacles from their entries in a problem file; saved as polygons."""
+
+
 class WorldTable(Table):
     """Table ``[world]``: bounds and obstacles."""
 
     bounds_m: Quad
     """[x_min, y_min, x_max, y_max] in metres."""
-    obstacles: tuple[ObstacleTable, ...] = Field(default=(), strict=False)
+    obstacles: Obstacles = ()
     """Forbidden areas."""
 
 
@@ -108,9 +154,9 @@ class MotionWorldTable(WorldTable):
     """Moving obstacles with predicted trajectories."""
 
 
-def _workspace_of(table: MotionWorldTable, folder: Path) -> Workspace:
-    """Return the workspace that a table describes, with obstacles read from their files."""
-    return Workspace(table.bounds_m, obstacles_of(table.obstacles, folder), table.moving)
+def _workspace_of(table: MotionWorldTable) -> Workspace:
+    """Return the workspace that a table describes."""
+    return Workspace(table.bounds_m, table.obstacles, table.moving)
 
 
 def _world_keys(workspace: Workspace) -> dict[str, Any]:
@@ -118,20 +164,7 @@ def _world_keys(workspace: Workspace) -> dict[str, Any]:
     return {"bounds_m": workspace.bounds_m, "moving": workspace.moving}
 
 
-WORLD = ReadAs(MotionWorldTable, _workspace_of, Workspace, to_keys=_world_keys, needs_folder=True)
-
-
-def obstacles_of(entries: Sequence[ObstacleTable], folder: Path) -> tuple[Obstacle, ...]:
-    """Return the obstacles of ``world.obstacles``, read from their files; errors name the entry."""
-    return tuple(
-        replace(
-            obstacle,
-            known_from_s=entry.known_from_s,
-            until_s=math.inf if entry.until_s is None else entry.until_s,
-        )
-        for index, entry in enumerate(entries)
-        for obstacle in _entry_obstacles(entry, index, folder)
-    )
+WORLD = ReadAs(MotionWorldTable, _workspace_of, Workspace, to_keys=_world_keys)
 
 
 def _entry_obstacles(table: ObstacleTable, index: int, folder: Path) -> tuple[Obstacle, ...]:
@@ -154,12 +187,12 @@ def world_table(workspace: Workspace) -> dict[str, Any]:
     """Return the complete table ``[world]`` with obstacles as polygons."""
     return {
         "bounds_m": list(workspace.bounds_m),
-        "obstacles": [obstacle_table(each) for each in (*workspace.lasting, *workspace.timed)],
+        "obstacles": _entries_of((*workspace.lasting, *workspace.timed)),
         "moving": saved(workspace.moving),
     }
 
 
-def obstacle_table(obstacle: Obstacle) -> dict[str, Any]:
+def _obstacle_table(obstacle: Obstacle) -> dict[str, Any]:
     """Return an obstacle as an entry of ``world.obstacles``."""
     polygon = obstacle.polygon
     table: dict[str, Any] = {"name": obstacle.name, "polygon": _ring(polygon.exterior)}
@@ -328,18 +361,11 @@ class HeadTable(Table):
     """Description in one sentence."""
 
 
-class ReportTable(Table):
-    """Table ``[report]``: output settings."""
-
-    figures: bool = ReportSettings().figures
-    """True if figures are drawn."""
-
-
 class TaskFile(Table):
     """Base class of problem files: the tables common to all tasks."""
 
     problem: HeadTable
-    report: ReportTable = Field(default_factory=ReportTable)
+    report: ReportSettings = ReportSettings()
 
 
 class ProblemTable(HeadTable):

@@ -10,12 +10,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Self, cast
+from typing import Any, ClassVar, Self, cast
 
 from planopt.errors import InputError
 from planopt.keys import located
 from planopt.parts import Registry
 from planopt.short_repr import short_repr
+from planopt.world.workspace import Obstacle
 
 GROUP = "planopt.tasks"
 """Entry-point group of external tasks."""
@@ -50,6 +51,8 @@ class TaskProblem:
     given: Any = field(repr=False)
     file: Path | None
 
+    has_goal: ClassVar[bool] = False
+
     __repr__ = short_repr
 
     @property
@@ -66,6 +69,11 @@ class TaskProblem:
     def description(self) -> str:
         """Return the one-sentence description of the problem."""
         return self.given.problem.description
+
+    @property
+    def obstacles(self) -> tuple[Obstacle, ...]:
+        """Return the obstacles in the table ``world``; empty for a task without it."""
+        return getattr(getattr(self.given, "world", None), "obstacles", ())
 
     @property
     def has_figures(self) -> bool:

@@ -37,7 +37,6 @@ from planopt.coverage.localisation import EventSensor
 from planopt.coverage.simulation import Scene
 from planopt.coverage.voronoi import checked_polygon, convex_region
 from planopt.errors import InputError
-from planopt.problems.schema import obstacle_table, obstacles_of
 from planopt.problems.tasks import TaskProblem
 from planopt.tasks.coverage_tables import (
     AgentsTable,
@@ -51,7 +50,6 @@ from planopt.tasks.coverage_tables import (
     density_of,
 )
 from planopt.world.raster import Raster
-from planopt.world.workspace import Obstacle
 
 Floats = NDArray[np.float64]
 
@@ -83,7 +81,6 @@ class CoverageProblem(TaskProblem):
 
     given: CoverageFile
     scene: Scene
-    obstacles: tuple[Obstacle, ...]
     density: Density
     station_map: StationMap | None = None  # Estimated links to stations; None for the path loss law
 
@@ -160,9 +157,8 @@ class CoverageProblem(TaskProblem):
         return LawMover(control.gains, control.time_step_s, self.given.agents.speed_max_m_s)
 
     def tables(self) -> dict[str, Any]:
-        """Return the complete tables, with defaults, obstacles as polygons and rasters inline."""
+        """Return the complete tables, with defaults and rasters inline."""
         found = super().tables()
-        found["world"]["obstacles"] = [obstacle_table(each) for each in self.obstacles]
         if isinstance(self.density, RasterDensity):
             raster: Raster = self.density.raster
             found["density"] = {
@@ -205,9 +201,8 @@ class CoverageProblem(TaskProblem):
 
 def build(given: CoverageFile, folder: Path, file: Path | None) -> CoverageProblem:
     """Build the problem from validated tables."""
-    obstacles = obstacles_of(given.world.obstacles, folder)
     density, control, sensing = density_of(given.density, folder), given.control, _sensing(given)
-    ground = _ground(given.world, obstacles, density, given.agents.body_radius_m)
+    ground = _ground(given.world, density, given.agents.body_radius_m)
     agents = given.agents.start.number
     joins, leaves = _times(given, agents)
     given.control.gains.shares(np.array([True]), control.time_step_s)
@@ -236,7 +231,7 @@ def build(given: CoverageFile, folder: Path, file: Path | None) -> CoverageProbl
         )
     mapped = None if given.radio is None else station_map_of(given.radio, ground, folder)
     scene = _scene(given, ground, tuple(events), tuple(demands), sensing, joins, leaves)
-    problem = CoverageProblem(given, file, scene, obstacles, density, mapped)
+    problem = CoverageProblem(given, file, scene, density, mapped)
     problem.starts(np.random.default_rng(0))
     assert problem.mover  # Raises for limits that the planner does not support
     return problem
@@ -293,9 +288,7 @@ def overlapping(places_m: Floats, body_radius_m: float) -> tuple[int, int] | Non
     return min(touching, default=None)
 
 
-def _ground(
-    world: WorldTable, obstacles: tuple[Obstacle, ...], density: Density, body_radius_m: float
-) -> Ground:
+def _ground(world: WorldTable, density: Density, body_radius_m: float) -> Ground:
     """Return a convex ground if the world is convex without obstacles, else a geodesic one."""
     if world.bounds_m is not None:
         x0, y0, x1, y1 = world.bounds_m
@@ -309,7 +302,7 @@ def _ground(
     else:
         outline = checked_polygon(np.array(world.outline_m))
     missing_m2 = outline.convex_hull.area - outline.area
-    if not obstacles and world.clearance_m == 0.0 and missing_m2 <= 1e-9 * outline.area:
+    if not world.obstacles and world.clearance_m == 0.0 and missing_m2 <= 1e-9 * outline.area:
         region = convex_region(outline)
         if isinstance(density, RasterDensity) and not density.covers(region):
             raise InputError("does not cover the region", key="density")
@@ -322,7 +315,7 @@ def _ground(
             remedy="leave it out: geodesic cells have no sensing range",
         )
     spacing_m = world.spacing_m or math.sqrt(outline.area / NODES)
-    shapes = [each.polygon for each in obstacles]
+    shapes = [each.polygon for each in world.obstacles]
     keep_m = max(world.clearance_m, body_radius_m)
     return geodesic_ground(outline, shapes, spacing_m, density, keep_m)
 

@@ -24,7 +24,7 @@ from planopt.coverage.limits import MoveLimits
 from planopt.coverage.network import Counting, LinkModel
 from planopt.errors import InputError
 from planopt.keys import SMALLEST, Distance, FileName, Length, Metres, Name, Pair, Quad, Table
-from planopt.problems.schema import ObstacleTable, TaskFile
+from planopt.problems.schema import Obstacles, TaskFile
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
 from planopt.world.raster import checked_raster
 from planopt.world.raster_files import read_raster
@@ -89,7 +89,7 @@ class WorldTable(Table):
     """Rectangle [x_min, y_min, x_max, y_max] in metres; alternative to outline_m."""
     outline_m: list[Pair] | None = Field(default=None, min_length=3)
     """Corners [x, y] of a polygon in order, convex or not."""
-    obstacles: list[ObstacleTable] = Field(default=[])
+    obstacles: Obstacles = ()
     """Forbidden areas."""
     clearance_m: Distance = 0.0
     """Distance in metres that agents keep from obstacles and the outer boundary."""

@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from pydantic import Field
 
 from planopt.errors import InputError
 from planopt.keys import SMALLEST, Distance, Length, Name, Pair, Table
-from planopt.problems.schema import TaskFile, WorldTable, obstacle_table, obstacles_of
+from planopt.problems.schema import TaskFile, WorldTable
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
 from planopt.problems.tasks import TaskProblem
 from planopt.pursuit.arena import EVADER_SHARE, Arena, arena_of
@@ -38,7 +38,7 @@ from planopt.pursuit.pursuers import (
 from planopt.pursuit.service import HOPS_PER_ROUND, MAX_LEVELS, SnapshotRecords, SnapshotService
 from planopt.pursuit.simulation import Evader, Pursuer, Scene
 from planopt.robots.models import Unicycle
-from planopt.world.workspace import Obstacle, Workspace
+from planopt.world.workspace import Workspace
 
 LOST_ROUNDS = 4096
 """Number of rounds per level for which losses are drawn; the pattern is repeated."""
@@ -165,7 +165,6 @@ class PursuitProblem(TaskProblem):
     given: PursuitFile
     service: SnapshotService
     arena: Arena
-    obstacles: tuple[Obstacle, ...]
 
     def scene(self, generator: np.random.Generator) -> Scene:
         """Return the scene of one run with drawn starts and lost rounds."""
@@ -242,13 +241,6 @@ class PursuitProblem(TaskProblem):
             }
         return found
 
-    def tables(self) -> dict[str, Any]:
-        """Return the complete tables, with defaults and obstacles as polygons."""
-        found = super().tables()
-        if self.given.world is not None:
-            found["world"]["obstacles"] = [obstacle_table(each) for each in self.obstacles]
-        return found
-
     def words(self) -> Sequence[str]:
         """Return a text summary of the problem, line by line."""
         given, service = self.given, self.service
@@ -280,14 +272,12 @@ LEAST_SPEED_M_S = 1e-9
 def build(given: PursuitFile, folder: Path, file: Path | None) -> PursuitProblem:
     """Build the problem from validated tables."""
     service = SnapshotService(**given.network.model_dump(exclude={"loss_probability"}))
-    obstacles: tuple[Obstacle, ...] = ()
     arena = Arena()
     if given.world is not None:
-        obstacles = obstacles_of(given.world.obstacles, folder)
-        workspace = Workspace(given.world.bounds_m, obstacles)
+        workspace = Workspace(given.world.bounds_m, given.world.obstacles)
         arena = arena_of(workspace, given.pursuit.clearance_m)
     _require_covered(given, service)
-    problem = PursuitProblem(given, file, service, arena, obstacles)
+    problem = PursuitProblem(given, file, service, arena)
     problem.scene(np.random.default_rng(0))
     return problem
 

@@ -125,7 +125,9 @@ class Task:
     def problem_from(self, tables: object, *, folder: Path, file: Path | None) -> Any:
         """Build a validated problem from tables."""
         with located(self.model, file):
-            return self.build(self.model.model_validate(tables), folder, file)
+            return self.build(
+                self.model.model_validate(tables, context={"folder": folder}), folder, file
+            )
 
     def tables(self, problem: Any) -> dict[str, Any]:
         """Return the complete tables of a problem, which refer to no other files."""
@@ -173,7 +175,7 @@ class Task:
             result.data,
             result.words,
             {name: (self.columns[name], data) for name, data in result.tables.items()},
-            getattr(problem, "obstacles", ()),
+            problem.obstacles,
             self.tables(problem),
         )
 

@@ -11,7 +11,7 @@ import shapely
 from refusals import refused
 
 from planopt import Workspace, obstacles_from
-from planopt.problems.schema import ObstacleTable, obstacles_of
+from planopt.problems.schema import WorldTable
 from planopt.world import footprint, obstacle_from_wkt, read_obstacles
 from planopt.world.geodesy import longitude_latitude_deg
 
@@ -272,7 +272,8 @@ def test_reference_systems_become_metres(code: int | None, tmp_path: Path) -> No
     (found,) = obstacles_from(path, origin_deg=ORIGIN)
     assert found.polygon.area == pytest.approx(600.0, rel=1e-4)
     tables = [{"file": path.name, "origin_deg": list(ORIGIN)}]
-    (found,) = obstacles_of([ObstacleTable.model_validate(each) for each in tables], tmp_path)
+    context, world = {"folder": tmp_path}, {"bounds_m": [0, 0, 100, 100], "obstacles": tables}
+    (found,) = WorldTable.model_validate(world, context=context).obstacles
     assert found.polygon.area == pytest.approx(600.0, rel=1e-4)
 
 

@@ -154,17 +154,13 @@ class MotionWorldTable(WorldTable):
     """Moving obstacles with predicted trajectories."""
 
 
-def _workspace_of(table: MotionWorldTable) -> Workspace:
-    """Return the workspace that a table describes."""
-    return Workspace(table.bounds_m, table.obstacles, table.moving)
-
-
-def _world_keys(workspace: Workspace) -> dict[str, Any]:
-    """Return the keys of a workspace built in Python, without its already validated obstacles."""
-    return {"bounds_m": workspace.bounds_m, "moving": workspace.moving}
-
-
-WORLD = ReadAs(MotionWorldTable, _workspace_of, Workspace, to_keys=_world_keys)
+WORLD = ReadAs(
+    MotionWorldTable,
+    lambda table: Workspace(table.bounds_m, table.obstacles, table.moving),
+    Workspace,
+    # The obstacles of a workspace built in Python are already validated.
+    to_keys=lambda workspace: {"bounds_m": workspace.bounds_m, "moving": workspace.moving},
+)
 
 
 def _entry_obstacles(table: ObstacleTable, index: int, folder: Path) -> tuple[Obstacle, ...]:

@@ -123,10 +123,7 @@ def _missed_guarantee(problem: PursuitProblem) -> Inequality | None:
 
 
 def _stage_shares(problem: PursuitProblem, pursuit: Pursuit) -> Iterator[tuple[Theorem, float]]:
-    """Yield, for every chase and valid theorem, the largest ratio of a stage's W to its bound.
-
-    A chase with a single stage yields 0. The theorems apply only to pursuers that drive in stages.
-    """
+    """Yield the largest ratio of a stage's W to its bound, by chase in stages and valid theorem."""
     if problem.given.planner.name != "drive":
         return
     for pursuer in range(len(pursuit.scene.pursuers)):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
+from operator import attrgetter
 from typing import Annotated, Any, Literal, cast
 
 import numpy as np
@@ -36,10 +37,6 @@ class ColumnsTable(Table):
     """Column of received power."""
 
 
-def _columns_of(table: ColumnsTable) -> Columns:
-    return table.x, table.y, table.power
-
-
 def _columns_keys(columns: Sequence[str | None]) -> dict[str, Any]:
     if not isinstance(cast("object", columns), tuple) or len(columns) != len(AXES):
         raise InputError(
@@ -69,7 +66,9 @@ class LogFormat(Part):
     Keys = WhereKeys
     not_keys = frozenset({"where"})
 
-    columns: Annotated[Columns, ReadAs(ColumnsTable, _columns_of, tuple, to_keys=_columns_keys)] = (
+    columns: Annotated[
+        Columns, ReadAs(ColumnsTable, attrgetter("x", "y", "power"), tuple, to_keys=_columns_keys)
+    ] = (
         None,
         None,
         None,

@@ -124,7 +124,8 @@ def measurements_of(table: LogTable, columns: LogColumns, log_format: LogFormat)
                 row=table.rows[outside[0]][0],
                 remedy=f"the range is {least:g} to {largest:g} {words}; correct or remove the row",
             )
-    labels = _labels(table, log_format.receiver_column)
+    receiver = log_format.receiver_column
+    labels = [cell.label() for cell in table.cells(receiver)] if receiver is not None else []
     # Receivers are numbered by first appearance.
     number_of = {label: number for number, label in enumerate(dict.fromkeys(labels))}
     measurements = Measurements(
@@ -147,10 +148,6 @@ def _from_milliwatts(cells: Sequence[Cell], power: NDArray[np.float64]) -> NDArr
         cell = cells[int(np.argmax(power <= 0.0))]
         raise cell.error("the power in mW should be above 0", "remove the row, or write dBm")
     return 10.0 * np.log10(power)
-
-
-def _labels(table: LogTable, column: str | None) -> list[str]:
-    return [] if column is None else [cell.label() for cell in table.cells(column)]
 
 
 def _position_std_m(

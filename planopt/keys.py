@@ -6,8 +6,8 @@ messages are derived from this declaration. A part made in Python is validated a
 table as one read from a file.
 
 Numbers must be finite, booleans are not integers, text is not a number, and an unknown key is an
-error. Of all faults that pydantic finds, the user sees one: the key as written in the file, its
-value, the allowed values, and the nearest known key if the key itself is wrong.
+error. An error message reports one of the faults that pydantic finds: the key as written in the
+file, its value, the allowed values, and the nearest known key if the key itself is wrong.
 """
 
 from __future__ import annotations

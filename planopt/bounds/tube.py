@@ -265,7 +265,7 @@ def cut_corners(
 def joined(
     rows: NDArray[np.intp], owner: NDArray[np.intp], corner: Array
 ) -> tuple[NDArray[np.intp], Array]:
-    """Return the corners of the cells `rows` (n,), and for each corner an index into `rows`."""
+    """Return indices into `rows` (n,) and corners (v, 2): all corners of the cells `rows`."""
     first = np.searchsorted(owner, rows, side="left")
     count = np.searchsorted(owner, rows, side="right") - first
     which = np.repeat(np.arange(len(rows)), count)

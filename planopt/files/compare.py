@@ -1,8 +1,8 @@
 """Comparison of a saved document with the same document recomputed.
 
-A document is a tree of tables, lists, numbers and texts. Numbers may differ by a tolerance, given
-by the name of their key or column, because other machines round differently. Values that cannot be
-recomputed are covered by a digest or listed in `ACCEPTED`.
+A document is a tree of tables, lists, numbers and texts. Numbers may differ by the tolerance of
+their key or column, because machines round differently. Values that cannot be recomputed are
+covered by a digest or listed in `ACCEPTED`.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ TAKEN = frozenset(
 DIGEST = "digest"
 
 SHOWN_ALIKE = 3
-"""Maximum number of reported differences that differ only in an index."""
+"""Maximum number of reported differences whose keys differ only in an index."""
 
 _NUMBER = re.compile(r"(-?\d+(?:\.\d+)?(?:e[+-]?\d+)?)")
 _INDEX = re.compile(r"\[\d+\]")
@@ -113,7 +113,7 @@ def differences(
 
 
 def in_words(file: str, found: Iterable[Difference], source: str = "found") -> list[str]:
-    """Return a line per difference; of lines that differ only in an index, a few are kept."""
+    """Return a line per difference, but only a few for keys that differ only in an index."""
     by_kind: dict[str, list[Difference]] = {}
     for one in found:
         by_kind.setdefault(_INDEX.sub("[]", one.key), []).append(one)

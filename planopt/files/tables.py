@@ -57,7 +57,7 @@ _DTYPES: dict[str, Any] = {
 
 
 def names_of(columns: Iterable[Column]) -> tuple[str, ...]:
-    """Return the header of a table."""
+    """Return the names of columns, the header of a table."""
     return tuple(column.name for column in columns)
 
 

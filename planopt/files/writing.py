@@ -151,8 +151,8 @@ Tables = Mapping[str, Any]
 def toml_text(tables: Tables, comments: Mapping[str, str] | None = None) -> str:
     """Return tables as TOML."""
     # Values are texts, booleans, finite numbers, arrays of these, tables, and arrays of tables. A
-    # key without a value (None) is left out. Comments are given by dotted key and stand at the end
-    # of its line, or above the header of its table.
+    # key without a value (None) is left out. The comment of a dotted key ends its line or, for a
+    # table, precedes its header.
     return "\n".join(_table((), tables, comments or {})).strip("\n") + "\n"
 
 

@@ -161,7 +161,7 @@ class CasadiMap(Dynamics):
         return tuple(there - here for there, here in zip(after, state, strict=True))
 
     def change_at_rest(self, state: Floats, step_s: float) -> Floats:
-        """Return the smallest change of state ``(s,)`` under the rest input at this position."""
+        """Return the smallest state change (s,) by the rest input over all states at a position."""
         # Local searches over the other components start from `state` and from zeros. If the map is
         # not finite during a search, the change at its initial guess counts.
         low, high = np.array(self.state_bounds)[2:].T

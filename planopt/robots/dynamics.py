@@ -152,7 +152,7 @@ class RestsByInput(Protocol):
     input_bounds: tuple[tuple[float, float], ...]
 
     def change_at_rest(self, state: Floats, step_s: float) -> Floats:
-        """Return the smallest change ``(s,)`` under the rest input at this position."""
+        """Return the smallest state change (s,) by the rest input over all states at a position."""
         ...
 
 

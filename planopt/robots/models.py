@@ -222,7 +222,7 @@ class DoubleIntegrator(Dynamics):
         return inputs
 
     def straight(self, state: Floats, end_m: Floats, step_s: float) -> Floats:
-        """Return inputs of n steps of acceleration a and n of deceleration, a (n h)^2 metres."""
+        """Return inputs of n accelerating and n braking steps, which cover a (n h)^2 metres."""
         offset = end_m - state[:2]
         length = float(np.hypot(*offset))
         by_speed = length / (self.speed_max_m_s * step_s)
@@ -232,7 +232,7 @@ class DoubleIntegrator(Dynamics):
         return np.repeat([control, -control], half, axis=0)
 
     def may_reach(self, state: Floats, places_m: Floats, duration_s: float, slack_m: float) -> Mask:
-        """Return a mask of positions within a_max t^2 / 2 of where the robot would coast to."""
+        """Return a mask of positions within a_max t^2 / 2 of the position after coasting for t."""
         offset = places_m - (state[:2] + duration_s * state[2:])
         radius = 0.5 * self.acceleration_max_m_s2 * duration_s**2
         return np.hypot(offset[:, 0], offset[:, 1]) <= radius + slack_m
@@ -390,7 +390,7 @@ class Unicycle(Dynamics):
         return inputs
 
     def may_reach(self, state: Floats, places_m: Floats, duration_s: float, slack_m: float) -> Mask:
-        """Return a mask of positions that are reachable with the limited turn rate."""
+        """Return a mask of positions that the limited turn rate does not exclude."""
         # Up to a quarter turn, the lateral range is v (1 - cos w t) / w, and a robot that cannot
         # reverse reaches no position behind it.
         rate = self.turn_rate_max_rad_s

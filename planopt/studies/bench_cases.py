@@ -61,7 +61,7 @@ PLANNED, NO_PLAN, ERROR = "planned", "no_plan", "error"
 
 @dataclass(frozen=True, order=True)
 class Question:
-    """Planning task of the benchmark, which several planners answer."""
+    """Planning task of the benchmark, which several planners solve."""
 
     problem: str  # Name in the library, or path of a problem file
     kind: str  # ``plan`` or ``run``
@@ -70,14 +70,14 @@ class Question:
     seed: int  # Random seed
 
     def __str__(self) -> str:
-        """Return text that identifies the question."""
+        """Return text that identifies the planning task."""
         cost = f"{self.cost_to_go} cost-to-go, " if self.cost_to_go else ""
         return f"{self.problem}, {self.kind}, {cost}horizon {self.horizon}, seed {self.seed}"
 
 
 @dataclass(frozen=True, order=True)
 class Case:
-    """Benchmark case: a question and the planner that answers it."""
+    """Benchmark case: a planning task and the planner that solves it."""
 
     question: Question
     planner: str
@@ -199,12 +199,12 @@ class Answer:
 
     @property
     def question(self) -> Question:
-        """Question that this is the answer to."""
+        """Planning task of this result, without its planner."""
         return Question(self.problem, self.kind, self.cost_to_go, self.horizon, self.seed)
 
     @property
     def case(self) -> Case:
-        """Case that this is the answer to."""
+        """Benchmark case that produced this result."""
         return Case(self.question, self.planner, self.states)
 
 
@@ -290,7 +290,7 @@ class Manifest:
 
     @property
     def made_by(self) -> str:
-        """Return text on the program that made the rows, for references."""
+        """Return a description of the program that computed the rows, for references."""
         return f"planopt {self.program['planopt']}, source {self.program['source'][:12]}"
 
 

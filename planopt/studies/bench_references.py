@@ -142,7 +142,7 @@ def frozen(
 
 
 def bounds_known(references: References, rows: Iterable[Row] = ()) -> dict[Question, float]:
-    """Return the tightest proven bound of each question."""
+    """Return the tightest proven bound of each planning task."""
     found: dict[Question, float] = {}
     for one in (*references.values(), *rows):
         if one.bound is not None:
@@ -165,7 +165,7 @@ def worse_share(objective: float, best: float, sense: str) -> float:
 
 
 def best_known(references: References, rows: Iterable[Row] = ()) -> dict[Question, float]:
-    """Return the best objective of each question among verified answers that passed the check."""
+    """Return each task's best objective among verified results that passed the check."""
     best: dict[Question, float] = {}
     accepted = [one for one in rows if one.accepted is not False]
     for one in (*references.values(), *accepted):
@@ -309,7 +309,7 @@ class Score:
 
 
 def excess(row: Row, best: Mapping[Question, float]) -> float | None:
-    """Return the relative loss of a row's objective to the best known one; None if unknown."""
+    """Return the relative loss of a row's objective against the best known; None if unknown."""
     known = best.get(row.question)
     if known is None or row.objective is None:
         return None
@@ -317,9 +317,9 @@ def excess(row: Row, best: Mapping[Question, float]) -> float | None:
 
 
 def is_solved(row: Row, best: Mapping[Question, float]) -> bool:
-    """Return whether an answer is verified, accepted and near the best known objective.
+    """Return whether a result is verified, accepted and near the best known objective.
 
-    The answer "no plan" is correct unless a plan is known.
+    The result "no plan" is correct unless a plan is known.
     """
     if row.outcome == NO_PLAN:
         return row.question not in best
@@ -398,8 +398,8 @@ class Profile:
     """Performance profile of planners' times (Dolan and More, 2002)."""
 
     planners: tuple[str, ...]  # Names of the planners
-    ratios: NDArray[np.float64]  # (k,) sorted ratios to the best time of a question, at least 1
-    # (planners, k) share of questions solved by each planner within each ratio
+    ratios: NDArray[np.float64]  # (k,) sorted ratios to the best time of a task, at least 1
+    # (planners, k) share of tasks solved by each planner within each ratio
     shares: NDArray[np.float64]
 
 
@@ -419,7 +419,7 @@ def time_profile(rows: Sequence[Row], best: Mapping[Question, float]) -> Profile
 def performance_profile(
     times_s: NDArray[np.float64],  # (q, s)
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return ratios (k,), and each solver's share of questions solved within them (s, k)."""
+    """Return ratios (k,), and the share of tasks that each solver solves within them; (s, k)."""
     finite = np.where(np.isfinite(times_s), times_s, np.inf)
     fastest = finite.min(axis=1, keepdims=True) if finite.size else finite[:, :1]
     some = np.isfinite(fastest)

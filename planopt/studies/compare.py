@@ -173,7 +173,7 @@ OWN_OPTIONS = {
     "planner.name": "planners",
     "objective.cost_to_go": "costs_to_go",
 }
-"""Keys with an argument of their own in :func:`compare`; a sweep may contain them instead."""
+"""Keys for which :func:`compare` has a separate argument; a sweep may contain them instead."""
 
 
 @dataclass(frozen=True)
@@ -215,7 +215,7 @@ def default_seeds(own: ComparisonSettings | None, problems: Sequence[AnyProblem]
 
 
 def several(values: object) -> Sequence[Any] | None:
-    """Return the values as a sequence; a single value, such as a name, becomes one; None stays."""
+    """Return one or several values as a sequence; None for None."""
     if values is None:
         return None
     if isinstance(values, str | Mapping) or not isinstance(values, Iterable):

@@ -190,7 +190,7 @@ def has_horizon(one: RunSummary | Row) -> bool:
 def sweep_words(
     one: RunSummary | Row, left_out: str | None = None, names: Mapping[str, str] | None = None
 ) -> str:
-    """Return text on the changed keys of a run's setting and their values."""
+    """Return the changed keys of a run's setting and their values as text."""
     called = names or {}
     return ", ".join(
         f"{called.get(key, key)} = {value}" for key, value in one.sweep.items() if key != left_out

@@ -172,7 +172,7 @@ def predict(model: TargetModel, state: InformationState) -> InformationState:
 
 
 def predicted_information(model: TargetModel, matrix: Floats) -> Floats:
-    """Return J_{t+1|t} = (A J^-1 A' + B Theta B')^-1 for a batch ``(..., 4, 4)``.
+    """Return the predicted information (A J^-1 A' + B Theta B')^-1 for a batch ``(..., 4, 4)``.
 
     With M = A^-T J A^-1, T = (I + B' M B Theta)^-1 and K = M B Theta T, it is computed as
     (I - K B') M (I - K B')' + M B T' Theta T B' M (matrix inversion lemma in Joseph form). Both
@@ -193,7 +193,7 @@ def update(
     noise_covariance_m2: Floats,  # (n, 2, 2) Lambda_i
     delivered: Mask,  # (n,) lambda_i
 ) -> InformationState:
-    """Return the update by delivered packets: chi += H' Lambda^-1 z and J += H' Lambda^-1 H."""
+    """Return the state after delivered packets: chi += H' Lambda^-1 z, J += H' Lambda^-1 H."""
     count = len(delivered)
     if measured_m.shape != (count, 2) or noise_covariance_m2.shape != (count, 2, 2):
         raise InputError(
@@ -240,7 +240,7 @@ def _moved(model: TargetModel, matrix: Floats) -> Floats:
 
 
 def _gain(model: TargetModel, moved: Floats) -> tuple[Floats, Floats]:
-    """Return K = M B Theta T and T = (I + B' M B Theta)^-1."""
+    """Return the prediction's factors K = M B Theta T and T = (I + B' M B Theta)^-1."""
     noise_gain, theta = model.noise_gain, model.acceleration_covariance_m2_s4
     seen = noise_gain.T @ moved @ noise_gain
     inner = np.asarray(np.linalg.inv(np.eye(2) + seen @ theta), dtype=np.float64)

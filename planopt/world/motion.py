@@ -40,7 +40,7 @@ class StepCurve(Protocol):
 
     @property
     def within_m(self) -> float:
-        """Largest distance of the robot from its position by :meth:`at`."""
+        """Largest distance of the robot from the position that :meth:`at` returns."""
         ...
 
     def at(self, share: Floats) -> Floats:
@@ -78,7 +78,7 @@ class PointCurve:
         return np.stack([x, y], axis=1)
 
     def points_m(self) -> tuple[Floats, float]:
-        """Return the polyline and its bound."""
+        """Return the polyline and the bound on the robot's distance from it."""
         return self.places_m, self.within_m
 
     def clearance_m(self, index: ObstacleIndex) -> float:
@@ -229,7 +229,7 @@ def arc_segment_distances_m(
     square = np.maximum((along**2).sum(axis=1), np.finfo(np.float64).tiny)
 
     def foot(place: Floats) -> tuple[Floats, Floats]:
-        """Return the foot parameter on each segment's line, and the distance to the segment."""
+        """Return the parameter of the foot on each segment's line, and the segment's distance."""
         t = ((place - from_m) * along).sum(axis=1) / square
         near = from_m + np.clip(t, 0.0, 1.0)[:, None] * along
         return t, np.linalg.norm(place - near, axis=1)
@@ -376,7 +376,7 @@ def chord_distances_m(first: TimedMotion, second: TimedMotion) -> Floats:
 
 
 def least_gap(first: TimedMotion, second: TimedMotion, taken_m: Floats) -> tuple[float, int]:
-    """Return the minimum over n steps of distance minus `taken_m` (n,), and its step."""
+    """Return the minimum of distance minus `taken_m` (n,) over n steps, and the step reached in."""
     # Steps are evaluated in the order of their lower bounds.
     steps = len(taken_m)
     one, other = first.lasting(steps), second.lasting(steps)

@@ -83,7 +83,7 @@ def joined_discs(first: MovingDiscs, second: MovingDiscs) -> MovingDiscs:
 
 
 def passing_gaps_m(discs: MovingDiscs, step: int, starts_m: Floats, ends_m: Floats) -> Floats:
-    """Return the margins (m, ...) of straight motions during `step` to the required distance."""
+    """Return the margins (m, ...) of straight motions during `step` over the required distance."""
     # Shapes: starts_m, ends_m (..., 2).
     shape = (len(discs), *([1] * (starts_m.ndim - 1)), 2)
     before = discs.centres_m[:, step].reshape(shape)
@@ -160,7 +160,7 @@ def predicted_discs(
 
 
 def _turn_m(obstacle: MovingObstacle, times_s: Floats) -> Floats:
-    """Return the largest distance of the centre from a straight line, in each step; (n - 1,)."""
+    """Return, for each step, the largest distance of the centre from its chord; (n - 1,)."""
     # Both are linear between turns, so the distance is largest at a turn.
     known = np.asarray(obstacle.times_s)
     turns = known[(known > times_s[0]) & (known < times_s[-1])]

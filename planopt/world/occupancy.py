@@ -52,7 +52,7 @@ TILE_CELLS = 32
 """Number of cells per side of the tiles into which obstacles are cut."""
 
 SMALLEST_CORNER = 1e-6
-"""Area in cells below which a corner outside a turned grid is due to rounding."""
+"""Area, in cells, below which an uncovered corner beside a rotated grid is a rounding error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,9 +137,9 @@ class OccupancyGrid:
 def grid_obstacles(
     grid: OccupancyGrid, name: str, unknown: UnknownCells = "occupied"
 ) -> tuple[Obstacle, ...]:
-    """Return obstacles that cover exactly the cells of a grid that are closed to robots.
+    """Return obstacles that cover exactly those cells of a grid that robots must not enter.
 
-    Within the bounds of a turned grid, the corners that it does not cover are unknown.
+    Corners of the bounds that a rotated grid does not cover count as unknown.
     """
     closed = grid.occupied | grid.unknown if unknown == "occupied" else grid.occupied
     polygons: list[shapely.Polygon] = list(_polygons(closed, grid)) if closed.any() else []
@@ -291,7 +291,7 @@ DEEP_MODES = ("I", "I;16", "I;16B", "I;16L")
 """Pillow modes of 16-bit pixels; `BYTE_MODES` have 8-bit pixels."""
 
 NO_TURN_RAD, LARGEST_YAW_RAD = 1e-9, 2.0 * math.pi
-"""Limits of the yaw of a map: smaller ones are 0, larger ones probably degrees."""
+"""Yaw below which a map counts as not rotated, and above which it is probably in degrees."""
 
 UNKNOWN_GREY = 205
 """Grey value that ROS mapping packages write for unknown cells."""
@@ -410,7 +410,7 @@ GRID_READERS: dict[str, Callable[[Path], OccupancyGrid]] = {
 
 
 def _yaml_table(path: Path) -> dict[str, object]:
-    """Return the top-level table of a YAML file. Scalars remain text; aliases are rejected."""
+    """Return the top-level table of a YAML file with scalars as text; reject aliases."""
     import yaml
 
     text = read_text(path, LARGEST_YAML_BYTES)

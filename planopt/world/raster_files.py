@@ -295,7 +295,7 @@ def read_geotiff(path: Path, variable: str) -> Raster:
 
 
 def _band(descriptions: tuple[str | None, ...], variable: str) -> int:
-    """Return the index of the band, from 1."""
+    """Return the index, from 1, of the band described as `variable`."""
     if descriptions.count(variable) == 1:
         return descriptions.index(variable) + 1
     if descriptions == (None,):
@@ -491,7 +491,7 @@ def read_sionna_map(path: Path, variable: str) -> Raster:
 
 
 def _name_and_index(variable: str) -> tuple[str, int | None]:
-    """Return name and index of a text such as ``path_gain[2]``; without an index, None."""
+    """Return name and index in a text such as ``path_gain[2]``; the index is None if absent."""
     match = re.fullmatch(r"(.+)\[(\d{1,6})\]", variable)
     return (variable, None) if match is None else (match[1], int(match[2]))
 

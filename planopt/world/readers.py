@@ -1,7 +1,7 @@
 """Readers of obstacles from files (GeoJSON, WKT, ray-tracing scenes, grids) and from objects.
 
-Coordinates are metres in the frame of the problem. Those of GeoJSON and of frames with a reference
-system become metres by the origin of the frame.
+Coordinates are metres in the frame of the problem. GeoJSON and GeoDataFrames in a reference system
+are projected to metres at the origin of that frame.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ DEEPEST = 32
 """Maximum nesting depth of geometries, which protects the stack of recursive parsers."""
 
 NEAR_DEG = 1.0
-"""Distance from the origin in degrees within which GeoJSON without a system is in degrees."""
+"""Distance in degrees from the origin up to which GeoJSON without a system counts as degrees."""
 
 EPSG = re.compile(r"EPSG:+(?:[\d.]*:)?(\d{4,6})\b", re.IGNORECASE)
-"""Pattern of the number of a reference system."""
+"""Pattern of the EPSG code of a reference system."""
 
 SURELY_DEGREES = 20.0
 """Ratio of distance from the origin to extent above which coordinates within 180 and 90 count as
@@ -165,7 +165,7 @@ def _from_json(stem: str, text: str, origin_deg: Origin | None) -> tuple[Obstacl
 
 
 def _in_metres(data: Any, origin_deg: Origin) -> Any:
-    """Return GeoJSON with metres from the origin; unchanged if it is in metres without a system."""
+    """Return GeoJSON projected to metres from the origin; unchanged if it is already in metres."""
     places = [each for each in _positions(data) if _is_position(each)]
     if not places or not hasattr(data, "get"):
         return data
@@ -208,7 +208,7 @@ def _is_position(value: list[Any]) -> bool:
 
 
 def _replaced(value: Any, plane: dict[int, list[float]]) -> Any:
-    """Return GeoJSON with each position, by identity, replaced by its metres."""
+    """Return GeoJSON with each position replaced by its projection, found by object identity."""
     if id(value) in plane:
         return plane[id(value)]
     if isinstance(value, dict):
@@ -339,8 +339,8 @@ def obstacles_from(
         Name of obstacles without their own name; several are numbered.
     origin_deg
         Latitude and longitude of (0, 0), and the angle from east to the x axis if it is not 0, in
-        degrees. If given, GeoJSON in degrees or in another reference system, and frames with a
-        reference system, become metres.
+        degrees. If given, GeoJSON and GeoDataFrames in degrees or in another reference system are
+        projected to metres.
 
     Raises
     ------

@@ -117,7 +117,7 @@ def path_lengths_m(paths: ShortestPaths, places_m: Floats) -> Floats:
 
 
 def turns_m(paths: ShortestPaths, place_m: Floats) -> Floats | None:
-    """Return the turns of the path to `place_m` and its end; (k, 2); None without a path."""
+    """Return the turning points and the end (k, 2) of the path to `place_m`; None without one."""
     length, last = _last_turns(paths, place_m[None])
     if not np.isfinite(length[0]):
         return None

@@ -101,7 +101,7 @@ def input_error(
     faults = error.errors(include_url=False)
     fault = min(faults, key=lambda item: item["type"] != "extra_forbidden")
     path, fields, field = _resolve(fault["loc"], model)
-    remedy = None if field is None else field.description
+    remedy = None if field is None else _meaning(field)
     match fault["type"]:
         case "extra_forbidden":
             message = "is not a known key"
@@ -113,6 +113,8 @@ def input_error(
             message = f"is {shown(fault['input'])}, should have {count} numbers"
         case "missing":
             message = "is missing"
+            if field is not None and _tables(field.annotation):
+                remedy = f"add the table [{key_text(path)}]"
         case "union_tag_not_found" | "union_tag_invalid":
             # The table's kind matches no alternative.
             path, context = (*path, "kind"), fault.get("ctx", {})
@@ -127,6 +129,7 @@ def input_error(
         case "too_long" | "too_short":
             count, words = len(fault["input"]), _allowed(fault, field)
             message = f"has {count} entries, {words.partition(', not ')[0]}"
+            message = message.replace("items", "entries").replace("item", "entry")
         case "one_of":
             message, _, given = fault["msg"].partition(": ")
             remedy = given or remedy
@@ -194,8 +197,12 @@ def _allowed(fault: ErrorDetails, field: FieldInfo | None) -> str:
     kind = fault["type"]
     if kind in _RANGE_TYPES and field is not None and (bounds := _bounds_of(field)):
         words = {"gt": "more than", "ge": "at least", "lt": "less than", "le": "at most"}
+        if set(bounds) == {"ge", "le"}:
+            return f"should be from {bounds['ge']:g} to {bounds['le']:g}"
         return f"should be {' and '.join(f'{words[name]} {bounds[name]:g}' for name in bounds)}"
     wording = re.sub(r"^\w+ should", "should", fault["msg"]).split(" after validation")[0]
+    if kind == "string_pattern_mismatch" and _NAME in wording:
+        return "should have only letters, digits, _ and -"
     return _ALLOWED.get(kind, wording)
 
 
@@ -204,18 +211,20 @@ def _bounds_of(field: FieldInfo) -> dict[str, float]:
     return {
         name: float(getattr(bound, name))
         for bound in field.metadata
-        for name in _BEYOND
+        for name in ("gt", "ge", "lt", "le")
         if hasattr(bound, name)
     }
 
 
-_BEYOND = {"gt": "above", "ge": "of at least", "lt": "below", "le": "of at most"}
+_NAME = r"^[A-Za-z0-9_-]+$"
+"""Pattern of names."""
+
 _LIMITS = {"greater_than": "gt", "greater_than_equal": "ge", "less_than": "lt"}
 """Names of limits by pydantic's error type; other types are ``le``."""
 
 
 def _within(fault: ErrorDetails, field: FieldInfo) -> str:
-    """Return the remedy for a number out of range, with an example."""
+    """Return an example and the meaning of a number that is out of range."""
     bounds = _bounds_of(field)
     limit = _LIMITS.get(fault["type"], "le")
     # Elements of an array have their own limits.
@@ -224,10 +233,14 @@ def _within(fault: ErrorDetails, field: FieldInfo) -> str:
     high = bounds.get("lt", bounds.get("le", math.inf))
     default: object = field.default
     usual = [float(default)] if isinstance(default, int | float) else []
-    examples = (value for value in (*usual, 1.0, 0.5, 10.0, low, high) if low < value < high)
-    example = next(examples, bounds[limit])
-    words = f"give a value {_BEYOND[limit]} {bounds[limit]:g}, e.g. {example:g}"
-    return words if field.description is None else f"{words}: {field.description}"
+    examples = (*usual, 1.0, 0.5, 10.0, low, high) if low >= 0.0 else usual
+    example = next((f"e.g. {value:g}" for value in examples if low < value < high), None)
+    return "; ".join(words for words in (example, _meaning(field)) if words)
+
+
+def _meaning(field: FieldInfo) -> str | None:
+    """Return the meaning of a key for a message; None for a key without description."""
+    return field.description and f"the key means: {field.description.rstrip('.')}"
 
 
 def _resolve(
@@ -300,7 +313,7 @@ OriginKey = (
 )
 Quad = Annotated[tuple[Metres, Metres, Metres, Metres], Strict(False)]
 
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=100)]
+Name = Annotated[str, Field(pattern=_NAME, max_length=100)]
 # No operating system accepts NUL in a file name, and Python raises a ValueError for it.
 FileName = Annotated[str, Field(pattern=r"^[^\x00]+$")]
 

@@ -90,7 +90,7 @@ def checked_polygon(polygon: shapely.Polygon | Floats) -> shapely.Polygon:
     candidate = polygon if whole else shapely.Polygon(coordinates)
     if not shapely.is_valid(candidate):
         raise InputError(
-            f"crosses itself: {shapely.is_valid_reason(candidate)}",
+            f"is invalid: {shapely.is_valid_reason(candidate)}",
             key="world.outline_m",
             remedy="list the corners in order along the outline",
         )

@@ -65,7 +65,7 @@ def read_bytes(path: Path, largest: int = LARGEST_BINARY_BYTES) -> bytes:
 def require_size(verb: str, size: int, largest: int, path: Path) -> None:
     """Raise an error for a file with too many bytes, actual or declared."""
     if size > largest:
-        found, limit = f"{size / MEGABYTE:.0f} MB", f"{largest / MEGABYTE:.0f} MB"
+        found, limit = f"{size:,} bytes", f"{largest:,} bytes"
         remedy = "give a smaller file: fewer rows or larger cells"
         raise InputError(
             f"{verb} {found}, more than the limit of {limit}", file=path, remedy=remedy

@@ -94,7 +94,8 @@ def _dataclass(kind: type[Any], table: Mapping[str, Any]) -> Any:
     hints = get_type_hints(kind)
     names = [part.name for part in fields(kind) if part.init]
     if set(names) != set(table):
-        raise ValueError(f"{kind.__name__} has {sorted(names)}, not {sorted(table)}")
+        wrong = ", ".join(sorted(set(names) ^ set(table))[:5])
+        raise ValueError(f"an entry has missing or unknown keys: {wrong}")
     return kind(**{name: _decoded(hints[name], table[name]) for name in names})
 
 

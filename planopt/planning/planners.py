@@ -84,7 +84,7 @@ def asked_plan(
     remedy = "return released(scorer, path_m, begun_s), of a path (N, 2)"
     with calling(planner, "plan", key=KEY, remedy=remedy):
         plan = planner.plan(context, scorer, warm)
-    part_of(f"{KEY}: what {class_name(planner)}.plan returned", plan, Plan, remedy)
+    part_of(f"{KEY}: the result of {class_name(planner)}.plan", plan, Plan, remedy)
     return plan
 
 

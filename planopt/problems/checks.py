@@ -61,8 +61,7 @@ def check_apart(problem: Problem) -> None:
             if distance < separation and not drawn:
                 raise InputError(
                     f"is {list(robot.start_m)}, only {distance:.3g} m from the start of "
-                    f"{problem.robots[other].name}; the required separation is {separation:g} "
-                    "m",
+                    f"robots[{other}]; the required separation is {separation:g} m",
                     key=f"robots[{number}].start_m",
                     remedy="move it, or reduce constraints.separation_m",
                 )
@@ -74,7 +73,7 @@ def check_apart(problem: Problem) -> None:
             if distance < problem.constraints.clearance_m:
                 raise InputError(
                     f"is {list(robot.start_m)}, only {distance:.3g} m from the moving obstacle "
-                    f"{obstacle.name} at time 0; the required clearance is "
+                    f'"{obstacle.name}" at time 0; the required clearance is '
                     f"{problem.constraints.clearance_m:g} m",
                     key=f"robots[{number}].start_m",
                     remedy="move it, or reduce constraints.clearance_m",
@@ -94,7 +93,7 @@ def _check_goals_apart(problem: Problem, number: int, other: int) -> None:
     if distance < separation + CLEARANCE_TO_GOALS_M:
         raise InputError(
             f"is {list(goal)}, only {distance:.3g} m from the goal of "
-            f"{problem.robots[other].name}; the distance must exceed the separation of "
+            f"robots[{other}]; the distance must exceed the separation of "
             f"{separation:g} m",
             key=f"robots[{number}].goal_m",
             remedy="move it, or reduce constraints.separation_m",
@@ -202,13 +201,13 @@ def check_place(
     around = containing_obstacle(index, positions_m[0])
     if around is not None:
         raise InputError(
-            f"is {list(place)}, inside the obstacle {around.name}", key=key, remedy="move it"
+            f'is {list(place)}, inside the obstacle "{around.name}"', key=key, remedy="move it"
         )
     distance = float(clearance_m(index, positions_m)[0])
     if distance < problem.constraints.clearance_m:
         nearest = index.obstacles[int(index.tree.nearest(shapely.Point(place)))]
         raise InputError(
-            f"is {list(place)}, only {distance:.3g} m from the obstacle {nearest.name}; the "
+            f'is {list(place)}, only {distance:.3g} m from the obstacle "{nearest.name}"; the '
             f"required clearance is {problem.constraints.clearance_m:g} m",
             key=key,
             remedy="move it, or reduce constraints.clearance_m",

@@ -253,7 +253,7 @@ def _overridden(
     settings = replace(problem.planner, **changes) if changes else problem.planner
     if problem.has_goal and not planner_kind(settings.name).reaches_goals:
         raise InputError(
-            f"is {settings.name}, which cannot plan to a goal",
+            f'is "{settings.name}", which cannot plan to a goal',
             key="planner.name",
             remedy=f"use {names_with('reaches_goals')} for the task reach",
         )
@@ -296,7 +296,7 @@ def with_changes(problem: AnyProblem, changes: Mapping[str, object]) -> AnyProbl
 
 def _of_change(error: InputError, given: str) -> InputError:
     """Return an error about a changed problem, with the changes added to its message."""
-    message = f"{error.message}; {given} replaced the value in the problem"
+    message = f"{error.message}; the value was changed by {given}"
     return InputError(message, key=error.key, remedy=error.remedy)
 
 

@@ -369,8 +369,8 @@ class Constraints(Part):
             for key in other.keys:
                 if other.kind != form and key in given:
                     return (
-                        f'has {key}, which goes only with connectivity = "{other.kind}": leave it '
-                        "out, or write that connectivity"
+                        f'has {key}, which applies only with connectivity = "{other.kind}": '
+                        "leave it out, or set this connectivity"
                     )
         if not self.asks_connection and not rule.every_step:
             return (
@@ -390,8 +390,8 @@ class Constraints(Part):
             return None
         if not self.rule.by_step:
             return (
-                'has parameter_uncertainty = "all", not for connectivity = '
-                f'"{self.rule.connectivity}": leave it out, or write each_step'
+                'has parameter_uncertainty = "all", which does not support connectivity = '
+                f'"{self.rule.connectivity}": leave it out, or write connectivity = "each_step"'
             )
         if self.p_min == 0.0:
             return (

@@ -158,8 +158,8 @@ class Robot(Part):
         rest = self.start_rest if isinstance(self.dynamics, DoubleIntegrator) else ()
         if sum(each * each for each in rest) > self.speed_max_m_s**2:
             return (
-                "has a start_velocity_m_s that is faster than speed_max_m_s: lessen it, or raise "
-                "speed_max_m_s"
+                "has a start_velocity_m_s that is faster than speed_max_m_s: reduce it, or "
+                "increase speed_max_m_s"
             )
         return None
 

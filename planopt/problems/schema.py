@@ -215,26 +215,26 @@ def _reach_fault(tables: ProblemFile) -> str | None:
     for number, robot in enumerate(tables.robots):
         if robot.goal_m is None:
             return (
-                f"task reach needs robots[{number}].goal_m: write goal_m = [x, y] in metres, or "
-                "say another problem.task, such as learn"
+                f'the task "reach" needs robots[{number}].goal_m: write goal_m = [x, y] in metres, '
+                'or choose another problem.task, such as "learn"'
             )
         if robot.weights:
             return (
-                f"task reach has no terms, and no robots[{number}].weights of any: leave weights "
-                "out, or say another problem.task and a term of kind goal"
+                f'the task "reach" has no terms, so robots[{number}].weights has no meaning: leave '
+                'it out, or choose another problem.task and add a term of kind "goal"'
             )
     if tables.objective.terms:
         return (
-            "task reach has no objective.terms: leave them out, or say the problem.task of the "
-            "first of them, and add a term of kind goal"
+            'the task "reach" has no objective.terms: leave them out, or choose the problem.task '
+            'of the first term, and add a term of kind "goal"'
         )
     if tables.targets:
-        return "task reach has no targets: leave them out, or say problem.task track"
+        return 'the task "reach" has no targets: leave them out, or write problem.task = "track"'
     if not tables.constraints.asks_connection:
-        return "task reach needs constraints.p_min above 0: write p_min = 0.9, for instance"
+        return 'the task "reach" needs constraints.p_min above 0: write p_min = 0.9, for instance'
     if not planner_kind(tables.planner.name).reaches_goals:
         return (
-            f"planner.name {tables.planner.name} is not for task reach: use "
+            f'planner.name is "{tables.planner.name}", which cannot plan to a goal: use '
             f"{names_with('reaches_goals')}"
         )
     return _same_name("robots", tables.robots) or _dynamics_fault(tables)
@@ -247,12 +247,13 @@ def _terms_fault(tables: ProblemFile) -> str | None:
     if not terms or terms[0].task != task:
         kinds = [each.kind for each in registered_terms() if each.task == task]
         given = (
-            f"; one of kind {terms[0].kind} is for task {terms[0].task or 'custom'}"
+            f'; a first term of kind "{terms[0].kind}" belongs to the task '
+            f'"{terms[0].task or "custom"}"'
             if terms
             else ""
         )
         return (
-            f"task {task} needs objective.terms that begin with one of kind "
+            f'the task "{task}" needs a first entry of objective.terms of kind '
             f"{' or '.join(kinds) or 'your own'}: add it first, or change problem.task{given}"
         )
     leads = any(term.steers == "goal" for term in terms)
@@ -262,19 +263,19 @@ def _terms_fault(tables: ProblemFile) -> str | None:
             return fault
         if not leads and robot.goal_m is not None:
             return (
-                f"task {task} has no robots.goal_m without a term of kind goal: leave "
-                f"robots[{number}].goal_m out, or add an objective.terms of kind goal"
+                f"robots[{number}].goal_m has no meaning, since objective.terms has no term of "
+                f'kind "goal": leave it out, or add such a term'
             )
     if not leads and tables.constraints.goal_radius_m != Constraints.goal_radius_m:
         return (
-            f"constraints.goal_radius_m is for task reach and terms of kind goal, not for {task}: "
-            "leave it out, or add an objective.terms of kind goal"
+            'constraints.goal_radius_m applies only to the task "reach" and to terms of kind '
+            '"goal": leave it out, or add such a term to objective.terms'
         )
     tracked = any(term.sensor is not None for term in terms)
     if tracked != bool(tables.targets):
         if tracked:
-            return "a term of kind tracking needs a target: add a table [[targets]]"
-        return "targets needs a term that tracks: add an objective.terms of kind tracking"
+            return 'a term of kind "tracking" needs a target: add a table [[targets]]'
+        return 'targets needs a term that tracks: add a term of kind "tracking" to objective.terms'
     return _same_name("robots", tables.robots) or _dynamics_fault(tables)
 
 
@@ -284,23 +285,22 @@ def _fault_of_robot(terms: Sequence[Term], robot: Robot, number: int) -> str | N
     if weights and len(weights) != len(terms):
         return (
             f"{key}.weights has {len(weights)} numbers for {len(terms)} objective.terms: give one "
-            "for each, 0 for a term that is none of this robot's"
+            "number for each term, and 0 for a term that does not apply to this robot"
         )
     own = [t for t, w in zip(terms, weights, strict=True) if w > 0.0] if weights else list(terms)
     if not own:
-        return f"{key}.weights are all 0: a robot needs a term of its own"
+        return f"{key}.weights has only zeros: give at least one term a weight above 0"
     if any(term.steers == "goal" for term in own) and robot.goal_m is None:
-        return f"a term of kind goal needs {key}.goal_m: write goal_m = [x, y] in metres"
+        return f'a term of kind "goal" needs {key}.goal_m: write goal_m = [x, y] in metres'
     if weights and robot.goal_m is not None and not any(term.steers == "goal" for term in own):
         return (
-            f"{key}.goal_m needs a weight above 0 of the term of kind goal: give it one in "
-            f"{key}.weights, or leave goal_m out"
+            f'{key}.goal_m needs a term of kind "goal" with a weight above 0: increase the weight '
+            f"in {key}.weights, or leave goal_m out"
         )
     if sum(term.steers is not None for term in own) > 1:
         return (
-            f"two of objective.terms steer {key}: leave one out, since only one may have the form "
-            "two_layer or one of the kinds until_connected and goal, or a weight above 0 in its "
-            "weights"
+            f'two entries of objective.terms steer {key} (kinds "goal" and "until_connected", and '
+            f'the form "two_layer"): leave one out, or give it the weight 0 in {key}.weights'
         )
     return None
 
@@ -313,15 +313,16 @@ def _dynamics_fault(tables: ProblemFile) -> str | None:
             continue
         if not planner_kind(tables.planner.name).has_dynamics:
             return (
-                f"planner.name {tables.planner.name} is for robots of dynamics single_integrator, "
-                f"robots[{number}] has {dynamics.kind}: use {names_with('has_dynamics')}"
+                f'planner.name is "{tables.planner.name}", which supports only the dynamics '
+                f'"single_integrator", but robots[{number}] has "{dynamics.kind}": use '
+                f"{names_with('has_dynamics')}"
             )
         turn_rad_s = dynamics.turn_rate_max_rad_s if isinstance(dynamics, Unicycle) else 0.0
         turn_rad = turn_rad_s * tables.planner.step_s
         if turn_rad > MOST_TURN_RAD:
             return (
-                f"robots[{number}].turn_rate_max_rad_s lets it turn by {turn_rad:.3g} rad in a "
-                f"step, which should be at most a full circle: lessen it or planner.step_s"
+                f"robots[{number}].turn_rate_max_rad_s allows a turn of {turn_rad:.3g} rad per "
+                "step, more than a full circle: reduce it or planner.step_s"
             )
     return None
 
@@ -332,8 +333,8 @@ def _same_name(table: str, entries: Sequence[Robot] | Sequence[MovingObstacle]) 
     for number, name in enumerate(names):
         if names.index(name) < number:
             return (
-                f"{table}[{number}].name is {name!r}, as that of {table}[{names.index(name)}] is: "
-                "give each a name of its own"
+                f"{table}[{number}].name is {name!r}, the same as that of "
+                f"{table}[{names.index(name)}]: give each its own name"
             )
     return None
 

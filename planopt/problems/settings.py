@@ -84,7 +84,7 @@ class PlannerKind:
                 make = getattr(import_module(module), attribute)
             except (ImportError, AttributeError, ValueError) as error:
                 raise InputError(
-                    f"is {self.name}, but {self.make} cannot be imported: {error}",
+                    f'is "{self.name}", but {self.make!r} cannot be imported: {error}',
                     key="planner.name",
                     remedy="install the packages that it needs, or choose another planner",
                 ) from None

@@ -58,11 +58,8 @@ class Inequality:
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
-        state = "holds" if self.holds else "fails"
-        return (
-            f"{self.words}: {self.left:.6g} < {self.right:.6g}{unit} "
-            f"{state} by {abs(self.margin):.4g}{unit}"
-        )
+        relation = f"{self.margin:.4g}{unit} below" if self.holds else "which is not below"
+        return f"{self.words}: {self.left:.6g}{unit}, {relation} {self.right:.6g}{unit}"
 
 
 ROUNDING = 1e-9

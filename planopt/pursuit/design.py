@@ -43,7 +43,7 @@ MAX_BITS = 16
 SLOT_SHARE = 1e-10
 """Relative tolerance of the bisection for the widest slot."""
 
-PAYLOAD_FITS = "slot of the payload below the widest slot"
+PAYLOAD_FITS = "slot of the payload below the longest admissible slot"
 IN_TIME = "time to capture below the deadline"
 
 SHARP_ORDER = {"capture_radius": 1, "deadline": 2, "payload": 3}

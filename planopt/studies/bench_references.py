@@ -78,7 +78,7 @@ def read_references(file: Path | None = None) -> dict[Case, Reference]:
         found = decoded(list[Reference], listed)
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(
-            f"is not a file of references: {error}",
+            f"is not a file of references of this version: {error}",
             file=path,
             remedy="restore the file from the repository",
         ) from None

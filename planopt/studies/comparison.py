@@ -227,7 +227,7 @@ def _load_comparison(folder: Path) -> Comparison:
             raise InputError("contains no run", file=file, remedy=REMEDY)
         rows = tuple(comparison_rows(runs))
     except (ValueError, KeyError, TypeError, IndexError, RecursionError) as error:
-        raise InputError(f"cannot be read: {error!r}", file=file, remedy=REMEDY) from None
+        raise InputError(f"cannot be read: {error}", file=file, remedy=REMEDY) from None
     return Comparison(problems[0], runs, rows, wall_s, resumed, tuple(problems[1:]))
 
 

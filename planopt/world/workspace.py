@@ -268,7 +268,7 @@ def footprint(name: str, exterior: object, holes: Iterable[object] = ()) -> Obst
     ):
         return Obstacle(name, repaired)
     raise InputError(
-        f"{name}: the polygon crosses itself: {shapely.is_valid_reason(polygon)}"
+        f"{name}: the polygon is invalid: {shapely.is_valid_reason(polygon)}"
         if polygon.area > 0
         else f"{name}: the polygon has no area",
         remedy="list the corners in order along the outline",

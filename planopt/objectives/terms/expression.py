@@ -227,7 +227,9 @@ def _parsed(program: str, symbols: Mapping[str, Any], steps: int) -> Any:
                 reason = str(error)
             elif isinstance(error, KeyError):  # Name, or class of an operation
                 name = getattr(error.args[0], "__name__", error.args[0])
-                reason = f"{name} is no operation, function, earlier line or indexed input"
+                reason = (
+                    f"{name} is not an operation, a function, an earlier line or an indexed input"
+                )
             raise InputError(
                 f"is invalid in line {row} of {len(lines)}, {line[:30]!r}: {reason}",
                 key="program",

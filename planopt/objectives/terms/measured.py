@@ -229,7 +229,7 @@ class MappingTerm(MeasuredTerm):
         """Return why threshold or closeness conflict with the form; None without a conflict."""
         for key in FORM_KEYS:
             if key in given & term.left_out:
-                return f'has {key}, which goes only with form = "path" and "two_layer"'
+                return f'has {key}, which applies only with form = "path" or "two_layer"'
         return None
 
     @property

@@ -200,9 +200,9 @@ def path_of_result(result: Result, robot: int | str = 0) -> RobotPath:
     number = names.index(robot) if robot in names else robot
     if not isinstance(number, int) or not 0 <= number < len(names):
         raise InputError(
-            f"is {robot!r}, which is no robot",
+            f"is {robot!r}, but the problem has no such robot",
             key="robot",
-            remedy=f"give one of {', '.join(names)}, or its number from 0 on",
+            remedy=f"give one of {', '.join(names)}, or an index, counted from 0",
         )
     source: Any
     if isinstance(result, Solution):

@@ -74,7 +74,7 @@ class OpenTables(Protocol):
     """Protocol of alternative tables for one key that are registered at run time."""
 
     def tables(self) -> Sequence[type[BaseModel]]:
-        """Return the models of the alternatives."""
+        """Return the pydantic models of the alternative tables."""
         ...
 
 

@@ -26,7 +26,7 @@ class Potential:
 
 @dataclass(frozen=True, eq=False)
 class Tilts:
-    """Certificate of a bound on a sum over N steps: multipliers of branch and bound."""
+    """Certificate of a bound on a sum over N steps: the multipliers of branch and bound."""
 
     of_steps: NDArray[np.float64]  # (t, N, 2) of the moves
     of_p_min: NDArray[np.float64]  # (t, N) of the chance constraint, at least 0
@@ -38,8 +38,8 @@ class Tilts:
 class Bound:
     """Proven bound on the objective of one robot, or of all robots together.
 
-    No plan has a better objective than `value`, whatever the planner. A minimised objective has a
-    lower bound.
+    No plan of any planner has a better objective than `value`, which is a lower bound if the
+    objective is minimised, else an upper bound.
 
     Attributes
     ----------

@@ -148,7 +148,7 @@ def inside_of(polygon: shapely.Polygon, depth_m: float) -> shapely.Geometry:
 def covers_bounds(
     nodes_m: Array, corners: NDArray[np.intp], bounds_m: tuple[float, float, float, float]
 ) -> bool:
-    """Return whether triangles (t, 3) tile the workspace and share their sides.
+    """Return whether triangles (t, 3) tile the workspace and share whole sides.
 
     In a tiling, every side belongs to two triangles or lies on the workspace boundary, and the
     areas add up to the workspace. Node values then define a continuous function.

@@ -1,8 +1,8 @@
 # pyright: basic
-"""Multipliers of a path for tilted bounds: a least-squares solution of its optimality conditions.
+"""Multipliers for :mod:`planopt.bounds.tube` from the optimality conditions of a path.
 
-At a local optimum the gradient of stage k is ``m_k - m_{k+1}`` minus the forces of p_min and of
-obstacles. All multipliers are valid: inaccurate ones only loosen the bound.
+At a local optimum the gradient of stage k is ``m_k - m_{k+1}`` minus those of active chance and
+obstacle constraints (solved by least squares). Inaccurate multipliers only loosen the bound.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def stage_rewards(problem: StageProblem, path_m: Array) -> tuple[Array, Array, F
 def local_optimum(problem: StageProblem, path_m: Array, surplus: float = 0.0) -> Array:
     """Return an approximately locally optimal path (N, 2), ignoring obstacles.
 
-    At steps with a chance constraint, the probability of connection exceeds p_min by `surplus`.
+    At steps with a chance constraint, the probability of connection is at least p_min + `surplus`.
     """
     shape, scale = path_m.shape, 1.0 / problem.step_m**2
     stage = np.arange(problem.steps)

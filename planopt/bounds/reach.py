@@ -24,14 +24,14 @@ SAG_SHARE = 1.001
 
 
 def why_unbounded(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> str:
-    """Return why no bound is proven for the first robot of a problem; empty if one can be."""
+    """Return the reason why the first robot's objective has no bound; empty if it has one."""
     if problem.constraints.rule.slack_max_db and len(problem.stations) > 1:
         return "no bound is implemented for slack_max_db with several stations"
     return why_not_enclosed(problem, posteriors)
 
 
 def why_not_enclosed(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> str:
-    """Return why probabilities or moves of the first robot cannot be bounded; empty if they can."""
+    """Return the reason why the first robot's probabilities or moves have no bounds, or ""."""
     if problem.constraints.rule.parameter_uncertainty != "path_loss":
         return "no bound is implemented for constraints.parameter_uncertainty = all"
     if any((posterior.measurements.receiver != 0).any() for posterior in posteriors):
@@ -46,7 +46,7 @@ def why_not_enclosed(problem: Problem, posteriors: Sequence[ChannelPosterior]) -
 
 
 def relaxed_constraints(problem: Problem, robots: int) -> tuple[str, ...]:
-    """Return the constraints that the bound of a robot ignores, in words."""
+    """Return descriptions of the constraints that the bound of a robot ignores."""
     rule = problem.constraints.rule
     found: list[str] = []
     if problem.constraints.asks_connection and not rule.is_plain:
@@ -56,7 +56,7 @@ def relaxed_constraints(problem: Problem, robots: int) -> tuple[str, ...]:
 
 
 def ignored_motion(problem: Problem, robots: int) -> tuple[str, ...]:
-    """Return the constraints on the motion that no bound considers, in words."""
+    """Return descriptions of the motion constraints that no bound considers."""
     found: list[str] = []
     if problem.workspace.moving:
         found.append("moving obstacles")

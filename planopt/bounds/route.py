@@ -174,7 +174,7 @@ def route_bounds(problem: RouteProblem, seconds: float) -> Iterator[RouteBound]:
 def _refined(
     corners: NDArray[np.intp], gain: Array, loose: Array, count: int, nodes: int
 ) -> NDArray[np.intp]:
-    """Return about `count` triangles to refine: those of largest gain, then loose neighbours."""
+    """Return about `count` triangles to refine: first by largest gain, then loose ones nearby."""
     order = np.argsort(-gain)
     reached = np.cumsum(gain[order]) < SCORE_SHARE * float(gain.sum())
     enough = int(np.count_nonzero(reached)) + 1
@@ -408,7 +408,7 @@ def _certified_value(
 
 
 def _slopes(nodes_m: Array, corners: NDArray[np.intp]) -> tuple[NDArray[np.intp], Array, Array]:
-    """Return the unknowns of each triangle and their shares of the gradient of V at its corners.
+    """Return the unknowns of each triangle, and the map from them to grad V at its corners.
 
     The unknowns (t, 6) index the values at corners, then at the middles of the opposite sides.
     The slopes along x and y, (t, 3, 6) each, have a row per corner.

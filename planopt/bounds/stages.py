@@ -85,7 +85,7 @@ def summed_terms(problem: Problem, at: TermContext) -> SummedTerms:
 def stage_problem(
     problem: Problem, at: TermContext, terms: SummedTerms, kept: NDArray[np.bool_]
 ) -> StageProblem:
-    """Return the stage problem of a problem's first robot; p_min holds at the steps `kept` (N,)."""
+    """Return the stage problem of the first robot; p_min applies to the steps in `kept` (N,)."""
 
     def reward(stage: int, field: Field) -> UpperBounds:
         total = no_reward(stage, field)
@@ -159,10 +159,10 @@ def or_nothing(make: Callable[[Discs], UpperBounds], discs: Discs) -> UpperBound
 
 
 def either(one: UpperBounds, other: UpperBounds) -> UpperBounds:
-    """Return bounds of the probability of at least one of two independent connections.
+    """Return upper bounds of the probability of at least one of two independent connections.
 
-    It is ``P + Q - P Q``, at most the sum of both tangents minus a product of lower bounds; here
-    ``1 - (1 - P)(1 - Q)`` with the tangents' complements, if these are >= 0 (equation 9.4).
+    If the tangents of P and Q are at most 1, their product form ``1 - (1 - P)(1 - Q)`` gives value
+    and slope of the bound; otherwise the bound is a constant (equation 9.4).
     """
     radius = one.radius_m
     steep, other_steep = np.hypot(*one.slope.T), np.hypot(*other.slope.T)
@@ -187,7 +187,7 @@ def blocked_parts(problem: Problem) -> list[shapely.Polygon]:
 
 
 def ignored_constraints(problem: Problem, robots: int) -> tuple[str, ...]:
-    """Return the constraints that the bound of a robot ignores, in words."""
+    """Return descriptions of the constraints that the bound of a robot ignores."""
     rule = problem.constraints.rule
     found = () if rule.is_plain else (f"the rule {rule.connectivity}",)
     if len(problem.workspace.lasting):

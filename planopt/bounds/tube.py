@@ -193,7 +193,7 @@ def divided(problem: StageProblem, cells: Cells, side: float, stage: int) -> Cel
 
 
 def open_cells(problem: StageProblem, cells: Cells, side: float, stage: int) -> Cells:
-    """Return those cells that meet the reach of a stage, the workspace and no blocked area."""
+    """Return the cells within a stage's reach and the workspace that no blocked area covers."""
     low = cells * side
     nearest = np.clip(0.0, low, low + side)
     inside = np.hypot(*nearest.T) <= stage * problem.step_m * (1.0 + ROUNDING)
@@ -216,7 +216,7 @@ def squares(corner: Array, side: float) -> NDArray[np.object_]:
 
 
 def evaluated(problem: StageProblem, side: float, active: Sequence[Cells]) -> Level:
-    """Return a level with bounds of all rewards; each cell's probability is bounded once."""
+    """Return a level of active cells with bounds of all their rewards."""
     radius = side * np.sqrt(0.5) * (1.0 + 1e-12)
     cells, place = np.unique(np.vstack(active), axis=0, return_inverse=True)
     centres = problem.start_m + (cells + 0.5) * side
@@ -302,7 +302,7 @@ def sure_rewards(
 
 
 def through_bounds(level: Level, tilts: Sequence[Tilt]) -> list[Array]:
-    """Return an upper bound of all paths through each active cell of each stage."""
+    """Return, for each stage, upper bounds of all paths through each of its active cells."""
     best = [np.full(len(each), np.inf) for each in level.active]
     steps = [Step.between(level, k) for k in range(1, len(best))]
     for of_steps, of_p_min in tilts:

@@ -241,7 +241,7 @@ class TileMap:
         columns: Floats,
         sign: float,
     ) -> None:
-        """Update the kriging terms for a change `sign` v v' of U^-1, where v is `direction`."""
+        """Update the kriging terms for a rank-one change `sign` v v' of U^-1, v = `direction`."""
         seen = (across @ direction[:, :, None])[:, :, 0]
         projected = sign * (direction[:, None, :] @ columns)
         self._terms.data_db[tiles] += seen * projected[:, :, 0]
@@ -309,7 +309,7 @@ class PosteriorMap:
         return import_module("planopt.report.notebook").map_html(self)
 
     def save(self, file: Path | str, *, origin_deg: Origin | None = None) -> None:
-        """Write the map to a file by its ending: ``.csv``, ``.npz``, ``.nc`` or ``.tif``.
+        """Write the map in the format of the file extension: ``.csv``, ``.npz``, ``.nc``, ``.tif``.
 
         Parameters
         ----------

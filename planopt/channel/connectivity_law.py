@@ -342,7 +342,7 @@ class ConnectivityLaw:
         return found
 
     def sample(self, path_m: NDArray[np.float64], count: int, seed: int) -> NDArray[np.float64]:
-        """Return samples ``(count, N)`` of the serving power along a path; one seed per station."""
+        """Draw serving powers ``(count, N)`` along a path; each station has its own seed."""
         drawn = [
             joint.sample(count, np.random.default_rng([seed, number] if number else seed))
             for number, joint in enumerate(self.along(path_m))

@@ -289,7 +289,7 @@ def _swept(
 def _conditioned(
     prior: LatentPrior, precision: Floats, shift: Floats
 ) -> tuple[Floats, Floats, float]:
-    """Return variances and means of f - mean given the sites, and the log-evidence."""
+    """Return variances and means of f minus its prior mean given sites, and the log-evidence."""
     # Conditions on the sites by factorising I + S^1/2 covariance S^1/2, S the precisions.
     root = np.sqrt(precision)
     scaled = root[:, None] * prior.covariance_db2

@@ -71,7 +71,7 @@ class VecchiaInformation:
     products: Floats
 
     def path_loss_products(self) -> Floats:
-        """Return C' U^-1 C (3, 3) for C = [y - Gamma theta_0, Gamma], offsets integrated out."""
+        """Return C' U^-1 C (3, 3) for C = [residual power, regressors], offsets integrated out."""
         crossed = self.products[:3, 3:]
         return self.products[:3, :3] - crossed @ self.offset_covariance_db2() @ crossed.T
 

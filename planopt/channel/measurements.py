@@ -342,7 +342,7 @@ class Origins:
 
 
 def measured_origins(measurements: Measurements, parameters: ChannelParameters) -> Origins:
-    """Return the positions, times and receivers of measurements; None if without effect."""
+    """Return the origins of measurements; fields that do not affect covariances are None."""
     std_m = measurements.position_std_m
     return Origins(
         measurements.positions_m,
@@ -358,7 +358,7 @@ def place_origins(
     parameters: ChannelParameters,
     position_std_m: Floats | None = None,  # (..., n) of position errors
 ) -> Origins:
-    """Return the positions and the time `now_s` of predictions."""
+    """Return the origins of predictions: positions, position errors and the time `now_s`."""
     return Origins(
         positions_m,
         None if position_std_m is None else BLUR_SHARE * position_std_m**2,

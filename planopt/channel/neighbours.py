@@ -77,7 +77,7 @@ class PlaceIndex:
         return PlaceIndex(positions_m).grown(positions_m)
 
     def grown(self, positions_m: Floats) -> PlaceIndex:
-        """Return the index extended to `positions_m` (n, 2), which begin with its own positions."""
+        """Return the index extended to `positions_m` (n, 2), whose first rows are already in it."""
         treed = self._treed
         keep = len(positions_m) - treed <= max(MOST_UNTREED, UNTREED_SHARE * treed)
         return PlaceIndex(positions_m, self.tree if keep else PlaceTree(positions_m))
@@ -188,7 +188,7 @@ def earlier_windows(
 
 
 def later_windows(coordinates: Floats, index: PlaceIndex, count: int) -> tuple[Window, ...]:
-    """Return a window for each position (n, 2) after those in `index`, with earlier neighbours."""
+    """Return a window with earlier neighbours for each position (n, 2) that is not in `index`."""
     windows: list[Window] = []
     for row in range(len(index.positions_m), len(coordinates)):
         index = index.grown(coordinates[:row])

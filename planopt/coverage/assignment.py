@@ -47,7 +47,7 @@ def demanded(demand: Demand, agents: int) -> int:
 
 
 def table_demand(steps: Mapping[int, int]) -> Demand:
-    """Return a tabulated demand: the entry of the largest key not above the number of agents."""
+    """Return a demand that looks up the largest key of `steps` not above the number of agents."""
     entries = sorted(steps.items(), reverse=True)
     return lambda agents: next((wanted for number, wanted in entries if number <= agents), 0)
 
@@ -195,7 +195,7 @@ def deferred_acceptance(distances_m: Floats, demands: Indices) -> Assignment:
 
 
 def accepted(distances_m: Floats, demands: Indices) -> Assignment:
-    """Perform deferred acceptance; agents at infinite distance from an event are not requested."""
+    """Return the deferred-acceptance assignment; agents at infinite distance are not requested."""
     # In each round every event requests as many agents as it lacks, nearest first and none twice.
     # Every agent keeps the nearest event among its requests and rejects the others. Ties go to the
     # smaller numbers. An event that runs out of agents stays short.

@@ -132,13 +132,13 @@ class Belief:
 
     @property
     def places_m(self) -> Floats:
-        """Return the position that each agent believes; (n, 2), NaN for agents without estimate."""
+        """Return each agent's estimate of the event's position; (n, 2), NaN without an estimate."""
         each = [estimate.value.position_m for estimate in self.estimates]
         return np.array([*each, np.full(2, math.nan)])[self.chosen]
 
     @property
     def velocities_m_s(self) -> Floats:
-        """Return the velocity that each agent believes; (n, 2)."""
+        """Return each agent's estimate of the event's velocity in m/s; (n, 2)."""
         each = [estimate.value.velocity_m_s for estimate in self.estimates]
         return np.array([*each, np.zeros(2)])[self.chosen]
 

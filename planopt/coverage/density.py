@@ -341,7 +341,7 @@ class RasterDensity:
         return self._summed(piece, centre[piece, None] + ray, rise, len(angle))
 
     def _summed(self, piece: Indices, places: Floats, rise: Floats, count: int) -> Floats:
-        """Return sums of F dy over the points (p, k, 2) of each boundary piece; (5, count)."""
+        """Return integrals of F dy by Gauss points (p, k, 2) of each boundary piece; (5, count)."""
         # All points of a part are in the raster cell of its midpoint.
         ix, iy = self._cells(places.mean(axis=1))
         rows, columns = self.raster.values.shape

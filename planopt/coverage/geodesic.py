@@ -101,7 +101,7 @@ class GeodesicGround:
     def borders(self, agents_m: Floats) -> Floats:
         """Return cell boundaries ``(e, 2, 2)`` inside the free area, for figures.
 
-        The boundary crosses a line between nodes of two agents where both are equally distant.
+        A boundary crosses the line between nodes of two agents at the point of equal distances.
         """
         agents = self.nearest(agents_m)
         cells, low = geodesic_cells(self, agents), np.asarray(self.free.bounds[:2])
@@ -347,7 +347,7 @@ def _nearest(tree: KDTree, places: Floats, count: int) -> Indices:
 
 
 def _own_cost(ground: GeodesicGround, agents: Floats, owner: Indices, wanted: Indices) -> Floats:
-    """Return the cost (n,) of each cell from its agent's position; 0 for unselected agents."""
+    """Return the coverage cost (n,) of each agent's cell; 0 for unselected agents."""
     chosen = np.zeros(len(agents), dtype=np.bool_)
     chosen[wanted] = True
     nodes = np.flatnonzero(chosen[owner])

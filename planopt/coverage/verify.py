@@ -184,7 +184,7 @@ def _below(predicted: Prediction, threshold_dbm: float) -> Floats:
 
 
 def _fails(law: LinkLaw, lengths_m: Floats, threshold_dbm: float) -> Floats:
-    """Return the largest failure probability of links up to each of the lengths."""
+    """Return, for each length, the largest failure probability of links up to this length."""
 
     def below(distance_m: Floats) -> Floats:
         slope = -10.0 * np.log10(distance_m)

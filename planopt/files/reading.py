@@ -119,7 +119,7 @@ def foreign_reader(path: Path, kind: str, key: str | None = None) -> Generator[N
 
 
 def _ignore(*_: object) -> None:
-    """Do nothing, whatever the arguments."""
+    """Accept any arguments and do nothing."""
 
 
 def require_array_size(path: Path, key: str, *lengths: int) -> None:

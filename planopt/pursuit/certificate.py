@@ -148,7 +148,7 @@ class Case:
         return distance_m + self.evader_m_s * max(self.age_s_m * distance_m, self.least_age_s)
 
     def least_distance_m(self, bound_m: Floats) -> Floats:
-        """Return the smallest sampled distance with bound W; the inverse of :meth:`start_m`."""
+        """Return the smallest sampled distances that give bounds W; inverts :meth:`start_m`."""
         moved_m = self.evader_m_s * self.least_age_s
         return np.maximum(0.0, np.minimum(bound_m / (1.0 + self.moved), bound_m - moved_m))
 

@@ -198,7 +198,7 @@ class Design:
 
     @property
     def capture_time_s(self) -> float:
-        """Return the maximum capture time by the Lemma without floors; infinite if it fails."""
+        """Return the Lemma's maximum capture time without age and error floors; may be infinite."""
         x = 0.5 * (1 + self.rate_divisor) * self.slot_width_s * self.task.staleness_per_slot
         left = _left(self.task, self.bits_per_axis) - x
         return _driving_s(self.task, self.bits_per_axis) / left if left > 0.0 else math.inf

@@ -95,7 +95,7 @@ class Guarantee:
 
     @cached_property
     def floor_m(self) -> float:
-        """Return the largest distance bound W that may not decrease; infinite if no guarantee."""
+        """Return the largest distance bound W that may not decrease; infinite if premises fail."""
         if self.levels is not None:
             return self.levels.floor_m() if self.holds else math.inf
         floor_m = _floor_m(self.stages) if self.holds else math.inf
@@ -104,7 +104,7 @@ class Guarantee:
         return floor_m
 
     def next_bound_m(self, bound_m: Floats) -> Floats:
-        """Return the bounds W after a stage for bounds W before it, in the same shape."""
+        """Return the distance bounds W after a stage from those before it, in the same shape."""
         if self.levels is not None:
             return self.levels.next_bound_m(bound_m)
         return np.max([stage(bound_m)[0] for stage in self.stages], axis=0)
@@ -274,7 +274,7 @@ def _follow(chase: Chase, bounds: ServiceBounds) -> Stage:
 def _driven(
     chase: Chase, bound_m: Floats, sampled_m: Floats, error_m: Floats
 ) -> tuple[Floats, Floats]:
-    """Return the bound W after a driving stage, and its duration, given sampled distances."""
+    """Return the distance bound W after a driving stage, and the duration of the stage."""
     lasts_s = (sampled_m + error_m) / chase.pursuer_speed_m_s + chase.stage_delay_s
     return bound_m - sampled_m + error_m + chase.evader_speed_m_s * lasts_s, lasts_s
 

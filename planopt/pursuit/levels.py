@@ -73,7 +73,7 @@ class LevelBounds:
         return np.where(wait_s > 0.0, bound_m, -np.inf), np.maximum(wait_s, 0.0)
 
     def _level(self, bound_m: Floats) -> Indices:
-        """Return the coarsest level of a record in a stage that starts with bound W."""
+        """Return the coarsest level whose record a stage with initial bound W may use."""
         return np.searchsorted(self._least_m, bound_m, side="right") - 1
 
     def start_m(self, distance_m: float) -> float:

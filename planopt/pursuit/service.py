@@ -122,7 +122,7 @@ class SnapshotService:
         return np.floor(ended + ROUNDING).astype(np.int64)
 
     def cells(self, positions_m: Floats, level: int) -> NDArray[np.int64]:
-        """Return the level-j cells (..., 2) as (column, row) of positions (..., 2)."""
+        """Return (column, row) of the cell of `level` that contains each position (..., 2)."""
         finest = np.floor(positions_m / self.mote_spacing_m).astype(np.int64)
         if not self.endless:
             # The far edges belong to the last motes.
@@ -196,7 +196,7 @@ class Snapshot:
 
 
 def snapshot(service: SnapshotService, track: Track, time_s: float) -> Snapshot:
-    """Return the records that the service holds of an object that moved along `track`."""
+    """Return the service's latest reports on an object that moved along `track`."""
     sampled_s = service.sample_numbers(time_s) * service.periods_s
     sampled_m = track.at(sampled_s)
     on_grid = (sampled_m >= 0.0) & (sampled_m <= service.side_m)
@@ -239,7 +239,7 @@ class RecordSource(Protocol):
     def record(
         self, track: Track, place_m: Floats, time_s: float, last: Record | None
     ) -> Record | None:
-        """Return the record at a position and time of the evader on `track`, or None."""
+        """Return the record of the evader on `track` for a pursuer's position, or None."""
         # `last` is the record in use. The track ends at the current time.
         ...
 

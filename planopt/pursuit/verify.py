@@ -100,7 +100,7 @@ class PursuitLog:
     reports: Reports
 
     def evader_at(self, evader: int, times_s: Floats) -> Floats:
-        """Return the evader's positions (k, 2) at times; before the first one, its start."""
+        """Return the evader's positions (k, 2) at times; its start for earlier times."""
         return _interpolated(times_s, self.times_s, self.evaders_m[evader])
 
 
@@ -249,7 +249,7 @@ def _off_segment_m(starts: Floats, ends: Floats, places: Floats) -> Floats:
 
 
 def _worst(found: list[Violation], kind: str, name: str, words: str, off_m: Floats) -> None:
-    """Add a violation for the step with the largest value, if it exceeds the tolerance."""
+    """Add a violation for the step of the largest deviation if this exceeds the tolerance."""
     if len(off_m) and not off_m.max() <= PLACE_M:
         step = int(off_m.argmax())
         found.append(Violation(kind, f"{name} {words} {off_m[step]:.4g} m at step {step}"))
@@ -321,7 +321,7 @@ def _mote(service: Service, places_m: Floats) -> NDArray[np.int64]:
 
 
 def _aim_faults(data: PursuitData, log: PursuitLog) -> Iterator[Violation]:
-    """Yield aims that are neither the last reported position nor the pursuer's own."""
+    """Yield aims that are neither the last reported nor the pursuer's own position."""
     # Among obstacles aims are path vertices, and a predicting pursuer chooses its own.
     if data.obstacles or data.planner not in ("drive", "retarget"):
         return

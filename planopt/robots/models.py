@@ -337,7 +337,7 @@ class Unicycle(Dynamics):
         return speed / self.turn_rate_max_rad_s * math.hypot(along, across)
 
     def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
-        """Return the turning time pi / (2 w_max) (1 - cos b) d / (d + r), bearing b, distance d."""
+        """Return the smoothed time pi / (2 w_max) (1 - cos b) d / (d + r) to turn to bearing b."""
         # This approximates the turning time; it is less within the turning radius r = v_max /
         # w_max.
         x, y = place[0] - state[0], place[1] - state[1]

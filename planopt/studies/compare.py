@@ -300,7 +300,7 @@ def variants_of(problems: Sequence[AnyProblem], lists: Lists) -> list[Variant]:
 
 
 def _product(problems: Sequence[AnyProblem], lists: Lists) -> list[Variant]:
-    """Return the variants for all combinations of the lists."""
+    """Return one variant for each combination of the listed values."""
     swept = dict(lists.sweep or {})
     for key, option in OWN_OPTIONS.items():
         if key in swept and getattr(lists, option) is not None:
@@ -321,7 +321,7 @@ def _product(problems: Sequence[AnyProblem], lists: Lists) -> list[Variant]:
 def _settings(
     problem: AnyProblem, costs: Sequence[str | None], lists: Lists
 ) -> tuple[AnyProblem, ...]:
-    """Return a problem with each combination of cost-to-go, planner and horizon, once each."""
+    """Return a problem's distinct combinations of cost-to-go, planner and horizon."""
     task = task_of(problem)
     if task.simulate is None and task.solve is None:
         raise InputError(

@@ -376,7 +376,7 @@ def chord_distances_m(first: TimedMotion, second: TimedMotion) -> Floats:
 
 
 def least_gap(first: TimedMotion, second: TimedMotion, taken_m: Floats) -> tuple[float, int]:
-    """Return the minimum of distance minus `taken_m` (n,) over n steps, and the step reached in."""
+    """Return the minimum of distance minus `taken_m` (n,) over n steps, and its step."""
     # Steps are evaluated in the order of their lower bounds.
     steps = len(taken_m)
     one, other = first.lasting(steps), second.lasting(steps)

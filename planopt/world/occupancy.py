@@ -258,7 +258,7 @@ def _polygons(closed: Mask, grid: OccupancyGrid) -> NDArray[np.object_]:
 
 
 def _outlines(edges: _Edges) -> tuple[Indices, Indices]:
-    """Return the edges before turns, outline by outline, and the index of each first edge."""
+    """Return the edges before turns, outline by outline, and each outline's first index."""
     turning = edges.following.copy()
     while (straight := ~edges.turns[turning]).any():
         # Pointer jumping: each round doubles the length of skipped straight runs.

@@ -50,7 +50,7 @@ def read_obstacles(
 ) -> tuple[Obstacle, ...]:
     """Return the obstacles in a file, read according to its extension.
 
-    With an origin, GeoJSON in degrees or in another reference system becomes metres.
+    With an origin, GeoJSON in degrees or in another reference system is converted to metres.
     """
     ending = path.suffix.lower()
     try:

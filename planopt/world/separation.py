@@ -171,7 +171,7 @@ def _columns(lines: SeparatingLines) -> list[NDArray[Any]]:
 
 
 def joined_lines(first: SeparatingLines, second: SeparatingLines) -> SeparatingLines:
-    """Return two tables of lines of the same segments as one table."""
+    """Return the union of two tables of lines for the same segments."""
     columns = zip(_columns(first), _columns(second), strict=True)
     return SeparatingLines(*(np.concatenate(pair, axis=1) for pair in columns))
 

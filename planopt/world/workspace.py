@@ -136,7 +136,7 @@ class MovingObstacle(Part):
 
     @classmethod
     def of_keys(cls, table: Any) -> dict[str, Any]:
-        """Return the fields from a table; `start_m` becomes a track of one position."""
+        """Return the field values in a table; `start_m` becomes a track of one position."""
         values = super().of_keys(table) | {
             "times_s": tuple(table.times_s or [0.0]),
             "positions_m": tuple(table.positions_m or [table.start_m]),
@@ -248,7 +248,7 @@ _Ring = list[tuple[float, float]]
 
 
 def footprint(name: str, exterior: object, holes: Iterable[object] = ()) -> Obstacle:
-    """Return the obstacle with a footprint's rings after their validation."""
+    """Return an obstacle with a validated exterior and validated holes."""
     check_name(name)
     shell = _ring(name, exterior)
     polygon = shapely.Polygon(shell, [_ring(name, hole) for hole in holes])

@@ -75,7 +75,7 @@ def covariance_bounds(
 def fallback_fit(
     total_variance_db2: float, decorrelation_bounds_m: tuple[float, float], reason: str
 ) -> CovarianceFit:
-    """Return assumed parameters; beta is a quarter of its upper bound, the extent."""
+    """Return assumed covariance parameters; beta is a quarter of its upper bound."""
     low, high = decorrelation_bounds_m
     total = max(total_variance_db2, 2.0 * MIN_VARIANCE_DB2)
     return CovarianceFit(

@@ -120,7 +120,7 @@ class LogBins:
 def log_bins(
     correlation: EmpiricalCorrelation, alpha_db2: float, extent_m: float | None = None
 ) -> LogBins:
-    """Return the logarithmic bins of ``lemma1``, or of ``capped`` if there is an extent."""
+    """Return the logarithmic bins of method ``lemma1``, or of ``capped`` if `extent_m` is set."""
     r, weight = correlation.covariance_db2, correlation.pairs
     keep = (r > 0.0) & (r < alpha_db2)
     if extent_m is not None:

@@ -155,7 +155,7 @@ def _by_assumption(data: _FitInput, reason: str) -> _Estimate:
 def _with_line(
     coefficients: Floats, data: _FitInput, covariance: CovarianceFit, notes: tuple[str, ...] = ()
 ) -> _Estimate:
-    """Return the estimate with the line's covariance under shadowing of `covariance`."""
+    """Return the estimate of a least-squares line whose residuals have the given covariance."""
     parameters = data.parameters(coefficients, covariance.values)
     spread = coefficient_covariance(data.model, data.measurements, parameters)
     return _Estimate(covariance, coefficients, spread, notes)

@@ -156,7 +156,7 @@ class LeastSquares:
 
 
 def least_squares(model: MeanModel, measurements: Measurements) -> LeastSquares:
-    """Fit the line to the measurements; at least one must be uncensored."""
+    """Fit the path loss line to the measurements; at least one must be uncensored."""
     power = measurements.power_dbm - model.offset_db
     columns = np.column_stack([model.columns, receiver_columns(measurements)])
     inverse = _ridged_inverse(columns, model.columns.shape[1])
@@ -215,7 +215,7 @@ def receiver_columns(measurements: Measurements) -> Floats:
 
 
 def _ridged_inverse(columns: Floats, free: int) -> Floats:
-    """Return the pseudoinverse (q, n) of `columns`; the first `free` columns have no ridge."""
+    """Return the ridge pseudoinverse (q, n) of `columns`, the first `free` ones without a ridge."""
     if columns.shape[1] == free:
         return np.asarray(np.linalg.pinv(columns), dtype=np.float64)
     ridge = np.sqrt(OFFSET_RIDGE) * np.eye(columns.shape[1])[free:]

@@ -127,7 +127,7 @@ class LikelihoodData:
         )
 
     def flat_columns(self) -> Floats:
-        """Return independent columns of the mean with offsets under a flat prior; ``(n, k)``."""
+        """Return independent regressors (n, k) of the mean and of offsets with a flat prior."""
         # Offsets are left out if fewer than `LEAST_FREEDOM` degrees of freedom would remain.
         mean = self.columns[:, : len(self.line)]
         if self.columns.shape[1] == len(self.line):
@@ -291,7 +291,7 @@ class RestrictedLikelihood:
         return expected if self.prior is None else expected + self.prior.information(covariance[2])
 
     def _whole(self, covariance: Covariance, site_tolerance: float) -> Evaluation:
-        """Evaluate the likelihood of a single window, with joint sites."""
+        """Evaluate the likelihood of a single window, matching all interval sites jointly."""
         data, rows = self.data, self.data.intervals
         shadow, nugget, beta = covariance
         correlation = data.correlation(0, beta)
@@ -463,7 +463,7 @@ def _interval_prior(
     latent_db2: Floats,  # (n, n) covariance of shadowing
     noise_db2: Floats,  # (n,) of the Gaussian measurements
 ) -> tuple[LatentPrior, float]:
-    """Return the intervals' prior given the Gaussian measurements, and the log L of these."""
+    """Return the intervals' prior given Gaussian measurements, and the log-likelihood of these."""
     # If rounded intervals may be needed to determine theta, log L is taken at the line; the
     # integral over theta is left to the prior's score and information.
     if data.intervals is None:
@@ -504,7 +504,7 @@ def _window_sums(
     columns: Floats,  # (n, q + 1) C
     noise_db2: Floats,  # (n,), sites as measurements
 ) -> _Sums:
-    """Return the sums over blocks, each conditional on its earlier neighbours."""
+    """Return the likelihood's sums over blocks, each conditional on its earlier neighbours."""
     shadow, _, beta = covariance
     size = columns.shape[1]
     sums = _Sums(

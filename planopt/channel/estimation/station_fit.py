@@ -194,7 +194,7 @@ def fit_channel_and_station(
 
 @dataclass(frozen=True, eq=False)
 class StationSurface:
-    """Likelihood surface l(q) of the station's position q, as whitened measurements."""
+    """Negative log-likelihood l(q) of the station's position q, stored as whitened measurements."""
 
     positions_m: Floats  # (n, 2)
     height_m: float  # Antenna height of the station

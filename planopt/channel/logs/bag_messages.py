@@ -169,7 +169,7 @@ def _of_sqlite(path: Path, factory: Any, is_wanted: Wanted) -> Iterator[Recorded
 
 
 def _with_parts(text: str) -> Iterator[str]:
-    """Yield a definition, followed by those of the parts that it names."""
+    """Yield a message definition, followed by the definitions of the types that it names."""
     yield text
     named = re.findall(r"^(\w+/\w+)", text, re.MULTILINE)
     done: list[str] = []

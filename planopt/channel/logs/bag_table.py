@@ -153,7 +153,7 @@ def _powers(message: Recorded) -> Iterator[_Reading]:
 
 
 def _scalars(value: Any, head: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield dotted names and values of numbers and texts, without headers."""
+    """Yield dotted names and values of a message's numbers and texts, except headers."""
     for name, each in _fields(value):
         if isinstance(each, int | float | str):
             yield head + name, each
@@ -162,7 +162,7 @@ def _scalars(value: Any, head: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def _fields(value: Any) -> list[tuple[str, Any]]:
-    """Return names and values of a message; decoded ROS messages have slots."""
+    """Return the names and values of a decoded message's fields."""
     names = cast("Iterable[str]", getattr(value, "__slots__", None) or vars(value))
     return [(name, getattr(value, name)) for name in names]
 

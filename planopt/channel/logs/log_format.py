@@ -112,7 +112,7 @@ class LogFormat(Part):
 
     @classmethod
     def of_keys(cls, table: Any) -> dict[str, Any]:
-        """Return the fields from the table's keys; the row filter becomes pairs."""
+        """Return the field values in a table; the row filter becomes pairs of column and text."""
         return {**super().of_keys(table), "where": tuple(table.where.items())}
 
 

@@ -70,7 +70,7 @@ class Cell:
         return number
 
     def flag(self) -> bool:
-        """Return the cell as a flag."""
+        """Return the cell as a boolean."""
         flag = FLAGS.get(self.text.strip().lower())
         if flag is None:
             raise self.error(f"{self.text.strip()!r} is not a truth value", "use 0 or 1")

@@ -171,7 +171,7 @@ def columns_of(table: LogTable, log_format: LogFormat) -> LogColumns:
 def _position_columns(
     table: LogTable, log_format: LogFormat, x: str | None, y: str | None
 ) -> tuple[bool, str, str]:
-    """Return a flag for degrees and the position columns; columns in metres are preferred."""
+    """Return whether positions are in degrees, and their columns; metres are preferred."""
     degrees = [alias(table, role) for role in DEGREES]
     metres = [alias(table, role) for role in ("x", "y")]
     in_degrees = None not in degrees and (
@@ -202,7 +202,7 @@ def _reader_of(table: LogTable, log_format: LogFormat) -> tuple[str, LogReader] 
 
 
 def readings_of(table: LogTable, columns: LogColumns) -> LogTable:
-    """Return the table without the rows that a known logging program writes without a reading."""
+    """Return the table without rows in which a known logging program recorded no reading."""
     reader = columns.reader
     if reader is None:
         return table

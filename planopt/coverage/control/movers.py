@@ -131,7 +131,7 @@ class Aims:
 
     @property
     def steady(self) -> Mask:
-        """Return a mask of the agents with one target and mass for the whole horizon; (n,)."""
+        """Return a mask of the agents with constant target and mass over the horizon; (n,)."""
         places, masses = self.places_m, self.masses
         return (places == places[:, :1]).all(axis=(1, 2)) & (masses == 1.0).all(axis=1)
 

@@ -32,7 +32,7 @@ FIRST_SHARE = 0.5
 """Side of the cells of the first level, in lengths of the longest step."""
 
 MOST_LEVELS = 30
-"""Maximum number of levels."""
+"""Maximum number of levels of cells."""
 
 MOST_CELLS = 200_000
 """Maximum number of cells per level, over all stages."""
@@ -302,7 +302,7 @@ def sure_rewards(
 
 
 def through_bounds(level: Level, tilts: Sequence[Tilt]) -> list[Array]:
-    """Return, for each stage, upper bounds of all paths through each of its active cells."""
+    """Return, for each stage, upper bounds on the value of paths through each active cell."""
     best = [np.full(len(each), np.inf) for each in level.active]
     steps = [Step.between(level, k) for k in range(1, len(best))]
     for of_steps, of_p_min in tilts:

@@ -42,7 +42,7 @@ class JointPrediction:
     mean_db
         ``(h,)`` mean mu in dBm.
     covariance_db2
-        ``(h, h)`` symmetric covariance S + B M B'.
+        ``(h, h)`` symmetric covariance in dB^2 (equations 1.11 and 1.12).
 
     Raises
     ------
@@ -116,7 +116,7 @@ def joint_prediction(
 
 @dataclass(frozen=True, eq=False)
 class JointTerms:
-    """Terms of a joint prediction that do not depend on theta."""
+    """Terms of a joint prediction that do not depend on the path loss theta."""
 
     data_db: Floats  # (h,) Phi' U^-1 Y
     trend: Floats  # (h, 2) B

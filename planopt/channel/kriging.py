@@ -52,7 +52,7 @@ def predict(
 ) -> Prediction:
     """Predict mean and standard deviation of the power that would be measured (equation 1.8).
 
-    Uses all measurements if `posterior` has a factor, else theta from all measurements and the
+    All measurements are used if `posterior` has a factor; otherwise theta from all of them, and the
     `NEIGHBOURS_BEYOND` measurements nearest to each position.
     """
     places = require_places(positions_m, at_least=0)
@@ -65,7 +65,7 @@ def kriging_terms(
     positions_m: Floats,  # (n, 2)
     position_std_m: Floats | None = None,  # (n,)
 ) -> KrigingTerms:
-    """Return the terms of a prediction that do not depend on theta."""
+    """Return the terms of a prediction that do not depend on the path loss theta."""
     if not posterior.has_factor:
         return nearby_terms(posterior, positions_m, NEIGHBOURS_BEYOND, position_std_m)
     count, known = len(positions_m), len(posterior.measurements)
@@ -333,7 +333,7 @@ def nearby_terms(
     count: int,
     position_std_m: Floats | None = None,  # (n,) of position errors
 ) -> KrigingTerms:
-    """Return the terms of :func:`predict_nearby` that do not depend on theta."""
+    """Return the terms of :func:`predict_nearby` that do not depend on the path loss theta."""
     offsets = offsets_given_theta(posterior)
     places = len(positions_m)
     terms = KrigingTerms(np.empty(places), np.empty((places, 2)), np.empty(places))

@@ -247,8 +247,8 @@ def mean_squared_error_db2(
 
         Delta^2 = xi^2 + omega^2 - 2 w' phi + w' U w + ((gamma - Gamma' w)' delta theta)^2,
 
-    as in [GM11]. The last term is the squared bias. It is computed from both path losses, so the
-    station may be wrong too. The posterior assumes that theta is known.
+    as in [GM11]. The last term, the squared bias, is computed from true and assumed path loss, so
+    the assumed station may be wrong too. The posterior assumes that theta is known.
 
     Parameters
     ----------

@@ -273,7 +273,7 @@ def condition(
         1.8). ``known``: the path loss of `parameters` is exact. ``least_squares``: ordinary least
         squares, if it identifies theta, with its uncertainty (equation 1.9). The kriging error is
         uncorrelated with any estimate of theta that is linear in the measurements, so the variance
-        is s + varphi' M varphi with M the error covariance of that estimate.
+        is s + varphi' M varphi (equation 1.8) with M the error covariance of that estimate.
     exact_limit
         Maximum number of measurements for which L is computed. Beyond it, predictions use the
         nearest measurements, and theta comes from Vecchia's approximation (see

@@ -36,7 +36,7 @@ class Prediction:
 
 @dataclass(frozen=True)
 class KrigingTerms:
-    """Terms of a prediction at n positions that do not depend on theta (equation 1.6)."""
+    """Terms of a prediction at n positions that do not depend on path loss (equation 1.6)."""
 
     data_db: Floats  # (n,) a = phi' U^-1 y
     trend: Floats  # (n, 2) varphi = gamma - Gamma' U^-1 phi

@@ -1,8 +1,8 @@
 """Atomic writing of result files and folders, strict JSON, and TOML with comments.
 
 New files are written under hidden names and moved into place when complete. The JSON files of a
-folder, which every reader requires, are removed first and moved last: if the process is killed in
-between, no result is left rather than a mixture of two.
+folder, which every reader requires, are removed first and moved last. A process that is killed in
+between thus leaves no result instead of a mixture of two.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ def parse_origin(text: str, key: str = "--origin") -> Origin:
 
 
 def require_points(text: str, key: str, third: str) -> None:
-    """Raise an InputError for three numbers in degrees that may be two with a decimal comma."""
+    """Raise an InputError if three numbers in degrees may be two with a decimal comma."""
     parts = text.split(",")
     if len(parts) == 3 and not ("." in parts[0] and "." in parts[1]):
         raise InputError(

@@ -27,10 +27,10 @@ LONGEST_GAP_S, STANDING_M = 5.0, 1.0
 """Positions are not interpolated over longer gaps (s) in which the robot moved farther (m)."""
 
 IN_MAP = "map"
-"""Frame of maps, by convention (REP 105)."""
+"""Conventional name of the map frame (REP 105)."""
 
 BASES = ("base_footprint", "base_link", "base")
-"""Frames of robots, by convention."""
+"""Conventional names of a robot's base frame."""
 
 TRANSFORMS = "TFMessage"
 POSES = ("PoseWithCovarianceStamped", "PoseStamped", "PoseInFrame", "Odometry")

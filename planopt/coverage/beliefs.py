@@ -102,7 +102,7 @@ class Belief:
 
     @classmethod
     def none(cls, agents: int) -> Belief:
-        """Return the belief of agents that know nothing."""
+        """Return the initial belief of agents without any knowledge of the event."""
         return cls(
             np.zeros(0, dtype=np.intp),
             single_readings(np.zeros((0, 2)), np.zeros(0)),

@@ -214,7 +214,7 @@ def _parts(area: shapely.Geometry) -> list[shapely.Polygon]:
 def _nodes(
     free: shapely.Polygon, spacing_m: float, density: Density
 ) -> tuple[Floats, Floats, float]:
-    """Return nodes (m, 2), masses (m,) and the cost that remains with an agent at every node."""
+    """Return nodes (m, 2), masses (m,) and the coverage cost if every node had an agent."""
     x_min, y_min, x_max, y_max = free.bounds
     columns = math.ceil((x_max - x_min) / spacing_m)
     rows = math.ceil((y_max - y_min) / spacing_m)

@@ -160,7 +160,7 @@ def average_round(
     loss: Loss = 0.0,
     generator: np.random.Generator | None = None,
 ) -> Floats:
-    """Perform one round of consensus averaging."""
+    """Return the agents' values after one round of consensus averaging."""
     # A link that loses a message is omitted in both directions, which agents ensure by
     # acknowledgements. The sum of all values is therefore preserved.
     kept = gets_through(len(network.links), loss, generator)
@@ -188,7 +188,7 @@ def running_round(
     loss: Loss = 0.0,
     generator: np.random.Generator | None = None,
 ) -> Floats:
-    """Perform one round of the running count."""
+    """Return the agents' values after one round of the running count."""
     after = average_round(values, network, loss, generator) + innovation
     after[leader] -= innovation * values[leader]
     return after
@@ -200,7 +200,7 @@ def minima_round(
     loss: Loss = 0.0,
     generator: np.random.Generator | None = None,
 ) -> Floats:
-    """Perform one round in which agents exchange their numbers and keep the minima."""
+    """Return the agents' minima (n, m) after one round of exchange with their neighbours."""
     sender, receiver = network.directed
     heard = gets_through(len(sender), loss, generator)
     after = values.copy()

@@ -198,7 +198,7 @@ class Design:
 
     @property
     def capture_time_s(self) -> float:
-        """Return the Lemma's maximum capture time without age and error floors; may be infinite."""
+        """Return the maximum capture time by Lemma III.3 without floors; infinite if it fails."""
         x = 0.5 * (1 + self.rate_divisor) * self.slot_width_s * self.task.staleness_per_slot
         left = _left(self.task, self.bits_per_axis) - x
         return _driving_s(self.task, self.bits_per_axis) / left if left > 0.0 else math.inf
@@ -217,14 +217,14 @@ def cheapest_design(task: DesignTask) -> Design:
 
 
 def cheapest_rated_design(task: DesignTask) -> Design:
-    """Return the minimum-power design by the Lemma if only every r-th round takes place."""
+    """Return the minimum-power design by Lemma III.3 if only every r-th round takes place."""
     # Ages are then at most ``6 (1 + r) eta_s s_w`` frames per spacing. Short slots with infrequent
     # rounds cost down to half as much as long slots, provided that motes sleep in between.
     return _scan(task, partial(_rated_candidate, task))
 
 
 def least_energy_design(task: DesignTask) -> Design:
-    """Return the design of minimum energy per capture, by the Lemma's bound on the time."""
+    """Return the design of minimum energy per capture, with the capture time by Lemma III.3."""
     # Energy is power times ``(1 + kappa) d / (alpha v_e (1 - a - x))``. For each c the minimum is
     # at half of the Lemma's slot width, if payload and deadline (if any) permit.
     return _scan(task, partial(_energy_candidate, task), lambda design: design.energy_per_capture_j)
@@ -411,7 +411,7 @@ def _failing(
 
 
 def _widest_s(task: DesignTask, bits: int) -> float | _Failed:
-    """Return the widest slot by the Lemma, or the violated inequality."""
+    """Return the widest slot by Lemma III.3, or the violated inequality."""
     room = task.room(bits)
     shrinks = Inequality("a + margin below 1", 1.0 - room, 1.0)
     if not shrinks.holds:
@@ -453,7 +453,7 @@ class RelaxedDesign:
 def relaxed_design(
     task: DesignTask, *, rated: bool = False, bits_per_axis: float | None = None
 ) -> RelaxedDesign:
-    """Return the slot width and compression of minimum power under the Lemma."""
+    """Return the slot width and compression of minimum power under Lemma III.3."""
     import cvxpy as cp
 
     network, chase = task.network, task.chase

@@ -153,7 +153,7 @@ def capture_guarantees(chase: Chase, bounds: ServiceBounds) -> dict[Theorem, Gua
     wait = _wait(chase, bounds)
 
     def shrink(sampled_m: Floats) -> tuple[Floats, Floats]:
-        """Return the Lemma's bound on the next sampled distance, and the stage's duration."""
+        """Return Lemma III.3's bound on the next sampled distance, and the stage's duration."""
         error_m, aged_m = _error_m(bounds, sampled_m), np.maximum(x * sampled_m, moved_m)
         lasts_s = (sampled_m + error_m) / chase.pursuer_speed_m_s + chase.stage_delay_s
         return error_m + aged_m + chase.evader_speed_m_s * lasts_s, lasts_s

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, cast
 
 from planopt.report.channel_figures import draw_fit, draw_posterior_map
 from planopt.report.page import cell_text
-from planopt.report.page_content import key_figures
 from planopt.report.panel import DPI
 
 if TYPE_CHECKING:
@@ -19,15 +18,9 @@ if TYPE_CHECKING:
 
     from planopt.channel.channel_map import PosteriorMap
     from planopt.channel.estimation.channel_fit import ChannelFit
-    from planopt.planning.loop.results import Run, Solution
 
 MOST_FIGURES = 5
 """Number of key figures next to the picture."""
-
-
-def result_html(result: Solution | Run) -> str:
-    """Return a motion plan or run as HTML."""
-    return summary_html(result.problem.name, key_figures(result), result.plot())
 
 
 def fit_html(fit: ChannelFit) -> str:

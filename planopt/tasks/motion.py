@@ -16,14 +16,15 @@ import numpy as np
 from planopt.errors import InputError, NoPlanError
 from planopt.files.typed_json import finite
 from planopt.planning.certificate import BlockedError
-from planopt.planning.files.saved import PLAN_FILE, RUN_FILE, save_no_plan
+from planopt.planning.files.saved import PLAN_FILE, RUN_FILE, contents, signed
 from planopt.planning.loop.results import Run, RunSummary, Solution, summary_of
 from planopt.planning.plan import Plan, Termination, Verdict
 from planopt.problems.load import problem_to_dict, with_overrides
 from planopt.problems.problem import Problem, problem_from_tables
+from planopt.problems.results import Contents, Result
 from planopt.problems.schema import ProblemFile
 from planopt.problems.settings import planner_kind, planner_names
-from planopt.tasks.task import NO_PLAN, Action, Task, checked_again, save_figures
+from planopt.tasks.task import NO_PLAN, Action, Task, checked_again
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -36,38 +37,35 @@ RUN_PLANNER, RUN_STEPS = "auto", 20
 """Planner, and number of planned steps, of closed loops in the regression suite."""
 
 
-@dataclass(frozen=True, eq=False)
-class NoPlan:
+@dataclass(frozen=True, eq=False, repr=False)
+class NoPlan(Result):
     """Result of an action for which no plan exists."""
 
     problem: Problem
-    words: Sequence[str]
+    lines: Sequence[str]  # Text summary
     data: Mapping[str, Any]
     file: str  # Name of the saved file
     figures: Callable[[], Mapping[str, Figure]]
 
-    exit_code = NO_PLAN
-
-    def save(self, folder: Path) -> None:
-        """Save the JSON object and the problem; for a run, the list of plans is empty."""
-        more: dict[str, Any] = {"plans": []} if self.file == RUN_FILE else {}
-        save_no_plan({**self.data, **more}, self.problem, folder, self.file)
-
-    def draw(self, folder: Path, *, animation: bool = False) -> None:
-        """Draw the blocked paths, if the problem enables figures."""
-        save_figures(self.figures() if self.problem.report.figures else {}, folder)
+    @property
+    def exit_code(self) -> int:
+        """Return the exit code of the command line."""
+        return NO_PLAN
 
 
-def _animate(run: Run, path: Path) -> None:
+def _animate(run: Solution | Run | NoPlan, path: Path) -> None:
     from planopt.report import save_animation
 
-    save_animation(run, path)
+    if isinstance(run, Run):
+        save_animation(run, path)
 
 
-def _figures(value: Solution | Run) -> Mapping[str, Figure]:
+def _figures(value: Solution | Run | NoPlan) -> Mapping[str, Figure]:
     """Return the figures: a map and, for a robot with a goal, belief and time series."""
     from planopt.report import draw_belief, draw_run_series
 
+    if isinstance(value, NoPlan):
+        return value.figures()
     plan = isinstance(value, Solution)
     figures = {"plan.png" if plan else "run.png": value.plot()}
     if not value.problem.has_goal:
@@ -224,12 +222,33 @@ class MotionTask(Task):
 
         return replace(result, explanation=explain(result))
 
-    def result_words(self, result: Solution | Run) -> Sequence[str]:
+    def result_words(self, result: Solution | Run | NoPlan) -> Sequence[str]:
         """Return a text summary of a result, line by line."""
         from planopt.report.motion_words import run_in_words, solution_in_words
 
+        if isinstance(result, NoPlan):
+            return result.lines
         is_plan = isinstance(result, Solution)
         return solution_in_words(result) if is_plan else run_in_words(result)
+
+    def contents(self, result: Solution | Run | NoPlan) -> Contents:
+        """Return the contents of the files of a result; without a plan, only a JSON object."""
+        if not isinstance(result, NoPlan):
+            return contents(result)
+        more: dict[str, Any] = {"plans": []} if result.file == RUN_FILE else {}
+        return Contents(result.file, signed({**result.data, **more}))
+
+    def main_figure(self, result: Solution | Run) -> Figure:
+        """Return a figure of the result on the map; for a plan, with its predictions."""
+        from planopt.report import draw_run, draw_solution
+
+        return draw_run(result) if isinstance(result, Run) else draw_solution(result)
+
+    def key_figures(self, result: Solution | Run) -> Iterable[tuple[str, object]]:
+        """Return names and values of the key figures of a result."""
+        from planopt.report.page_content import key_figures
+
+        return key_figures(result)
 
     def page(self, result: Solution | Run) -> Page:
         """Return the content of the HTML page of a result."""

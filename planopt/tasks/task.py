@@ -14,16 +14,17 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast, get_args
 
 import numpy as np
 
-from planopt.errors import A_FOLDER, InputError, NoPlanError, path_of
+from planopt.errors import InputError, NoPlanError
 from planopt.files.compare import REPEATED, differences, in_words
-from planopt.files.tables import Column, Data, comparable, dataframe, read_table, write_tables
+from planopt.files.tables import Column, Data, read_table
 from planopt.files.typed_json import finite, whole_number
-from planopt.files.writing import Patterns, replaced_results, strict_text, write_text
+from planopt.files.writing import Patterns
 from planopt.keys import Table, located
 from planopt.planning.check.check import CheckResult
 from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE, read_object
 from planopt.planning.loop.results import RunSummary
 from planopt.planning.plan import Verdict
+from planopt.problems.results import Contents, Result
 from planopt.problems.tasks import TaskProblem, problem_from, task_of
 
 if TYPE_CHECKING:
@@ -153,14 +154,43 @@ class Task:
         """Return text to print before the first step of a run."""
         return ()
 
+    def result_words(self, result: Any) -> Sequence[str]:
+        """Return a text summary of a result, line by line."""
+        name, data = result.problem.name, result.data
+        end = data.get("outcome", data.get("verdict"))
+        if result.exit_code == NO_PLAN and end in ("none", "no_plan"):
+            return (f"{name}: no plan: {data.get('message') or data.get('reason')}",)
+        lines = (f"{name}: {end}",) if self.summary is None else self.summary(result)
+        return (*lines, *(f"  {fault}" for fault in data.get("faults", ())))
+
+    def contents(self, result: Any) -> Contents:
+        """Return the contents of the files of a result."""
+        tables = {name: (self.columns[name], data) for name, data in result.tables.items()}
+        return Contents(RUN_FILE if "outcome" in result.data else PLAN_FILE, result.data, tables)
+
+    def main_figure(self, result: Any) -> Figure | None:
+        """Return the most important figure of a result; None if there is none."""
+        if self.figures is None or result.value is None:
+            return None
+        return next(iter(self.figures(result).values()))
+
+    def key_figures(self, result: Any) -> Iterable[tuple[str, object]]:
+        """Return names and values of the key figures of a result."""
+        end = "verdict" if "verdict" in result.data else "outcome"
+        numbers = _scalars(result.data) | _scalars(result.data.get("metrics", {}))
+        return [(end, result.data.get(end)), *numbers.items()]
+
     def explained(self, result: Any) -> Any:
         """Return a result, with an explanation for the command line if the task has one."""
         return result
 
     def draw(self, result: Any, folder: Path, *, animation: bool = False) -> None:
         """Draw the figures selected by the problem, and optionally an animation."""
+        from planopt.report import save_figure
+
         if self.figures is not None and self.has_figures(result.problem):
-            save_figures(self.figures(result), folder)
+            for name, figure in self.figures(result).items():
+                save_figure(figure, folder / name)
         if self.animate is not None and animation:
             self.animate(result, folder / ANIMATION)
 
@@ -174,7 +204,7 @@ class Task:
             problem.description,
             result.data,
             result.words,
-            {name: (self.columns[name], data) for name, data in result.tables.items()},
+            self.contents(result).tables,
             problem.obstacles,
             self.tables(problem),
         )
@@ -374,14 +404,6 @@ def _scalars(data: Mapping[str, Any]) -> dict[str, float]:
     }
 
 
-def save_figures(figures: Mapping[str, Any], folder: Path) -> None:
-    """Write figures to a folder by file name."""
-    from planopt.report import save_figure
-
-    for name, figure in figures.items():
-        save_figure(figure, folder / name)
-
-
 def checked_again(task: Task, result: Any) -> CheckResult:
     """Return the check of a result after saving it to a temporary folder."""
     with tempfile.TemporaryDirectory() as folder:
@@ -389,8 +411,8 @@ def checked_again(task: Task, result: Any) -> CheckResult:
         return task.check(*read_object(Path(folder)))
 
 
-@dataclass(frozen=True, eq=False)
-class TaskResult:
+@dataclass(frozen=True, eq=False, repr=False)
+class TaskResult(Result):
     """Result of :func:`planopt.solve` or :func:`planopt.simulate` for a problem of a task.
 
     Attributes
@@ -414,25 +436,6 @@ class TaskResult:
     value: Any = None
     step_s: Sequence[float] = ()
 
-    def __repr__(self) -> str:
-        """Return a text summary of the result, line by line."""
-        return "\n".join(self.words)
-
-    @property
-    def task(self) -> Task:
-        """Return the task of the problem."""
-        return task_of(self.problem)
-
-    @property
-    def words(self) -> tuple[str, ...]:
-        """Return a text summary of the result, line by line."""
-        name, end = self.problem.name, self.data.get("outcome", self.data.get("verdict"))
-        if self.exit_code == NO_PLAN and end in ("none", "no_plan"):
-            return (f"{name}: no plan: {self.data.get('message') or self.data.get('reason')}",)
-        summary = self.task.summary
-        lines = (f"{name}: {end}",) if summary is None else summary(self)
-        return (*lines, *(f"  {fault}" for fault in self.data.get("faults", ())))
-
     @property
     def exit_code(self) -> int:
         """Return 0 if verified, 3 if not, 4 if no plan exists or a run failed its task."""
@@ -442,74 +445,10 @@ class TaskResult:
             return NO_PLAN
         return NOT_VERIFIED if self.data.get("faults") else 0
 
-    def save(self, folder: Path | str) -> None:
-        """Save the result to a folder that :func:`planopt.check` and ``load_result`` can read.
-
-        Parameters
-        ----------
-        folder
-            Output folder; it is created if missing, and a previous result in it is replaced.
-
-        Raises
-        ------
-        OutputError
-            The folder cannot be written; its contents are unchanged.
-        """
-        file = RUN_FILE if "outcome" in self.data else PLAN_FILE
-        columns = self.task.columns
-        with replaced_results(path_of("folder", folder, A_FOLDER), self.task.files) as new:
-            write_tables(new, {name: (columns[name], data) for name, data in self.tables.items()})
-            record = {**self.data, "problem_file": self.problem.tables()}
-            write_text(new / file, strict_text(record))
-
-    def to_dataframe(self, table: str = "steps.csv") -> Any:
-        """Return a table as a pandas DataFrame.
-
-        Raises
-        ------
-        InputError
-            The table does not exist, or pandas is not installed.
-        """
-        if table not in self.tables:
-            known = ", ".join(self.tables) or "no table"
-            raise InputError(
-                f"is {table!r}, which is not a table of this result",
-                key="table",
-                remedy=f"use {known}",
-            )
-        return dataframe(self.task.columns[table], self.tables[table])
-
-    def plot(self) -> Figure:
-        """Return the main figure of the result without opening a window.
-
-        Raises
-        ------
-        InputError
-            The task has no figures, or the result was read from files.
-        """
-        figures = self.task.figures
-        if figures is None or self.value is None:
-            raise InputError(
-                "is not available: the task has no figure, or the result was read from files",
-                key="plot",
-                remedy="solve or simulate again",
-            )
-        return next(iter(figures(self).values()))
-
-    def _repr_html_(self) -> str:
-        """Return HTML for notebooks: the main figure, if any, and key figures."""
-        from planopt.report.notebook import summary_html
-
-        end = "verdict" if "verdict" in self.data else "outcome"
-        numbers = _scalars(self.data) | _scalars(self.data.get("metrics", {}))
-        drawn = self.task.figures is not None and self.value is not None
-        figures = [(end, self.data.get(end)), *numbers.items()]
-        return summary_html(self.problem.name, figures, self.plot() if drawn else None)
-
     def draw(self, folder: Path, *, animation: bool = False) -> None:
-        """Draw the figures selected by the problem, and optionally an animation."""
+        """Draw the figures selected by the problem, unless the result was read from files."""
         if self.value is not None:
-            self.task.draw(self, folder, animation=animation)
+            super().draw(folder, animation=animation)
 
 
 def perform(
@@ -572,11 +511,8 @@ def _reasons_against(file: Path, data: Mapping[str, Any]) -> list[str]:
         again: TaskResult = perform(action, saved.problem, seed=seed, **more)
     except NoPlanError as error:
         return [f"{file.name}: there is no plan: {error}"]
-    reasons: list[str] = []
-    for name, table in again.tables.items():
-        if name not in saved.tables:
-            raise InputError("does not exist", file=file.parent / name)
-        found = differences(comparable(saved.tables[name]), comparable(table))
-        reasons += in_words(name, found)
+    for name in again.tables.keys() - saved.tables.keys():
+        raise InputError("does not exist", file=file.parent / name)
+    reasons = task_of(saved.problem).contents(again).table_reasons(saved.tables)
     found = differences(saved.data, again.data, tolerances=REPEATED)
     return reasons + in_words(file.name, found)

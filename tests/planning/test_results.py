@@ -17,7 +17,7 @@ from planopt import Run, Solution
 from planopt.files.tables import table_text
 from planopt.planning.files.result_json import no_plan_json
 from planopt.planning.files.run_tables import tables_of
-from planopt.planning.files.saved import save_no_plan
+from planopt.tasks.motion import NoPlan
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +106,8 @@ def test_what_is_no_result_is_an_error(tmp_path: Path, results: dict[str, Soluti
     with pytest.raises(planopt.InputError):
         planopt.load_result(tmp_path / "nothing")
     problem = results["plan"].problem
-    save_no_plan(no_plan_json(problem, 0, "cut off"), problem, tmp_path / "none", "plan.json")
+    data = no_plan_json(problem, 0, "cut off")
+    NoPlan(problem, (), data, "plan.json", dict).save(tmp_path / "none")
     with pytest.raises(planopt.NoPlanError, match="cut off"):
         planopt.load_result(tmp_path / "none")
     for name, words in (("plan", "has 3 steps"), ("run", "has 3 steps")):

@@ -16,17 +16,18 @@ from typing import Any
 from planopt.channel.cholesky import one_blas_thread
 from planopt.errors import InputError, NoPlanError
 from planopt.files.compare import DIGEST, differences, digest, in_words
-from planopt.files.tables import REMEDY, comparable
+from planopt.files.tables import REMEDY
 from planopt.planning.certificate import Certificate, worst_of, worst_of_robots
 from planopt.planning.check.replay import belief_reasons, plan_reasons, replayed, start_of
 from planopt.planning.files.result_json import NoPlanRecord, RunRecord, no_plan_json, no_run_json
-from planopt.planning.files.saved import FORMAT, PLAN_FILE, Contents, Saved, contents, saved_from
+from planopt.planning.files.saved import FORMAT, PLAN_FILE, Saved, contents, saved_from
 from planopt.planning.free_space import with_drawn_starts
 from planopt.planning.loop.results import Run, Solution
 from planopt.planning.plan import Plan, Verdict
 from planopt.problems.library import SUFFIX, library_folder
 from planopt.problems.load import load_motion, problem_to_dict
 from planopt.problems.problem import Problem, problem_at, problem_of_robot
+from planopt.problems.results import Contents
 from planopt.short_repr import short_repr
 
 
@@ -145,12 +146,10 @@ def _different(saved: Saved, found: Contents) -> list[str]:
     """Return the differences between the saved files and those of the replay."""
     # The problem is excluded because library_remarks compares it.
     data = {**found.data, DIGEST: digest(saved.data), "problem_file": saved.data["problem_file"]}
-    reasons = in_words(found.name, differences(saved.data, data))
-    for name, (_, table) in found.tables.items():
-        saved_data = comparable(saved.tables[name])
-        reasons += in_words(name, differences(saved_data, comparable(table)))
-    for belief, arrays in zip(saved.beliefs, found.beliefs.values(), strict=True):
-        reasons += belief_reasons(belief, arrays, saved.record.seed)
+    reasons = in_words(found.file, differences(saved.data, data))
+    reasons += found.table_reasons(saved.tables)
+    for belief in saved.beliefs:
+        reasons += belief_reasons(belief, found.arrays[belief.file.name], saved.record.seed)
     return reasons
 
 

@@ -20,9 +20,9 @@ from planopt.channel.posterior import Belief
 from planopt.errors import InputError
 from planopt.files.reading import read_npz
 from planopt.files.tables import LARGEST, REMEDY
-from planopt.files.writing import write_whole
 from planopt.planning.loop.results import Run
 from planopt.planning.plan import Plan
+from planopt.problems.results import Arrays
 
 BELIEF_FILE = "belief.npz"
 
@@ -31,8 +31,6 @@ PARAMETER_NAMES = ("k_pl_db", "n_pl", "shadow_std_db", "decorrelation_m", "multi
 
 TINY = float(np.finfo(float).tiny)
 """Smallest positive normal float."""
-
-Arrays = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
@@ -113,11 +111,6 @@ class SavedBelief:
 def station_prefix(station: int) -> str:
     """Return the prefix of a station's array names."""
     return f"stations[{station}]." if station else ""
-
-
-def write(path: Path, arrays: Arrays) -> None:
-    """Save arrays atomically."""
-    write_whole(path, partial(np.savez_compressed, allow_pickle=False, **arrays))
 
 
 def beliefs_of_run(run: Run) -> list[Arrays]:

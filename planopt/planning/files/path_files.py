@@ -21,7 +21,7 @@ from planopt.channel.posterior import Belief
 from planopt.errors import InputError
 from planopt.files.tables import Column, table_text
 from planopt.files.writing import write_text
-from planopt.planning.loop.results import Result, Run, Solution
+from planopt.planning.loop.results import MotionResult, Run, Solution
 from planopt.problems.problem import Problem
 from planopt.world.geodesy import Origin, longitude_latitude_deg, require_origin
 from planopt.world.nav2_masks import MaskLimits, write_masks
@@ -194,7 +194,7 @@ WRITERS: dict[str, Callable[[RobotPath], str]] = {
 """Writers of paths by file extension."""
 
 
-def path_of_result(result: Result, robot: int | str = 0) -> RobotPath:
+def path_of_result(result: MotionResult, robot: int | str = 0) -> RobotPath:
     """Return a robot's path: the plan of a solution, or the driven path of a run."""
     names = [each.name for each in result.problem.robots]
     number = names.index(robot) if robot in names else robot

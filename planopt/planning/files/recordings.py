@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from planopt.channel.channel_map import PosteriorMap, default_cell_m, serving_map
 from planopt.errors import InputError
 from planopt.files.writing import write_whole
-from planopt.planning.loop.results import Result, Run, Solution
+from planopt.planning.loop.results import MotionResult, Run, Solution
 from planopt.planning.plan import Plan
 
 FRAME = "map"
@@ -50,7 +50,7 @@ class _Track:
     plans: Sequence[Plan]
 
 
-def _tracks(result: Result) -> Iterator[_Track]:
+def _tracks(result: MotionResult) -> Iterator[_Track]:
     """Yield the motion of each robot of a solution or run."""
     if isinstance(result, Solution):
         for plan in result.plans:
@@ -72,7 +72,7 @@ def _numbers(mean_dbm: NDArray[np.float64], source: Any) -> dict[str, NDArray[np
     }
 
 
-def _map_of(result: Result) -> PosteriorMap:
+def _map_of(result: MotionResult) -> PosteriorMap:
     """Return the map of the last channel estimate of the first robot over the bounds."""
     problem = result.problem
     bounds = problem.workspace.bounds_m
@@ -168,7 +168,7 @@ def _stamp(time_s: float) -> dict[str, int]:
     return {"sec": whole // NANOSECONDS, "nsec": whole % NANOSECONDS}
 
 
-def _messages(result: Result) -> Iterator[tuple[float, str, str, dict[str, Any]]]:
+def _messages(result: MotionResult) -> Iterator[tuple[float, str, str, dict[str, Any]]]:
     """Yield time, topic, name of the schema and content of all messages, at one topic in order."""
 
     def head(time_s: float) -> dict[str, Any]:
@@ -243,7 +243,7 @@ def _known(value: np.float64) -> float | None:
     return float(value) if math.isfinite(value) else None
 
 
-def write_mcap(path: Path, result: Result) -> None:
+def write_mcap(path: Path, result: MotionResult) -> None:
     """Write a result as MCAP with JSON messages."""
     writing = _package("mcap.writer", "ros")
     with path.open("wb") as file:
@@ -263,7 +263,7 @@ def write_mcap(path: Path, result: Result) -> None:
         writer.finish()
 
 
-def write_rerun(path: Path, result: Result) -> None:
+def write_rerun(path: Path, result: MotionResult) -> None:
     """Write a result as a recording of Rerun; the y axis points down, as in its plane views."""
     rerun = _package("rerun", "rerun")
     recording = rerun.RecordingStream("planopt")
@@ -313,11 +313,14 @@ def _package(name: str, extra: str) -> Any:
         ) from error
 
 
-RECORDERS: dict[str, Callable[[Path, Result], None]] = {".mcap": write_mcap, ".rrd": write_rerun}
+RECORDERS: dict[str, Callable[[Path, MotionResult], None]] = {
+    ".mcap": write_mcap,
+    ".rrd": write_rerun,
+}
 """Writers of recordings by file extension."""
 
 
-def save_recording(result: Result, file: Path) -> None:
+def save_recording(result: MotionResult, file: Path) -> None:
     """Write a solution or run to a recording in the format of its extension, atomically."""
     write = RECORDERS.get(file.suffix.lower())
     if write is None:

@@ -9,14 +9,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planopt.arrays import Floats
 from planopt.errors import InputError
-from planopt.files.tables import REMEDY, Column, Data, dataframe, table_of
+from planopt.files.tables import REMEDY, Column, Data, table_of
 from planopt.planning.loop.log import StepLog, TargetLog
 from planopt.planning.loop.results import Run, Solution
 from planopt.planning.plan import Plan
@@ -218,11 +217,6 @@ def tables_of(result: Solution | Run) -> dict[str, tuple[Sequence[Column], Data]
                 t_s = problem.planner.step_s * np.arange(len(log), dtype=np.float64)
                 tables[name] = columns[name], table_of(columns[name], log, t_s=t_s)
     return tables
-
-
-def steps_dataframe(result: Solution | Run) -> Any:
-    """Return ``steps.csv`` of a result as a pandas DataFrame."""
-    return dataframe(*_steps(result))
 
 
 def columns_of_run(problem: Problem) -> dict[str, Sequence[Column]]:

@@ -13,28 +13,24 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planopt.arrays import Floats
 from planopt.bounds.bound import Potential, Tilts
 from planopt.errors import InputError
 from planopt.files.compare import DIGEST, digest
 from planopt.files.reading import read_text
-from planopt.files.tables import REMEDY, Column, Data, read_table, write_tables
-from planopt.files.writing import replaced_results, strict_text, write_text
+from planopt.files.tables import REMEDY, Data, read_table
 from planopt.planning.certificate import BlockedWay
 from planopt.planning.explanation import Crossing, Relaxation
 from planopt.planning.files.belief_file import (
     BELIEF_FILE,
     BOUND_FILE,
-    Arrays,
     SavedBelief,
     belief_arrays_of,
     beliefs_of_run,
     bound_arrays,
     read_belief,
     read_certificates,
-    write,
 )
 from planopt.planning.files.result_json import (
     NoPlanRecord,
@@ -57,8 +53,9 @@ from planopt.planning.files.run_tables import (
 from planopt.planning.loop.results import Run, Solution
 from planopt.planning.plan import Pivot, Plan, Verdict
 from planopt.planning.values.context import Aim
-from planopt.problems.load import problem_from_dict, problem_to_dict
+from planopt.problems.load import problem_from_dict
 from planopt.problems.problem import Problem
+from planopt.problems.results import Contents
 from planopt.robots.dynamics import Drive, braked_motion
 from planopt.world.motion import TimedMotion
 
@@ -85,52 +82,21 @@ def belief_files(problem: Problem) -> tuple[str, ...]:
     return tuple(f"belief_{robot.name}.npz" for robot in problem.robots)
 
 
-@dataclass(frozen=True)
-class Contents:
-    """Contents of all files of a result, before digest and problem are added."""
-
-    name: str  # Name of the JSON file
-    data: dict[str, Any]
-    tables: dict[str, tuple[Sequence[Column], Data]]  # By file name
-    beliefs: dict[str, Arrays]
-    bounds: Arrays = field(default_factory=dict[str, NDArray[Any]])  # Potentials
-
-
 def contents(result: Solution | Run) -> Contents:
     """Return the file contents of a solution, or of a run with one belief per robot."""
-    bounds: Arrays = {}
     if isinstance(result, Run):
-        name, data = RUN_FILE, {**run_json(result), "plans": released_plans_json(result)}
-        beliefs = dict(zip(belief_files(result.problem), beliefs_of_run(result), strict=True))
-    else:
-        name, data = PLAN_FILE, solution_json(result)
-        beliefs = {BELIEF_FILE: belief_arrays_of(result.belief)}
-        bounds = bound_arrays(result.plans)
-    return Contents(name, {"format": FORMAT, **data}, tables_of(result), beliefs, bounds)
+        data = {**run_json(result), "plans": released_plans_json(result)}
+        arrays = zip(belief_files(result.problem), beliefs_of_run(result), strict=True)
+        return Contents(RUN_FILE, signed(data), tables_of(result), dict(arrays))
+    arrays, bounds = {BELIEF_FILE: belief_arrays_of(result.belief)}, bound_arrays(result.plans)
+    arrays |= {BOUND_FILE: bounds} if bounds else {}
+    return Contents(PLAN_FILE, signed(solution_json(result)), tables_of(result), arrays)
 
 
-def save_result(result: Solution | Run, folder: Path) -> None:
-    """Save a result in a folder, in place of an earlier plan or run including its figures."""
-    files = contents(result)
-    with replaced_results(folder, PLAN_OR_RUN) as new:
-        for name, arrays in files.beliefs.items():
-            write(new / name, arrays)
-        if files.bounds:
-            write(new / BOUND_FILE, files.bounds)
-        write_tables(new, files.tables)
-        write_result(files.data, result.problem, new / files.name)
-
-
-def save_no_plan(data: dict[str, Any], problem: Problem, folder: Path, name: str) -> None:
-    """Save the JSON object of a result without a plan, in place of an earlier plan or run."""
-    with replaced_results(folder, PLAN_OR_RUN) as new:
-        write_result({"format": FORMAT, **data}, problem, new / name)
-
-
-def write_result(data: dict[str, Any], problem: Problem, path: Path) -> None:
-    """Write the JSON object of a plan or run, with its digest and the complete problem."""
-    tables = problem_to_dict(problem)
-    write_text(path, strict_text({**data, DIGEST: digest(data), "problem_file": tables}))
+def signed(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the JSON object of a plan or run with its format and digest."""
+    data = {"format": FORMAT, **data}
+    return {**data, DIGEST: digest(data)}
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 
@@ -25,13 +25,9 @@ from planopt.planning.loop.metrics import run_metrics
 from planopt.planning.plan import Plan, Verdict
 from planopt.planning.values.context import Aim
 from planopt.problems.problem import Problem
-from planopt.problems.tasks import task_of
+from planopt.problems.results import Result
 from planopt.short_repr import LINES, wrapped
 from planopt.world.geodesy import Origin
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 
 _Entry = TypeVar("_Entry")
 
@@ -40,75 +36,26 @@ ARRIVED = (Outcome.REACHED, Outcome.COMPLETED)
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Result(ABC):
+class MotionResult(Result):
     """Base class of results of motion planning: a problem with overrides applied, and a seed."""
 
     problem: Problem
     seed: int
 
-    _drawn_by: ClassVar[str]
-
-    @property
-    @abstractmethod
-    def exit_code(self) -> int:
-        """Return the exit code of the command line."""
-
-    @property
-    def words(self) -> tuple[str, ...]:
-        """Return a text summary of the result, line by line."""
-        return tuple(task_of(self.problem).result_words(self))
-
     @property
     def data(self) -> Mapping[str, Any]:
         """Return the JSON object of the result."""
-        return task_of(self.problem).data(self)
+        return self.task.data(self)
 
     def __eq__(self, other: object) -> bool:
         """Return whether two results have the same content, apart from computation times."""
         if type(self) is not type(other):
             return False
-        own, others = ({**each.data, "step_s": None} for each in (self, cast("Result", other)))
-        return own == others
+        own, found = ({**each.data, "step_s": None} for each in (self, cast("MotionResult", other)))
+        return own == found
 
     def __hash__(self) -> int:
         return hash((type(self), self.problem.name, self.seed))
-
-    def draw(self, folder: Path, *, animation: bool = False) -> None:
-        """Write the figures selected by the problem, and optionally an animation."""
-        task_of(self.problem).draw(self, folder, animation=animation)
-
-    def plot(self) -> Figure:
-        """Return a figure of the result on the map; for a plan, with its predictions.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            Figure; ``figure.savefig("result.png")`` writes it. No window is opened.
-        """
-        # Imported by name because the packages of figures and files depend on this one.
-        return getattr(import_module("planopt.report"), self._drawn_by)(self)
-
-    def _repr_html_(self) -> str:
-        """Return an HTML view for notebooks: figure and key numbers."""
-        return import_module("planopt.report.notebook").result_html(self)
-
-    def save(self, folder: Path | str) -> None:
-        """Save the result as a folder that ``planopt check`` and :func:`planopt.load_result` read.
-
-        Parameters
-        ----------
-        folder
-            Folder, created if missing; a plan or run in it is replaced.
-
-        Raises
-        ------
-        OutputError
-            The folder cannot be written; its previous content is kept.
-        InputError
-            The problem has parts from Python, which cannot be saved.
-        """
-        saved = import_module("planopt.planning.files.saved")
-        saved.save_result(self, path_of("folder", folder, A_FOLDER))
 
     def to_nav2(
         self,
@@ -204,24 +151,9 @@ class Result(ABC):
     def belief_of(self, robot: int) -> Belief:
         """Return the channel belief of a robot."""
 
-    def to_dataframe(self) -> Any:
-        """Return a pandas DataFrame with one row per position of each robot, the start first.
-
-        Returns
-        -------
-        pandas.DataFrame
-            Columns as in ``steps.csv``; ground truth columns are empty for a plan.
-
-        Raises
-        ------
-        InputError
-            pandas is not installed.
-        """
-        return import_module("planopt.planning.files.run_tables").steps_dataframe(self)
-
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Solution(Result):
+class Solution(MotionResult):
     """Solved problem of one or several robots.
 
     Attributes
@@ -245,8 +177,6 @@ class Solution(Result):
     >>> solution.verdict.value, len(solution.plans), len(solution.plan.t_s)
     ('verified', 1, 3)
     """
-
-    _drawn_by: ClassVar[str] = "draw_solution"
 
     belief: Belief
     plans: tuple[Plan, ...]
@@ -295,7 +225,7 @@ class Solution(Result):
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Run(Result):
+class Run(MotionResult):
     """Closed-loop run of all robots of a problem.
 
     Attributes
@@ -327,8 +257,6 @@ class Run(Result):
     >>> run.outcome.value, run.verified_rate, len(run.plans[0]) == len(run.run.log.t_s) - 1
     ('reached', 1.0, True)
     """
-
-    _drawn_by: ClassVar[str] = "draw_run"
 
     truths: tuple[Truth, ...]
     runs: tuple[RobotRun, ...]

@@ -26,11 +26,11 @@ from planopt.planning.certificate import Certificate
 from planopt.planning.check import check as module
 from planopt.planning.check.check import CheckResult, library_remarks
 from planopt.planning.files.result_json import no_plan_json
-from planopt.planning.files.saved import FORMAT, write_result
 from planopt.planning.proof.verify import STANDING
 from planopt.planning.search.global_search import GlobalSearch
 from planopt.problems import ArrayTruth
 from planopt.problems.load import with_overrides
+from planopt.tasks.motion import NoPlan
 
 
 @pytest.fixture(scope="module")
@@ -227,12 +227,12 @@ def test_a_plan_that_stops_where_it_stands(tmp_path: Path, monkeypatch: pytest.M
 
 def test_a_record_of_no_plan(tmp_path: Path, solution: Solution) -> None:
     """It gets verdict none and says why; it has no objective."""
-    data = {"format": FORMAT, **no_plan_json(solution.problem, 0, "cut off")}
-    write_result(data, solution.problem, tmp_path / "plan.json")
+    data = no_plan_json(solution.problem, 0, "cut off")
+    NoPlan(solution.problem, (), data, "plan.json", dict).save(tmp_path)
     result = check(tmp_path)
     assert result.verdict is Verdict.NONE and result.certificate is None
     assert result.reasons == ("there is no plan to verify: cut off",)
-    write_result({**data, "objective": 3.0}, solution.problem, tmp_path / "plan.json")
+    NoPlan(solution.problem, (), {**data, "objective": 3.0}, "plan.json", dict).save(tmp_path)
     assert "plan.json, key objective: 3, found null" in check(tmp_path).reasons
 
 

@@ -11,7 +11,7 @@ import pytest
 from planopt import InputError, Measurements
 from planopt.channel import Belief, Station, condition, fit_channel
 from planopt.channel.posterior import update
-from planopt.planning.files.belief_file import belief_arrays, read_belief, write
+from planopt.planning.files.belief_file import belief_arrays, read_belief
 
 
 def drawn(count: int, seed: int) -> Measurements:
@@ -43,7 +43,7 @@ def beliefs() -> list[Belief]:
 def file(tmp_path: Path, beliefs: list[Belief]) -> Path:
     """The last belief, of a run of four steps that measured after the first three."""
     path = tmp_path / "belief.npz"
-    write(path, belief_arrays(beliefs[-1], np.array([40, 41, 42, 43])))
+    np.savez_compressed(path, **belief_arrays(beliefs[-1], np.array([40, 41, 42, 43])))
     return path
 
 
@@ -72,7 +72,7 @@ def test_ages_receivers_and_errors_come_back(tmp_path: Path) -> None:
     fit = fit_channel(first, Station((-20.0, -10.0), 4.0), forgetting_s=600.0)
     belief = Belief(fit, condition(fit.parameters, first))
     path = tmp_path / "belief.npz"
-    write(path, belief_arrays(belief, np.array([40])))
+    np.savez_compressed(path, **belief_arrays(belief, np.array([40])))
     saved = read_belief(path)
     for field in fields(Measurements):
         np.testing.assert_array_equal(

@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 72_238,
-    "lines of code": 51_944,
+    "lines": 72_207,
+    "lines of code": 51_942,
     "files": 288,
-    "functions": 3_749,
-    "docstring lines": 8_749,
-    "lines of tests": 48_480,
+    "functions": 3_744,
+    "docstring lines": 8_733,
+    "lines of tests": 48_474,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

@@ -20,13 +20,17 @@ def report(
     """Write report.html next to a saved result: map, time slider, charts and tables."""
     from planopt.files.writing import write_text
     from planopt.report.page import PAGE_FILE, page_html
+    from planopt.report.page_content import comparison_page
+    from planopt.studies.comparison import Comparison
     from planopt.tasks.calls import load_result
-    from planopt.tasks.pages import page_of
 
     with progress("reading"):
         found = load_result(result)
     with progress("drawing"):
-        page = page_of(found)
+        if isinstance(found, Comparison):
+            page = comparison_page(found)
+        else:
+            page = found.task.page(found)
         file = (result if result.is_dir() else result.parent) / PAGE_FILE
         write_text(file, page_html(page))
     steps = 0 if page.map is None else len(page.map.times_s) - 1

@@ -17,6 +17,7 @@ from planopt.planning.loop.results import Run, Solution
 from planopt.planning.plan import Plan, Verdict
 from planopt.problems.load import problem_to_dict
 from planopt.problems.problem import Problem, problem_of_robot
+from planopt.problems.tasks import task_of
 from planopt.report.maps import believed_rasters, map_window
 from planopt.report.motion_words import MEANING, certificate_in_words, planned_in_words
 from planopt.report.page import (
@@ -151,8 +152,8 @@ def _column_charts(columns: Sequence[Column], table: Data) -> Iterator[Chart]:
             yield Chart(column.meaning, [curve], TIME, label, over_time=True)
 
 
-def comparison_page(comparison: Comparison, settings: Mapping[str, Any]) -> Page:
-    """Return the page of a comparison; `settings` are the tables of its first problem."""
+def comparison_page(comparison: Comparison) -> Page:
+    """Return the page of a comparison, with the tables of its first problem."""
     runs, found = comparison.runs, comparison.settings
     names = short_keys(runs)
     several = bool(comparison.others)
@@ -179,7 +180,7 @@ def comparison_page(comparison: Comparison, settings: Mapping[str, Any]) -> Page
         tables=[
             PageTable("Settings and metrics", head, rows),
             PageTable("Runs", listed, counts, len(counts)),
-            *_settings(settings, None),
+            *_settings(task_of(comparison.problem).tables(comparison.problem), None),
         ],
     )
 

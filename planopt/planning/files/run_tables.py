@@ -52,7 +52,7 @@ STEP_COLUMNS = (
     ),
     Column(
         "rung",
-        "fallback that released the plan that led here",
+        "fallback that produced the plan executed in this step",
         kind="text",
         source=lambda log: np.array([rung.value for rung in log.rung]),
     ),

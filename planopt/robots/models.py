@@ -337,9 +337,9 @@ class Unicycle(Dynamics):
         return speed / self.turn_rate_max_rad_s * math.hypot(along, across)
 
     def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
-        """Return the smoothed time pi / (2 w_max) (1 - cos b) d / (d + r) to turn to bearing b."""
-        # This approximates the turning time; it is less within the turning radius r = v_max /
-        # w_max.
+        """Return a smooth estimate of the time to turn towards a position; 0 at the position."""
+        # It is pi / (2 w_max) (1 - cos b) d / (d + r) at bearing b and distance d. Within the
+        # turning radius r = v_max / w_max it is less than the turning time.
         x, y = place[0] - state[0], place[1] - state[1]
         circle_m = self.speed_max_m_s / self.turn_rate_max_rad_s
         distance = (x * x + y * y + (ROUNDED_SHARE * circle_m) ** 2) ** 0.5

@@ -11,6 +11,17 @@ from numpy.typing import NDArray
 
 from planopt.short_repr import short_repr
 
+Sense = Literal["min", "max"]
+
+GAP_TOLERANCE = 1e-6
+"""Largest relative error of the cost that a bound is compared with; its outage is a quadrature."""
+
+
+def relative_gap(cost: float, bound: float, sense: Sense) -> float:
+    """Return by how much a bound is better than a cost, relative to it; negative if it is worse."""
+    better = cost - bound if sense == "min" else bound - cost
+    return better / max(abs(cost), 1e-12)
+
 
 @dataclass(frozen=True, eq=False)
 class Potential:
@@ -45,6 +56,8 @@ class Bound:
     ----------
     value
         Bound in the unit of the objective; None if none is proven.
+    sense
+        ``min`` for a lower bound of a minimised objective, ``max`` for an upper bound.
     cost
         Objective of the solution to compare with the bound. In tasks with a goal, outage is
         integrated along plan and route (equation 6.13).
@@ -68,6 +81,7 @@ class Bound:
     """
 
     value: float | None
+    sense: Sense
     cost: float
     method: str | None = None
     reason: str = ""
@@ -79,13 +93,14 @@ class Bound:
 
     @property
     def gap(self) -> float | None:
-        """Return the relative gap ``|cost - value| / |cost|``; None without a bound."""
-        if self.value is None:
-            return None
-        return 0.0 if self.cost == self.value else abs(self.cost - self.value) / abs(self.cost)
+        """Return the signed gap relative to the cost; None without a bound.
+
+        It is negative if the solution is better than its bound permits.
+        """
+        return None if self.value is None else relative_gap(self.cost, self.value, self.sense)
 
 
-def total_bound(bounds: Sequence[Bound], sense: Literal["min", "max"]) -> Bound:
+def total_bound(bounds: Sequence[Bound], sense: Sense) -> Bound:
     """Return the bound on the sum of objectives; its value is None if one robot has no bound."""
     cost = sum(bound.cost for bound in bounds)
     if len(bounds) == 1:
@@ -97,6 +112,7 @@ def total_bound(bounds: Sequence[Bound], sense: Literal["min", "max"]) -> Bound:
     side = "lower" if sense == "min" else "upper"
     return Bound(
         value,
+        sense,
         cost,
         None if missing else f"sum of the robots' {side} bounds: {'; '.join(methods)}",
         missing[0] if missing else "",

@@ -57,7 +57,9 @@ def proven_plans(
             continue
         reason = why_unbounded(own, belief.posteriors)
         if reason:
-            found.append(replace(plan, bound=Bound(None, plan.objective, reason=reason)))
+            found.append(
+                replace(plan, bound=Bound(None, problem.sense, plan.objective, reason=reason))
+            )
             continue
         smoothing = RouteSmoothing(own, belief.posteriors, len(plans) == 1)
         bounds = route_bounds(route_problem(own, belief.posteriors), share)
@@ -81,7 +83,7 @@ def with_sum_bound(
     at = step_context(base, workspace_region(problem), aim)
     stages = stages_of(problem, at, plan)
     if isinstance(stages, str):
-        return replace(plan, bound=Bound(None, plan.objective, reason=stages))
+        return replace(plan, bound=Bound(None, problem.sense, plan.objective, reason=stages))
     if stages.steps == 1:
         exact = replace(stages, step_m=at.step_length_m)
         optimum = best_place(exact, 0.3 * seconds).place_m[None]

@@ -21,6 +21,7 @@ from pathlib import Path
 from time import process_time
 from typing import Any
 
+from planopt.bounds.bound import GAP_TOLERANCE
 from planopt.channel.cholesky import one_blas_thread
 from planopt.errors import InputError, NoPlanError
 from planopt.files.reading import read_text
@@ -266,7 +267,15 @@ def answer(case: Case, shared: Any) -> Row:
         found = {"outcome": NO_PLAN, "reasons": (str(error),)}
     except Exception as error:
         found = {"outcome": ERROR, "reasons": (f"{type(error).__name__}: {error}",)}
-    return replace(row, **{"cpu_s": process_time() - begun, **found})
+    return within_bound(replace(row, **{"cpu_s": process_time() - begun, **found}))
+
+
+def within_bound(row: Row) -> Row:
+    """Return a row, rejected if its verified plan is better than its proven bound permits."""
+    if row.gap is None or row.gap >= -GAP_TOLERANCE or row.verdict != Verdict.VERIFIED.value:
+        return row
+    words = f"the plan is better than its proven bound {row.bound:.6g}: the gap is {row.gap:.2g}"
+    return replace(row, accepted=False, reasons=(*row.reasons, words))
 
 
 MANIFEST, ROWS, TABLE = "bench.json", "rows", "rows.csv"

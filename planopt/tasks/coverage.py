@@ -11,6 +11,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from planopt.bounds.bound import relative_gap
 from planopt.coverage.assignment import NONE
 from planopt.coverage.cost_bounds import EFFORT_S, cost_bound
 from planopt.coverage.limits import Motion, packing_reach_m
@@ -244,7 +245,7 @@ def solve(problem: CoverageProblem, *, seed: int, prove_s: float = EFFORT_S) -> 
         "sense": "min",
         "objective": cost,
         "bound": bound if bound > 0.0 else None,
-        "gap": (cost - bound) / max(cost, 1e-12) if bound > 0.0 else None,
+        "gap": relative_gap(cost, bound, "min") if bound > 0.0 else None,
         "bound_method": BOUND_METHOD if bound > 0.0 else None,
         "prove_s": prove_s,
         "robots": _paths(np.zeros(1), found.places_m[None]),

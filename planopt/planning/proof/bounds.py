@@ -37,6 +37,7 @@ def bound_of(
     method = f"potential on {triangles} triangles" if triangles else "distance to the goal"
     return Bound(
         rate_s_m(problem) * value_m,
+        problem.sense,
         integrated_cost_s(problem, posteriors, plan),
         method,
         relaxed=relaxed_constraints(problem, robots),
@@ -54,7 +55,7 @@ def verified_bound(
     """Return the bound that a saved certificate proves for the first robot's plan."""
     reason = why_unbounded(problem, posteriors)
     if reason:
-        return Bound(None, plan.objective, reason=reason)
+        return Bound(None, problem.sense, plan.objective, reason=reason)
     route = route_problem(problem, posteriors)
     if potential is None:
         value_m = next(iter(route_bounds(route, 0.0))).value_m
@@ -81,6 +82,7 @@ def bound_of_sum(problem: Problem, plan: Plan, tilts: Tilts, robots: int) -> Bou
     """Return the bound that a certificate proves for the first robot's sum of terms."""
     return Bound(
         tilts.value,
+        problem.sense,
         plan.objective,
         f"branch and bound, {tilts.levels} levels of cells",
         relaxed=ignored_constraints(problem, robots),
@@ -94,9 +96,11 @@ def verified_sum(
     """Return the bound that a saved certificate proves for the first robot's sum of terms."""
     stages = stages_of(problem, at, plan)
     if isinstance(stages, str):
-        return Bound(None, plan.objective, reason=stages)
+        return Bound(None, problem.sense, plan.objective, reason=stages)
     if tilts is None or not proves(stages, tilts):
-        return Bound(None, plan.objective, reason="the certificate does not prove its bound")
+        return Bound(
+            None, problem.sense, plan.objective, reason="the certificate does not prove its bound"
+        )
     return bound_of_sum(problem, plan, tilts, robots)
 
 

@@ -8,7 +8,8 @@ from bench_rows import row
 from refusals import refused
 
 from planopt import InputError
-from planopt.studies.bench_cases import library_cases, library_names
+from planopt.bounds.bound import Bound
+from planopt.studies.bench_cases import library_cases, library_names, within_bound
 from planopt.studies.bench_references import (
     bounds_known,
     fast_cases,
@@ -76,6 +77,21 @@ def test_frozen_bounds_get_tighter(sense: str, tighter: float, looser: float) ->
     assert f"bound 90.0 -> {tighter}" in changes[0]
     assert list(bounds_known(known, [row(sense=sense, bound=tighter)]).values()) == [tighter]
     assert [one.gap for one in better.values()] == [0.05]
+
+
+@pytest.mark.parametrize(("sense", "bound"), [("min", 100.1), ("max", 99.9)])
+def test_a_plan_better_than_its_bound_is_rejected(sense: str, bound: float) -> None:
+    """The gap has a sign: a bound on the wrong side of a verified plan's cost is a fault."""
+    signed = Bound(bound, sense, 100.0)
+    assert signed.gap == pytest.approx(-0.001)
+    found = row(sense=sense, objective=100.0, bound=bound, gap=signed.gap)
+    assert within_bound(found).accepted is False and "bound" in within_bound(found).reasons[-1]
+    others = (
+        replace(found, gap=-1e-8),
+        replace(found, gap=0.1),
+        replace(found, verdict="violated"),
+    )
+    assert all(within_bound(each) == each for each in others)
 
 
 def test_file_round_trip(tmp_path: Path) -> None:

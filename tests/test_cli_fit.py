@@ -115,7 +115,7 @@ def test_fit_prints_text(log: Path, capsys) -> None:
     """Each parameter with its error and unit, then the warnings."""
     assert main(["fit", str(log), "--station", "unknown", *COLUMNS, "--floor=-95"]) in FITTED
     text = capsys.readouterr().out
-    assert text.startswith("channel fit by map: ") and "decorrelation_m" in text
+    assert text.startswith("channel fit by maximum a posteriori: ") and "decorrelation_m" in text
     assert "is estimated, not given" in text
 
 

@@ -63,7 +63,7 @@ def run(
     workers: WorkersOption = 1,
     json: JsonOption = False,
 ) -> int:
-    """Solve all cases that have no row yet. Exit codes: 0, or 3 if a check rejects a result."""
+    """Solve all cases that have no result yet. Exit codes: 0, or 3 if a check rejects a result."""
     from planopt.studies.bench_cases import ERROR, TABLE, library_cases, run_into
 
     cases = library_cases(
@@ -83,7 +83,7 @@ def run(
     words = [f"{row.case}: {'; '.join(row.reasons)}" for row in failed]
     data = {"rows": len(rows), "table": str(out / TABLE), "failed": words}
     lines = [
-        f"{len(rows)} cases answered, {len(failed)} rejected by the check or ended with an error",
+        f"{len(rows)} cases finished; {len(failed)} failed (error, or rejected by the check)",
         *(f"  {each}" for each in words),
         f"next: planopt bench report {out}",
     ]
@@ -171,7 +171,7 @@ def check(
         *(f"worse: {words}" for words in worse),
         *(f"better: {words}" for words in better),
         f"{len(rows)} cases in {wall_s:.0f} s: "
-        + (f"{len(worse)} regressions" if worse else "as good as the references"),
+        + (f"{len(worse)} worse than their references" if worse else "as good as the references"),
     ]
     show(json, data, "\n".join(lines))
     return REGRESSED if worse else 0

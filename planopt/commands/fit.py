@@ -230,6 +230,15 @@ SEED = 0
 NAME_WIDTH = 13
 """Width of the column of predictor names."""
 
+PREDICTOR_WORDS = {
+    "channel": "the fitted channel, given the powers of the other groups",
+    "marginal": "the same, with uncertain covariance parameters",
+    "path_loss": "path loss alone",
+    "plain_line": "path loss line through the powers above the receiver floor",
+    "plain_process": "Gaussian process of the powers above the receiver floor",
+}
+"""Meaning of each predictor in text."""
+
 SHOWN_LEVELS = (0.5, 0.8, 0.95)
 """Levels of the intervals whose coverage is printed; JSON has all levels."""
 
@@ -297,8 +306,8 @@ def held_out_words(data: dict[str, Any]) -> list[str]:
     from planopt.channel.calibration import FEWEST_GROUPS
 
     header = (
-        f"  {'predictor':{NAME_WIDTH}}  {'RMSE [dB]':22}  {'RMSE / path loss only':22}"
-        + "".join(f"  {f'in {level:.0%} interval':21}" for level in SHOWN_LEVELS)
+        f"  {'predictor':{NAME_WIDTH}}  {'RMSE [dB]':22}  {'RMSE / path_loss RMSE':22}"
+        + "".join(f"  {f'powers in {level:.0%} interval':22}" for level in SHOWN_LEVELS)
     )
     lines = [
         f"cross-validation by {data['columns']}: {data['groups']} groups in {data['folds']} folds, "
@@ -315,10 +324,10 @@ def held_out_words(data: dict[str, Any]) -> list[str]:
             f"{name:{NAME_WIDTH}}",
             f"{_words(score['rmse_db'], '.2f'):22}",
             f"{_words(score['of_path_loss'], '.3f'):22}",
-            *(f"{_words(inside[level], '.1%'):21}" for level in SHOWN_LEVELS),
+            *(f"{_words(inside[level], '.1%'):22}" for level in SHOWN_LEVELS),
         ]
         lines.append("  " + "  ".join(cells).rstrip())
-    return lines
+    return lines + [f"  {name}: {words}" for name, words in PREDICTOR_WORDS.items()]
 
 
 def _draw_held_out(report: HeldOutReport, folder: Path) -> None:
@@ -366,7 +375,7 @@ FIT = (FIT_FILE, "fit.png", "fit_*.png", "held_out.png", "reliability.png")
 """Files of a fit, including figures."""
 
 STATUS_WORDS = {
-    "ok": "all parameters are determined",
+    "ok": "the log determines all parameters",
     "weak": "a parameter is poorly determined or implausible",
     "degenerate": "the log does not determine the channel",
 }
@@ -379,6 +388,25 @@ UNITS = {
     "decorrelation_m": "m",
     "multipath_std_db": "dB",
 }
+
+PARAMETER_WORDS = {
+    "k_pl_db": "power at 1 m",
+    "n_pl": "path loss exponent",
+    "shadow_std_db": "standard deviation of shadowing",
+    "decorrelation_m": "decorrelation distance",
+    "multipath_std_db": "standard deviation of multipath",
+}
+"""Meaning of each parameter in text."""
+
+METHOD_WORDS = {
+    "map": "maximum a posteriori",
+    "reml": "restricted maximum likelihood",
+    "lemma1": "log-domain line of Lemma 1",
+    "capped": "Lemma 1 with capped correlations",
+    "convex": "convex fit",
+    "nls": "nonlinear least squares",
+}
+"""Name of each estimator in text."""
 
 
 @with_options(LogOptions)
@@ -420,7 +448,7 @@ def fit(
             from planopt.report import reliability_lines
 
             lines.append(
-                f"P(power >= {report.threshold_dbm:g} dBm) as predicted by the channel model:"
+                f"P(connected) is P(power >= {report.threshold_dbm:g} dBm) of predictor channel:"
             )
             bins = report.scores["channel"].reliability
             lines += [f"  {line}" for line in reliability_lines(bins, "powers", "groups")]
@@ -454,7 +482,7 @@ def _fit_all(options: LogOptions, out: Path | None, json: bool) -> int:
                 write_text(new / FIT_FILE, strict_text(data))
         lines = [f"{label}: {_in_words(each)}" for label, each in data["fits"].items()]
         if left_out:
-            lines.append(f"left out, with too few readings: {listed(left_out)}")
+            lines.append(f"left out, with too few measurements: {listed(left_out)}")
         show(json, data, "\n".join(lines))
         with drawing(folder, FIT, wanted=True) as new:
             if new is not None:
@@ -521,13 +549,16 @@ def _in_words(data: dict[str, Any]) -> str:
         else " +- ({}, {})".format(*(shown_number(error, digits=2) for error in errors_m))
     )
     lines = [
-        f"channel fit by {data['method']}: {data['status']} ({STATUS_WORDS[data['status']]})",
-        f"  {data['measurements']} measurements, {data['censored']} of them upper limits",
+        f"channel fit by {METHOD_WORDS.get(data['method'], data['method'])}: {data['status']} "
+        f"({STATUS_WORDS[data['status']]})",
+        f"  {data['measurements']} power measurements, {data['censored']} of them at the receiver "
+        "floor (upper limits); estimates +- standard errors:",
         f"  station at ({x:g}, {y:g}){within} m",
     ]
     for name, unit in UNITS.items():
         error = shown_number(data["standard_errors"][name], digits=2)
-        lines.append(f"  {name:17}{shown_number(data[name]):>9} +- {error} {unit}".rstrip())
+        value = f"{shown_number(data[name]):>9} +- {error} {unit}"
+        lines.append(f"  {name:17}{value:22}{PARAMETER_WORDS[name]}")
     for offset in data["receiver_offsets"]:
         error = shown_number(offset["standard_error"], digits=2)
         lines.append(

@@ -53,7 +53,8 @@ def import_problem(
         option("--stations", "FILE", "Table of names and positions of transmitters."),
     ] = None,
     threshold: Annotated[
-        float | None, option("--threshold", "DBM", "Connected from here on; default: assumed.")
+        float | None,
+        option("--threshold", "DBM", "Minimum power of a connection; default: assumed."),
     ] = None,
     p_min: Annotated[float, option("--p-min", "P", "Required probability of connection.")] = 0.9,
     speed: Annotated[float | None, option("--speed", "M_S", "Speed of the robot.")] = None,
@@ -144,11 +145,11 @@ def _in_words(data: dict[str, Any]) -> str:
         std = shown_number(each["position_std_m"], digits=2)
         lines.append(
             f"  station {each['name']} at ({x:.1f}, {y:.1f})"
-            + (f" +- {std} m, located" if each["located"] else " m, given")
-            + f", {each['measurements']} readings, {each['censored']} of them upper limits, fit "
-            f"{each['status']}"
+            + (f" +- {std} m, located from the log" if each["located"] else " m, as given")
+            + f"; {each['measurements']} power measurements, {each['censored']} of them at the "
+            f"receiver floor; channel fit: {each['status']}"
         )
-    lines += ["assumed:", *(f"  {each}" for each in data["assumptions"])]
+    lines += ["assumptions:", *(f"  {each}" for each in data["assumptions"])]
     if data["warnings"]:
         lines += ["warnings:", *(f"  {each}" for each in data["warnings"])]
     lines.append(f"next: planopt solve {data['problem']} --out plan")

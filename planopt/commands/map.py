@@ -67,7 +67,7 @@ def map_log(
         option(
             "--threshold",
             "DBM",
-            "Connected from here on; default: --floor, or the least power of the log.",
+            "Minimum power of a connection; default: --floor, or the least power of the log.",
         ),
     ] = None,
     picture: Annotated[
@@ -321,17 +321,17 @@ def _in_words(data: dict[str, Any], fits: Sequence[dict[str, Any]]) -> str:
     named = "map" if data["file"] is None else data["file"]
     lines = [
         f"{named}: {rows} x {columns} cells of {data['cell_m']:g} m, "
-        f"x {x_min:g} to {x_max:g}, y {y_min:g} to {y_max:g}"
+        f"x from {x_min:g} to {x_max:g} m, y from {y_min:g} to {y_max:g} m"
     ]
     for fit in fits:
         station = f"{fit['station']}: " if isinstance(fit["station"], str) else ""
         lines.append(
-            f"  {station}from {fit['measurements']} measurements, {fit['censored']} of them upper "
-            f"limits ({fit['method']}: {fit['status']}; {data['posterior']})"
+            f"  {station}from {fit['measurements']} measurements, {fit['censored']} of them at "
+            f"the receiver floor; channel fit: {fit['status']}; posterior: {data['posterior']}"
         )
     lines.append(
-        f"  {100.0 * data['connected_share']:.1f} % of the cells have P(power at least "
-        f"{data['threshold_dbm']:g} dBm) of 0.5 or more"
+        f"  P(power at least {data['threshold_dbm']:g} dBm) is 0.5 or more in "
+        f"{100.0 * data['connected_share']:.1f} % of the cells"
     )
     lines += [f"  {warning}" for fit in fits for warning in fit["warnings"]]
     if data["picture"] is not None:
@@ -341,9 +341,9 @@ def _in_words(data: dict[str, Any], fits: Sequence[dict[str, Any]]) -> str:
         lines += [
             f"{masks['folder']}: Nav2 masks {', '.join(masks['masks'])}; parameters "
             "nav2_filters.yaml",
-            f"  keepout forbids {masks['keepout_share']:.1%} of the cells (P below "
-            f"{masks['keepout_below']:g}); contact is predicted in {masks['contact_share']:.1%} "
-            f"(P of {masks['p_min']:g} or more)",
+            f"  P(connected) is below {masks['keepout_below']:g} in {masks['keepout_share']:.1%} "
+            f"of the cells, which the keepout mask forbids, and at least {masks['p_min']:g} in "
+            f"{masks['contact_share']:.1%}",
             f"  next: ros2 launch {masks['folder']}/nav2_filters.launch.py",
         ]
     return "\n".join(lines)

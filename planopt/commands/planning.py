@@ -189,7 +189,7 @@ def check(
         *([] if rule is None else [f"  {rule.words}"]),
         *(f"  {line}" for line in excused_in_words(excused)),
         *(f"  {reason}" for reason in result.reasons),
-        *(f"  remark: {remark}" for remark in result.remarks),
+        *(f"  note: {remark}" for remark in result.remarks),
     ]
     show(json, data, "\n".join(lines))
     return 0 if result.verdict is Verdict.VERIFIED else REJECTED

@@ -37,8 +37,8 @@ class Hole:
         """Return text on the location and length of the hole."""
         x, y = self.from_m
         return (
-            f"{self.length_m:.0f} m from ({x:.1f}, {y:.1f}) m on, "
-            f"lowest P(connected) {self.least_connectivity:.2f}"
+            f"{self.length_m:.0f} m that begins at ({x:.1f}, {y:.1f}) m (lowest P(connected) "
+            f"{self.least_connectivity:.2f})"
         )
 
 
@@ -196,9 +196,11 @@ class RuleResult:
     def words(self) -> str:
         """Return a one-line description of achieved and required value."""
         unit = "" if self.unit == "probability" else f" {self.unit}"
+        slack = f", with the threshold {self.slack_db:.2f} dB lower" if self.slack_db else ""
+        most = "most" if RULES.find(self.connectivity).greatest else "least"
         return (
-            f"connectivity ({self.connectivity.replace('_', ' ')}): {self.achieved:.4g}{unit}, "
-            f"{self.asked:.4g}{unit} required ({self.method}); slack {self.slack_db:.2f} dB"
+            f"connectivity rule {self.connectivity}: {self.achieved:.4g}{unit}; required: at "
+            f"{most} {self.asked:.4g}{unit} (computed by: {self.method}){slack}"
         )
 
 
@@ -274,7 +276,8 @@ def plan_message(certificate: Certificate, positions_m: Floats) -> str:
     if rule is not None and rule.slack_db > 0.0:
         if not parts:
             parts.append(
-                f"connectivity ({rule.connectivity}) is kept with a slack of {rule.slack_db:.2f} dB"
+                f"connectivity rule {rule.connectivity} holds if the power threshold is lowered by "
+                f"{rule.slack_db:.2f} dB (slack)"
             )
     elif certificate.relaxed_steps and not parts:
         worst = max(certificate.relaxation_db)
@@ -282,14 +285,14 @@ def plan_message(certificate: Certificate, positions_m: Floats) -> str:
         path_m, best_m = certificate.path_cost_m, certificate.best_cost_m
         if path_m is None or best_m is None:
             parts.append(
-                f"P(connected) cannot reach p_min at {steps} from here; "
+                f"no position within reach has the required P(connected) at {steps}; "
                 f"up to {worst:.2f} dB of power are missing"
             )
         else:
             parts.append(
-                f"P(connected) is below p_min at {steps}, by up to {worst:.2f} dB of power. "
-                f"Outage is priced, not forbidden: the planned route costs {path_m:.4g} m "
-                f"including outage; the verifier's own search found {best_m:.4g} m at best"
+                f"P(connected) is below the required value at {steps}: up to {worst:.2f} dB of "
+                f"power are missing. This is allowed if a detour costs more: the planned route "
+                f"costs {path_m:.4g} m, the cheapest that the verifier found {best_m:.4g} m"
             )
     if np.linalg.norm(positions_m[1:] - positions_m[0], axis=1).max() <= STANDSTILL_M:
         parts.append("the plan stands still")
@@ -330,7 +333,7 @@ class Excused:
             why = "within constraints.slack_max_db"
         elif self.best_margin_db is not None:
             why = f"the best reachable position misses it by {-self.best_margin_db:.2f} dB"
-        return f"step {self.step} misses p_min by {self.relaxation_db:.2f} dB: {why}"
+        return f"step {self.step} misses p_min by {self.relaxation_db:.2f} dB of power: {why}"
 
 
 def excused_steps(proofs: Sequence[Certificate]) -> list[Excused]:
@@ -344,7 +347,7 @@ def excused_steps(proofs: Sequence[Certificate]) -> list[Excused]:
     ]
 
 
-MOST_EXCUSED = 10
+MOST_EXCUSED = 3
 """Maximum number of excused steps in a description."""
 
 
@@ -352,7 +355,7 @@ def excused_in_words(steps: Sequence[Excused]) -> list[str]:
     """Return lines about the first steps that violate p_min, and the number of further steps."""
     lines = [one.words for one in steps[:MOST_EXCUSED]]
     more = len(steps) - MOST_EXCUSED
-    return [*lines, f"and {more} more steps"] if more > 0 else lines
+    return [*lines, f"and {more} more steps below p_min"] if more > 0 else lines
 
 
 def _excused(proof: Certificate, number: int, step: int) -> Excused:

@@ -53,12 +53,12 @@ class Relaxation:
         key = self.constraint
         if self.value is not None:
             key += f" = {_shown(self.value, self.unit)}"
-        fails = "makes this infeasible" if self.constraint.startswith(LIMITS) else "cannot be met"
+        fails = "prevents a plan" if self.constraint.startswith(LIMITS) else "cannot be met"
         where = f" at {steps_in_words(self.stages)}" if self.stages else ""
         short = "" if self.shortfall is None else _shown(self.shortfall, self.shortfall_unit)
         by = f", short by {short}" if short else ""
         change = (
-            "a plan exists without it"
+            "without it there is a plan"
             if self.relaxed_value is None
             else f"{_shown(self.relaxed_value, self.unit)} would suffice"
         )

@@ -39,8 +39,8 @@ DASHES = ("solid", "dash", "dot", "dashdot", "longdash", "longdashdot")
 
 SCORE_HEAD = (
     *("planner", "cases", "solved [%]", "correct [%]", "verified [%]", "rejected", "errors"),
-    *("fallback [%]", "median excess [%]", "largest excess [%]", "bounds", "median gap [%]"),
-    *("largest gap [%]", "iterations", "mean [s]", "median [s]", "deadlines met"),
+    *("fallback [%]", "median excess [%]", "largest excess [%]", "proven bounds", "median gap [%]"),
+    *("largest gap [%]", "iterations", "mean time [s]", "median time [s]", "deadlines met"),
 )
 
 QUESTION_HEAD = (
@@ -51,11 +51,12 @@ QUESTION_HEAD = (
 LEGEND = (
     f"solved: verified, accepted by the check, objective within {OBJECTIVE_SHARE:.0%} of the best "
     "known; or no plan where none is known",
-    "correct: share of the claims (verified, converged, no plan) that hold",
+    "correct: share of the planner's claims (verified, converged, no plan) that the suite confirms",
+    "fallback: share of plans released by a fallback, after the planner's own path failed",
     "excess: relative distance of the objective from the best known",
-    "gap: relative distance from the proven bound, of plan and route after smoothing",
-    f"mean: shifted geometric mean of the processor time per plan, shift {SHIFT_S:g} s; unsolved "
-    f"cases count {LIMIT_S:g} s; median: of solved cases",
+    "gap: relative distance of the smoothed plan and its remaining route from the proven bound",
+    f"time: processor time per plan; mean: geometric, shifted by {SHIFT_S:g} s, unsolved cases "
+    f"count as {LIMIT_S:g} s; median: solved cases only",
     "deadlines met: plans within planner.budget_s, or within a step without a budget, by wall time",
 )
 
@@ -82,8 +83,9 @@ def bench_page(rows: Sequence[Row], known: References, manifest: Manifest) -> Pa
     questions = dict.fromkeys(row.question for row in rows)
     tests = classifications()
     words = (
-        f"{len(rows)} cases of {len(questions)} questions about {len(manifest.problems)} problems, "
-        f"{sum(row.case in known for row in rows)} of them with a reference",
+        f"{len(rows)} cases: {len(questions)} questions (problem, horizon, seed) about "
+        f"{len(manifest.problems)} problems, each for several planners; "
+        f"{sum(row.case in known for row in rows)} cases have a reference",
         *LEGEND,
         f"made by {program}; Python {manifest.python}; {manifest.cpu}, {manifest.cores} cores",
         f"tolerances: {tolerances}",
@@ -115,7 +117,7 @@ def bench_page(rows: Sequence[Row], known: References, manifest: Manifest) -> Pa
 
 
 def page_markdown(page: Page, *, whole: bool = True) -> str:
-    """Return title, tables and words of a page as Markdown; without the last table if not whole."""
+    """Return title, tables and words of a page as Markdown; if not whole, without details."""
     parts = [f"# {page.title}", page.description]
     for table in page.tables if whole else page.tables[:-1]:
         lines = [table.header, *table.rows]
@@ -124,7 +126,8 @@ def page_markdown(page: Page, *, whole: bool = True) -> str:
         text = ["| " + " | ".join(map(str.ljust, line, widths)) + " |" for line in cells]
         text.insert(1, "|" + "|".join("-" * (width + 2) for width in widths) + "|")
         parts += [f"## {table.title}", "\n".join(text)]
-    notes = [f"- {line}" for line in page.words]
+    details = () if whole else ("made by", "tolerances", "limitation")
+    notes = [f"- {line}" for line in page.words if not line.startswith(tuple(details))]
     return "\n\n".join([*parts, "## Notes", "\n".join(notes)]) + "\n"
 
 

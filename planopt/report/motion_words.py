@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from math import isnan
+from math import isfinite, isnan
 from typing import TYPE_CHECKING
 
 from planopt.planning.certificate import (
@@ -16,7 +16,13 @@ from planopt.planning.explanation import Crossing
 from planopt.planning.loop.metrics import run_holes, run_reliability
 from planopt.planning.plan import Verdict
 from planopt.problems.problem import Problem, problem_of_robot
-from planopt.report.tables import BAND_ENDS, BANDS, metric_name, reliability_lines
+from planopt.report.tables import (
+    BAND_ENDS,
+    BANDS,
+    metric_name,
+    reliability_lines,
+    symbols_in_words,
+)
 from planopt.short_repr import shown_number
 
 if TYPE_CHECKING:
@@ -29,14 +35,14 @@ COLUMNS = 2
 
 ORIGINS = {
     "plan": "refined path",
-    "cold_retry": "path refined from another guess",
-    "lattice": "lattice path",
-    "relaxed": "path with steps below p_min",
+    "cold_retry": "path refined from another initial guess",
+    "lattice": "unrefined path of the lattice search",
+    "relaxed": "path with steps below the required P(connected)",
     "direct": "shortest path",
-    "give_way": "part of the paths of all robots",
+    "give_way": "evasion that lets other robots pass",
     "shifted": "last plan, shifted by one step",
     "stop": "standing still or braking",
-    "leave": "step out of a clearance",
+    "leave": "step away from an obstacle or robot that is too close",
     "reserved": "rest of the last plan",
 }
 """Text about the origin of a released path, by the name of the fallback in JSON."""
@@ -44,7 +50,7 @@ ORIGINS = {
 STOPPED = {
     "converged": "converged",
     "acceptable": "converged to its looser tolerance",
-    "lattice_only": "result not used",
+    "lattice_only": "result discarded",
     "iteration_limit": "stopped at the iteration limit",
     "time_limit": "stopped at the time limit",
     "infeasible": "found no feasible point",
@@ -55,8 +61,8 @@ STOPPED = {
 """Text about the termination of the solver, by its name in JSON."""
 
 MEANING = {
-    Verdict.VERIFIED: "constraints hold; contact is lost only if unavoidable or worth the price",
-    Verdict.FEASIBLE_UNVERIFIED: "not rejected, but a part of the proof is missing",
+    Verdict.VERIFIED: "constraints hold; contact is lost only if avoiding it costs more",
+    Verdict.FEASIBLE_UNVERIFIED: "no violation found, but the proof is incomplete",
     Verdict.VIOLATED: "a constraint does not hold",
     Verdict.NONE: "there is no plan",
 }
@@ -66,12 +72,12 @@ def solution_in_words(solution: Solution) -> list[str]:
     """Return the verdict, each plan, helpful changes, and reasons for crossing coverage holes."""
     problem, plans = solution.problem, solution.plans
     lines = [
-        f"{problem.name}: {solution.verdict.value}, horizon {problem.planner.horizon}, "
-        f"planner {problem.planner.name}, seed {solution.seed}"
+        f"{problem.name}: {solution.verdict.value}, horizon {problem.planner.horizon} steps, "
+        f"planner {problem.planner.name}, random seed {solution.seed}"
     ]
     if len(plans) > 1:
         total = sum(plan.objective for plan in plans)
-        lines.append(f"  total over {len(plans)} plans: {_value(problem, total)}")
+        lines.append(f"  sum over {len(plans)} plans: {_value(problem, total)}")
         lines += [f"  {line}" for line in bound_in_words(problem, solution.bound)]
     for number, plan in enumerate(plans):
         lines += [f"  {line}" for line in plan_in_words(problem_of_robot(problem, number), plan)]
@@ -85,17 +91,19 @@ def solution_in_words(solution: Solution) -> list[str]:
 def _value(problem: Problem, objective: float) -> str:
     """Return an objective value as text; with a goal, as a cost in seconds."""
     if problem.has_goal:
-        return f"cost {shown_number(objective, ' s')} (travel time, effort and outage)"
-    return f"objective ({problem.sense}imised) {shown_number(objective)}"
+        return f"cost {shown_number(objective, ' s')} (travel time, control effort, outage penalty)"
+    terms = ", ".join(dict.fromkeys(term.kind for term in problem.terms))
+    return f"objective {shown_number(objective)} (larger is better; terms: {terms})"
 
 
 def plan_in_words(problem: Problem, plan: Plan) -> list[str]:
     """Return verdict, objective, distances, connectivity and coverage holes of a robot's plan."""
     proof, unit = plan.certificate, " s" if problem.has_goal else ""
     limited = problem.constraints.asks_connection or problem.has_goal
+    count = f"{plan.iterations} iteration" + ("" if plan.iterations == 1 else "s")
     lines = [
         f"{plan.robot}: {plan.verdict.value}; {ORIGINS[plan.rung.value]}; solver "
-        f"{STOPPED[plan.termination.value]} after {plan.iterations} iterations; planned in "
+        f"{STOPPED[plan.termination.value]} after {count}; computed in "
         f"{shown_number(plan.wall_s, ' s', 2)}",
         f"  {_value(problem, plan.objective)}; "
         f"{shown_number(plan.lattice_objective, unit)} before refinement",
@@ -106,7 +114,7 @@ def plan_in_words(problem: Problem, plan: Plan) -> list[str]:
     if proof.rule is not None:
         lines.append(f"  {proof.rule.words}")
     if plan.rejected:
-        lines.append(f"  the proposed path is rejected: {plan.rejected}")
+        lines.append(f"  the verifier rejected the refined path: {plan.rejected}")
     if plan.message:
         lines.append(f"  {plan.message}")
     if problem.has_goal:
@@ -122,13 +130,14 @@ def bound_in_words(problem: Problem, bound: Bound | None) -> list[str]:
         return []
     if bound.value is None:
         return [f"no bound is proven: {bound.reason}"]
-    proven, cost = f"no plan exceeds {shown_number(bound.value)}", shown_number(bound.cost)
+    proven = f"no plan has an objective above {shown_number(bound.value)}"
+    cost = f"this plan has {shown_number(bound.cost)}"
     if problem.sense == "min":
         proven = f"no plan costs less than {shown_number(bound.value, ' s')}"
-        cost = f"plan and route cost {shown_number(bound.cost, ' s')}"
-    lines = [f"proven: {proven}; {cost}, gap {bound.gap:.2%} ({bound.method})"]
+        cost = f"this plan with its remaining route costs {shown_number(bound.cost, ' s')}"
+    lines = [f"proven bound: {proven}; {cost} (gap {bound.gap:.2%}; method: {bound.method})"]
     if bound.relaxed:
-        lines.append(f"the bound ignores {', '.join(bound.relaxed)}: it holds, and is looser")
+        lines.append(f"the bound is valid but looser, as it ignores {', '.join(bound.relaxed)}")
     return lines
 
 
@@ -145,7 +154,7 @@ def certificate_in_words(problem: Problem, plan: Plan) -> list[str]:
         required += f", P(connected) {limits.step_p_min:g}"
     lines = [
         *plan_in_words(problem, plan),
-        f"  {MEANING[plan.verdict]}{required}",
+        f"  {plan.verdict.value}: {MEANING[plan.verdict]}{required}",
         f"  motion model satisfied to {proof.dynamics_defect:.2g} m; {residual}",
     ]
     if proof.relaxed_steps:
@@ -164,18 +173,19 @@ def run_in_words(run: Run) -> list[str]:
     robots = "1 robot" if len(run.runs) == 1 else f"{len(run.runs)} robots"
     steps = sum(len(one.log.t_s) - 1 for one in run.runs)
     measured = sum(one.metrics.measured_steps for one in run.runs)
-    ahead = f", cost-to-go {problem.cost_to_go!r}" if problem.cost_to_go is not None else ""
+    ahead = f", cost-to-go {problem.cost_to_go}" if problem.cost_to_go is not None else ""
     head = (
-        f"{problem.name}: {run.outcome.value} ({run.reason}), horizon {planner.horizon}, "
-        f"planner {planner.name}{ahead}, seed {run.seed}"
+        f"{problem.name}: {run.outcome.value} ({run.reason}), horizon {planner.horizon} steps, "
+        f"planner {planner.name}{ahead}, random seed {run.seed}"
     )
     if steps == 0:
         return [head, f"  {robots}, no step was driven"]
     lines = [
         f"{robots}; plans verified: {run.verified_rate:.1%}; {measured} measurements in {steps} "
         "steps" + (" of all robots" if len(run.runs) > 1 else ""),
-        f"executed steps by kind of plan: {origins or 'none'}",
+        f"number of executed steps by origin: {origins or 'none'}",
         *in_columns([*_metrics_in_words(run)]),
+        *symbols_in_words(metric for metric, value in run.metrics.items() if not isnan(value)),
         *_unverified_in_words(run),
     ]
     if problem.has_goal:
@@ -201,7 +211,7 @@ def _metrics_in_words(run: Run) -> Iterator[tuple[str, str]]:
         )
         if metric in BANDS:
             low, high, words = BANDS[metric]
-            yield f"NIS of {words}", f"{run.metrics[low]:.3g} to {run.metrics[high]:.3g}"
+            yield f"NIS, {words}", f"{run.metrics[low]:.3g} to {run.metrics[high]:.3g}"
 
 
 def _unverified_in_words(run: Run) -> list[str]:
@@ -225,14 +235,14 @@ def _costs_in_words(run: Run) -> list[str]:
     lines = [
         f"cost of the run: {shown_number(run.costs['realised_cost_m'], ' m')} (path length plus "
         f"{run.problem.reach.outage_price:g} m for each metre out of contact)",
-        "cost of a lattice path planned with the known channel (clairvoyant): "
-        f"{shown_number(run.costs['clairvoyant_cost_m'], ' m')}; a refined path may cost less",
+        "cost of the clairvoyant (lattice search that knows the true mean power): "
+        f"{shown_number(run.costs['clairvoyant_cost_m'], ' m')}",
     ]
     proofs = [plan.certificate for made in run.plans for plan in made]
     excess_m = [proof.excess_m for proof in proofs if proof.excess_m is not None]
     if excess_m:
         lines.append(
-            f"{len(excess_m)} of {len(proofs)} plans have steps with P(connected) below p_min; "
+            f"{len(excess_m)} of {len(proofs)} plans have steps below the required P(connected); "
             f"their cost is at most {max(*excess_m, 0.0):.1f} m above the verifier's cheapest path"
         )
     return lines + [
@@ -262,7 +272,7 @@ def problem_in_words(problem: Problem) -> list[str]:
     west, south, east, north = workspace.bounds_m
     truth, measured = problem.channel.truth, problem.channel.measurements
     source = getattr(truth, "file", None)
-    kind = "random ground truth" if source is None else f"ground truth from {source}"
+    kind = "simulated, drawn at random" if source is None else f"ground truth from {source}"
     count = getattr(measured, "count", None)
     first = f"from {getattr(measured, 'file', None)}" if count is None else str(count)
     lines = [
@@ -270,16 +280,17 @@ def problem_in_words(problem: Problem) -> list[str]:
         f"  task        {problem.task}, horizon {planner.horizon} steps of {planner.step_s:g} s, "
         f"run of at most {planner.max_steps} steps",
         f"  world       {east - west:g} x {north - south:g} m, "
-        f"{len(workspace.obstacles)} obstacles, {len(workspace.moving)} moving"
+        f"{len(workspace.obstacles)} fixed obstacles"
+        + (f", {len(workspace.moving)} moving" if workspace.moving else "")
         + (f", {len(workspace.timed)} temporary" if workspace.timed else ""),
-        f"  channel     {'no ground truth' if truth is None else kind}; initial measurements: "
-        f"{first}",
+        f"  channel     {'no ground truth' if truth is None else kind}; initial power "
+        f"measurements: {first}",
     ]
     for radio in problem.stations:
         x, y = radio.site.position_m
         lines.append(
-            f"  station     {radio.name} at ({x:g}, {y:g}) m, connected at "
-            f"{radio.threshold_dbm:g} dBm or more"
+            f"  station     {radio.name} at ({x:g}, {y:g}) m, connected if the received power is "
+            f"at least {radio.threshold_dbm:g} dBm"
         )
     for robot in problem.robots:
         goal = "" if robot.goal_m is None else " to ({:g}, {:g}) m".format(*robot.goal_m)
@@ -289,8 +300,8 @@ def problem_in_words(problem: Problem) -> list[str]:
             )
         )
     if limits.asks_connection:
-        lines.append(f"  required    P(connected) at least {limits.p_min:g}")
-    lines.append(f"  clearance   {limits.clearance_m:g} m")
+        lines.append(f"  required    P(connected) of at least {limits.p_min:g}")
+    lines.append(f"  clearance   {limits.clearance_m:g} m from obstacles")
     return lines
 
 
@@ -317,10 +328,11 @@ def planned_in_words(clearance_m: float | None, connectivity: float | None) -> s
 
     The minimum probability of a run refers to executed steps.
     """
-    return (
-        f"clearance {shown_number(clearance_m, ' m')}, lowest P(connected) "
-        f"of the planned steps: {shown_number(connectivity)}"
+    known = clearance_m is not None and isfinite(clearance_m)
+    clear = (
+        f"clearance from obstacles {shown_number(clearance_m, ' m')}" if known else "no obstacles"
     )
+    return f"{clear}; lowest predicted P(connected) of a step {shown_number(connectivity)}"
 
 
 def apart_in_words(separation_m: float | None, moving_clearance_m: float | None) -> tuple[str, ...]:

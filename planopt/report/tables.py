@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 from planopt.channel.calibration import FEWEST_GROUPS, ReliabilityBin
@@ -40,13 +40,13 @@ METRIC_NAMES = {
     "cost_w": MetricName("power", "W", digits=3),
     "energy_per_capture_j": MetricName("energy per capture", "J"),
     "slot_width_s": MetricName("slot width", "ms", 1e3, 3),
-    "frame_s": MetricName("frame", "s", digits=4),
+    "frame_s": MetricName("frame duration", "s", digits=4),
     "bits_per_axis": MetricName("bits per axis", "1"),
     "rate_divisor": MetricName("rate divisor", "1"),
     "path_m": MetricName("driven length", "m"),
     "realised_cost_m": MetricName("realised cost", "m"),
     "clairvoyant_cost_m": MetricName("clairvoyant cost", "m"),
-    "cost_ratio": MetricName("cost ratio to the clairvoyant", "1", digits=3),
+    "cost_ratio": MetricName("cost / clairvoyant cost", "1", digits=3),
     "true_connected_share": MetricName("steps connected", "%", 100.0, most=100.0),
     "reading_share": MetricName("steps with a reading", "%", 100.0, most=100.0),
     "longest_outage_m": MetricName("longest outage", "m"),
@@ -57,40 +57,42 @@ METRIC_NAMES = {
     "predicted_min_connectivity": MetricName(
         "lowest predicted P(connected)", "1", digits=3, most=1.0
     ),
-    "time_averaged_trace_p": MetricName("mean tr P over time", "m2", digits=3),
+    "time_averaged_trace_p": MetricName("tr P, mean over time", "m2", digits=3),
     "trace_p": MetricName("tr P", "m2", digits=3),
     "target_lost": MetricName("target lost", "%", 100.0, most=100.0),
     "final_trace_p": MetricName("final tr P", "m2", digits=3),
-    "time_averaged_normalised_trace_p": MetricName("mean tr P / initial tr P", "1", digits=4),
+    "time_averaged_normalised_trace_p": MetricName(
+        "tr P / initial tr P, mean over time", "1", digits=4
+    ),
     "final_normalised_trace_p": MetricName("final tr P / initial tr P", "1", digits=4),
     "normalised_trace_p": MetricName("tr P / initial tr P", "1", digits=4),
-    "time_averaged_det_p": MetricName("mean det P over time", "m4", digits=4),
+    "time_averaged_det_p": MetricName("det P, mean over time", "m4", digits=4),
     "nees": MetricName("NEES of the station", "1", digits=2),
     "nis": MetricName("NIS of the robots", "1", digits=2),
     "delivered": MetricName("packets delivered", "%", 100.0, most=100.0),
-    "mean_squared_error_db2": MetricName("mean squared error", "dB2", digits=2),
-    "rms_db": MetricName("RMS error", "dB", digits=2),
-    "rms_without_multipath_db": MetricName("RMS error without multipath", "dB", digits=2),
-    "path_loss_variance_db2": MetricName("path loss variance over the workspace", "dB2", digits=3),
-    "anmse_db": MetricName("ANMSE", "dB", digits=2),
+    "mean_squared_error_db2": MetricName("mean squared map error", "dB2", digits=2),
+    "rms_db": MetricName("RMS map error", "dB", digits=2),
+    "rms_without_multipath_db": MetricName("RMS map error without multipath", "dB", digits=2),
+    "path_loss_variance_db2": MetricName("mean variance of the path loss", "dB2", digits=3),
+    "anmse_db": MetricName("normalised squared map error (ANMSE)", "dB", digits=2),
     "measured_steps": MetricName("number of steps with a measurement", "1"),
-    "trace_m_db": MetricName("tr M over |θ|²", "dB", digits=2),
+    "trace_m_db": MetricName("tr M / |θ|²", "dB", digits=2),
     "log_det_m": MetricName("log det M", "nats", digits=2),
     "min_separation_m": MetricName("least distance between robots", "m", digits=3),
     "min_moving_clearance_m": MetricName("least distance to moving obstacles", "m", digits=3),
-    "polish_gain": MetricName("gain by refinement", "%", 100.0, 2),
+    "polish_gain": MetricName("objective gain by refinement", "%", 100.0, 2),
     "cost_first": MetricName("initial coverage cost", "1", digits=None),
     "cost_last": MetricName("final coverage cost", "1", digits=None),
     "cost_mean": MetricName("mean coverage cost", "1", digits=None),
     "residual_m": MetricName("final distance to the targets, largest", "m", digits=2),
     "settled_s": MetricName("time to settle", "s"),
-    "energy_m2_s": MetricName("control energy", "m2/s"),
-    "count_error_most": MetricName("largest error of the count", "1", digits=2),
+    "energy_m2_s": MetricName("control energy (integral of squared speed)", "m2/s"),
+    "count_error_most": MetricName("largest error of the agent count", "1", digits=2),
     "pursuer_path_m": MetricName("driven length of the pursuers", "m"),
     "evader_path_m": MetricName("driven length of the evaders", "m"),
-    "records": MetricName("records used", "1"),
-    "mean_age_s": MetricName("mean age of records", "s", digits=2),
-    "mean_error_m": MetricName("mean error of records", "m", digits=2),
+    "records": MetricName("reports used", "1"),
+    "mean_age_s": MetricName("mean age of reports", "s", digits=2),
+    "mean_error_m": MetricName("mean error of reports", "m", digits=2),
 }
 
 UNITS = {
@@ -100,8 +102,14 @@ UNITS = {
 """Units by the ending of a key, for metrics that are not listed; longer endings first."""
 
 
-BANDS = {"nis": ("nis_low", "nis_high", "95 % of consistent filters")}
+BANDS = {"nis": ("nis_low", "nis_high", "range of 95 % of consistent filters")}
 """Metrics with an expected range: names of the metrics of both bounds, and a description."""
+
+SYMBOLS = {
+    "trace_p": "P: covariance of the target position that the station estimates",
+    "log_det_m": "M: covariance of the estimated path loss parameters θ",
+}
+"""Explanations of symbols, by a metric whose name contains the symbol."""
 
 BAND_ENDS = {end: metric for metric, (*ends, _) in BANDS.items() for end in ends}
 """Metrics that are bounds of another metric's range, and so have no column of their own."""
@@ -123,6 +131,13 @@ def metric_label(metric: str) -> str:
     return name.words if name.unit == "1" else f"{name.words} [{name.unit}]"
 
 
+def symbols_in_words(metrics: Iterable[str]) -> list[str]:
+    """Return a line that explains the symbols in the names of metrics, if they have any."""
+    listed = " ".join(metrics)
+    words = [words for metric, words in SYMBOLS.items() if metric in listed]
+    return ["; ".join(words)] if words else []
+
+
 MISSING = "-"
 
 WIDTH = 100
@@ -134,7 +149,7 @@ OWN = "own"
 SETTING_WIDTH = 80
 """Maximum length in characters of a description, if settings are numbered."""
 
-VERIFIED, POLISH = ("plans verified [%]", ""), ("gain by refinement [%]", "polish_gain")
+VERIFIED, POLISH = ("plans verified [%]", ""), ("objective gain by refinement [%]", "polish_gain")
 """Columns of every task, as heading and metric; verified plans are no metric."""
 
 GOAL_COLUMNS = (
@@ -143,7 +158,7 @@ GOAL_COLUMNS = (
     ("longest outage [m]", "longest_outage_m"),
     ("realised cost [m]", "realised_cost_m"),
     ("cost ratio", "cost_ratio"),
-    ("lowest P(connected)", "predicted_min_connectivity"),
+    ("lowest predicted P(connected)", "predicted_min_connectivity"),
     VERIFIED,
     POLISH,
 )
@@ -168,24 +183,34 @@ def comparison_text(comparison: Comparison) -> str:
     shown = GOAL_COLUMNS if to_goal else _columns(comparison.rows)
     title = (
         f"{', '.join(problem.name for problem in problems)}: {len(comparison.runs)} runs in "
-        f"{comparison.wall_s:.1f} s; means over runs, {interval_words(comparison)}"
+        f"{comparison.wall_s:.1f} s; the table has means over runs, {interval_words(comparison)}"
     )
     if comparison.resumed:
         title += f"; {comparison.resumed} runs were reused from an earlier call"
     if to_goal:
         title += (
-            "; time to goal and cost ratio over the runs that arrived; cost ratio: cost over that "
-            "of a lattice path planned with the known channel"
+            "; time to goal and cost ratio: only runs that arrived; cost ratio: realised cost / "
+            "cost of a lattice path planned with the known channel"
         )
     header, *lines = _names(comparison, to_goal=to_goal)
     metrics = [name for _, name in shown]
     headings = ["runs", "stalled runs", *(heading for heading, _ in shown)]
     table = [
-        [*header, *headings, "planning time, median [ms]", "planning time, 95th percentile [ms]"]
+        [
+            *header,
+            *headings,
+            "planning time per step, median [ms]",
+            "planning time per step, 95th percentile [ms]",
+        ]
     ]
     for names, setting in zip(lines, settings, strict=True):
         table.append([*names, *_cells(setting, metrics)])
+    if not to_goal:
+        columns = zip(*table, strict=True)
+        known = [c for n, c in enumerate(columns) if n < len(header) or set(c[1:]) != {MISSING}]
+        table = [list(line) for line in zip(*known, strict=True)]
     text = [*textwrap.wrap(title, WIDTH), "", *_listed(comparison), *_in_blocks(table, len(header))]
+    text += symbols_in_words(metrics)
     text += ["", *_paired(settings, [header, *lines], [name for name in metrics if name])]
     text += reliability_lines(comparison.reliability, "steps", "seeds")
     return "\n".join(text).rstrip("\n")
@@ -264,7 +289,7 @@ def _difference(row: Row | None) -> str:
 def _columns(rows: Sequence[Row]) -> list[tuple[str, str]]:
     """Return heading and name of every available metric, for problems without a goal."""
     there = dict.fromkeys(row.metric for row in rows if row.mean)
-    bands = {metric: f", and of {words}" for metric, (*_, words) in BANDS.items()}
+    bands = {metric: f", and {words}" for metric, (*_, words) in BANDS.items()}
     metrics = [m for m in there if m != "polish_gain" and m not in BAND_ENDS]
     return [*((metric_label(m) + bands.get(m, ""), m) for m in metrics), VERIFIED, POLISH]
 
@@ -333,22 +358,22 @@ def reliability_lines(
     """Return the table of predicted and observed connection, one line per bin."""
     if not bins:
         return []
-    title = "predicted P(connected) and the fraction that was connected"
+    title = f"predicted P(connected), and the observed share of connected {what}"
     with_intervals = any(one.interval for one in bins)
     columns = [
         ["predicted P", *(f"{one.low:g} to {one.high:g}" for one in bins)],
         [what, *(str(one.count) for one in bins)],
-        ["mean P", *(f"{one.predicted:.4f}" for one in bins)],
-        ["connected", *(f"{one.realised:.4f}" for one in bins)],
+        ["mean predicted", *(f"{one.predicted:.4f}" for one in bins)],
+        ["observed", *(f"{one.realised:.4f}" for one in bins)],
     ]
     if groups is not None:
         columns.insert(2, [groups, *(str(one.groups) for one in bins)])
     if with_intervals:
-        title += f"; intervals over {groups}"
+        title += f"; intervals over {groups} (* if they exclude the mean prediction)"
         columns.append(["95 % interval", *map(_interval, bins)])
     elif groups is not None:
         title += f"; no intervals for fewer than {FEWEST_GROUPS} {groups}"
-    return [title, *aligned(list(zip(*columns, strict=True)), 1)]
+    return [*textwrap.wrap(title, WIDTH), *aligned(list(zip(*columns, strict=True)), 1)]
 
 
 def _interval(one: ReliabilityBin) -> str:

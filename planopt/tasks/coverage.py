@@ -464,40 +464,46 @@ def in_words(result: TaskResult) -> Sequence[str]:
         bound = "no lower bound is proven"
         if data["bound"] is not None:
             bound = (
-                f"proven: no deployment costs less than {data['bound']:.6g}, gap "
-                f"{data['gap']:.2%} ({data['bound_method']})"
+                f"proven bound: no deployment costs less than {data['bound']:.6g}; gap "
+                f"{data['gap']:.2%} (method: Lagrangian relaxation)"
             )
         radio = cast("CoverageProblem", result.problem).radio is not None
         worst = max(data["start_costs"]) / data["objective"]
         return (
-            f"{name}: {data['verdict']}, coverage cost {data['objective']:.6g}",
+            f"{name}: {data['verdict']}, coverage cost {data['objective']:.6g} (integral of "
+            "density times squared distance to the nearest agent)",
             f"  {bound}",
-            f"  best of {STARTS} starts; the worst start costs {worst:.4f} times as much",
-            *(("  links are not considered: simulate keeps them",) if radio else ()),
+            f"  best of {STARTS} initial deployments; the worst of them leads to {worst:.4f} times "
+            "this cost",
+            *(("  solve ignores radio links; simulate keeps them connected",) if radio else ()),
         )
     found = data["metrics"]
     lines = [
         f"{name}: {data['outcome']} ({data['reason']}), planner {data['planner']}, "
-        f"seed {data['seed']}",
-        f"  {found['steps']} steps, {len(data['robots'])} agents drove {found['path_m']:.1f} m; "
-        f"coverage cost {found['cost_first']:.5g} to {found['cost_last']:.5g}",
+        f"random seed {data['seed']}",
+        f"  {found['steps']} steps; {len(data['robots'])} agents drove {found['path_m']:.1f} m in "
+        "total",
+        f"  coverage cost {found['cost_first']:.5g} at the start, {found['cost_last']:.5g} at the "
+        "end (integral of density times squared distance to the nearest agent)",
     ]
     if found["messages"]["all"]:
         sent = found["messages"]
         lines.append(
-            f"  {sent['all']} messages: {sent['counting']} for counting, {sent['assignment']} for "
-            f"assignment, {sent['readings']} with readings; the error of the count was at most "
-            f"{found['count_error_most']:g}"
+            f"  {sent['all']} messages: {sent['counting']} to count agents, {sent['assignment']} "
+            f"to assign them to events, {sent['readings']} with sensor readings; largest error "
+            f"of an agent's count: {found['count_error_most']:g}"
         )
     for each in data["events"]:
         if each["detected_s"] is None:
-            lines.append(f"  {each['name']}: not detected")
+            lines.append(f"  event {each['name']}: not detected")
             continue
-        served = "never" if each["served_s"] is None else f"{each['served_s']:g} s"
-        gone = "" if each["given_up_s"] is None else f", given up at {each['given_up_s']:g} s"
+        served = "never in place"
+        if each["served_s"] is not None:
+            served = f"in place at {each['served_s']:g} s"
+        gone = "" if each["given_up_s"] is None else f", response ended at {each['given_up_s']:g} s"
         lines.append(
-            f"  {each['name']}: detected at {each['detected_s']:g} s, agents in place {served}, "
-            f"{each['responding']} of {each['wanted']} wanted, located within "
+            f"  event {each['name']}: detected at {each['detected_s']:g} s; {each['responding']} "
+            f"of {each['wanted']} required agents responded, {served}; position error "
             f"{each['error_m']:.3g} m{gone}"
         )
     return lines

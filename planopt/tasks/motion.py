@@ -285,7 +285,7 @@ class MotionTask(Task):
         helpful = explain_no_plan(problem, seed)
         blocked = error.blocked if isinstance(error, BlockedError) else ()
         data = no_plan_json(problem, seed, str(error), helpful, blocked)
-        nothing = ["no single change of a key or obstacle gives a plan"]
+        nothing = ["no tested change of one key, or removal of one obstacle, gives a plan"]
         words += [f"  {each}" for each in helpful or nothing]
         figures = partial(_blocked_figures, problem, seed, error)
         return NoPlan(problem, words, data, PLAN_FILE, figures)

@@ -283,20 +283,27 @@ def _tables(problem: PursuitProblem, pursuit: Pursuit) -> dict[str, Data]:
     }
 
 
+THEOREM_WORDS = {
+    "any_instant": "uses bounds on age and error of the reports",
+    "snapshots": "uses the schedule of the reports as well",
+}
+"""Data that each theorem uses, in text."""
+
+
 def _in_words(result: TaskResult) -> Sequence[str]:
     """Return a text summary of a pursuit, line by line."""
     data, name = result.data, result.problem.name
     metrics, guarantee = data["metrics"], data["guarantee"]
     lines = [
         f"{name}: {data['outcome']} ({data['reason']}), planner {data['planner']}, "
-        f"seed {data['seed']}",
-        f"  {metrics['steps']} steps, pursuers drove {metrics['pursuer_path_m']:.1f} m, evaders "
-        f"{metrics['evader_path_m']:.1f} m",
+        f"random seed {data['seed']}",
+        f"  {metrics['steps']} steps; driven length: pursuers {metrics['pursuer_path_m']:.1f} m, "
+        f"evaders {metrics['evader_path_m']:.1f} m",
     ]
     if metrics["records"]:
         lines.append(
-            f"  records used: {metrics['records']}, mean age {metrics['mean_age_s']:.2f} s, mean "
-            f"error {metrics['mean_error_m']:.2f} m"
+            f"  position reports used: {metrics['records']}, mean age {metrics['mean_age_s']:.2f} "
+            f"s, mean error {metrics['mean_error_m']:.2f} m"
         )
     if guarantee["detour"] > 1.0:
         lines.append(
@@ -306,18 +313,19 @@ def _in_words(result: TaskResult) -> Sequence[str]:
         failing = [one for one in (*each["inequalities"], each["capture"]) if not one["holds"]]
         lasts_s, share = each["capture_time_s"], each["largest_share_of_bound"]
         if not guarantee["applies"]:
-            words = "applies only to driving in stages (planner drive)"
+            words = "no guarantee, as it applies only to the planner drive"
         elif failing:
-            words = f"no guarantee, {failing[0]['text']}"
+            words = f"no guarantee: {failing[0]['text']}"
         else:
             within = "" if lasts_s is None else f" within {lasts_s:.4g} s"
             reached = (
-                "the run had one stage, so no bound between stages was tested"
+                "one report was enough, so no bound between reports was tested"
                 if share is None
-                else f"stages reached at most {100.0 * share:.1f} % of their bound"
+                else "distance bound at a report at most "
+                f"{100.0 * share:.1f} % of the value that the theorem allows"
             )
             words = f"capture guaranteed{within}; {reached}"
-        lines.append(f"  theorem {theorem}: {words}")
+        lines.append(f"  theorem {theorem} ({THEOREM_WORDS[theorem]}): {words}")
     return lines
 
 

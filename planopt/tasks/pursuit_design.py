@@ -49,9 +49,9 @@ PICTURE = "design.png"
 REQUIREMENT_WORDS = {
     "payload of a slot below what it carries": "bits to send in a slot",
     "y = v_e period below 1": "movement of the evader between rounds, y",
-    "a of the error over 1 - y below 1": "distance left after a stage, a(y)",
+    "a of the error over 1 - y below 1": "distance left after a stage, a",
     "growth while waiting below 1": "growth of the distance while waiting",
-    "floor below the capture radius": "least distance that is guaranteed",
+    "floor below the capture radius": "distance that the pursuer certainly reaches",
     "time to capture below the deadline": "time to capture",
     "a + x below 1": "a + x",
     "a + x + margin below 1": "a + x + margin",
@@ -59,6 +59,14 @@ REQUIREMENT_WORDS = {
     "a below 1": "a",
 }
 """Descriptions of the requirements' left sides in text; the keys are used in JSON."""
+
+BINDING_WORDS = {
+    "lemma": "the reduction of the distance (Lemma)",
+    "payload": "the payload of a slot",
+    "deadline": "the deadline",
+    "capture_radius": "the capture radius",
+}
+"""Descriptions of the active constraints in text."""
 
 SYMBOLS = {words for words in REQUIREMENT_WORDS if words[:2] in ("y ", "a ")}
 """Requirements whose descriptions contain the symbols a, x or y."""
@@ -91,12 +99,12 @@ class Method:
 
 METHODS: dict[MethodName, Method] = {
     "least_power": Method(
-        "least power for which every stage shrinks the distance",
+        "least power whose reports reduce the distance to the evader each time",
         lambda theorem: cheapest_design,
         takes=("first_distance_m",),
     ),
     "least_power_rated": Method(
-        "least power, rounds of all levels every r-th time",
+        "least power, with rounds at a reduced rate",
         lambda theorem: cheapest_rated_design,
         takes=("first_distance_m",),
     ),
@@ -178,11 +186,11 @@ class DesignProblem(TaskProblem):
         side = 2**network.levels
         return (
             f"{self.name}: {self.description}",
-            f"  task        {self.task}, {self.method.words}, by {self.theorem.value}",
-            f"  pursuit     evader {chase.evader_speed_m_s:g} m/s, pursuer "
+            f"  task        {self.task}: {self.method.words} (theorem {self.theorem.value})",
+            f"  pursuit     speeds: evader {chase.evader_speed_m_s:g} m/s, pursuer "
             f"{chase.pursuer_speed_m_s:g} m/s",
-            f"  network     {side} x {side} motes, {network.mote_spacing_m:g} m apart, "
-            f"{network.bit_rate_bit_s:g} bit/s, {network.slots_per_frame} slots a frame",
+            f"  network     {side} x {side} sensor nodes (motes), {network.mote_spacing_m:g} "
+            f"m apart, {network.bit_rate_bit_s:g} bit/s, {network.slots_per_frame} slots per frame",
         )
 
 
@@ -433,22 +441,23 @@ def _front(problem: DesignProblem) -> list[dict[str, Any]]:
 def in_words(result: TaskResult) -> Sequence[str]:
     """Return a text summary of a design, line by line."""
     problem, data = cast("DesignProblem", result.problem), result.data
-    binding = " and ".join(data["binding"])
+    binding = " and ".join(BINDING_WORDS.get(name, name) for name in data["binding"])
     lines = [
         f"{problem.name}: {data['verdict']}, {problem.method.words}",
-        f"  power {data['cost_w']:.6g} W: slot width {1e3 * data['slot_width_s']:.4g} ms, rate "
-        f"divisor {data['rate_divisor']}, {data['bits_per_axis']} bits per axis",
-        f"  active limits: {binding or 'none'}",
+        f"  power {data['cost_w']:.6g} W: TDMA slots of {1e3 * data['slot_width_s']:.4g} ms, "
+        f"{data['bits_per_axis']} bits per coordinate, rate divisor {data['rate_divisor']} (a "
+        "round starts every so many round lengths)",
+        f"  limited by: {binding or 'nothing (an interior optimum)'}",
     ]
     lines.append(f"  proven optimal: {data['bound_method']}")
     if data["relaxed_cost_w"] is not None:
-        lines.append(f"  with continuous compression {data['relaxed_cost_w']:.6g} W")
+        lines.append(f"  least power if the number of bits were continuous: {data['relaxed_cost_w']:.6g} W")
     if data["capture_time_s"] is not None:
         holds = "would be guaranteed" if data["message"] else "is guaranteed"
         lines.append(
             f"  capture {holds} within {data['capture_time_s']:.4g} s "
             f"(theorem {problem.theorem.value}"
-            + (", if every record were on time)" if data["message"] else ")")
+            + (", if every report were on time)" if data["message"] else ")")
         )
     if data["energy_per_capture_j"] is not None and problem.method.of_energy:
         lines.append(f"  energy per capture at most {data['energy_per_capture_j']:.4g} J")
@@ -457,13 +466,13 @@ def in_words(result: TaskResult) -> Sequence[str]:
     if data["message"]:
         lines.append(f"  not verified: {data['message']}")
     else:
-        lines.append(f"  verified: a slot carries {blocks} blocks, so that every record is on time")
+        lines.append(f"  verified: a slot carries {blocks} blocks, so that every report is on time")
     effects = sorted(data["sensitivities"].items(), key=lambda item: -abs(item[1]))
     what = "energy" if problem.method.of_energy else "power"
     shown = ", ".join(
         f"{name} {value:+.2f} %" for name, value in effects if abs(value) >= LEAST_EFFECT
     )
-    lines.append(f"  change of the least {what} if a parameter increases by 1 %: {shown}")
+    lines.append(f"  change of the {what} if one parameter increases by 1 %: {shown}")
     return lines
 
 
@@ -483,10 +492,8 @@ def _requirements_in_words(requirements: Sequence[dict[str, Any]]) -> list[str]:
         table.append([words, *sides, "" if each["holds"] else "violated"])
     lines = aligned(table, 1)
     if any(each["words"] in SYMBOLS for each in requirements):
-        lines.append("a: distance left after a stage with fresh records; x and y: movement of the")
-        lines.append(
-            "evader during the age of a record and between rounds; all per metre of distance"
-        )
+        lines.append("a: distance left after driving to a fresh report; x, y: movement of the")
+        lines.append("evader during the age of a report (x) or between rounds (y); all per metre")
     return lines
 
 

@@ -248,10 +248,11 @@ class PursuitProblem(TaskProblem):
         lines = [
             f"{self.name}: {self.description}",
             f"  task        pursuit, planner {given.planner.name}, "
-            f"steps of {given.pursuit.step_s:g} s, at most {given.pursuit.max_steps}",
-            f"  motes       {side} x {side}, {service.mote_spacing_m:g} m apart, frames of "
-            f"{service.frame_s:g} s, {service.bits_per_axis} bits per axis",
-            f"  captured    within {given.pursuit.capture_radius_m:g} m",
+            f"at most {given.pursuit.max_steps} steps of {given.pursuit.step_s:g} s",
+            f"  network     {side} x {side} sensor nodes (motes), {service.mote_spacing_m:g} m "
+            f"apart, TDMA frames of {service.frame_s:g} s",
+            f"  reports     {service.bits_per_axis} bits for each coordinate of a position",
+            f"  capture     at a distance of {given.pursuit.capture_radius_m:g} m or less",
             f"  world       {len(self.obstacles)} obstacles",
         ]
         for each in (*given.pursuers, *given.evaders):

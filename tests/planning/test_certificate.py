@@ -42,12 +42,12 @@ def test_a_plan_tells_of_all_its_steps():
     """By how much each misses the bound, and what the price of it was compared with."""
     first, second = said([PRICED])
     assert first == (
-        "step 1 misses p_min by 0.50 dB: the route costs 8.0 m, the cheapest that the verifier "
-        "found 7.5 m"
+        "step 1 misses p_min by 0.50 dB of power: the route costs 8.0 m, the cheapest that the "
+        "verifier found 7.5 m"
     )
-    assert second.startswith("step 3 misses p_min by 2.00 dB")
+    assert second.startswith("step 3 misses p_min by 2.00 dB of power")
     assert said([FAR]) == [
-        "step 2 misses p_min by 1.25 dB: the best reachable position misses it by 0.75 dB"
+        "step 2 misses p_min by 1.25 dB of power: the best reachable position misses it by 0.75 dB"
     ]
 
 
@@ -56,7 +56,7 @@ def test_a_run_tells_of_the_steps_that_were_driven():
     lines = said([PROOF, PRICED, FAR, PRICED])
     assert [line.split(" misses")[0] for line in lines] == ["step 2", "step 4"]
     many = said([PRICED] * (MOST_EXCUSED + 3))
-    assert len(many) == MOST_EXCUSED + 1 and many[-1] == "and 3 more steps"
+    assert len(many) == MOST_EXCUSED + 1 and many[-1] == "and 3 more steps below p_min"
     assert said([PROOF, FAR]) == []
 
 
@@ -173,7 +173,9 @@ def test_a_hard_bound_says_what_is_crossed(high_m: float, in_goal: bool):
             belief_of(problem, bad_band(18.0, high_m)), np.array(problem.robots[0].start_m)
         )
     words = str(told.value)
-    assert re.search(r"the cheapest crosses a coverage hole of \d+ m from \(1[6-9]", words)
+    assert re.search(
+        r"the cheapest crosses a coverage hole of \d+ m that begins at \(1[6-9]", words
+    )
     assert ("P(connected) at the goal" in words) == in_goal
 
 

@@ -24,7 +24,7 @@ def test_units_and_settings(comparison):
         "time to goal [s]",
         "steps connected [%]",
         "longest outage [m]",
-        "gain by refinement [%]",
+        "objective gain by refinement [%]",
         "runs of 2 [count]",
         "step time [ms]",
     }

@@ -86,7 +86,7 @@ def test_certificate_in_words(solution):
     parts = replace(proof, kkt_residual=None, relaxed_steps=(), rule=rule, reasons=("one",))
     words = words_of(replace(solution, plans=(replace(solution.plan, certificate=parts),)))
     assert "not refined" in words and "missed" not in words and words.endswith("one")
-    assert "connectivity (each step): 2 steps" in words.replace("\n    ", " ")
+    assert "connectivity rule each_step: 2 steps" in words.replace("\n    ", " ")
     reasons = tuple(f"reason {number}" for number in range(30))
     plan = replace(solution.plan, certificate=replace(proof, reasons=reasons))
     words = words_of(replace(solution, plans=(plan,)))

@@ -157,7 +157,7 @@ def test_known_path_loss_has_no_uncertainty_to_show(comparison) -> None:
     text = comparison_text(comparison)
     assert "tr M" not in text and "log det" not in text and "-300" not in text
     drawn = [axes.get_title("left") for axes in draw_comparison(comparison).axes]
-    assert "RMS error" in drawn and not any("M" in words.split() for words in drawn)
+    assert "RMS map error" in drawn and not any("M" in words.split() for words in drawn)
 
 
 def test_settings_with_several_keys_are_numbered(comparison) -> None:

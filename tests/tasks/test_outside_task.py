@@ -84,7 +84,7 @@ def test_every_command_takes_it(
         (["compare", str(file), "--sweep", "walk.radius_m=3,6", "--seeds", "2"], 0, "steps"),
         (["show", str(file)], 0, "task        walk"),
         (["validate", str(file)], 0, "valid"),
-        (["bench", "run", "--problems", str(file), "--out", f"{out}/bench"], 0, "4 cases answered"),
+        (["bench", "run", "--problems", str(file), "--out", f"{out}/bench"], 0, "4 cases finished"),
         (["bench", "report", f"{out}/bench", "--no-page"], 0, "walk"),
         (["schema", "--task", "walk"], 0, "Radius of the circle"),
         (["simulate", str(file), "--animation", "--out", out], 2, "is not available for"),

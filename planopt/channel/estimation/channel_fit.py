@@ -100,13 +100,13 @@ def from_correlation(
     shadow = float(np.clip(shadow_variance_db2, *bounds.shadow_db2))
     shadow_error = errors[0] / (2.0 * math.sqrt(shadow))
     if not bounds.shadow_db2[0] < shadow_variance_db2 < bounds.shadow_db2[1]:
-        warnings.append(at_bound("xi", math.sqrt(shadow), "dB"))
+        warnings.append(at_bound("shadow_std_db", math.sqrt(shadow), "dB"))
         shadow_error = math.inf
     low, high = bounds.decorrelation_m
     rate = float(np.clip(rate_per_m, 1.0 / high, 1.0 / low))
     beta_error = errors[1] / rate**2
     if rate <= (1.0 + BOUND_TOLERANCE) / high or rate >= (1.0 - BOUND_TOLERANCE) / low:
-        warnings.append(at_bound("beta", 1.0 / rate, "m"))
+        warnings.append(at_bound("decorrelation_m", 1.0 / rate, "m"))
         beta_error = math.inf
     left = residual_variance_db2 - shadow
     floor = bounds.multipath_db2[0]
@@ -131,7 +131,7 @@ def from_correlation(
 
 def at_bound(name: str, value: float, unit: str) -> str:
     """Return the warning that a parameter is at a bound."""
-    return f"{name} is at a bound of its range ({value:.3g} {unit}): it is not determined"
+    return f"{name} is at a bound of its range ({value:.3g} {unit}): the log does not determine it"
 
 
 FitMethod = Literal["lemma1", "capped", "convex", "nls", "reml", "map"]

@@ -269,7 +269,8 @@ def _covariance_fit(likelihood: RestrictedLikelihood, mode: Mode, box: Floats) -
         errors[free] = scale * np.sqrt(np.diag(np.linalg.inv(information)))
     deviations = np.array([math.sqrt(shadow), math.sqrt(nugget), beta])
     errors[:2] /= 2.0 * deviations[:2]
-    names, units = np.array(["xi", "omega", "beta"]), ("dB", "dB", "m")
+    names = np.array(["shadow_std_db", "multipath_std_db", "decorrelation_m"])
+    units = ("dB", "dB", "m")
     warnings = [
         at_bound(str(name), float(value), unit)
         for name, value, unit, is_free in zip(names, deviations, units, free, strict=True)
@@ -278,8 +279,7 @@ def _covariance_fit(likelihood: RestrictedLikelihood, mode: Mode, box: Floats) -
     unknown = free & np.isinf(errors)
     if unknown.any():
         warnings.append(
-            f"the measurements do not tell {', '.join(names[unknown])} apart: they are not "
-            "determined"
+            f"the measurements do not determine {', '.join(names[unknown])}: other values fit too"
         )
     xi_error, omega_error, beta_error = errors.tolist()
     return CovarianceFit(shadow, nugget, beta, (xi_error, omega_error, beta_error), tuple(warnings))

@@ -19,11 +19,11 @@ from planopt.planning.explanation import Relaxation
         ),
         (
             "robots[0].speed_max_m_s",
-            "robots[0].speed_max_m_s = 2 makes this infeasible at steps 1 to 2",
+            "robots[0].speed_max_m_s = 2 prevents a plan at steps 1 to 2",
         ),
         (
             "planner.horizon",
-            "planner.horizon = 2 makes this infeasible at steps 1 to 2, 4, short by 3 dB",
+            "planner.horizon = 2 prevents a plan at steps 1 to 2, 4, short by 3 dB",
         ),
     ],
 )

@@ -449,9 +449,9 @@ def in_words(result: TaskResult) -> Sequence[str]:
         "round starts every so many round lengths)",
         f"  limited by: {binding or 'nothing (an interior optimum)'}",
     ]
-    lines.append(f"  proven optimal: {data['bound_method']}")
+    lines.append(f"  proven optimal by evaluating {data['bound_method']}")
     if data["relaxed_cost_w"] is not None:
-        lines.append(f"  least power if the number of bits were continuous: {data['relaxed_cost_w']:.6g} W")
+        lines.append(f"  lower bound with continuous bits {data['relaxed_cost_w']:.6g} W")
     if data["capture_time_s"] is not None:
         holds = "would be guaranteed" if data["message"] else "is guaranteed"
         lines.append(

@@ -234,8 +234,9 @@ def test_not_a_result(tmp_path: Path, capsys) -> None:
     assert capsys.readouterr().err.startswith("planopt: ")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize(
+    "kind", [pytest.param(kind, marks=[pytest.mark.slow] * (kind != "run")) for kind in KINDS]
+)
 def test_in_a_browser(kind: str, saved: dict[str, Path], pages: dict[str, str]) -> None:
     """The page renders, the slider moves the robot by key, and the console stays empty."""
     with opened(saved[kind] / "report.html") as (page, messages):

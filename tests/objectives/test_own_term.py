@@ -13,7 +13,7 @@ import pytest
 from refusals import refused
 from terms_scene import LEARNING, context_of, terms_problem
 
-from planopt import load
+from planopt import compare, load
 from planopt.extend import OwnTerm, casadi_term
 from planopt.objectives import TermsObjective
 from planopt.objectives.terms import term as registry
@@ -78,6 +78,9 @@ def test_an_expression_follows_the_horizon() -> None:
     assert problem_to_dict(problem)["objective"]["terms"][0].keys() == {
         *("kind", "weight", "steps", "program")
     }
+    planner = replace(problem.planner, max_steps=1)
+    compared = compare(replace(problem, planner=planner), horizons=[1, 3], seeds=1)
+    assert [(run.horizon, run.exit_code) for run in compared.runs] == [(1, 0), (3, 0)]
     kept = pickle.loads(pickle.dumps(own))
     assert kept == own
     assert kept.at_horizon(4) is kept

@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 72_338,
-    "lines of code": 52_049,
+    "lines": 72_351,
+    "lines of code": 52_062,
     "files": 288,
     "functions": 3_747,
     "docstring lines": 8_741,
-    "lines of tests": 48_508,
+    "lines of tests": 48_512,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

@@ -154,7 +154,9 @@ def test_a_log_in_metres_without_a_map(yard: Path, tmp_path: Path, capsys) -> No
     data = imported(
         *(capsys, "--log", yard / "metres.csv", "--station", "-15,20,3"),
         *("--start", START, "--goal", "50,40", "--out", tmp_path / "mine.toml"),
+        *("--threshold", "75"),
     )
+    assert "75 dBm is implausible" in data["warnings"][-1]
     (station,) = data["stations"]
     assert station["position_m"] == [-15.0, 20.0] and not station["located"]
     problem = planopt.load(tmp_path / "mine.toml")
@@ -220,6 +222,7 @@ def refused(capsys, yard: Path, *arguments: object, **replaced: object) -> dict:
         ({}, ("--power-unit", "watt")),
         ({}, ("--reader", "nobody")),
         ({"out": "mine.txt"}, ()),
+        ({"goal": "48.1574,11.5755"}, ()),
     ],
 )
 def test_what_is_missing_is_said(replaced, more, yard: Path, capsys) -> None:

@@ -37,13 +37,13 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import Station
 from planopt.errors import InputError, listed
 from planopt.files.writing import toml_text
-from planopt.problems.plausibility import grid_warnings, log_warnings
+from planopt.problems.plausibility import grid_warnings, log_warnings, problem_warnings
 from planopt.problems.problem import Problem, problem_from_tables
 from planopt.problems.schema import MAX_STATIONS, SCHEMA_VERSION
 from planopt.world.clearance import clearance_m, index_obstacles, inside_bounds
 from planopt.world.geodesy import Origin, east_north_m
 from planopt.world.occupancy import OccupancyGrid, grid_obstacles, is_grid, read_grid
-from planopt.world.readers import read_obstacles
+from planopt.world.readers import NEAR_DEG, read_obstacles
 from planopt.world.workspace import Workspace
 
 ABOVE_FLOOR_DB = 10.0
@@ -228,6 +228,7 @@ def draft_problem(
     text = f"{heading}\n\n{toml_text(tables, comments)}"
     folder = file.absolute().parent
     problem = problem_from_tables(tomllib.loads(text), folder=folder, file=file)
+    notes.warn(*problem_warnings(problem))
     return Draft(
         text, problem, grid, tuple(stations), tuple(notes.assumptions), tuple(notes.warnings)
     )
@@ -465,6 +466,13 @@ def _place(
         if match[3] is None:
             notes.assume(f"{key} {text} is in degrees: ({x:.1f}, {y:.1f}) m")
         return round(x, 3), round(y, 3)
+    nearby = np.abs(np.array([[first, second], [second, first]]) - origin_deg[:2]) < NEAR_DEG
+    if nearby.all(axis=1).any():
+        raise InputError(
+            f"is {text!r}: in degrees it is far from the map and the log",
+            key=key,
+            remedy=f"write LAT,LON, or {first:g},{second:g}m if these are metres",
+        )
     return first, second
 
 

@@ -145,12 +145,17 @@ def _grids(problem: Problem) -> Iterator[str]:
         return
     try:
         tables = read_toml(problem.file).get("world", {}).get("obstacles", [])
-        names = [table["file"] for table in tables if is_grid(table.get("file"))]
-        grids = {name: read_grid(problem.file.parent / name) for name in names}
+        found = [table for table in tables if is_grid(table.get("file"))]
+        grids = [read_grid(problem.file.parent / table["file"]) for table in found]
     except (InputError, AttributeError, TypeError):
         return  # Saved problem, or file changed in the meantime
-    for name, grid in grids.items():
-        yield from grid_warnings(name, grid)
+    for table, grid in zip(found, grids, strict=True):
+        yield from grid_warnings(table["file"], grid)
+        if grid.unknown.any():
+            yield (
+                f"{table['file']}: {grid.unknown.mean():.1%} of the cells are unknown and count "
+                f"as {table.get('unknown', 'occupied')}"
+            )
 
 
 def grid_warnings(name: str, grid: OccupancyGrid) -> Iterator[str]:

@@ -34,10 +34,7 @@ def plain(value: Any) -> Any:
 
 
 def make_plain(data: Any, *files: str) -> None:
-    """Convert the fields of a frozen dataclass to plain values during initialisation.
-
-    The fields named in `files` are converted to paths.
-    """
+    """Convert the fields of a frozen dataclass to plain values, and those in `files` to paths."""
     for part in fields(data):
         if not part.init:
             continue

@@ -59,11 +59,7 @@ class PowerModel:
     least_variance: float
 
     def probability_above(self, threshold_dbm: float, corners_m: Array) -> Array:
-        """Return corner values (n, k) of polygons, whose interpolation bounds P from above.
-
-        `corners_m` (n, k, 2) are offsets from the centres within the discs (equation 6.17). P is
-        the probability that the power is at least the threshold.
-        """
+        """Return corner values (n, k) of polygons that bound P(connected) from above (6.17)."""
         value, slope, form, most = self._taylor(threshold_dbm)
         # A concave form is at most zero, a convex one at most its interpolation.
         at = np.moveaxis(corners_m, 2, 0)
@@ -74,19 +70,12 @@ class PowerModel:
         return np.where((bound.mean(axis=1) <= most)[:, None], bound, most[:, None])
 
     def probability_bounds(self, threshold_dbm: float) -> tuple[Array, Array, Array]:
-        """Return upper bounds of P(power >= threshold) over each disc: affine, and constant.
-
-        The results are values at the centres (n,), slopes (n, 2) and constant bounds (n,).
-        """
+        """Return upper bounds of P(connected) over discs: affine (n,), (n, 2); constant (n,)."""
         value, slope, form, most = self._taylor(threshold_dbm)
         return value + _range_of_form(form, self.radius_m)[1], slope.T, most
 
     def _taylor(self, threshold_dbm: float) -> tuple[Array, Array, Array, Array]:
-        """Return upper bounds of P(power >= threshold) over each disc (equation 6.17).
-
-        The first is a polynomial with value (n,), slope (2, n) and quadratic form (3, n), the other
-        a constant (n,).
-        """
+        """Return a quadratic and a constant upper bound of P(connected) over each disc (6.17)."""
         over, variance, radius = self.mean_db - threshold_dbm, self.variance_db2, self.radius_m
         deviation = np.sqrt(variance)
         z = over / deviation
@@ -350,11 +339,9 @@ def _square_of_change(
     radius: Array,
     noise: float,
 ) -> tuple[Array, Array]:
-    """Return the square of phi's change, delta' U^-1 delta, as forms (3, n) and remainders (n,).
-
-    The triangle inequality in the norm of U^-1 bounds the remainder, as the smallest eigenvalue of
-    U is at least omega^2.
-    """
+    """Return the square of phi's change, delta' U^-1 delta, as forms (3, n) and remainders (n,)."""
+    # The triangle inequality in the norm of U^-1 bounds the remainder; U's eigenvalues are >=
+    # omega^2.
     x, y = slope
     found = np.array([np.einsum("kn,kn->n", one, other) for one, other in ((x, x), (x, y), (y, y))])
     found[1] *= 2.0

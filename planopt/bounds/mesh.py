@@ -148,11 +148,8 @@ def inside_of(polygon: shapely.Polygon, depth_m: float) -> shapely.Geometry:
 def covers_bounds(
     nodes_m: Array, corners: NDArray[np.intp], bounds_m: tuple[float, float, float, float]
 ) -> bool:
-    """Return whether triangles (t, 3) tile the workspace and share whole sides.
-
-    In a tiling, every side belongs to two triangles or lies on the workspace boundary, and the
-    areas add up to the workspace. Node values then define a continuous function.
-    """
+    """Return whether triangles (t, 3) tile the workspace and share whole sides."""
+    # Then node values define a continuous function.
     x0, y0, x1, y1 = bounds_m
     if not (nodes_m >= (x0, y0)).all() or not (nodes_m <= (x1, y1)).all():
         return False

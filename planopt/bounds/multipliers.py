@@ -47,10 +47,7 @@ def stage_rewards(problem: StageProblem, path_m: Array) -> tuple[Array, Array, F
 
 
 def local_optimum(problem: StageProblem, path_m: Array, surplus: float = 0.0) -> Array:
-    """Return an approximately locally optimal path (N, 2), ignoring obstacles.
-
-    At steps with a chance constraint, the probability of connection is at least p_min + `surplus`.
-    """
+    """Return a nearly optimal path (N, 2) without obstacles, with P >= p_min + `surplus`."""
     shape, scale = path_m.shape, 1.0 / problem.step_m**2
     stage = np.arange(problem.steps)
     least = np.zeros(problem.steps) if problem.p_min is None else problem.p_min
@@ -102,10 +99,7 @@ def local_optimum(problem: StageProblem, path_m: Array, surplus: float = 0.0) ->
 def tilts_near(
     problem: StageProblem, paths_m: Sequence[Array], kinks_m: Array
 ) -> list[tuple[Array, Array]]:
-    """Return the multipliers of steps and of p_min for each of several paths (N, 2).
-
-    Gradients jump at `kinks_m` (k, 2), the positions of measurements.
-    """
+    """Return multipliers for paths (N, 2); gradients jump at `kinks_m` (k, 2), the measurements."""
     found: list[tuple[Array, Array]] = []
     for path in paths_m:
         is_free = np.ones(len(path), dtype=np.bool_)
@@ -120,10 +114,7 @@ def tilts_near(
 def multipliers_of(
     problem: StageProblem, path_m: Array, is_free: NDArray[np.bool_]
 ) -> tuple[Array, Array]:
-    """Return multipliers of steps (N, 2) and of p_min (N,) for a path (N, 2).
-
-    `is_free` (N,) marks stages whose gradient is determined.
-    """
+    """Return multipliers of steps (N, 2) and of p_min (N,), from stages with `is_free` (N,)."""
     steps = problem.steps
     _, gradient, field = stage_rewards(problem, path_m)
     moves = np.diff(np.vstack([problem.start_m, path_m]), axis=0)

@@ -107,15 +107,8 @@ class RouteBound:
 
 
 def route_bounds(problem: RouteProblem, seconds: float) -> Iterator[RouteBound]:
-    """Yield ever larger certified lower bounds of the route cost until the time is over.
-
-    Parameters
-    ----------
-    problem
-        Start, goal, free space and cost per metre.
-    seconds
-        Wall time. The first solve may exceed it; later solves are interrupted.
-    """
+    """Yield ever larger certified lower bounds of the route cost for some wall time."""
+    # The first solve may exceed the time; later solves are interrupted.
     begun = monotonic()
     straight = float(np.linalg.norm(problem.goal_m - problem.start_m)) - problem.goal_radius_m
     best = RouteBound(max(0.0, straight) * (1.0 - ROUNDING), 0, 0.0, None)
@@ -189,10 +182,7 @@ def _refined(
 
 
 def verified_value(problem: RouteProblem, potential: Potential) -> float:
-    """Return the bound that a potential proves, in metres; 0 if it proves none.
-
-    The costs of all triangles are certified again; no solver is called.
-    """
+    """Return the bound in metres that a potential proves, certified without a solver; 0 if none."""
     nodes_m, corners = potential.nodes_m, potential.corners
     arrays = (nodes_m, potential.at_nodes, potential.at_sides)
     is_whole = (
@@ -303,10 +293,7 @@ def _known_costs(
 def metre_costs(
     problem: RouteProblem, powers: Sequence[PowerEnclosure], corners_m: Array
 ) -> tuple[Array, Array]:
-    """Return certified costs per metre at corners (t, 3) of triangles, and costs at centres (t,).
-
-    The cost at any point of a triangle is at least the linear interpolation of the corner costs.
-    """
+    """Return lower bounds of the cost per metre at corners (t, 3), and costs at centres."""
     count = len(corners_m)
     if problem.price == 0.0:
         return np.ones((count, 3)), np.ones(count)
@@ -326,11 +313,9 @@ def metre_costs(
 
 
 def _product_below(one: Array, other: Array) -> Array:
-    """Return corner values (t, 3) of a linear lower bound on a product of linear functions >= 0.
-
-    On a triangle, the product is at least its linear interpolation minus a quarter of the sum,
-    over the sides, of the positive products of both functions' differences.
-    """
+    """Return corner values (t, 3) of a linear lower bound on a product of linear functions >= 0."""
+    # The product is at least its interpolation minus a quarter of the sum, over the sides, of the
+    # positive products of both functions' differences.
     product = one * other
     following = [1, 2, 0]
     across = (one - one[:, following]) * (other - other[:, following])
@@ -408,11 +393,7 @@ def _certified_value(
 
 
 def _slopes(nodes_m: Array, corners: NDArray[np.intp]) -> tuple[NDArray[np.intp], Array, Array]:
-    """Return the unknowns of each triangle, and the map from them to grad V at its corners.
-
-    The unknowns (t, 6) index the values at corners, then at the middles of the opposite sides.
-    The slopes along x and y, (t, 3, 6) each, have a row per corner.
-    """
+    """Return indices (t, 6) of corner and mid-side values, and slopes (t, 3, 6) along x and y."""
     a, b, c = (nodes_m[corners[:, i]] for i in range(3))
     double = doubled_areas(nodes_m, corners)
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -115,10 +115,7 @@ def quantity_makers(
     thresholds_dbm: Sequence[float],
     measured: ChannelPosterior,
 ) -> Makers:
-    """Return functions that bound predicted quantities over discs.
-
-    Connection is to any of the `stations`; variance and path loss are those of `measured`.
-    """
+    """Return functions that bound connection to any station, and quantities of `measured`."""
     shared = replace(measured, theta_covariance=np.zeros((2, 2)))
     trended = replace(measured, theta_covariance=np.eye(2))
     enclosures: dict[int, PowerEnclosure] = {}
@@ -159,11 +156,7 @@ def or_nothing(make: Callable[[Discs], UpperBounds], discs: Discs) -> UpperBound
 
 
 def either(one: UpperBounds, other: UpperBounds) -> UpperBounds:
-    """Return upper bounds of the probability of at least one of two independent connections.
-
-    If the tangents of P and Q are at most 1, their product form ``1 - (1 - P)(1 - Q)`` gives value
-    and slope of the bound; otherwise the bound is a constant (equation 9.4).
-    """
+    """Return upper bounds of the probability of one of two independent connections (9.4)."""
     radius = one.radius_m
     steep, other_steep = np.hypot(*one.slope.T), np.hypot(*other.slope.T)
     fits = (one.value + radius * steep <= 1.0) & (other.value + radius * other_steep <= 1.0)

@@ -242,10 +242,7 @@ def evaluated(problem: StageProblem, side: float, active: Sequence[Cells]) -> Le
 def cut_corners(
     problem: StageProblem, centres: Array, side: float
 ) -> tuple[NDArray[np.intp], Array]:
-    """Return the cells (v,) that blocked areas cut, and corners (v, 2) of their free parts.
-
-    Corners are relative to the centres; those of one cell follow each other.
-    """
+    """Return the cells (v,) that blocked areas cut, and corners (v, 2) of their free parts."""
     nothing = np.zeros(0, dtype=np.intp), np.zeros((0, 2))
     if not problem.blocked:
         return nothing
@@ -411,10 +408,7 @@ class Step:
         return move_bounds(level.problem, multiplier, offset, level.side_m, self.away_m)
 
     def best(self, moves: Array, values: Array, *, ahead: bool) -> Array:
-        """Return the best sum of a move and of the value of the cell at its other end.
-
-        With `ahead`, values are those of the earlier cells and the result is for the later ones.
-        """
+        """Return the best sum of a move and the value at its other end; `ahead`: the earlier."""
         before, after = self.cells
         known, wanted = (before, after) if ahead else (after, before)
         if not len(known) or not len(wanted):
@@ -442,10 +436,7 @@ class Step:
 def move_bounds(
     problem: StageProblem, multiplier: Array, offset: Array, half: float, away: Array
 ) -> Array:
-    """Return upper bounds of ``m . x - cost(|x|)`` over boxes of moves x, at most one step long.
-
-    Boxes have centres `offset` (n, 2), half sides `half` and least lengths `away` (n,).
-    """
+    """Return upper bounds of m . x - cost(|x|) over boxes of moves x, at most one step long."""
     size, price = float(np.hypot(*multiplier)), problem.per_metre
     length = np.hypot(*offset.T)
     along = offset @ multiplier

@@ -59,10 +59,7 @@ LOG_ROOT_2PI = 0.5 * math.log(2.0 * math.pi)
 
 
 def any_score(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the combined score z of m stations with scores ``(m, ...)``; ``(...)``.
-
-    z is at least the largest score. Infinite scores are valid; NaN scores give NaN.
-    """
+    """Return the combined score z of m stations with scores (m, ...), at least the largest."""
     return _score(_log_any(scores), _log_normal(-scores).sum(axis=0))
 
 
@@ -221,10 +218,7 @@ class KnownPower:
 def known_power(
     station: ChannelPosterior, positions_m: NDArray[np.float64], threshold_dbm: float
 ) -> KnownPower:
-    """Return the known power at positions (n, 2) (equation 3.12).
-
-    If readings at a position lie on both sides of the threshold, its power is unknown.
-    """
+    """Return the known power at positions (n, 2), unless readings disagree (equation 3.12)."""
     places, read = station.index.within(positions_m, SAME_PLACE_M)
     least, most = _power_bounds_dbm(station, read)
     rows, first = np.unique(places, return_index=True)
@@ -328,10 +322,7 @@ class ConnectivityLaw:
         )
 
     def along(self, path_m: NDArray[np.float64]) -> list[JointPrediction]:
-        """Return the joint law of each station's power along a path (N, 2), known or predicted.
-
-        If there are too many measurements for a factorisation, the nearest ones are used.
-        """
+        """Return the joint law of each station's power along a path (N, 2), known or predicted."""
         found: list[JointPrediction] = []
         for known, station in zip(self.known(path_m), self.posteriors, strict=True):
             joint = joint_prediction(factored_near(station, path_m), path_m)
@@ -389,10 +380,8 @@ NEWTON_STEP_DB = 1e-8
 def mixture_quantile_dbm(
     weights: NDArray[np.float64], parts: list[Prediction], p_min: float
 ) -> NDArray[np.float64]:
-    """Return the power that a mixture of normal laws exceeds with probability `p_min`; ``(n,)``.
-
-    The parts' quantiles bracket it; bisection replaces Newton steps that leave the bracket.
-    """
+    """Return the power that a mixture of normal laws exceeds with probability `p_min`; (n,)."""
+    # The parts' quantiles bracket it; bisection replaces Newton steps that leave the bracket.
     means = np.stack([part.mean_db for part in parts])
     deviations = np.stack([part.deviation_db for part in parts])
     own = means - bound_quantile(p_min) * deviations

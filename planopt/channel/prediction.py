@@ -63,10 +63,7 @@ def bound_quantile(p_min: float) -> float:
 def bound_margin_db(
     mean_db: Floats, deviation_db: Floats, threshold_dbm: float, p_min: float
 ) -> Floats:
-    """Return the margin ``mean - z_p deviation - threshold`` in dB (equation 3.2).
-
-    The margin is infinite if `p_min` is 0, even for a known power.
-    """
+    """Return mean - z_p deviation - threshold in dB, infinite if `p_min` is 0 (equation 3.2)."""
     kept_db = bound_quantile(p_min) * (deviation_db if p_min > 0.0 else 1.0)
     return mean_db - kept_db - threshold_dbm
 

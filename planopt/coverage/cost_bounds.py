@@ -188,10 +188,7 @@ def _first_prices(ground: Ground, places_m: Floats) -> Prices:
 
 
 def _leaves(ground: Ground, prices: Prices, most_m2: float, parts: float) -> tuple[Floats, Floats]:
-    """Return middles (b, 2) and sides (b,) of squares that cover the free area.
-
-    Squares are halved until their side is about the square root of the price over `parts`.
-    """
+    """Return middles (b, 2) and sides (b,) of squares of about root price over `parts`."""
     low, high = np.asarray(ground.free.bounds).reshape(2, 2)
     side = float((high - low).max())
     middles, found = low[None] + 0.5 * side, list[tuple[Floats, Floats]]()
@@ -305,10 +302,7 @@ def _candidates(cells: Cells, places_m: Floats, most_m2: Floats) -> Candidates:
 def _soft_loss(
     logarithms: Floats, cells: Cells, at: Candidates, count: int, heat: float
 ) -> tuple[float, Floats]:
-    """Return the negative bound with a soft maximum over candidates, and its gradient (m,).
-
-    Both are relative to the mass.
-    """
+    """Return the negative soft bound relative to the mass, and its gradient (m,)."""
     prices, mass = np.exp(logarithms), cells.mass[at.cell]
     room = np.maximum(prices[at.cell] - at.away_m2, 0.0)
     gains = _sums(at.box, mass * room, at.count)

@@ -99,10 +99,7 @@ class GeodesicGround:
         return TwoNearest(nodes, self.mass, owner, cells.distance_m**2, second**2)
 
     def borders(self, agents_m: Floats) -> Floats:
-        """Return cell boundaries ``(e, 2, 2)`` inside the free area, for figures.
-
-        A boundary crosses the line between nodes of two agents at the point of equal distances.
-        """
+        """Return cell boundaries (e, 2, 2), at equal distances from two agents, for figures."""
         agents = self.nearest(agents_m)
         cells, low = geodesic_cells(self, agents), np.asarray(self.free.bounds[:2])
         at = np.floor((self.nodes_m - low) / self.spacing_m).astype(np.intp) + 1

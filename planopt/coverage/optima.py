@@ -110,10 +110,7 @@ def _candidates(
 
 
 def _relocated(ground: Ground, places: Floats, cost: float) -> tuple[Floats, float]:
-    """Relocate the least useful agents to cells that gain most from a second agent, then settle.
-
-    Gains are estimated on sample points. All moves are tried at once, then fewer, then single ones.
-    """
+    """Relocate the least useful agents to cells that gain most, then settle."""
     count = len(places)
     if count < 3:
         return places, cost

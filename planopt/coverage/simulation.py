@@ -304,11 +304,7 @@ class NetworkController:
         )  # fmt: skip
 
     def _aims(self, here_m: Floats, targets_m: Floats, responds: Mask, who: Indices) -> Aims:
-        """Return the targets of the members `who` over the horizon.
-
-        Members with a horizon of several steps know the plans of their neighbours. The last step of
-        every plan is extended by the control law.
-        """
+        """Return the targets of the members `who` over the horizon, from neighbours' plans."""
         scene, mover = self.scene, self._mover
         horizon = mover.horizon if isinstance(mover, RecedingMover) else 1
         if horizon == 1 or self._deployer is not None or responds.all():

@@ -548,10 +548,8 @@ def raster_truth_of(truth: RasterTruth, radio: BaseStation) -> RasterTruth:
 
 
 def log_of(log: LoggedMeasurements, radio: BaseStation) -> LoggedMeasurements:
-    """Return the log of a station: the common log, overridden by the station's own keys.
-
-    The censored column of a common log applies to its default power column only.
-    """
+    """Return the log of a station: the common log, overridden by the station's own keys."""
+    # The censored column of a common log applies to its default power column only.
     x, y, power = log.log_format.columns
     shared = radio.log_file is None and radio.power_column is not None
     where, column = log.log_format.where, log.transmitter_column

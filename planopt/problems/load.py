@@ -36,11 +36,7 @@ from planopt.world.workspace import Workspace
 
 
 def check_files(problem: Problem) -> None:
-    """Raise an `InputError` if a file that simulation requires is missing.
-
-    :func:`planopt.problems.checks.check` does not include this check, because a saved plan can be
-    verified without these files.
-    """
+    """Raise an `InputError` if a file is missing that simulation requires."""
     truth, measurements = problem.channel.truth, problem.channel.measurements
     none_taken = isinstance(measurements, SampledMeasurements) and measurements.count == 0
     given = problem.channel.given
@@ -216,10 +212,7 @@ def with_overrides(
     planner: str | None = None,
     cost_to_go: str | None = None,
 ) -> Problem:
-    """Return a checked copy of `problem` with changed settings; None keeps the present value.
-
-    The whole problem is checked, since :func:`dataclasses.replace` does not do so.
-    """
+    """Return a checked copy of `problem` with changed settings; None keeps the present value."""
     require_motion(problem)
     given = {
         name: value

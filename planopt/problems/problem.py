@@ -208,11 +208,8 @@ class Problem:
 
     @property
     def can_be_polished(self) -> bool:
-        """Return True if an NLP solver can refine plans with derivatives of all terms.
-
-        Probes are not refined, because the connection at their ends is not smooth. Trajectories
-        of robots with dynamics are refined in any case.
-        """
+        """Return True if an NLP solver can refine plans with derivatives of all terms."""
+        # The connection at the ends of probes is not smooth.
         if any(type(term).derivatives is Term.derivatives for term in self.terms):
             return False
         return self.has_dynamics or not any(term.probes_end for term in self.terms)
@@ -312,10 +309,7 @@ def problem_from_tables(data: object, *, folder: Path, file: Path | None) -> Pro
 
 
 def problem_at(problem: Problem, steps: int) -> Problem:
-    """Return `problem` with only those obstacles that are known after a number of steps.
-
-    The problem itself is returned if all its obstacles are known.
-    """
+    """Return `problem` with the obstacles known after some steps; itself if all of them are."""
     workspace = problem.workspace
     if not workspace.timed:
         return problem

@@ -70,13 +70,7 @@ class PlannerKind:
     version: str = ""
 
     def maker(self) -> Callable[..., Any]:
-        """Return the factory of the planner.
-
-        Raises
-        ------
-        InputError
-            The factory cannot be imported.
-        """
+        """Return the factory of the planner; raise an `InputError` if it cannot be imported."""
         make = self.make
         if isinstance(make, str):
             module, _, attribute = make.partition(":")

@@ -94,10 +94,7 @@ class TaskProblem:
         planner: str | None = None,
         looking_ahead: Sequence[str] = ("receding",),
     ) -> Self:
-        """Return the problem with a changed table ``planner``.
-
-        For planners that are not in `looking_ahead`, the horizon becomes 1.
-        """
+        """Return the problem with a changed planner, and horizon 1 unless it looks ahead."""
         now = self.given.planner
         model = cast("Any", type(now))
         changes = {"horizon": horizon, "name": planner}

@@ -241,10 +241,7 @@ def _draw_covariance(
     fit: ChannelFit,
     station: Station,
 ) -> None:
-    """Draw products of residuals over lag, the fitted covariance, and the number of pairs.
-
-    Only uncensored pairs are used because the residual of a censored power is unknown.
-    """
+    """Draw products of uncensored residuals over lag, the fitted covariance, and pairs."""
     parameters = fit.parameters
     exact = ~measurements.censored
     positions = measurements.positions_m[exact]

@@ -96,11 +96,7 @@ class Layout:
 
 
 def layout_of(comparison: Comparison) -> Layout:
-    """Return the layout of settings: by horizon, by a swept key, or numbered if swept keys differ.
-
-    The colour encodes problem, changes and cost-to-go if any of these differ, else the planner;
-    the marker always encodes the planner.
-    """
+    """Return the layout of settings: by horizon, by a swept key, or numbered."""
     settings = comparison.settings
     names = short_keys(comparison.runs)
     horizons = {each.one.horizon for each in settings if has_horizon(each.one)}

@@ -65,11 +65,7 @@ class NetworkPicture:
     radio: RadioLimits | None = None  # Required links to base stations, if any
 
     def links(self, step: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the links ``(e, 2, 2)`` of the radio tree in a step, and unlinked agents (u, 2).
-
-        An agent is unlinked if every path to a station fails with more than the allowed
-        probability.
-        """
+        """Return the links (e, 2, 2) of the radio tree in a step, and unlinked agents (u, 2)."""
         here = self.run.positions_m[step, self.run.states[step] != ABSENT]
         if self.radio is None:
             return np.zeros((0, 2, 2)), np.zeros((0, 2))

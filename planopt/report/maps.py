@@ -98,10 +98,7 @@ def cell_centres(bounds_m: Bounds) -> tuple[NDArray[np.float64], NDArray[np.floa
 def drawn_cells(
     workspace: Workspace, x_m: NDArray[np.float64], y_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Return a mask (ny, nx) of the cells with a free centre and of their neighbours.
-
-    The neighbours make a layer extend below the outlines of the obstacles drawn over it.
-    """
+    """Return a mask (ny, nx) of cells with a free centre and their neighbours, below outlines."""
     centres = np.stack(np.meshgrid(x_m, y_m), axis=-1)
     places = centres.reshape(-1, 2)
     free = inside_bounds(workspace, places)
@@ -114,11 +111,7 @@ def drawn_cells(
 def believed_rasters(
     problem: Problem, belief: Belief, bounds_m: Bounds
 ) -> tuple[Raster, Raster, Raster]:
-    """Return predicted power (dBm), its standard deviation (dB) and P(connected); NaN in obstacles.
-
-    With several stations, power and standard deviation are those of the station with the largest
-    margin above its threshold; the probability is that of a connection to any station.
-    """
+    """Return the best station's power and deviation, and P(connected) to any; NaN in obstacles."""
     x, y = cell_centres(bounds_m)
     drawn = drawn_cells(problem.workspace, x, y)
     places = np.stack(np.meshgrid(x, y), axis=-1)[drawn]
@@ -140,10 +133,7 @@ def believed_rasters(
 
 
 def draw_ground(panel: Panel, workspace: Workspace, title: str) -> None:
-    """Draw obstacles and bounds of the whole workspace on equally scaled axes in metres.
-
-    Temporary obstacles are hatched and labelled with their times.
-    """
+    """Draw obstacles, hatched if temporary, and bounds on equally scaled axes in metres."""
     draw_polygons(panel, joined([each.polygon for each in workspace.lasting]))
     timed: Look = {"facecolors": "none", "edgecolors": FRAME, "linewidths": 0.9, "hatch": "///"}
     draw_polygons(panel, [each.polygon for each in workspace.timed], linestyles="dashed", **timed)
@@ -377,10 +367,7 @@ def window_about(problem: Problem, positions_m: NDArray[np.float64]) -> Bounds:
 
 
 def map_window(problem: Problem, positions_m: NDArray[np.float64]) -> Bounds:
-    """Return the window around positions and stations, at most the whole workspace.
-
-    Problems about the channel itself show the whole workspace.
-    """
+    """Return the window around positions and stations; the workspace if the channel is learnt."""
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     margin = EDGE_MARGIN * max(x_max - x_min, y_max - y_min)
     whole = (x_min - margin, y_min - margin, x_max + margin, y_max + margin)

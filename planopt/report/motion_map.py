@@ -238,11 +238,7 @@ def draw_clearance(panel: Panel, problem: Problem, window: Bounds) -> list[Artis
 
 
 def draw_connected_track(panel: Panel, log: StepLog) -> list[Artist]:
-    """Draw an executed path: solid on white where connected, dashed on black where not.
-
-    Steps of unknown power are thin. Lightness and dashes distinguish the others without colour. A
-    step's state is that at its end.
-    """
+    """Draw an executed path: solid where connected, dashed where not, thin where unknown."""
     entries: list[Artist] = []
     unknown = ~log.connected & ~log.disconnected
     for label, colour, casing, dashes, width, states in (

@@ -136,13 +136,7 @@ class Page:
 
 
 def page_html(page: Page) -> str:
-    """Return the page as one HTML file without external resources.
-
-    Raises
-    ------
-    InputError
-        Plotly is not installed.
-    """
+    """Return the page as one HTML file; raise an `InputError` if Plotly is not installed."""
     if find_spec("plotly") is None:
         raise InputError("the page needs Plotly", remedy="pip install 'planopt[report]'")
     plotly = cast("Any", import_module("plotly.offline"))

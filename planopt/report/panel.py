@@ -218,10 +218,7 @@ def legend_entries(entries: Iterable[Artist]) -> list[Artist]:
 
 
 def legend_below(figure: Figure, entries: Iterable[Artist], columns: int) -> None:
-    """Add a legend below all panels, where it covers neither start nor goal.
-
-    Long labels reduce the number of columns; the figure grows with the number of lines.
-    """
+    """Add a legend below all panels, with fewer columns for long labels, and enlarge the figure."""
     handles = legend_entries(entries)
     labels = [str(handle.get_label()) for handle in handles]
     longest = max((len(line) for label in labels for line in label.splitlines()), default=0)

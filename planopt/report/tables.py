@@ -247,10 +247,7 @@ def _listed(comparison: Comparison) -> list[str]:
 def _paired(
     settings: Sequence[Setting], names: Sequence[Sequence[str]], metrics: Sequence[str]
 ) -> list[str]:
-    """Return the table of paired differences from the first setting, with their intervals.
-
-    Intervals that exclude zero have a star. The table is empty if there is no interval.
-    """
+    """Return the table of paired differences; intervals that exclude zero have a star."""
     cells = {m: [_difference(each.rows.get(m)) for each in settings] for m in metrics}
     known = [m for m in metrics if any(cell != MISSING for cell in cells[m])]
     if not known:
@@ -320,11 +317,7 @@ def _mean(rows: Mapping[str, Row], metric: str, *, interval: bool) -> str:
 
 
 def _in_blocks(table: Sequence[Sequence[str]], first: int) -> list[str]:
-    """Return aligned lines, with headings wrapped if they are wider than their cells.
-
-    Columns are split into blocks of at most `WIDTH` characters, separated by an empty line. Each
-    block repeats the `first` columns, which identify the line; the last of them is right-aligned.
-    """
+    """Return lines in blocks of at most `WIDTH` characters, which repeat the `first` columns."""
     columns = [
         [textwrap.wrap(heading, max(map(len, (*heading.split(), *below)))), below]
         for heading, *below in zip(*table, strict=True)

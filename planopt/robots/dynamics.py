@@ -69,10 +69,7 @@ class Dynamics(Protocol):
         return 0.0
 
     def timed_pad_m(self, step_s: float) -> float:
-        """Return the largest distance of a step's path from its Bezier curve at equal times.
-
-        The curve is that of :meth:`control_points`; the distance adds to :meth:`hull_pad_m`.
-        """
+        """Return the largest distance of a step from its Bezier curve at equal times."""
         return 0.0
 
     def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
@@ -112,17 +109,11 @@ class Dynamics(Protocol):
         ...
 
     def straight(self, state: Floats, end_m: Floats, step_s: float) -> Floats | None:
-        """Return inputs (k, m) of a straight drive from rest to rest at `end_m`; None if unknown.
-
-        Braking after any of these steps ends on the line, short of `end_m`.
-        """
+        """Return inputs (k, m) straight from rest to rest at `end_m`; None if unknown."""
         ...
 
     def may_reach(self, state: Floats, places_m: Floats, duration_s: float, slack_m: float) -> Mask:
-        """Return a mask of positions (n, 2) that may be within `slack_m` after a duration.
-
-        Obstacles and the speed limit are ignored. A reachable position is never False.
-        """
+        """Return a mask of positions (n, 2) that may be within `slack_m` in free space."""
         return np.ones(len(places_m), dtype=np.bool_)
 
     def curves(self, states: Floats, inputs: Floats, step_s: float) -> list[StepCurve]:
@@ -244,10 +235,7 @@ def state_after(dynamics: Dynamics, state: Floats, control: Floats, step_s: floa
 
 
 def dynamics_defect_m(positions_m: Floats, start_m: Floats, step_length_m: float) -> float:
-    """Return the largest violation of single-integrator dynamics by a path (n + 1, 2), in metres.
-
-    The path must begin at `start_m`, and no step may be longer than `step_length_m`.
-    """
+    """Return in metres how far a path (n + 1, 2) misses its start or exceeds `step_length_m`."""
     lengths = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
     jump = float(np.linalg.norm(positions_m[0] - start_m))
     # NumPy's maximum propagates NaN; Python's does not.
@@ -255,10 +243,7 @@ def dynamics_defect_m(positions_m: Floats, start_m: Floats, step_length_m: float
 
 
 def braked_motion(path_m: Floats, drive: Drive | None, step_s: float) -> TimedMotion:
-    """Return the motion of a plan (N + 1, 2) followed by braking.
-
-    Without `drive`, each step is straight at constant speed, and the motion ends with the plan.
-    """
+    """Return the motion of a plan (N + 1, 2) followed by braking, or straight without `drive`."""
     if drive is None:
         return TimedMotion(path_m)
     dynamics, last = drive.dynamics, drive.states[-1]

@@ -218,11 +218,7 @@ def improvement(row: Row, reference: Reference) -> str | None:
 def fast_cases(
     references: References, problems: Sequence[str] | None = None
 ) -> tuple[list[Case], list[str]]:
-    """Return the cases of the fast subset, and a list of missing references.
-
-    The subset contains plans of `FAST_PLANNERS`, and quick runs, designs and deployments, of
-    unchanged problems.
-    """
+    """Return the cases of the fast subset, and a list of missing references."""
     cases: list[Case] = []
     missing: list[str] = []
     names = library_names() if problems is None else problems
@@ -317,10 +313,7 @@ def excess(row: Row, best: Mapping[Question, float]) -> float | None:
 
 
 def is_solved(row: Row, best: Mapping[Question, float]) -> bool:
-    """Return whether a result is verified, accepted and near the best known objective.
-
-    The result "no plan" is correct unless a plan is known.
-    """
+    """Return whether a result is verified and near the best, or rightly without a plan."""
     if row.outcome == NO_PLAN:
         return row.question not in best
     if row.verdict != Verdict.VERIFIED.value or row.accepted is False or row.outcome == ERROR:

@@ -186,10 +186,7 @@ def load_comparison(path: Path) -> Comparison | None:
 
 
 def comparison_reasons(path: Path) -> list[str] | None:
-    """Return differences between a saved comparison and tables recomputed from its runs.
-
-    The runs are compared by a digest. None if the folder or file contains another kind of result.
-    """
+    """Return differences of a saved comparison from its runs; None if there is none."""
     comparison = load_comparison(path)
     if comparison is None:
         return None

@@ -139,10 +139,7 @@ def tabulate(runs: Sequence[RunSummary], reference: Sequence[RunSummary]) -> lis
 def mean_interval(
     values: NDArray[np.float64], possible: tuple[float, float] = ANY
 ) -> tuple[float | None, float | None]:
-    """Return the Student interval of the mean, clipped to the possible values.
-
-    Both ends are None for fewer than `FEWEST_GROUPS` values.
-    """
+    """Return the clipped Student interval of the mean; None for too few values."""
     if values.size < FEWEST_GROUPS:
         return None, None
     quantile = np.asarray(stdtrit(values.size - 1, 0.5 + CONFIDENCE / 2))

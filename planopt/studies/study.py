@@ -192,10 +192,7 @@ def run_study(
     backend: str = "loky",
     record: FinishedRuns | None = None,
 ) -> Iterator[list[tuple[Result, bool]]]:
-    """Yield the results of each group of items, in order, as soon as the group is finished.
-
-    Each result has a flag that says whether it was read from the record.
-    """
+    """Yield the results of each finished group in order, flagged if read from the record."""
     if workers < 1:
         raise InputError(
             f"is {workers}, should be at least 1",

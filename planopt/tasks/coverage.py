@@ -194,10 +194,7 @@ def faults(result: TaskResult) -> list[str]:
 
 
 def _estimate_faults(problem: CoverageProblem, run: NetworkRun) -> list[str]:
-    """Return faults of estimates and their standard deviations, recomputed from the readings.
-
-    Where messages are lost, estimates from a part of the readings of their time are left out.
-    """
+    """Return faults of estimates recomputed from all readings of their time."""
     table, sensing, reasons = problem.given.sensor, problem.scene.sensing, list[str]()
     if table is None or sensing is None:
         return reasons

@@ -428,10 +428,7 @@ def starts_of(table: AgentsTable, ground: Ground, generator: np.random.Generator
 
 
 def has_room(ground: Ground, places_m: Floats, body_radius_m: float) -> NDArray[np.bool_]:
-    """Return a mask of positions ``(k, 2)`` at which a body fits into the ground; (k,).
-
-    The clearance is already part of a geodesic ground, but not of a convex one.
-    """
+    """Return a mask (k,) of positions (k, 2) at which a body fits into the ground."""
     inside = ground.allows(places_m)
     if body_radius_m == 0.0:
         return inside

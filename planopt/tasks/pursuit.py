@@ -139,10 +139,7 @@ def _stage_shares(problem: PursuitProblem, pursuit: Pursuit) -> Iterator[tuple[T
 def _guarantee_json(
     problem: PursuitProblem, pursuit: Pursuit, shares: Sequence[tuple[Theorem, float]]
 ) -> dict[str, Any]:
-    """Return the guarantee for the first pursuer and evader, and the largest used share of bounds.
-
-    The capture time is bounded only for one pursuer and one evader.
-    """
+    """Return the guarantee of the first pair, and the largest used share of bounds."""
     radius_m, uses = problem.given.pursuit.capture_radius_m, pursuit.uses
     alone = len(problem.given.pursuers) == len(problem.given.evaders) == 1
     theorems: dict[str, Any] = {}

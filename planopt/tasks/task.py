@@ -270,10 +270,7 @@ class Task:
         )
 
     def planners(self, problem: Any, kind: str) -> Sequence[str]:
-        """Return the planners with which the regression suite plans or runs a problem.
-
-        For a task without a choice of planners, the task's name stands for its solver.
-        """
+        """Return the planners of the regression suite, or the task's name for its solver."""
         if self.function("solve" if kind == "plan" else "simulate") is None:
             return ()
         table: Table | None = getattr(problem.given, "planner", None)
@@ -497,10 +494,7 @@ def _read_result(file: Path, data: Mapping[str, Any]) -> TaskResult:
 
 
 def _reasons_against(file: Path, data: Mapping[str, Any]) -> list[str]:
-    """Recompute and verify a saved result; return its differences and faults.
-
-    If the task has an independent verifier, ``verify`` is called on the new result.
-    """
+    """Recompute and verify a saved result; return its differences and faults."""
     saved = _read_result(file, data)
     seed = whole_number(file, data, "seed")
     action: Action = "solve" if file.name == PLAN_FILE else "simulate"

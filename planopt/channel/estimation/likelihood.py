@@ -281,10 +281,7 @@ class RestrictedLikelihood:
         return at if self.prior is None else self.prior.added_to(at, covariance[2])
 
     def information(self, covariance: Covariance, at: Evaluation) -> Floats:
-        """Return the expected information (3, 3), whose inverse is the parameters' covariance.
-
-        `at` is the evaluation at the same point.
-        """
+        """Return the expected information (3, 3) for the evaluation `at` the same point."""
         if at.precision is None:
             return at.information
         expected = _expected_information(self.data, covariance, at.precision.projection())

@@ -59,10 +59,7 @@ KINDS: dict[str, Callable[[Path, Ranked], LogTable]] = {
 
 @dataclass(frozen=True)
 class LogReader:
-    """Declaration of the logs that a program writes.
-
-    Rows without a position or a power, or with the position 0, 0 degrees, are skipped.
-    """
+    """Declaration of a program's logs; rows without a position or power are skipped."""
 
     summary: str  # For the documentation
     signature: tuple[str, ...]  # Columns that identify the program

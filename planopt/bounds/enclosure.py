@@ -59,7 +59,7 @@ class PowerModel:
     least_variance: float
 
     def probability_above(self, threshold_dbm: float, corners_m: Array) -> Array:
-        """Return corner values (n, k) of polygons that bound P(connected) from above (6.17)."""
+        """Return corner values (n, k) of polygons above P(connected) (equation 6.17)."""
         value, slope, form, most = self._taylor(threshold_dbm)
         # A concave form is at most zero, a convex one at most its interpolation.
         at = np.moveaxis(corners_m, 2, 0)
@@ -75,7 +75,7 @@ class PowerModel:
         return value + _range_of_form(form, self.radius_m)[1], slope.T, most
 
     def _taylor(self, threshold_dbm: float) -> tuple[Array, Array, Array, Array]:
-        """Return a quadratic and a constant upper bound of P(connected) over each disc (6.17)."""
+        """Return a quadratic and a constant upper bound of P(connected) (equation 6.17)."""
         over, variance, radius = self.mean_db - threshold_dbm, self.variance_db2, self.radius_m
         deviation = np.sqrt(variance)
         z = over / deviation

@@ -156,7 +156,7 @@ def or_nothing(make: Callable[[Discs], UpperBounds], discs: Discs) -> UpperBound
 
 
 def either(one: UpperBounds, other: UpperBounds) -> UpperBounds:
-    """Return upper bounds of the probability of one of two independent connections (9.4)."""
+    """Return upper bounds of P(one of two independent connections) (equation 9.4)."""
     radius = one.radius_m
     steep, other_steep = np.hypot(*one.slope.T), np.hypot(*other.slope.T)
     fits = (one.value + radius * steep <= 1.0) & (other.value + radius * other_steep <= 1.0)

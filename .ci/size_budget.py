@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 72_124,
-    "lines of code": 52_062,
-    "files": 288,
-    "functions": 3_747,
-    "docstring lines": 8_504,
-    "lines of tests": 48_512,
+    "lines": 72_295,
+    "lines of code": 52_175,
+    "files": 289,
+    "functions": 3_754,
+    "docstring lines": 8_538,
+    "lines of tests": 48_619,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

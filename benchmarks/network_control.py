@@ -17,7 +17,7 @@ from time import process_time
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from scipy.stats import t
+from scipy.stats import binomtest, t
 
 from planopt import simulate
 from planopt.coverage import (
@@ -164,9 +164,10 @@ def failures(first_seed: int, runs: int, agents: int) -> dict[str, list[float]]:
     """Print contacts, and last costs over those of the best deployment of the remaining agents.
 
     About a fifth of all messages is lost, two agents are lost for good, and one sensor sticks.
+    Sensors are counted as excluded if some agent excludes them.
     """
     ratios: dict[str, list[float]] = {QUIET: [], STUCK: []}
-    contacts = 0
+    contacts, found_faulty, wrongly = 0, {QUIET: 0, STUCK: 0}, 0
     for seed in range(first_seed, first_seed + runs):
         generator = np.random.default_rng(seed)
         numbers = generator.permutation(agents)
@@ -201,15 +202,23 @@ def failures(first_seed: int, runs: int, agents: int) -> dict[str, list[float]]:
                 for each in (now, decided.motion)
             )
             contacts += len(verify_moves(scene.ground.free, before, after, problem.given.limits))
+        excluded = set(np.flatnonzero(decided.beliefs[0].excluded.any(axis=0)).tolist())
+        found_faulty[kind] += broken in excluded
+        wrongly += len(excluded - {broken})
         last = scene.ground.cover(network.motion.places_m[left]).cost
         best = best_deployment(scene.ground, len(left), 5, generator).cost
         ratios[kind].append(last / best)
         found = np.array(ratios[kind])
         print(
             f"seed {seed}: {contacts} faults of moves; {kind}: {(found <= 1.1).sum()} of "
-            f"{len(found)} within 10 %, median {np.median(found):.3f}, largest {found.max():.3f}",
+            f"{len(found)} within 10 %, median {np.median(found):.3f}, largest {found.max():.3f}; "
+            f"{found_faulty[kind]} excluded, and {wrongly} sound sensors",
             flush=True,
         )
+    for kind, each in ratios.items():
+        good = int((np.array(each) <= 1.1).sum())
+        exact = binomtest(good, len(each)).proportion_ci(method="exact")
+        print(f"{kind}: {good} of {len(each)}, {exact.low:.3f} to {exact.high:.3f} (95 %)")
     assert contacts == 0
     return ratios
 

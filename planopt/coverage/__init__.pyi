@@ -83,6 +83,7 @@ from planopt.coverage.network import running_round as running_round
 from planopt.coverage.optima import best_deployment as best_deployment
 from planopt.coverage.optima import draw_start as draw_start
 from planopt.coverage.optima import settle as settle
+from planopt.coverage.outliers import faulty_reading as faulty_reading
 from planopt.coverage.simulation import ABSENT as ABSENT
 from planopt.coverage.simulation import NetworkController as NetworkController
 from planopt.coverage.simulation import NetworkRun as NetworkRun

@@ -35,6 +35,15 @@ from planopt.coverage.localisation import (
     single_readings,
 )
 from planopt.coverage.network import Loss, Merge, Network, flood
+from planopt.coverage.outliers import (
+    CONTRADICTIONS,
+    GLOBAL_LEVEL,
+    OUTLIER,
+    OUTLIER_LEVEL,
+    faulty_reading,
+    misfit_level,
+    taken,
+)
 from planopt.coverage.voronoi import ConvexRegion
 
 GRID_READINGS = 150
@@ -74,8 +83,9 @@ class Medium:
 class Estimate:
     """Estimate of an event with its rank among the estimates of all agents."""
 
-    # Estimates from more readings rank higher; if readings expire, newer estimates rank higher.
-    rank: tuple[int, int]
+    # The estimate after a later refutation ranks higher, then that which excludes more sensors,
+    # then that from more readings; where readings age, the newer one does.
+    rank: tuple[int, int, int, int]
     value: EventEstimate
     # Number of readings, step of the earliest one, and step of the estimate
     source: tuple[int, int, int]
@@ -94,23 +104,34 @@ class Belief:
     """Knowledge of `n` agents about one event, with `r` readings in total."""
 
     steps: Indices  # (r,) step in which each reading was taken
+    owners: Indices  # (r,) agent that took each reading
     readings: Readings
     held: Mask  # (n, r) readings that each agent holds
     estimates: tuple[Estimate, ...]  # Estimates that agents hold, of ascending rank
     chosen: Indices  # (n,) number of each agent's estimate; `NONE` for agents without one
     heard: Indices  # (n,) step of the last detection that the agent knows of
+    since: Indices  # (n,) last step in which readings refuted the estimate, as the agent knows
+    doubts: Indices  # (n, n) contradicted readings of each sensor (column) that each agent knows of
 
     @classmethod
     def none(cls, agents: int) -> Belief:
         """Return the initial belief of agents without any knowledge of the event."""
         return cls(
             np.zeros(0, dtype=np.intp),
+            np.zeros(0, dtype=np.intp),
             single_readings(np.zeros((0, 2)), np.zeros(0)),
             np.zeros((agents, 0), dtype=np.bool_),
             (),
             np.full(agents, NONE, dtype=np.intp),
             np.full(agents, NEVER, dtype=np.intp),
+            np.full(agents, NEVER, dtype=np.intp),
+            np.zeros((agents, agents), dtype=np.intp),
         )
+
+    @property
+    def excluded(self) -> Mask:
+        """Return which sensors (columns) each agent excludes as faulty; (n, n)."""
+        return self.doubts >= CONTRADICTIONS
 
     @property
     def known(self) -> Mask:
@@ -146,6 +167,13 @@ class Belief:
     def stds_m(self) -> Floats:
         """Return the standard deviation of each agent's estimate; (n,), NaN without an estimate."""
         return np.array([*(each.std_m for each in self.estimates), math.nan])[self.chosen]
+
+    def explains(self, sensing: Sensing, agents_m: Floats, signal: Floats) -> Mask:
+        """Return whether each agent's reading agrees with its estimate; (n,), False without."""
+        strengths = np.array([*(each.value.strength for each in self.estimates), math.nan])
+        away_m = np.linalg.norm(agents_m - self.places_m, axis=1)
+        off = signal - strengths[self.chosen] * sensing.sensor.profile(away_m)
+        return np.asarray((off / sensing.sensor.noise_std) ** 2 < OUTLIER, dtype=np.bool_)
 
     def of(self, agents: Mask) -> Belief:
         """Return the belief reduced to the knowledge of the agents in a mask (n,)."""
@@ -193,22 +221,72 @@ def share_readings(
 
     messages = medium.flood(asks, merge, asks)
     loud = signal > sensing.detection_std * sensing.sensor.noise_std
-    fresh = work[:, : len(owners)]
+    loud &= ~belief.excluded.diagonal()
+    fresh = work[:, : len(owners)] & ~belief.excluded[:, owners]
     # Without a detection the event may just have ended; such readings would bias the estimate.
     hears: Mask = np.asarray(fresh[:, loud[owners]].any(axis=1), dtype=np.bool_)
     held = belief.held.copy()
     held[:, partly] = work[:, len(owners) :]
     held = np.concatenate((held, fresh & hears[:, None]), axis=1)
     steps = np.concatenate((belief.steps, np.full(len(owners), step, dtype=np.intp)))
+    taken_by = np.concatenate((belief.owners, owners))
     new = single_readings(agents_m[owners], signal[owners])
     heard = np.where(hears | loud, step, belief.heard)
     kept = np.asarray(held.any(axis=0), dtype=np.bool_)
     if sensing.memory_s is not None:
         kept &= (step - steps) * time_step_s < sensing.memory_s
-    readings = _taken(joined((belief.readings, new)), kept)
+    readings = taken(joined((belief.readings, new)), kept)
     return replace(
-        belief, steps=steps[kept], readings=readings, held=held[:, kept], heard=heard
-    ), messages
+        belief, steps=steps[kept], owners=taken_by[kept], readings=readings, held=held[:, kept],
+        heard=heard,
+    ), messages  # fmt: skip
+
+
+def doubt_sensors(
+    belief: Belief,
+    sensing: Sensing,
+    hull: ConvexRegion,
+    agents_m: Floats,  # (n, 2)
+    signal: Floats,  # (n,)
+    asks: Mask,
+    step: int,
+) -> Belief:
+    """Test the readings of a step by all asking agents, and drop knowledge that they refute.
+
+    Refuted are the readings of excluded sensors, and estimates with all readings they were made of.
+    Where readings age, estimates correct themselves.
+    """
+    doubts, since = belief.doubts.copy(), belief.since.copy()
+    now = belief.held & (belief.steps == step)
+    for rows, agents in _groups(now, asks & now.any(axis=1)):
+        fresh, mine, level = taken(belief.readings, rows), int(belief.chosen[agents[0]]), 1.0
+        if mine != NONE:
+            level = misfit_level(fresh, sensing, belief.estimates[mine].value)
+            if level > GLOBAL_LEVEL:
+                continue
+        found = faulty_reading(fresh, sensing, hull)
+        if found != NONE:
+            doubts[agents, belief.owners[rows][found]] += 1
+        elif level < OUTLIER_LEVEL:
+            since[agents] = step
+    doubted = replace(belief, doubts=doubts)
+    # An agent whose readings have been silent for a while refutes an event by its own reading.
+    last = np.where(belief.held, belief.steps, NEVER).max(axis=1, initial=NEVER)
+    silent = asks & belief.known & (step - last >= sensing.silent_steps)
+    silent &= ~belief.explains(sensing, agents_m, signal) & ~doubted.excluded.diagonal()
+    since[silent] = step
+    if sensing.memory_s is not None:
+        since = belief.since
+    valid = ~doubted.excluded[:, belief.owners] & (belief.steps >= since[:, None])
+    return replace(doubted, since=since, held=belief.held & valid)
+
+
+def _groups(held: Mask, agents: Mask) -> list[tuple[Mask, list[int]]]:
+    """Return the different rows of a mask (n, r) among agents, each with its agents."""
+    groups: dict[bytes, list[int]] = {}
+    for agent in np.flatnonzero(agents).tolist():
+        groups.setdefault(held[agent].tobytes(), []).append(agent)
+    return [(held[same[0]], same) for same in groups.values()]
 
 
 def estimate_event(
@@ -222,32 +300,27 @@ def estimate_event(
     """Update the estimate of each requesting agent from the readings that this agent holds."""
     moves = sensing.speed_std_m_s is not None
     fresh = belief.held if moves else belief.held[:, belief.steps == step]
-    groups: dict[bytes, list[int]] = {}  # Agents with equal readings have equal estimates
-    for agent in np.flatnonzero(asks & fresh.any(axis=1)).tolist():
-        groups.setdefault(belief.held[agent].tobytes(), []).append(agent)
+    # Agents with equal readings have equal estimates.
+    groups = _groups(belief.held, asks & fresh.any(axis=1))
     if not groups:
         return belief
     ranked = belief.groups(belief.known)
-    for agents in groups.values():
-        rows = belief.held[agents[0]]
+    for rows, agents in groups:
         mine = int(belief.chosen[agents[0]])
         last = None if mine == NONE else belief.estimates[mine].value
         age_s = time_step_s * (step - belief.steps[rows]).astype(np.float64)
-        found = _located(_taken(belief.readings, rows), age_s, sensing, hull, last)
+        found = _located(taken(belief.readings, rows), age_s, sensing, hull, last)
         size = int(rows.sum())
         rank = (size, step) if sensing.memory_s is None else (step, size)
+        excluded = int(belief.excluded[agents[0]].sum())
+        since = int(belief.since[agents[0]])
         source = size, int(belief.steps[rows].min()), step
-        ranked.append((Estimate(rank, found, source), np.array(agents)))
+        ranked.append((Estimate((since, excluded, *rank), found, source), np.array(agents)))
     ranked.sort(key=lambda one: one[0].rank)
     chosen = np.full(len(belief.chosen), NONE, dtype=np.intp)
     for number, (_, agents) in enumerate(ranked):
         chosen[agents] = number
     return replace(belief, estimates=tuple(one[0] for one in ranked), chosen=chosen)
-
-
-def _taken(readings: Readings, rows: Mask) -> Readings:
-    """Return the readings that a mask (r,) selects."""
-    return Readings(readings.positions_m[rows], readings.signal[rows], readings.counts[rows])
 
 
 def _located(
@@ -281,17 +354,22 @@ def share_estimates(
 
     Agents that know of no detection in the last `silent_steps` steps forget the event.
     """
-    chosen, heard = belief.chosen.copy(), belief.heard.copy()
+    doubted = belief.doubts.any(axis=0)
+    known = np.column_stack((belief.chosen, belief.heard, belief.since, belief.doubts[:, doubted]))
 
     def merge(senders: Indices, receivers: Indices) -> Mask:
-        """Adopt estimates of higher rank and later detections."""
-        before = chosen.copy(), heard.copy()
-        np.maximum.at(chosen, receivers, before[0][senders])
-        np.maximum.at(heard, receivers, before[1][senders])
-        return (chosen != before[0]) | (heard != before[1])
+        """Adopt estimates of higher rank, later detections and refutations, and larger doubts."""
+        before = known.copy()
+        np.maximum.at(known, receivers, before[senders])
+        return np.asarray((known != before).any(axis=1), dtype=np.bool_)
 
-    messages = medium.flood((chosen != NONE) & (step - heard < silent_steps), merge)
-    shared = replace(belief, chosen=chosen, heard=heard)
+    active = (belief.chosen != NONE) & (step - belief.heard < silent_steps)
+    messages = medium.flood(active | (belief.since == step), merge)
+    (chosen, heard, since), doubts = known[:, :3].T, belief.doubts.copy()
+    doubts[:, doubted] = known[:, 3:]
+    made = np.array([*(each.rank[0] for each in belief.estimates), NEVER])
+    chosen = np.where(made[chosen] < since, NONE, chosen)  # Refuted meanwhile
+    shared = replace(belief, chosen=chosen, heard=heard, since=since, doubts=doubts)
     return shared.of((chosen != NONE) & (step - heard < silent_steps)), messages
 
 

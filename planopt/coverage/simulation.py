@@ -20,6 +20,7 @@ from planopt.coverage.beliefs import (
     Medium,
     Response,
     choose_teams,
+    doubt_sensors,
     estimate_event,
     share_estimates,
     share_readings,
@@ -351,17 +352,22 @@ class NetworkController:
         for number, before in enumerate(self._beliefs):
             signal = np.full(len(states), -np.inf)
             signal[who] = readings(number, who)
-            # A detecting agent requests readings unless it knows that others respond.
+            # An agent that detects an event asks unless it knows that others respond to an event
+            # that explains its reading.
             detects = signal > sensing.detection_std * sensing.sensor.noise_std
-            asks = detects & ~(before.known & (self._response.shares[:, number] > 0))
+            detects &= ~before.excluded.diagonal()
+            served = before.known & (self._response.shares[:, number] > 0)
+            if sensing.memory_s is None:
+                served &= before.explains(sensing, here_m, signal)
+            asks = detects & ~served
             asks = members & (asks | (states == number))
             belief, sent = share_readings(
                 before.of(members), sensing, medium, here_m, signal, asks, self._steps,
                 scene.time_step_s,
             )  # fmt: skip
-            belief = estimate_event(
-                belief, sensing, scene.ground.hull, asks, self._steps, scene.time_step_s
-            )
+            hull = scene.ground.hull
+            belief = doubt_sensors(belief, sensing, hull, here_m, signal, asks, self._steps)
+            belief = estimate_event(belief, sensing, hull, asks, self._steps, scene.time_step_s)
             belief, passed = share_estimates(belief, medium, self._steps, sensing.silent_steps)
             beliefs.append(belief)
             announced, shared = announced + passed, shared + sent

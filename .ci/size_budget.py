@@ -18,7 +18,7 @@ BUDGET = {
     "files": 289,
     "functions": 3_754,
     "docstring lines": 8_538,
-    "lines of tests": 48_619,
+    "lines of tests": 48_620,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

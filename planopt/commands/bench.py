@@ -219,7 +219,7 @@ def report_json(manifest: Manifest, rows: list[Row], known: References) -> dict[
 
 
 def _freeze(rows: list[Row], manifest: Manifest, file: Path, replace: bool, json: bool) -> int:
-    """Add rows to a file of references; existing ones are changed only if `replace` is set."""
+    """Add rows to a file of references; existing references change only if `replace` is set."""
     from planopt.studies.bench_references import frozen, read_references, write_references
 
     known = read_references(file) if file.exists() else {}

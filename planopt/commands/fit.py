@@ -69,7 +69,7 @@ def read_and_fit(options: LogOptions) -> LogFit:
 
 
 def fit_each(options: LogOptions) -> tuple[dict[str, LogFit], dict[str, int]]:
-    """Return the channel fit of each transmitter, and the counts of those with too few readings."""
+    """Return the fit of each transmitter, and the number of readings of those with too few."""
     from planopt.channel.logs.log_format import parse_station
     from planopt.channel.logs.power_log import FEWEST_READINGS, transmitters_of
     from planopt.channel.logs.stations import read_stations
@@ -225,7 +225,7 @@ MOST_FOLDS = 10
 """Maximum number of folds; each fold holds out one or more groups."""
 
 SEED = 0
-"""Random seed that assigns groups to folds."""
+"""Random seed of the assignment of groups to folds."""
 
 NAME_WIDTH = 13
 """Width of the column of predictor names."""

@@ -104,7 +104,7 @@ class Information:
 class VarianceRemoved:
     """Variance reduction of a map, or trace of the information on theta: tr(Y' C^-1 Y)."""
 
-    # Y is B times `loading`, or the covariances with the map positions.
+    # Y is B times `loading`, or holds the covariances with the map positions.
 
     loading: Floats | None = None  # (2, r); None for the map
     universal: bool = True  # C is S + B M B' if true, else S

@@ -2,7 +2,7 @@
 
 The posterior covariance after measurements at q_1 .. q_N does not depend on the measured values. It
 depends on their covariance S and on B, their regressors less the part predicted from earlier data.
-S and B come from the exact posterior or, for many paths at once, from a local channel.
+S and B come from the exact posterior or, for many paths together, from a local channel model.
 
 A measurement with gate g in [0, 1] is g times the channel power plus noise that restores its
 variance to that of an uninformative measurement, kappa = xi^2 + omega^2:

@@ -106,7 +106,7 @@ class FilteredTracking:
 
 
 def left(received: Floats, settings: FilteredTracking) -> Floats:
-    """Return the weighted sum over steps of a criterion of the target's position covariance.
+    """Return the criterion of the target's position covariance, as a weighted sum over steps.
 
     The filter runs in place, because searches evaluate hundreds of paths over all steps.
     """

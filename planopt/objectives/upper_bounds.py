@@ -49,7 +49,7 @@ class UpperBounds:
 
     def positive_part(self) -> UpperBounds:
         """Return bounds of max(0, f)."""
-        # Where the tangent may be negative within the disc, only the constant remains.
+        # If the tangent may be negative within the disc, only the constant bound remains.
         most = np.maximum(self.most, 0.0)
         holds = self.value >= self.radius_m * np.hypot(*self.slope.T)
         slope = np.where(holds[:, None], self.slope, 0.0)

@@ -60,7 +60,7 @@ UNLIMITED = Budget()
 
 
 def budget_from(problem: Problem, begun_s: float) -> Budget:
-    """Return a plan's deadlines, which leave time to verify its last solve."""
+    """Return the deadlines of a plan, which leave time to verify the path of the last solve."""
     budget_s = problem.planner.budget_s
     if budget_s is None:
         return UNLIMITED
@@ -118,7 +118,7 @@ class Candidate:
         """Return whether every violation of the chance constraint is certified as unavoidable."""
         if self.certificate is None or len(self.certificate.relaxed_steps) < len(self.path_m):
             return False
-        # If slack is bounded, the verifier computes no reachable margins.
+        # With bounded slack, the verifier does not compute margins of reachable positions.
         return max(self.certificate.best_margin_db, default=0.0) < 0.0
 
     @property
@@ -197,9 +197,9 @@ class Scorer:
         return replace(candidate, found=found)
 
     def standing(self, horizon: int) -> Candidate:
-        """Return a candidate that waits; if that is unsafe, another that stays clear of others.
+        """Return a candidate that waits or, if waiting is unsafe, one that avoids collisions.
 
-        The alternatives are the reservation, which other robots avoid, or a path out of obstacles.
+        The alternatives are the reservation, which other robots avoid, and a path out of obstacles.
         """
         place = np.tile(self.position_m, (horizon, 1))
         found = self.assessed(self.candidate(place, Rung.STOP, Termination.NO_PATH))

@@ -70,7 +70,7 @@ def last_drive(problem: Problem, warm: Plan | None) -> Drive | None:
 
 
 def driven_start(scorer: Scorer, context: StepContext, drive: Drive) -> Guess:
-    """Return a drive (states and inputs) as an initial guess."""
+    """Return states and inputs of a drive as an initial guess."""
     candidate = drive_candidate(scorer, drive, Rung.LATTICE, Termination.LATTICE_ONLY)
     path = candidate.path_m
     moved = verify_motion(scorer.problem, scorer.index, scorer.state, drive.positions_m, drive)
@@ -200,7 +200,7 @@ class FallbackCascade:
         verified: list[Candidate],
         budget: Budget,
     ) -> list[Candidate]:
-        """Return refinements of the best candidate, with measurements and lines near its path."""
+        """Refine the best candidate again, with measurements and separating lines near its path."""
         if self.refinement is None:
             return []
         best = max(verified, key=scorer.score)

@@ -218,7 +218,7 @@ def shifted_drive(problem: Problem, warm: Plan | None) -> Drive | None:
 
 @dataclass(frozen=True)
 class History:
-    """History of a robot's run. A step counts as connected if its end truly is."""
+    """History of a robot's run; a step counts as connected if its end is truly connected."""
 
     steps: int = 0
     connected_steps: int = 0
@@ -237,7 +237,7 @@ class History:
 
 
 CIRCLING_STEPS = 15
-"""Number of steps near one position, within a longest step of it, that count as circling."""
+"""Number of consecutive steps within one step length of a position that count as circling."""
 
 BEGINNING = History()
 """History at the start of a run."""

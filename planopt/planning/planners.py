@@ -1,4 +1,4 @@
-"""Planners that a problem may name, including the baselines.
+"""Planners that a problem file can select by name, including the baselines.
 
 The one-step planner follows [GM11]. It maximises their objectives (2), (3, inner layer) or (4) over
 a dense set of positions within one step; measuring terms consider only unmeasured positions ("q

@@ -84,7 +84,7 @@ class Outlook:
     """Step context of one robot, with the lattice path found for this step."""
 
     context: VerifierContext
-    step: StepContext  # Planner's context, thresholds lowered by bounded slack
+    step: StepContext  # Planner's context; thresholds are lowered by the bounded slack
     start: GlobalStart | None  # Initial guess; None if no node is reachable
     wall_s: float  # Wall time of the search
 
@@ -119,7 +119,7 @@ class ReachPlanner:
         self._eased = eased(problem)
         self._search = GlobalSearch(self._eased, scene, others)
         self._region = workspace_region(problem)
-        # A soft chance constraint needs cost comparisons; a hard one does not.
+        # Only a soft chance constraint needs the grid, which compares costs of paths.
         may_miss = problem.constraints.rule.slack_max_db is None
         self._goal_grid = build_goal_grid(problem, scene.index) if may_miss else None
         self._refinement: Refinement | None = None
@@ -315,7 +315,7 @@ class ReachPlanner:
         yield replace(lattice, rung=Rung.RELAXED) if lattice.relaxes else lattice
 
     def _sooner(self, scorer: Scorer, path_m: Floats) -> Floats | None:
-        """Return positions (N, 2) along a path in fewer steps to the goal; None if impossible."""
+        """Return positions (N, 2) along a path that reach the goal sooner; None if impossible."""
         problem = self.problem
         away = np.linalg.norm(path_m - np.asarray(problem.goal_m), axis=1)
         there = np.flatnonzero(away <= problem.constraints.goal_radius_m)
@@ -534,7 +534,7 @@ class DrivenReach:
         )
 
     def _is_stagnant(self, found: Candidate) -> bool:
-        """Return whether the plan's resting position is nearly that of braking now."""
+        """Return whether the plan comes to rest close to where braking now would end."""
         if found.drive is None:
             return False
         resting = resting_places_m(found.drive)

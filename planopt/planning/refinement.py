@@ -136,7 +136,7 @@ def with_bounds(task: PathTask, context: StepContext, rows: RuleRows) -> PathTas
 def lacks(
     context: StepContext, power: Prediction, rows: RuleRows, held: Mask, *, firmly: bool = False
 ) -> bool:
-    """Return whether a path with these powers violates one of the rows that its solver `held`.
+    """Return whether these powers violate a constraint row that the solver enforced (`held`).
 
     With `firmly`, a margin below the error of search predictions counts as a violation, since
     verification may be expensive.

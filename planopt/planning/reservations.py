@@ -51,7 +51,7 @@ def planned_motion(problem: Problem, plan: Plan) -> TimedMotion:
 
 
 def discs_to_avoid(problem: Problem, driven: int, others: Mapping[int, TimedMotion]) -> MovingDiscs:
-    """Return what a robot must avoid as moving discs: obstacles and, if required, other robots."""
+    """Return moving obstacles and, if a separation is required, other robots as moving discs."""
     obstacles = obstacles_ahead(problem, driven)
     if not others or problem.constraints.separation_m == 0.0:
         return obstacles

@@ -299,7 +299,7 @@ INSIDE_GOAL = 0.999
 class RouteSmoothing:
     """Smoothing of a robot's routes with one belief.
 
-    Steps of a robot that is not alone, or that meets moving obstacles or has dynamics, stay.
+    The steps stay unchanged for teams, moving obstacles and robots with dynamics.
     """
 
     def __init__(
@@ -419,7 +419,7 @@ class RouteSmoothing:
         return np.where(allowed, cost, np.inf)
 
     def _stepped(self, route_m: Floats) -> tuple[Floats, Floats] | None:
-        """Return the cheapest steps (N + 1, 2) beside a route (n, 2), and the route's rest.
+        """Return the cheapest steps (N + 1, 2) next to a route (n, 2), and the rest of the route.
 
         Dynamic programming chooses among offsets from the route. The last position is on the
         route. The result is None if the route ends within the steps.
@@ -468,7 +468,7 @@ class RouteSmoothing:
         return np.array(found[::-1]), rest[number][1:]
 
     def _thinned(self, route_m: Floats) -> list[int]:
-        """Return numbers of vertices after the first, about a step apart, with clear legs.
+        """Return indices of vertices about a step apart that collision-free legs connect.
 
         The numbers count from the vertex after the first. There are at most `WINDOW`.
         """

@@ -330,7 +330,7 @@ class Stepper:
         self.problem = replace(self.problem, workspace=more)
 
     def place(self, states: Sequence[Floats], measured: Sequence[Sequence[Measurements]]) -> None:
-        """Set the initial states, and add measurements at the start."""
+        """Set the initial states, and add measurements made at the start."""
         self.beliefs = self._learnt(measured)
         self.states = [[state] for state in states]
 

@@ -641,7 +641,7 @@ def _relative(path: Path, folder: Path) -> str:
 def _require_free(
     workspace: Workspace, places: Sequence[tuple[float, float]], clearance: float
 ) -> None:
-    """Raise an error that suggests the nearest free position if start or goal is not free."""
+    """Raise an InputError that names the nearest free position if start or goal is not free."""
     index = index_obstacles(workspace)
     for key, place in zip(("--start", "--goal"), places, strict=True):
         at = np.array([place])

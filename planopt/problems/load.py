@@ -239,7 +239,7 @@ def require_motion(problem: Problem) -> None:
 def _overridden(
     problem: Problem, horizon: int | None, planner: str | None, cost_to_go: str | None
 ) -> Problem:
-    """Return a copy of `problem` with changed settings, each validated individually."""
+    """Return a copy of `problem` with changed settings, each validated on its own."""
     changes = {"horizon": horizon, "name": planner}
     changes = {name: value for name, value in changes.items() if value is not None}
     # The constructor of the changed part validates it.
@@ -288,7 +288,7 @@ def with_changes(problem: AnyProblem, changes: Mapping[str, object]) -> AnyProbl
 
 
 def _of_change(error: InputError, given: str) -> InputError:
-    """Return an error about a changed problem, with the changes added to its message."""
+    """Return the error about a changed problem, with the changes in its message."""
     message = f"{error.message}; the value was changed by {given}"
     return InputError(message, key=error.key, remedy=error.remedy)
 

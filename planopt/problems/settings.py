@@ -319,7 +319,7 @@ class SettingGroup(Part):
 
     at = "compare.settings[]"
 
-    # Replacements of the problem's own values; empty lists keep these
+    # Values that replace those of the problem; an empty list keeps the problem's value
     horizons: Annotated[tuple[int, ...], Strict(False)] = ()
     """Horizons in steps; default: the problem's own."""
     planners: Annotated[tuple[str, ...], Strict(False)] = ()

@@ -1,7 +1,7 @@
-"""Page and Markdown of planners' results in the regression suite.
+"""Results of planners in the regression suite, as an HTML page and as Markdown.
 
 Plans from the start are cold starts; the steps of closed loops have the last plan as a warm start.
-Both have scores of their own.
+Their scores are separate.
 """
 
 from __future__ import annotations

@@ -221,7 +221,7 @@ def _draw_path_loss(
     if len(distance):
         nearest, farthest = float(distance.min()), float(distance.max())
     if farthest < 1.01 * nearest:
-        nearest, farthest = 0.9 * nearest, 1.1 * farthest  # an axis needs a positive extent
+        nearest, farthest = 0.9 * nearest, 1.1 * farthest  # an axis needs a positive length
     span = np.geomspace(nearest, farthest, LINE_POINTS)
     line = parameters.k_pl_db - 10.0 * parameters.n_pl * np.log10(span)
     spread = LINE_DEVIATIONS * np.hypot(parameters.shadow_std_db, parameters.multipath_std_db)

@@ -228,7 +228,7 @@ def _draw_stalled(panel: Panel, layout: Layout) -> None:
     for slot in layout.slots:
         stalled = float(slot.setting.stalled)
         panel.bar([slot.x], [stalled], width=0.9 * slot.width, color=slot.look["color"])
-        # The marker distinguishes zero, which has no bar, from a setting that was not run.
+        # The marker shows a zero, which has no bar, unlike a setting that was not run.
         edge = {"markersize": 5.0, "markeredgecolor": "white", "clip_on": False}
         panel.plot([slot.x], [stalled], linestyle="none", **edge, **slot.look)
     dress(panel, "stalled", layout.label, f"runs of {most} [count]")

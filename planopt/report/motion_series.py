@@ -275,7 +275,7 @@ def _draw_step_times(panel: Panel, log: StepLog) -> None:
 
 
 def _release_times(log: StepLog, rung: Rung) -> NDArray[np.float64]:
-    """Return the times at which plans of a fallback were released; the start has no plan."""
+    """Return the times at which a fallback released a plan; the start has none."""
     return log.t_s[1:][np.array([found is rung for found in log.rung[1:]], dtype=bool)]
 
 

@@ -324,7 +324,7 @@ def in_columns(cells: Sequence[tuple[str, str]]) -> list[str]:
 
 
 def planned_in_words(clearance_m: float | None, connectivity: float | None) -> str:
-    """Return the clearance of planned paths and the minimum P(connected) of planned steps.
+    """Return text on the clearance of planned paths and the minimum P(connected) of planned steps.
 
     The minimum probability of a run refers to executed steps.
     """

@@ -31,7 +31,7 @@ from planopt.world.workspace import MovingObstacle, Obstacle
 PAGE_FILE = "report.html"
 
 SYMBOLS = ("circle", "square", "diamond", "triangle-down", "cross", "x", "hexagon")
-"""Symbols of robots; there are not as many as colours, so that pairs repeat late."""
+"""Symbols of robots; their number differs from that of colours, so that pairs repeat late."""
 
 MOST_NAMED = 8
 """Maximum number of robots with individual colours and legend entries; more are grouped by role."""

@@ -270,7 +270,7 @@ def _step_notes(log: StepLog) -> list[str]:
 
 
 def _known(value: float, unit: str = "", digits: int = 4) -> str:
-    """Return a number with its unit; a dash for NaN."""
+    """Return a number with its unit as text; a dash for NaN."""
     return shown_number(None if np.isnan(value) else value, unit, digits)
 
 

@@ -45,7 +45,7 @@ BAND_WORDS = "80 % band"
 
 ROBOT_COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, SKY, ORANGE)
 ROBOT_MARKERS = ("o", "s", "D", "v", "P", "X", "h")
-"""Markers of robots; there are not as many as colours, so that pairs repeat late."""
+"""Markers of robots; their number differs from that of colours, so that pairs repeat late."""
 
 LETTER_IN, HANDLE_IN, LINE_IN = 0.068, 0.6, 0.19
 """Widths of a legend's character and handle and height of a line, in inches."""
@@ -253,7 +253,7 @@ def legend_above(panel: Panel, columns: int = 6) -> None:
 
 
 def legend_inside(panel: Panel, place: str = "best") -> None:
-    """Add a legend inside a panel of dots, which leave space for it."""
+    """Add a legend inside a panel, for sparse dots."""
     panel.legend(fontsize=NOTE_PT, loc=place, framealpha=0.9, edgecolor="none")
 
 

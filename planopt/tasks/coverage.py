@@ -194,7 +194,7 @@ def faults(result: TaskResult) -> list[str]:
 
 
 def _estimate_faults(problem: CoverageProblem, run: NetworkRun) -> list[str]:
-    """Return faults of estimates recomputed from all readings of their time."""
+    """Return faults of estimates and standard deviations, recomputed from all readings."""
     table, sensing, reasons = problem.given.sensor, problem.scene.sensing, list[str]()
     if table is None or sensing is None:
         return reasons
@@ -383,7 +383,7 @@ def tables_of(problem: CoverageProblem, run: NetworkRun) -> dict[str, Data]:
     states = np.array([words[state] for state in run.states.ravel().tolist()], dtype=np.str_)
 
     def by_agent(values: NDArray[Any], end: Any = np.nan) -> NDArray[Any]:
-        """Return values (T + 1, n) or (T, n) flattened by agent; `end` fills a missing last row."""
+        """Return values (T + 1, n) or (T, n) agent by agent; `end` fills a missing last row."""
         missing = np.full((steps + 1 - len(values), agents), end, dtype=values.dtype)
         return np.concatenate((values, missing)).T.ravel()
 

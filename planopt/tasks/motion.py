@@ -145,7 +145,7 @@ class MotionTask(Task):
         return problem.planner.horizon, problem.planner.name, problem.cost_to_go
 
     def has_horizon(self, problem: Problem) -> bool:
-        """Return True if runs depend on the horizon; planners of bounds cover the whole run."""
+        """Return True if runs depend on the horizon; performance bounds plan whole runs."""
         return not planner_kind(problem.planner.name).foresees
 
     def compared_costs_to_go(self, problem: Problem) -> Sequence[str | None]:
@@ -179,7 +179,7 @@ class MotionTask(Task):
         states: States = (),
         prove_s: float = 0.0,
     ) -> dict[str, Any]:
-        """Return the suite's row for a plan, checked from its files, or for a run's first steps."""
+        """Return the regression suite's row for a plan, or for the first steps of a run."""
         if kind == "run":
             return _run_answer(problem, seed, shared, states)
         from planopt.planning.solve import proven, solve_on
@@ -275,7 +275,7 @@ class MotionTask(Task):
         return load_motion_result(file, data)
 
     def no_plan(self, action: Action, problem: Problem, seed: int, error: NoPlanError) -> NoPlan:
-        """Return the result "no plan"; for ``solve``, with changes that would make a plan exist."""
+        """Return a result without a plan; for ``solve``, with changes that would give one."""
         from planopt.planning.explain.explain import explain_no_plan
         from planopt.planning.files.result_json import no_plan_json, no_run_json
 
@@ -338,7 +338,7 @@ def _run_answer(problem: Problem, seed: int, shared: Any, recorded: States) -> d
 
 
 def _totals(problem: Problem, plans: Sequence[Plan]) -> dict[str, Any]:
-    """Return a row's totals over all plans, with a hash of the paths."""
+    """Return totals over all plans for a row of the regression suite, with a hash of the paths."""
     deadline_s = problem.planner.budget_s or problem.planner.step_s
     # Adding zero turns negative zeros into positive ones.
     paths = (np.round(plan.positions_m, 3) + 0.0 for plan in plans)

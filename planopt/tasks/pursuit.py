@@ -123,7 +123,7 @@ def _missed_guarantee(problem: PursuitProblem) -> Inequality | None:
 
 
 def _stage_shares(problem: PursuitProblem, pursuit: Pursuit) -> Iterator[tuple[Theorem, float]]:
-    """Yield the largest ratio of a stage's W to its bound, by chase in stages and valid theorem."""
+    """Yield each chase's largest ratio of a stage's bound W to the limit of a valid theorem."""
     if problem.given.planner.name != "drive":
         return
     for pursuer in range(len(pursuit.scene.pursuers)):
@@ -139,7 +139,7 @@ def _stage_shares(problem: PursuitProblem, pursuit: Pursuit) -> Iterator[tuple[T
 def _guarantee_json(
     problem: PursuitProblem, pursuit: Pursuit, shares: Sequence[tuple[Theorem, float]]
 ) -> dict[str, Any]:
-    """Return the guarantee of the first pair, and the largest used share of bounds."""
+    """Return the guarantee for the first pursuer and evader, with the largest ratio to it."""
     radius_m, uses = problem.given.pursuit.capture_radius_m, pursuit.uses
     alone = len(problem.given.pursuers) == len(problem.given.evaders) == 1
     theorems: dict[str, Any] = {}

@@ -75,13 +75,13 @@ ACTIVE = 1e-6
 """Margin, as a share of the limit, below which a requirement is shown as active."""
 
 LEAST_EFFECT = 0.005
-"""Minimum effect of a parameter in per cent to be listed."""
+"""Minimum effect of a listed parameter, in per cent."""
 
 MethodName = Literal["least_power", "least_power_rated", "least_energy", "capture_in_time"]
 TheoremName = Literal["lemma", "any_instant", "sampled_distance", "snapshots"]
 
 SCAN_SHARE = 1e-9
-"""Relative error of the scan's optimum: ten times the tolerance of its bisection."""
+"""Relative error of the optimum over numbers of bits: ten times the tolerance of bisection."""
 
 REQUIREMENTS = ("first_distance_m", "capture_radius_m", "deadline_s")
 
@@ -90,7 +90,7 @@ REQUIREMENTS = ("first_distance_m", "capture_radius_m", "deadline_s")
 class Method:
     """Design method with its solver and keys."""
 
-    words: str  # Description for people
+    words: str  # Description in text output
     solver: Callable[[Theorem], Callable[[DesignTask], Design]]  # Solver for a theorem
     needs: tuple[str, ...] = ()  # Mandatory keys; `takes` has the optional ones
     takes: tuple[str, ...] = ()
@@ -268,7 +268,7 @@ def _proof(problem: DesignProblem, design: Design) -> tuple[Requirement, ...]:
 
 
 def _unproved(late: tuple[float, ...] | None, blocks: int) -> str:
-    """Return the reason why records may be late in a design; empty if none is."""
+    """Return the reason why records of a design may be late; empty if all are on time."""
     if late is None:
         return (
             f"a slot of {blocks} blocks is below the peak load, and grids of more than "

@@ -181,7 +181,7 @@ class Task:
         return [(end, result.data.get(end)), *numbers.items()]
 
     def explained(self, result: Any) -> Any:
-        """Return a result, with an explanation for the command line if the task has one."""
+        """Return the result, with an explanation to print if the task has one."""
         return result
 
     def draw(self, result: Any, folder: Path, *, animation: bool = False) -> None:
@@ -246,7 +246,7 @@ class Task:
         return (None,)
 
     def shared(self, problem: Any, seed: int) -> Any:
-        """Return data that all runs with one seed share, whatever their settings."""
+        """Return data that all runs of one seed share, independent of their settings."""
         return None
 
     def run_summary(self, problem: Any, seed: int, shared: Any) -> RunSummary:

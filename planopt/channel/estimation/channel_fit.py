@@ -116,8 +116,8 @@ def from_correlation(
     )
     if left <= (1.0 + BOUND_TOLERANCE) * floor:
         warnings.append(
-            f"omega^2 = alpha - xi^2 came out as {left:.3g} dB^2; "
-            f"omega is set to {math.sqrt(multipath):.3g} dB"
+            f"multipath_std_db is set to {math.sqrt(multipath):.3g} dB, as the estimated multipath "
+            f"variance is only {left:.3g} dB^2"
         )
         multipath_error = math.inf
     return CovarianceFit(

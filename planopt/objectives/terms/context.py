@@ -42,8 +42,8 @@ class SteeringPath:
     clearance_m: float  # Minimum distance to obstacles, less the verifier's tolerance
     # (ny, nx) length of the shortest path to the end from each node of the lattice, if known
     lattice_m: Floats | None = None
-    # Whether a position heads at most for the end of its nearest leg, because the path also avoids
-    # coverage holes, across which later turns are visible
+    # True if a position heads no farther than the end of its nearest leg: the path avoids coverage
+    # holes, across which later turns are visible
     in_order: bool = False
 
     @property

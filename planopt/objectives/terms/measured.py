@@ -226,7 +226,7 @@ class MappingTerm(MeasuredTerm):
 
     @classmethod
     def table_fault(cls, given: frozenset[str], term: Term) -> str | None:
-        """Return why threshold or closeness conflict with the form; None without a conflict."""
+        """Return the reason why threshold or closeness conflict with the form, else None."""
         for key in FORM_KEYS:
             if key in given & term.left_out:
                 return f'has {key}, which applies only with form = "path" or "two_layer"'

@@ -49,7 +49,7 @@ class TermSetting:
     stations: int  # Number of base stations
     has_target: bool  # Whether there is a target
     has_dynamics: bool = False  # Whether any robot has dynamics (inertia or a heading)
-    is_free: bool = False  # Whether it is the only term, with no chance constraint
+    is_free: bool = False  # True if there are no other terms and no chance constraint
     has_estimates: bool = False  # Whether packets contain target estimates
 
 
@@ -84,7 +84,7 @@ class Term:
 
     @classmethod
     def table_fault(cls, given: frozenset[str], term: Term) -> str | None:
-        """Return why the keys `given` conflict with the other keys; None without a conflict."""
+        """Return the conflict of the keys `given` with other keys as text; None if none."""
         return None
 
     @property
@@ -196,7 +196,7 @@ class Term:
         return 0.0
 
     def stage_bounds(self, at: TermContext) -> StageBounds | str:
-        """Return upper bounds of a value that is a sum over stages, or why there are none."""
+        """Return upper bounds of a sum over stages, or the reason why there are none."""
         return "without a proven bound"
 
     def move_reward(self, lengths_m: Floats, step_s: float) -> Floats:

@@ -35,7 +35,7 @@ from planopt.targets.rounding import Derivatives, add_products
 
 LONGEST_ADDITIVE = 10
 """Longest horizon at which ``auto`` selects ``additive`` with other terms, a chance constraint or
-dynamics. A longer additive plan relies on uncertain packets sent close to the target."""
+dynamics. Longer additive plans rely on packets sent close to the target, which are often lost."""
 
 TrackingForm = Literal["auto", "additive", "recourse"]
 

@@ -2,8 +2,8 @@
 
 The initial data are regenerated from problem and seed, the channel is fitted again, and the saved
 trajectories are executed and verified again (:mod:`planopt.planning.check.replay`). The resulting
-document is compared with the saved one. A difference from the library's problem of the same name
-leads to a remark, not to a rejection.
+document is compared with the saved one. A difference from the library's problem of the same name is
+noted and does not reject a result.
 """
 
 from __future__ import annotations
@@ -77,10 +77,10 @@ class CheckResult:
     """Result of checking a saved plan or run."""
 
     verdict: Verdict  # ``verified`` or ``violated``; ``none`` if there is no plan
-    # Of the repeated verification: one for a plan, one per step for a run
+    # Certificates of the repeated verification: one for a plan, one per step of a run
     certificates: tuple[Certificate, ...]
     reasons: tuple[str, ...]  # All objections; empty if verified
-    # Parts that could not be checked, and differences from the library's problem of that name
+    # Notes: parts that could not be checked, differences from the library's problem of that name
     remarks: tuple[str, ...] = ()
 
     __repr__ = short_repr

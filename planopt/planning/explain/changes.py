@@ -165,7 +165,7 @@ def bisected(
 ) -> float:
     """Bisect between `least` and `most` for the sufficient value nearest to `least`.
 
-    `most` must suffice, and may be the smaller one. At most `count` halvings are made.
+    `most` must suffice; it may be smaller than `least`. At most `count` halvings are made.
     """
     for _ in range(count):
         if abs(most - least) <= settled * most:  # Relative tolerance
@@ -260,7 +260,7 @@ class Fault:
 
     @classmethod
     def at(cls, missed: Missed, steps: Mask, shortfall: float, unit: str) -> Fault:
-        """Return the violation at the steps that a mask (N,) marks."""
+        """Return the violation at the steps marked by a mask (N,)."""
         return cls(missed, tuple((np.flatnonzero(steps) + 1).tolist()), shortfall, unit)
 
 
@@ -297,7 +297,7 @@ def _connection(case: Case) -> Fault | None:
     stages = tuple(step for step, _ in missed)
     short_db = max(missing for _, missing in missed)
     if _met_nowhere(case) or is_priced(problem):
-        # If no reachable position meets the level, the best one's shortfall is reported.
+        # If no reachable position has this probability, the shortfall of the best one is reported.
         best_db = _best_score(problem, case.posteriors, partial(margins_asked_db, problem))
         short_db = -best_db if best_db < 0.0 else short_db
     elif rule.slack_max_db is None and max(certificate.best_margin_db) < 0.0:
@@ -386,7 +386,7 @@ def _elastic(case: Case, trials: Trials) -> list[Case]:
 
 
 def _lacking(fault: Fault, key: Key, cases: list[Case]) -> float:
-    """Return the estimated amount by which a key must be loosened to repair a fault."""
+    """Return an estimate of the amount by which a key must be loosened to repair a fault."""
     case = cases[0]
     if fault.missed != "connection":
         return min(fault.shortfall, key.most)

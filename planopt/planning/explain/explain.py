@@ -59,8 +59,8 @@ def explain(result: Solution | Problem, seed: int = 0) -> Explanation:
     Parameters
     ----------
     result
-        Result of :func:`planopt.solve`, or a problem, which is solved first. If that raises a
-        `NoPlanError`, changes that would open a path to the goal are returned.
+        Result of :func:`planopt.solve`, or a problem, which is solved first. If no plan exists, the
+        result lists changes that would open a path to the goal.
     seed
         Random seed for planning a problem; a solution has its own.
 
@@ -258,7 +258,7 @@ def widest_clearance_m(
 
 
 def _clearance(problem: Problem, trials: Trials, widest: float) -> list[Relaxation]:
-    """Return a proposal of the largest clearance, up to `widest`, for which a path is found."""
+    """Return a relaxation to the largest clearance, up to `widest`, for which a path exists."""
     key = constraint_key(problem, "clearance_m", "m", 0.0)
     high = rounded(max(widest - 1.1 * CLEARANCE_PAD_M, 0.0), DIGITS, down=True)
 
@@ -274,7 +274,7 @@ def _clearance(problem: Problem, trials: Trials, widest: float) -> list[Relaxati
 
 
 def _step(problem: Problem, trials: Trials) -> list[Relaxation]:
-    """Return a proposal of a shorter time step, which refines the lattice until it has a path."""
+    """Return a relaxation to a shorter time step, which refines the lattice until a path exists."""
     key = Key("planner.step_s", "s", problem.planner.step_s, 0.0)
     for power in range(1, STEPS_TESTED + 1):
         step_s = rounded(key.value * SHORTER**power, DIGITS, down=True)

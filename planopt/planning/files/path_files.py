@@ -249,7 +249,7 @@ def save_masks(
     p_min: float | None,
     cell_m: float | None,
 ) -> None:
-    """Write the masks; `p_min` is by default that of the problem, if it has one."""
+    """Write Nav2 masks; `p_min` defaults to that of the problem, if it has one."""
     asked = problem.constraints.p_min or None if p_min is None else p_min
     limits = MaskLimits(keepout_below) if asked is None else MaskLimits(keepout_below, asked)
     bounds = problem.workspace.bounds_m

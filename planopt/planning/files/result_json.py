@@ -96,7 +96,7 @@ class HoleRecord(Record):
 
 
 class BlockedRecord(Places):
-    """JSON object of a robot's cheapest path to a goal that no permitted path reaches."""
+    """JSON object of a robot's cheapest path to a goal if every path violates a hard constraint."""
 
     robot: str
     holes: Annotated[list[HoleRecord], Source(lambda way: _holes(way.holes))]

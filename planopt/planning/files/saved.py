@@ -103,7 +103,7 @@ def signed(data: Mapping[str, Any]) -> dict[str, Any]:
 class SavedPlan:
     """Plan of one robot as read from a file."""
 
-    record: RobotPlan | ReleasedPlan  # Data known only to the planner
+    record: RobotPlan | ReleasedPlan  # Data that only the planner knows
     path_m: Floats  # (N + 1, 2)
     drive: Drive | None
     motion: TimedMotion  # Motion along the path, and braking after it

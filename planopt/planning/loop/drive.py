@@ -56,7 +56,7 @@ class Progress:
 def goals_ending(problem: Problem, robots: Sequence[Progress]) -> tuple[Outcome, str] | None:
     """Return the outcome of a run to goals; None while any robot can continue.
 
-    Robots that have arrived or wait can still give way to others.
+    Arrived and waiting robots can still give way to others.
     """
     ends = [_goal_ending(each) for each in robots]
     if len(robots) == 1:
@@ -165,7 +165,7 @@ def _has_arrived(problem: Problem, state: Floats) -> bool:
 
 
 def _stuck(problem: Problem, connected: Mask, robot: Progress) -> str | None:
-    """Return why a robot can make no further progress: it stands or circles; None if it can.
+    """Return the reason if a robot can make no further progress (it stands or circles), else None.
 
     A stationary tracking robot does its task as long as packets arrive. For custom terms, standing
     still may be optimal if plans are verified.
@@ -194,7 +194,7 @@ def _stuck(problem: Problem, connected: Mask, robot: Progress) -> str | None:
 
 
 def _has_left(team: Problem, robots: Sequence[Progress], robot: Progress) -> bool:
-    """Return whether a robot has positions left to measure, in addition to those of the others."""
+    """Return whether unmeasured positions remain for a robot, apart from those of other robots."""
     problem, states, others = robot.problem, robot.states, NOTHING_PENDING
     if counts_others(team):
         driven = [np.array(each.states)[1:, :2] for each in robots]

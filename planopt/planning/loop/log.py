@@ -261,7 +261,7 @@ def target_log(
 
 
 def _innovations(before: TargetWatch, after: TargetWatch) -> list[float]:
-    """Return the normalised innovation squared nu' S^-1 nu of each robot's filter for one step."""
+    """Return the normalised innovation squared nu' S^-1 nu of each robot's filter in one step."""
     sent, found = after.sent[-1], list[float]()
     for state, measured, place, seen in zip(
         before.robots, sent.measured_m, sent.positions_m, sent.seen, strict=True

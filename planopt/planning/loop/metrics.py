@@ -67,7 +67,7 @@ def metrics_of(
     `learnt` flags steps with a measurement; `arrival` is the step of arrival at the goal.
     """
     lengths = np.linalg.norm(np.diff(log.positions_m, axis=0), axis=1)
-    # Between the readings of a measured ground truth nothing is known of the connection.
+    # A measured ground truth defines no connection between its readings.
     known = ~np.isnan(log.true_dbm[1:])
     connected = log.connected[1:]
     outage_m = longest_run(lengths, log.disconnected[1:])

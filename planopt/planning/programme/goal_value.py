@@ -187,7 +187,7 @@ class GoalValue:
         add_products(own, turn, share_slope)
         own[-1, ::2] += self.rate_s_m / away
         own[-1] -= self.rate_s_m / away**3 * _square(to_pivot)
-        # Coupling between each stage and the next.
+        # Second derivatives that couple each stage with the next.
         on = half * along[1:]
         across = share_slope[:-1, :, None] * on[:, None] - on[:, :, None] * share_slope[1:, None]
         across = across.reshape(-1, 4) - step_bend[1:, [0, 1, 1, 2]]
@@ -217,7 +217,7 @@ class GoalCharge:
     effort_s_m2: float
     rate_s_m: float
     braking_s_m: float
-    each_step: float  # Added to every c_k; 0 if the pivot is not reachable
+    each_step: float  # Constant added to every c_k; 0 if the pivot is not reachable
     rounding_m: float  # Smoothing width of the distance to the pivot
 
     @property

@@ -170,7 +170,7 @@ class Step:
 
     @property
     def usable(self) -> bool:
-        """Return whether the convex solver terminated with a step worth testing."""
+        """Return whether the merit function should test the convex solver's step."""
         return self.termination in USABLE
 
 

@@ -78,7 +78,7 @@ def nlp_point(
 
 
 def lost_point(horizon: int, variables: int, rows: int) -> NlpPoint:
-    """Return a point of NaN, which stands for a failed solve."""
+    """Return a point of NaN to mark a failed solve."""
     nothing = np.full(variables, np.nan)
     failure = Termination.NUMERICAL_FAILURE
     return nlp_point(horizon, nothing, np.full(rows, np.nan), nothing, failure, 0)

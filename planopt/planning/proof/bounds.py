@@ -65,7 +65,7 @@ def verified_bound(
 
 
 def stages_of(problem: Problem, at: TermContext, plan: Plan) -> StageProblem | str:
-    """Return the stage problem of the first robot's sum of terms, or why it has no bound.
+    """Return the first robot's sum of terms as a stage problem, or why it has no bound.
 
     Every verified plan keeps p_min at the steps at which this one does.
     """

@@ -82,7 +82,7 @@ class EachStep(Rule):
         return self.counted(history, len(keeps))
 
     def by_slack(self, case: PathCase) -> BySlack:
-        """Raise an AssertionError; single steps have their own verification."""
+        """Raise an AssertionError: single steps are verified elsewhere."""
         raise AssertionError("a rule on single steps")
 
     def run_metrics(self, problem: Problem, connected: Sequence[Mask]) -> dict[str, float]:
@@ -196,7 +196,7 @@ class Joint(Rule):
 
 
 def joint_result(prediction: JointPrediction, threshold_dbm: float, p_min: float) -> RuleResult:
-    """Return the best lower bound of the probability that all steps are connected."""
+    """Return the largest lower bound of the probability that all steps are connected."""
     found = joint_connectivity(prediction, threshold_dbm)
     # If a single step already violates the bound, no integral is needed.
     if len(prediction) <= INTEGRATED_STEPS and found.at_each.min() >= p_min:
@@ -258,7 +258,7 @@ class Outage(Rule):
         return -self.limit
 
     def held(self, keeps: Mask, history: History) -> Mask:
-        """Return a mask of steps whose connection keeps all outages short enough: few and late."""
+        """Return a mask of few, late steps whose connection keeps every outage short enough."""
         held = np.zeros(len(keeps), dtype=np.bool_)
         run, last = self._begun(history), -1
         for step, size in enumerate(self.sizes.tolist()):

@@ -1,4 +1,4 @@
-"""Base classes of connectivity rules, which require a value of a plan's connection probabilities.
+"""Base classes of connectivity rules, which bound a function of a plan's connection probabilities.
 
 Verifier and planner share :meth:`Rule.achieved`. The verifier evaluates it with the exact
 posterior, or computes a joint probability of the steps instead; the planner uses its gradient.
@@ -184,7 +184,7 @@ def rule_of(problem: Problem, legs_m: Floats | None = None) -> Rule:
 
 
 def whole_plan_result(case: PathCase) -> RuleResult:
-    """Return the result of a path by a rule over all steps, with the required slack.
+    """Return the result of a rule over all steps of a path, with the required slack.
 
     The slack is the smallest threshold reduction for which the rule holds, or zero if no reduction
     up to `slack_max_db` suffices.

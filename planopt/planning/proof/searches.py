@@ -101,7 +101,7 @@ def best_by_paths(
 ) -> tuple[float, ...]:
     """Return the best margin (dB) of the positions reachable within each of k path lengths.
 
-    Straight distances decide which negative margins count: a negative result is an upper bound.
+    Negative margins are compared by straight distance, so a negative result is an upper bound.
     """
     paths = shortest_paths(index, bounds_m, start_m, clearance, float(reach_m[-1]), inner=True)
     places = np.concatenate([at for at, _ in looked])

@@ -105,7 +105,7 @@ def verify_single_steps(
         lambda: best_margins_by_step(
             context.index,
             problem.workspace.bounds_m,
-            # Known links excuse no step: a robot need not return to where a packet arrived.
+            # Known connections do not count: a robot need not return to where a packet arrived.
             lambda places_m: law.margin_of_db(law.predicted(places_m, search_power)),
             context.position_m,
             problem.step_length_m,
@@ -199,7 +199,7 @@ def _too_dear(
             f"{spent:.1f} m more than the cheapest paths found at objective.outage_price "
             f"{price:g}, {allowed:.1f} m are allowed"
         ]
-    # Without a path for comparison, nothing is proven.
+    # Without a path to compare with, nothing is proven.
     within = priced.cost_m <= (1.0 + COST_TOLERANCE) * priced.best_m + leeway
     if within or not priced.is_compared:
         return []

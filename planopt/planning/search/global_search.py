@@ -67,8 +67,8 @@ class GlobalStart:
     cost_to_go: CostToGo
     metre_cost: Floats  # (n,) cost per metre at every node
     is_blocked: bool  # Whether path or route violates a hard constraint
-    is_direct: bool = False  # Whether it is released unchanged, after detours
-    # Whether it is released unchanged, clear of other robots' paths
+    is_direct: bool = False  # True if the path is released unrefined because the run has wandered
+    # True if the path is released unrefined because it avoids other robots' paths
     gives_way: bool = False
 
 
@@ -163,7 +163,7 @@ class GlobalSearch:
     def _given(
         self, position_m: Floats, start: GlobalStart, found: TimedPath, steps: int
     ) -> tuple[GlobalStart, Floats, TimedPath]:
-        """Return a timed path in three forms: initial guess, positions over all steps, itself."""
+        """Return a timed path as an initial guess, as positions after all steps, and unchanged."""
         problem, places = self._problem, self._scene.road_map.nodes_m
         horizon = problem.planner.horizon
         first = found.nodes[:horizon]
@@ -286,7 +286,7 @@ class GlobalSearch:
         return np.append(nodes, np.full(horizon, nodes[-1]))[:horizon]
 
     def _gets_nowhere(self, context: StepContext, nodes: Indices) -> bool:
-        """Return whether a path neither reaches the goal nor makes progress."""
+        """Return whether a path neither reaches the goal nor leaves the robot's surroundings."""
         places = self._scene.road_map.nodes_m[nodes]
         farthest = np.linalg.norm(places - context.position_m, axis=1).max()
         at_goal = int(nodes[-1]) == self._scene.goal_node

@@ -105,7 +105,7 @@ class StageRewards:
         return reward
 
     def _look_at(self, where: Window | Nodes) -> None:
-        """Compute the stage-independent part of the rewards of some nodes."""
+        """Compute the part of the nodes' rewards that is equal for all stages."""
         problem = self._context.problem
         radio = problem.stations[0]
         mean, deviation = self._field.mean_db[where], self._field.deviation_db[where]
@@ -287,7 +287,7 @@ class GuessSearch:
         return [] if path is None else [self._field.places_m(path)]
 
     def _loses(self, rewards: StageRewards, path: Indices, guide: Guide) -> bool:
-        """Return whether a path loses value once its nodes are predicted more accurately."""
+        """Return whether a more accurate prediction at its nodes lowers the value of a path."""
         if not (guide.bounded.any() or guide.credit.any()):
             return False
         before = float(rewards.along(path).sum())

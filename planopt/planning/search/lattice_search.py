@@ -249,7 +249,7 @@ class MoveValues:
 
 
 class StageFrame:
-    """Values of the previous stage at all nodes that later stages read.
+    """Values of the previous stage at all nodes whose values later stages use.
 
     Without cost and blocked moves, the maximum over a node's 21 predecessors is a disc-shaped max
     filter: five maxima along rows and columns. At other nodes, predecessors are compared singly.
@@ -395,7 +395,7 @@ class LatticeValues:
 
     def _best_source(self, stage: int, node: Node) -> Node:
         """Return the predecessor (iy, ix) that gave a node its best value."""
-        # For 21 entries, a scalar loop is several times faster than arrays.
+        # A scalar loop over the 21 moves is several times faster than arrays.
         moves, (rows, columns), value = self.moves, self.windows[stage], self.values[stage]
         row, column = node[0] + REACH, node[1] + REACH
         values, blocked = moves.value.tolist(), np.zeros(len(MOVES), dtype=np.bool_)

@@ -110,7 +110,7 @@ class LocalRanking:
             pull = Pull()
             for term in at.problem.terms:
                 if number and not term.is_measured:
-                    continue  # Already counted with the first station.
+                    continue  # The sum counts this term with the first station.
                 with calling(term, "slope", key="objective.terms"):
                     pull = pull.plus(term.slope(paths, number), term.weight)
             if self._missing_db_cost is not None and len(at.stations) == 1:

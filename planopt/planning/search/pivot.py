@@ -45,7 +45,7 @@ class Ahead:
         self._pivots: dict[bytes, Pivot] = {}
 
     def __call__(self, end_m: Floats) -> Pivot:
-        """Return the pivot if it is visible from `end_m` (2,) and cheapest, else a node nearby."""
+        """Return the pivot if visible from `end_m` (2,) and cheapest, else a node nearby."""
         key = end_m.tobytes()
         if key not in self._pivots:
             self._pivots[key] = self._cheaper(end_m)
@@ -145,7 +145,7 @@ def find_pivot(
         chosen = max(farthest_seen, enough)
     cost_m = start.cost_to_go.cost_m
     straight = float(np.linalg.norm(places[chosen] - origin))
-    # From the guess's end, both cost computations agree.
+    # At the guess's end, the cost via the pivot equals the cost via the lattice.
     joining = float(np.linalg.norm(places[0] - origin)) * float(start.metre_cost[end])
     saved = joining + float(cost_m[end] - cost_m[way[chosen]])
     metre_cost = saved / straight if straight else 1.0

@@ -283,7 +283,7 @@ def _reached(
 
 
 def _promise(margins_db: Floats, length_m: Floats) -> Indices:
-    """Return the order of positions: those that satisfy p_min by length, then others by margin."""
+    """Return the order of positions: those that satisfy p_min by path length, then by margin."""
     meets = margins_db >= MARGIN_PAD_DB
     return np.lexsort((np.where(meets, length_m, -margins_db), ~meets))
 
@@ -340,5 +340,5 @@ def _crossings(way_m: Floats, driven_m: Floats, length_m: float) -> tuple[Floats
 
 
 def _padded(path_m: Floats, count: int) -> Floats:
-    """Return a path of `count` positions: the first ones of a path (n, 2), or its end repeated."""
+    """Return a path shortened to `count` positions, or extended by repeating its end."""
     return path_m[np.minimum(np.arange(count), len(path_m) - 1)]

@@ -57,7 +57,7 @@ def timed_places(places_m: Floats, route_m: Floats, step_m: float, steps: int) -
 
 
 def is_apart(discs: MovingDiscs, places_m: Floats, first: int = 0) -> bool:
-    """Return whether a timed path avoids all moving discs but one that its first step leaves."""
+    """Return whether a timed path avoids all moving discs; its first step may leave a disc."""
     # Shapes: places_m (T - first + 1, 2).
     if not len(discs):
         return True

@@ -92,7 +92,7 @@ class Couriers:
         if verified and keep_apart(self._problem, plans):
             return plans
         instead = self._in_turn(at, outlooks, reserved)
-        # Whether a robot short of its goal has wandered or waited too long.
+        # True if a robot that has not arrived has wandered or waited too long.
         must_move = any(
             outlook.start is not None
             and outlook.start.is_direct
@@ -157,7 +157,7 @@ class Couriers:
     def _with_room(
         self, at: TeamMoment, first: int, alone: Sequence[Course]
     ) -> list[Course] | None:
-        """Return courses on which all others make room for robot `first`; None without any."""
+        """Return courses on which all others make room for robot `first`; None if none exist."""
         passing = alone[first].places_m
         steps = len(passing) - 1
         found: dict[int, Course] = {}

@@ -201,7 +201,7 @@ def _in_order(
     order: Sequence[int],
     kept: Mapping[int, TimedMotion],
 ) -> tuple[list[Plan], list[Aim]]:
-    """Return plans made in `order`, which avoid earlier and reserved motions, and their inputs."""
+    """Return plans in `order`, which avoid earlier and reserved motions, and external inputs."""
     aims: dict[int, Aim] = {}
 
     def plan_one(
@@ -222,7 +222,7 @@ def _planned(
     reserved_m: Floats,
     made: Mapping[int, Plan],
 ) -> tuple[Plan, Aim]:
-    """Return one robot's plan, given the others' planned measurements, and external inputs."""
+    """Return one robot's plan for the others' planned measurements, and its external inputs."""
     pending = NOTHING_PENDING
     if counts_others(team[number].problem):
         planned = tuple(made[other].positions_m[1:] for other in sorted(made) if other != number)
@@ -246,7 +246,7 @@ def _again_in_turn(
     plans: Sequence[Plan],
     aims: Sequence[Aim],
 ) -> tuple[list[Plan], list[Aim]]:
-    """Return improved plans: each robot plans again, given the other plans, and keeps the better.
+    """Let each robot plan again with the other plans fixed, and return the better plans.
 
     With F the objective of all plans together, F(p_i | others) = F(all) - F(others). Only a
     verified plan of larger F(p_i | others) replaces a verified plan, so that F(all) never

@@ -89,7 +89,7 @@ def shares_places(problem: Problem) -> bool:
 
 
 def structure_of(problem: Problem) -> Structure:
-    """Return how the objective couples the positions of a path (Hessian sparsity)."""
+    """Return the Hessian sparsity of the objective, by its coupling of a path's positions."""
     found = {term.structure for term in problem.terms}
     if "full" in found:
         return "full"
@@ -215,7 +215,7 @@ class StepContext(VerifierContext):
         return self.power(places_m)
 
     def soon(self, places_m: Floats) -> None:
-        """Schedule `places_m` (n, 2) for prediction together with the next new positions."""
+        """Queue `places_m` (n, 2) for prediction together with the next new positions."""
         for place in np.asarray(places_m, dtype=np.float64):
             if place.tobytes() not in self._power:
                 self._soon[place.tobytes()] = place
@@ -258,7 +258,7 @@ class StepContext(VerifierContext):
 
     @cached_property
     def probing(self) -> MeasuringRule:
-        """Return the rule that decides which positions are probed for connection.
+        """Return the rule that decides at which positions the robot probes for a connection.
 
         The robot's current position is excluded unless the last step was connected.
         """

@@ -36,7 +36,7 @@ class ObjectiveValue:
 
     def __call__(self, path_m: Floats, drive: Drive | None = None) -> float:
         """Return the weighted sum of the terms for a path (N, 2), minus the cost of its slack."""
-        del drive  # terms depend on positions alone
+        del drive  # values of terms depend on positions alone
         return float(sum(self.by_term(path_m))) - slack_cost(self.context, path_m)
 
     def by_term(self, path_m: Floats) -> tuple[float, ...]:

@@ -128,7 +128,7 @@ def scaled_value(
 
 
 AIMED_SHARE = 0.98
-"""Fraction of the way to the allowed risk that the secant step aims for."""
+"""Fraction of the distance to the allowed risk that the secant step covers."""
 
 USED_SHARE = 0.9
 """Fraction of its allowed shortfall from which a row counts as active in the solver."""
@@ -144,7 +144,7 @@ def rows_again(
     earlier: list[tuple[float, RuleResult]],
     result: RuleResult,
 ) -> RuleRows | None:
-    """Return constraint rows corrected by a path's verified result; None if risk is used up.
+    """Return constraint rows corrected by a path's verified result; None if no risk is left.
 
     The correction is the secant between the last feasible and the last infeasible path, or half of
     it if two successive paths are on the same side. The path is appended to `earlier`.

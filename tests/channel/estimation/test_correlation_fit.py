@@ -111,9 +111,9 @@ def test_equals_the_closed_form_when_nothing_binds():
 @pytest.mark.parametrize(
     ("data", "alpha", "beta_bounds", "words"),
     [
-        (bins(60.0, 12.0), 30.0, (1.0, 100.0), "omega"),
-        (bins(16.0, 500.0), 30.0, (1.0, 100.0), "beta"),
-        (bins(16.0, 12.0), 30.0, (20.0, 100.0), "beta"),
+        (bins(60.0, 12.0), 30.0, (1.0, 100.0), "multipath_std_db"),
+        (bins(16.0, 500.0), 30.0, (1.0, 100.0), "decorrelation_m"),
+        (bins(16.0, 12.0), 30.0, (20.0, 100.0), "decorrelation_m"),
     ],
 )
 def test_is_the_constrained_optimum_when_one_binds(data, alpha, beta_bounds, words):
@@ -235,6 +235,6 @@ def test_nls_equals_curve_fit_on_noisy_bins():
 def test_no_correlation_and_too_few_bins():
     """Nothing positive puts xi at its bound; one bin leaves errors unknown."""
     none = nls_fit(EmpiricalCorrelation(NLS_LAGS, -np.ones(60), PAIRS), 20.0, 90, NLS_BOUNDS)
-    assert any("xi is at a bound" in text for text in none.warnings)
+    assert any("shadow_std_db is at a bound" in text for text in none.warnings)
     one = nls_fit(EmpiricalCorrelation(NLS_LAGS[:1], np.ones(1), PAIRS[:1]), 20.0, 90, NLS_BOUNDS)
     assert one.standard_errors[2] == math.inf

@@ -81,7 +81,8 @@ def test_a_parameter_at_its_bound_is_named_and_its_error_unknown():
     assert at_bound
     for fit in at_bound:
         names = [text.split()[0] for text in fit.warnings]
-        for name, error in zip(("xi", "omega", "beta"), fit.standard_errors, strict=True):
+        parameters = ("shadow_std_db", "multipath_std_db", "decorrelation_m")
+        for name, error in zip(parameters, fit.standard_errors, strict=True):
             assert (error == math.inf) == (name in names)
 
 

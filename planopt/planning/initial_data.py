@@ -171,7 +171,7 @@ def draw_truth(problem: Problem, generator: np.random.Generator, station: int = 
     setup, radio = problem.channel.truth, problem.stations[station]
     if isinstance(setup, RasterTruth):
         setup = raster_truth_of(setup, radio)
-        gain = read_raster(setup.file, setup.variable)
+        gain = read_raster(setup.file, setup.variable, setup.origin_deg)
         _require_quantity(setup, gain)
         if setup.quantity == "power":
             gain = replace(gain, values=gain.values - radio.transmit_power_dbm)

@@ -29,6 +29,7 @@ from planopt.keys import (
     FilePath,
     Metres,
     Name,
+    OriginKey,
     Pair,
     Part,
     ReadAs,
@@ -151,6 +152,9 @@ class RasterTruth(Part):
     power in dBm, such as mean_db of planopt map)."""
     floor_db: Decibels
     """Receiver floor as a path gain in dB; smaller gains are clipped and censored."""
+    origin_deg: OriginKey = None
+    """Latitude and longitude in degrees of (0, 0), and the angle from east to the x axis if it is
+    not 0: a GeoTIFF in any reference system becomes metres."""
     multipath: Fading | None = None
     """Small-scale fading with another distribution, in place of rician_k."""
 
@@ -492,9 +496,11 @@ class ChannelSetup(Part):
 
     @property
     def origin_deg(self) -> Origin | None:
-        """Return the origin of the frame, if the measurements are a log in degrees."""
-        log = self.measurements
-        return log.log_format.origin_deg if isinstance(log, LoggedMeasurements) else None
+        """Return the origin of the frame, if a log or a map of the channel has one."""
+        log, truth = self.measurements, self.truth
+        if isinstance(log, LoggedMeasurements) and log.log_format.origin_deg is not None:
+            return log.log_format.origin_deg
+        return truth.origin_deg if isinstance(truth, RasterTruth) else None
 
     def __post_init__(self) -> None:
         if self.truth is not None:
@@ -503,6 +509,13 @@ class ChannelSetup(Part):
                 "MeasuredTruth; a single one has the powers (stations, ...) of all stations"
             )
             part_of("channel.truth", self.truth, cast("type[object]", ChannelTruth), remedy)
+        other = self.truth.origin_deg if isinstance(self.truth, RasterTruth) else None
+        if other not in (None, self.origin_deg):
+            raise InputError(
+                f"is {other}, but channel.measurements.origin_deg is {self.origin_deg}",
+                key="channel.truth.origin_deg",
+                remedy="give the same origin: a problem has one frame",
+            )
         part_of(
             "channel.measurements",
             self.measurements,

@@ -4,8 +4,9 @@
 CSV files have a row per cell with its centre ``x_m, y_m`` and a column per variable. NetCDF files
 have variables on dimensions ``y, x``. They are written as NetCDF-3, which SciPy and all other
 readers support; reading NetCDF-4 needs the extra h5netcdf. GeoTIFF needs the extra rasterio and has
-a band per variable with the row of largest y first. Its coordinates are metres in a local plane;
-reference systems in degrees are rejected. With the origin of the frame, GeoTIFF is written with its
+a band per variable with the row of largest y first. Its coordinates are metres in the frame unless
+the origin of the frame is known: then a GeoTIFF in degrees or in any other reference system is
+resampled into the frame by bilinear interpolation. With the origin, GeoTIFF is written with its
 reference system, and NetCDF with longitude and latitude of each cell as CF describes.
 
 Sionna RT radio maps are saved by
@@ -39,7 +40,13 @@ from planopt.files.reading import (
     require_array_size,
 )
 from planopt.files.writing import write_whole
-from planopt.world.geodesy import Origin, longitude_latitude_deg, plane_of, turn_deg
+from planopt.world.geodesy import (
+    FARTHEST_M,
+    Origin,
+    longitude_latitude_deg,
+    plane_of,
+    turn_deg,
+)
 from planopt.world.raster import Raster, checked_raster
 
 HDF5_SIGNATURE = b"\x89HDF"
@@ -251,7 +258,7 @@ def write_geotiff(path: Path, rasters: Mapping[str, Raster], origin_deg: Origin 
         file.update_tags(**{TURN_TAG: repr(turn)})
 
 
-def read_geotiff(path: Path, variable: str) -> Raster:
+def read_geotiff(path: Path, variable: str, origin_deg: Origin | None = None) -> Raster:
     """Return the band described as `variable`, or the only band if it has no description."""
     # The file is read from memory, without sidecar files and only as GeoTIFF. GDAL's virtual
     # formats could otherwise open further files.
@@ -277,6 +284,9 @@ def read_geotiff(path: Path, variable: str) -> Raster:
         turn = math.degrees(float(file.tags().get(TURN_TAG, 0.0)))
         transform, system = rasterio.Affine.rotation(-turn) * file.transform, file.crs
         in_degrees = system is not None and system.is_geographic
+        if origin_deg is not None:
+            values, transform = _in_frame(file, values, origin_deg, path)
+            in_degrees = False
     sheared = max(abs(transform.b), abs(transform.d)) > 1e-9 * abs(transform.a)
     if sheared or transform.is_identity:
         raise InputError(
@@ -284,7 +294,10 @@ def read_geotiff(path: Path, variable: str) -> Raster:
             remedy="resample it to axis-parallel cells in metres",
         )
     if in_degrees:
-        raise InputError("the coordinates are in degrees", remedy="reproject the map to metres")
+        raise InputError(
+            "the coordinates are in degrees",
+            remedy="give the origin of the frame: origin_deg = [LAT, LON]",
+        )
     rows, columns = values.shape
     with np.errstate(all="ignore"):  # non-finite coordinates
         x = transform.c + transform.a * (np.arange(columns) + 0.5)
@@ -292,6 +305,54 @@ def read_geotiff(path: Path, variable: str) -> Raster:
     if transform.e < 0:
         y, values = y[::-1], values[::-1]
     return replace(checked_raster(x, y, values, variable), quantity=quantity, unit=unit)
+
+
+def _in_frame(file: Any, values: Floats, origin_deg: Origin, path: Path) -> tuple[Floats, Any]:
+    """Return the values of an open GeoTIFF on cells along the axes of a frame, with their place."""
+    from rasterio import Affine, transform, warp
+
+    if file.crs is None:
+        raise InputError(
+            "the map has no reference system, so that its place is unknown",
+            key="origin_deg",
+            remedy="leave out origin_deg if the coordinates are metres in the frame",
+        )
+    (rows, columns), plane = values.shape, plane_of(origin_deg)
+    turn = Affine.rotation(turn_deg(origin_deg))
+    row, column = np.indices((rows + 1, columns + 1)).reshape(2, -1)
+    edge = (row % rows == 0) | (column % columns == 0)
+    places = transform.xy(file.transform, row[edge], column[edge], offset="ul")
+    x, y = ~turn * np.array(warp.transform(file.crs, plane, *places))
+    if not np.isfinite(x).all() or max(np.abs(x).max(), np.abs(y).max()) > FARTHEST_M:
+        raise InputError(
+            f"the map is more than {FARTHEST_M / 1000.0:.0f} km from the origin",
+            key="origin_deg",
+            remedy="give the latitude and longitude of (0, 0), close to the map",
+        )
+    # Cells no longer than those of the file, from its first corner to the second and the third:
+    # GDAL smoothes values where it needs fewer.
+    second, third = columns, -(columns + 1)
+    side = min(
+        math.hypot(x[second] - x[0], y[second] - y[0]) / columns,
+        math.hypot(x[third] - x[0], y[third] - y[0]) / rows,
+    )
+    width, height = (max(1, math.ceil(float(np.ptp(each)) / side - 1e-6)) for each in (x, y))
+    require_array_size(path, "the map in metres", height, width)
+    placed = Affine(side, 0.0, x.min(), 0.0, -side, y.max())
+    found = np.full((height, width), np.nan)
+    warp.reproject(
+        values,
+        found,
+        src_transform=file.transform,
+        src_crs=file.crs,
+        src_nodata=np.nan,
+        dst_transform=turn * placed,
+        dst_crs=plane,
+        dst_nodata=np.nan,
+        resampling=warp.Resampling.bilinear,
+        tolerance=0.0,
+    )
+    return found, placed
 
 
 def _band(descriptions: tuple[str | None, ...], variable: str) -> int:
@@ -515,11 +576,19 @@ WRITERS: dict[str, Callable[[Path, Mapping[str, Raster], Origin | None], None]] 
 """Writers of raster files by file extension."""
 
 
-def read_raster(path: Path, variable: str) -> Raster:
-    """Return one variable of a raster file."""
+def read_raster(path: Path, variable: str, origin_deg: Origin | None = None) -> Raster:
+    """Return one variable of a raster file; with an origin, of a GeoTIFF with reference system."""
     reader = READERS[raster_ending(path)]
     try:
-        return reader(path, variable)
+        if origin_deg is None:
+            return reader(path, variable)
+        if reader is not read_geotiff:
+            raise InputError(
+                "has no reference system, so that its place is unknown",
+                key="origin_deg",
+                remedy="leave out origin_deg, or give a GeoTIFF",
+            )
+        return read_geotiff(path, variable, origin_deg)
     except InputError as error:
         raise error.located(path) from error.__cause__
 

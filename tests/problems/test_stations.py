@@ -155,6 +155,12 @@ def test_maps_are_read_by_station(tmp_path: Path) -> None:
     assert [truth.raster.values[0, 0] for truth in given.truths] == [-70.0, -57.0]
     with refused():
         _load_with(tmp_path, both(raster, set_in("stations", 1, "gain_file", "none.npz")))
+    places = [
+        set_in("channel", part, "origin_deg", [latitude, 11.5])
+        for part, latitude in (("truth", 48.1), ("measurements", 48.2))
+    ]
+    with refused():
+        changed(both(raster, logged, *places), tmp_path)
 
 
 def _load_with(folder: Path, change: Change) -> Problem:

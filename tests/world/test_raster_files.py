@@ -25,7 +25,7 @@ from planopt.world import (
     read_raster,
     write_rasters,
 )
-from planopt.world.geodesy import longitude_latitude_deg
+from planopt.world.geodesy import east_north_m, longitude_latitude_deg
 
 GRID_X = np.array([1.0, 3.0, 5.0])
 GRID_Y = np.array([-4.0, -1.0])
@@ -352,7 +352,7 @@ def test_geotiff_of_others(tmp_path: Path) -> None:
 
 @pytest.mark.filterwarnings("ignore:Dataset has no geotransform")
 def test_geotiff_that_is_no_map_in_metres(tmp_path: Path) -> None:
-    """Degrees, a rotation and no coordinates at all are refused."""
+    """Degrees without an origin, a rotation and no coordinates at all are refused."""
     affine = pytest.importorskip("rasterio").Affine
     degrees = affine(0.01, 0.0, 11.0, 0.0, -0.01, 48.0)
     with refused():
@@ -361,6 +361,39 @@ def test_geotiff_that_is_no_map_in_metres(tmp_path: Path) -> None:
     for name, options in (("b.tif", {"transform": turned}), ("c.tif", {})):
         with refused():
             read_raster(geotiff(tmp_path / name, **options), "gain")
+
+
+@pytest.mark.parametrize("system", ["EPSG:4326", "EPSG:32632", "EPSG:3857"])
+@pytest.mark.parametrize("origin", [ORIGIN[:2], ORIGIN])
+def test_geotiff_in_another_reference_system(
+    system: str, origin: tuple[float, ...], tmp_path: Path
+) -> None:
+    """With an origin, each cell has the value of its place on the earth, outside there is none."""
+    rasterio = pytest.importorskip("rasterio")
+    warp = pytest.importorskip("rasterio.warp")
+    centre = warp.transform("EPSG:4326", system, [ORIGIN[1]], [ORIGIN[0]])
+    side = 1e-4 if system == "EPSG:4326" else 10.0
+    west, north = centre[0][0] - 20.0 * side, centre[1][0] + 20.0 * side
+    options = {"transform": rasterio.Affine(side, 0.0, west, 0.0, -side, north), "crs": system}
+    options |= {"driver": "GTiff", "width": 40, "height": 40, "count": 1, "dtype": "float64"}
+    with rasterio.open(tmp_path / "a.tif", "w", **options) as file:
+        row, column = np.indices((40, 40))
+        x, y = rasterio.transform.xy(file.transform, row.ravel(), column.ravel())
+        longitude, latitude = warp.transform(system, "EPSG:4326", x, y)
+        east = east_north_m(np.array(longitude), np.array(latitude), origin)
+        file.write(east.sum(axis=1).reshape(40, 40), 1)
+    found = read_raster(tmp_path / "a.tif", "power", origin)
+    x, y = np.meshgrid(found.x_m, found.y_m)
+    known = np.isfinite(found.values)
+    assert known.mean() > (0.9 if len(origin) == 2 else 0.5)
+    inner = np.hypot(x, y) < 100.0
+    assert known[inner].all()
+    np.testing.assert_allclose(found.values[inner], (x + y)[inner], atol=0.2)
+    for name, place in (("a.tif", (10.0, 11.0)), ("b.tif", origin)):
+        affine = rasterio.Affine(2.0, 0.0, 0.0, 0.0, -2.0, 0.0)
+        geotiff(tmp_path / "b.tif", transform=affine)
+        with refused():
+            read_raster(tmp_path / name, "power", place)
 
 
 def sionna(path: Path, turned: float = 0.0, **arrays: np.ndarray) -> Path:

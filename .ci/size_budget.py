@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 72_295,
-    "lines of code": 52_175,
+    "lines": 72_377,
+    "lines of code": 52_250,
     "files": 289,
-    "functions": 3_754,
-    "docstring lines": 8_538,
-    "lines of tests": 48_620,
+    "functions": 3_755,
+    "docstring lines": 8_540,
+    "lines of tests": 48_659,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

@@ -509,13 +509,6 @@ class ChannelSetup(Part):
                 "MeasuredTruth; a single one has the powers (stations, ...) of all stations"
             )
             part_of("channel.truth", self.truth, cast("type[object]", ChannelTruth), remedy)
-        other = self.truth.origin_deg if isinstance(self.truth, RasterTruth) else None
-        if other not in (None, self.origin_deg):
-            raise InputError(
-                f"is {other}, but channel.measurements.origin_deg is {self.origin_deg}",
-                key="channel.truth.origin_deg",
-                remedy="give the same origin: a problem has one frame",
-            )
         part_of(
             "channel.measurements",
             self.measurements,
@@ -523,6 +516,16 @@ class ChannelSetup(Part):
             "give SampledMeasurements or LoggedMeasurements; tables go to solve(measurements=)",
         )
         super().__post_init__()
+
+    def fault(self) -> str | None:
+        """Return the conflict between two origins, if any."""
+        other = self.truth.origin_deg if isinstance(self.truth, RasterTruth) else None
+        if other in (None, self.origin_deg):
+            return None
+        return (
+            f"has a map with origin_deg {list(other)} and a log with origin_deg "
+            f"{list(self.origin_deg or ())}: give both the same origin"
+        )
 
     def to_keys(self) -> dict[str, Any]:
         """Return the table with its subtables."""

@@ -13,11 +13,11 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 72_377,
-    "lines of code": 52_250,
+    "lines": 72_380,
+    "lines of code": 52_251,
     "files": 289,
-    "functions": 3_755,
-    "docstring lines": 8_540,
+    "functions": 3_756,
+    "docstring lines": 8_541,
     "lines of tests": 48_659,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""

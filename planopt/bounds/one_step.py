@@ -64,13 +64,13 @@ def best_place(problem: StageProblem, seconds: float) -> BestPlace:
         level = evaluated(problem, side, active)
         highest = np.argsort(-level.rewards[0].value)[:STARTS]
         centres = problem.start_m + level.offsets_m(0)[highest]
-        found, worth = best_of(problem, centres, problem.makers)
-        if worth > value or levels == 1:
-            begins = found if np.isfinite(worth) else problem.start_m
+        found, reached = best_of(problem, centres, problem.makers)
+        if reached > value or levels == 1:
+            begins = found if np.isfinite(reached) else problem.start_m
             both = np.vstack([local_optimum(problem, begins[None]), begins])
-            found, worth = best_of(problem, both, problem.makers)
-        if worth > value:
-            place, value = found, worth
+            found, reached = best_of(problem, both, problem.makers)
+        if reached > value:
+            place, value = found, reached
             tilts = [untilted(problem), *tilts_near(problem, [place[None]], np.zeros((0, 2)))]
         through = through_bounds(level, tilts)
         threshold = value + 0.5 * GAP * max(abs(value), LEAST_VALUE)

@@ -174,9 +174,9 @@ def _refined(
     strong = order[: min(enough, max(1, count))]
     near = np.zeros(nodes, dtype=bool)
     near[corners[strong]] = True
-    beside = near[corners].any(axis=1) & (loose > LOOSE_SHARE)
-    beside[strong] = False
-    others = np.flatnonzero(beside)
+    adjacent = near[corners].any(axis=1) & (loose > LOOSE_SHARE)
+    adjacent[strong] = False
+    others = np.flatnonzero(adjacent)
     others = others[np.argsort(-loose[others])]
     return np.concatenate([strong, others[: max(0, count - len(strong))]])
 

@@ -116,8 +116,8 @@ def _relocated(ground: Ground, places: Floats, cost: float) -> tuple[Floats, flo
         return places, cost
     for _ in range(count):
         moves, singles = _relocations(ground, places)
-        tries = [moves[: len(moves) >> halving] for halving in range(len(moves).bit_length())]
-        for some in (*tries, *([one] for one in singles)):
+        batches = [moves[: len(moves) >> halving] for halving in range(len(moves).bit_length())]
+        for some in (*batches, *([one] for one in singles)):
             moved = places.copy()
             for gone, near, pair in some:
                 moved[[gone, near]] = pair

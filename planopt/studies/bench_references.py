@@ -420,7 +420,7 @@ def performance_profile(
     least = np.where(some, np.maximum(fastest, np.finfo(float).tiny), 1.0)
     ratio = np.where(np.isfinite(finite), np.maximum(finite, least) / least, np.inf)
     ratios = np.unique(np.append(ratio[np.isfinite(ratio)], 1.0))
-    asked = ~np.isnan(times_s)
-    within = (ratio[:, :, None] <= ratios) & asked[:, :, None]
-    counts = np.maximum(asked.sum(axis=0), 1)
+    timed = ~np.isnan(times_s)
+    within = (ratio[:, :, None] <= ratios) & timed[:, :, None]
+    counts = np.maximum(timed.sum(axis=0), 1)
     return ratios, within.sum(axis=0) / counts[:, None]

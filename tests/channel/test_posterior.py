@@ -5,6 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 from scipy.stats import norm
+from simulated_channel import subset
 
 from planopt.channel import ChannelParameters, Measurements, Station, condition
 from planopt.channel.measurements import join, shadow_covariance_db2
@@ -25,14 +26,6 @@ def measured(count, seed=0, censored=()):
     flags = np.zeros(count, dtype=bool)
     flags[list(censored)] = True
     return Measurements(positions, power, flags)
-
-
-def part(measurements, selection):
-    return Measurements(
-        measurements.positions_m[selection],
-        measurements.power_dbm[selection],
-        measurements.censored[selection],
-    )
 
 
 def places(count=40, seed=9):
@@ -73,9 +66,9 @@ def test_estimated_theta_equals_dense_universal_kriging(count):
 def test_batch_equals_sequential(theta):
     """Appending one by one, past the spare capacity, equals conditioning at once to 1e-10."""
     data = measured(120)
-    posterior = condition(PARAMETERS, part(data, slice(0, 5)), theta=theta)
+    posterior = condition(PARAMETERS, subset(data, slice(0, 5)), theta=theta)
     for index in range(5, 120):
-        posterior = posterior.extend(part(data, slice(index, index + 1)))
+        posterior = posterior.extend(subset(data, slice(index, index + 1)))
     batch = condition(PARAMETERS, data, theta=theta)
     np.testing.assert_allclose(posterior.theta, batch.theta, atol=1e-10)
     np.testing.assert_allclose(
@@ -91,17 +84,17 @@ def test_batch_equals_sequential(theta):
 def test_branches_of_one_posterior_do_not_disturb_each_other():
     """Two different extensions of the same posterior share a buffer, and each is right."""
     data = measured(40)
-    root = condition(PARAMETERS, part(data, slice(0, 20)))
-    first = root.extend(part(data, slice(20, 30)))
-    second = root.extend(part(data, slice(30, 40)))
-    again = first.extend(part(data, slice(30, 40)))
+    root = condition(PARAMETERS, subset(data, slice(0, 20)))
+    first = root.extend(subset(data, slice(20, 30)))
+    second = root.extend(subset(data, slice(30, 40)))
+    again = first.extend(subset(data, slice(30, 40)))
     for posterior, chosen in (
         (root, list(range(20))),
         (first, list(range(30))),
         (second, [*range(20), *range(30, 40)]),
         (again, list(range(40))),
     ):
-        expected = condition(PARAMETERS, part(data, chosen)).predict(places())
+        expected = condition(PARAMETERS, subset(data, chosen)).predict(places())
         found = posterior.predict(places())
         np.testing.assert_allclose(found.mean_db, expected.mean_db, atol=1e-10)
         np.testing.assert_allclose(found.deviation_db, expected.deviation_db, atol=1e-10)
@@ -202,7 +195,7 @@ def test_censored_measurements_mix_with_others():
     """Sites of a batch and of an extension are finite, and only censored ones are changed."""
     data = measured(30, censored=(3, 17, 18, 29))
     batch = condition(PARAMETERS, data)
-    grown = condition(PARAMETERS, part(data, slice(0, 10))).extend(part(data, slice(10, 30)))
+    grown = condition(PARAMETERS, subset(data, slice(0, 10))).extend(subset(data, slice(10, 30)))
     for posterior in (batch, grown):
         assert np.isfinite(posterior.predict(places()).deviation_db).all()
         np.testing.assert_array_equal(

@@ -87,9 +87,11 @@ def assert_same(found, mean, variance_db2):
     np.testing.assert_allclose(found.deviation_db**2, variance_db2, rtol=AGREEMENT)
 
 
-def test_known_theta_is_scikit_learns(channel, data):
-    """Mean and deviation of the power that would be measured."""
-    posterior = condition(channel, data, theta="known")
+@pytest.mark.parametrize("twice", [False, True])
+def test_known_theta_is_scikit_learns(channel, data, twice):
+    """Mean and deviation of a measured power; places measured twice have two multipath values."""
+    once = simulated(channel, 3, 40, SIDE_M)
+    posterior = condition(channel, join(once, once) if twice else data, theta="known")
     oracle = scikit_learn(channel, posterior, channel.multipath_std_db**2)
     mean, deviation = oracle.predict(places(), return_std=True)
     assert_same(posterior.predict(places()), mean + path_loss_dbm(channel, places()), deviation**2)
@@ -121,12 +123,3 @@ def test_sites_and_updates_keep_to_the_peers(channel):
         posterior = posterior.extend(whole.take(slice(index, index + 1)))
     mean, variance = universal_kriging(channel, posterior)(places().T)
     assert_same(posterior.predict(places()), mean, variance + channel.multipath_std_db**2)
-
-
-def test_repeated_places_keep_to_scikit_learn(channel):
-    """Places measured twice keep their own multipath each."""
-    once = simulated(channel, 3, 40, SIDE_M)
-    posterior = condition(channel, join(once, once), theta="known")
-    oracle = scikit_learn(channel, posterior, channel.multipath_std_db**2)
-    mean, deviation = oracle.predict(places(), return_std=True)
-    assert_same(posterior.predict(places()), mean + path_loss_dbm(channel, places()), deviation**2)

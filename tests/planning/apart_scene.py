@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ CART = {"name": "cart", "radius_m": 1.0, "start_m": [5.0, 20.0], "velocity_m_s":
 
 
 def apart_problem(
-    starts_m: list[tuple[float, float]],
+    robots: Sequence[tuple[float, float] | dict[str, Any]],
     moving: tuple[dict[str, Any], ...] = (CART,),
     separation_m: float = 3.0,
     learns: bool = False,
@@ -29,8 +30,12 @@ def apart_problem(
     if not learns:
         tables["targets"] = [{"start_m": [14.0, 18.0], "velocity_m_s": [0.9, 0.2]}]
     tables["robots"] = [
-        {"name": f"r{number}", "start_m": [float(x), float(y)], "speed_max_m_s": 2.0}
-        for number, (x, y) in enumerate(starts_m)
+        {
+            "name": f"r{number}",
+            "speed_max_m_s": 2.0,
+            **(robot if isinstance(robot, dict) else {"start_m": [float(each) for each in robot]}),
+        }
+        for number, robot in enumerate(robots)
     ]
     tables["constraints"] = {"clearance_m": 0.5, "separation_m": separation_m}
     if obstacles is not None:

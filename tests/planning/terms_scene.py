@@ -36,6 +36,13 @@ LEARNING = {"kind": "path_loss_learning", "criterion": "D"}
 ENERGY = {"kind": "motion_energy", "per_metre_j_m": 0.5, "power_w": 0.1}
 CONNECT = {"kind": "until_connected"}
 
+
+def mapping(form: str) -> dict[str, Any]:
+    """A mapping term, with the keys that go with its form."""
+    keys = {"variance_threshold_db2": 2.0, "closeness_per_m": 0.02}
+    return {"kind": "mapping", "form": form, **(keys if form in ("path", "two_layer") else {})}
+
+
 SENDING = {"kind": SendingTerm.kind}
 
 TABLES: dict[str, Any] = {

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from strip_scene import STATION, strip
 
 from planopt import Problem, Run
 from planopt.extend import Rung
@@ -13,7 +14,6 @@ from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.global_search import GlobalSearch
 from planopt.planning.solve import simulate
 from planopt.problems import DoubleIntegrator, Unicycle
-from planopt.problems.problem import problem_from_tables
 from planopt.robots.dynamics import rolled_out
 
 ROBOTS = {
@@ -52,39 +52,18 @@ def test_straight_inputs_lead_from_rest_to_rest(dynamics: DoubleIntegrator | Uni
                 assert -1e-9 <= stop @ along <= length_m + 1e-9
 
 
-def strip(folder: Path, robot: str) -> Problem:
+def behind_a_hole(folder: Path, robot: str) -> Problem:
     """A strip of 60 m by 24 m behind a hole that spans it, with a wall to go round."""
-    x, y = np.arange(0.5, 60.0), np.arange(0.5, 24.0)
-    gain = np.tile(np.where((x > 20.0) & (x < 40.0), -100.0, -60.0), (len(y), 1))
-    np.savez(folder / "strip.npz", path_gain_db=gain, x=x, y=y)
+    x = np.arange(0.5, 60.0)
     wall = [[29.0, 0.0], [31.0, 0.0], [31.0, 14.0], [29.0, 14.0]]
-    return problem_from_tables(
-        {
-            "problem": {"schema": 1, "name": "strip", "task": "reach"},
-            "world": {"bounds_m": [0.0, 0.0, 60.0, 24.0], "obstacles": [{"polygon": wall}]},
-            "channel": {
-                "truth": {
-                    "kind": "raster",
-                    "file": "strip.npz",
-                    "variable": "path_gain_db",
-                    "floor_db": -130.0,
-                },
-                "measurements": {"count": 60},
-            },
-            "robots": [{"start_m": [5.0, 6.0], "goal_m": [55.0, 6.0], **ROBOTS[robot]}],
-            "stations": [
-                {
-                    "position_m": [30.0, 20.0],
-                    "height_m": 3.0,
-                    "transmit_power_dbm": 0.0,
-                    "threshold_dbm": -80.0,
-                }
-            ],
-            "constraints": {"p_min": 0.8, "clearance_m": 0.5, "goal_radius_m": 1.0},
-            "planner": {"horizon": 4, "step_s": 1.0, "max_steps": 300},
-        },
-        folder=folder,
-        file=None,
+    return strip(
+        folder,
+        np.where((x > 20.0) & (x < 40.0), -100.0, -60.0),
+        {"start_m": [5.0, 6.0], "goal_m": [55.0, 6.0], **ROBOTS[robot]},
+        24.0,
+        world={"bounds_m": [0.0, 0.0, 60.0, 24.0], "obstacles": [{"polygon": wall}]},
+        stations=[{**STATION, "position_m": [30.0, 20.0]}],
+        planner={"horizon": 4, "step_s": 1.0, "max_steps": 300},
     )
 
 
@@ -102,7 +81,7 @@ def driven_m(run: Run) -> float:
 @pytest.mark.parametrize("robot", ROBOTS)
 def test_a_run_through_a_hole_keeps_the_bound(robot: str, tmp_path: Path) -> None:
     """It arrives, far below (3 + 2 c) L."""
-    problem = strip(tmp_path, robot)
+    problem = behind_a_hole(tmp_path, robot)
     scene = build_scene(problem)
     run = simulate(problem, scenes=[scene])
     assert run.runs[0].outcome.value == "reached"
@@ -116,7 +95,7 @@ def test_a_direct_run_drives_what_is_left(
     robot: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Made direct while it moves, it comes to rest, and then drives no more than what is left."""
-    problem = strip(tmp_path, robot)
+    problem = behind_a_hole(tmp_path, robot)
     scene = build_scene(problem)
     monkeypatch.setattr(GlobalSearch, "_has_wandered", lambda _, history: history.steps >= 3)
     run = simulate(problem, scenes=[scene])

@@ -10,11 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 import pytest
 import shapely
-from mutants import module_of, source_of
+from mutants import all_hold, module_of, mutated, source_of
 from scenes import (
     BAD,
     GOOD,
@@ -620,20 +621,13 @@ MUTANTS = (
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: f"{mutant[0][17:]}: {mutant[2]}")
 def test_mutant_is_found_out(mutant):
     """At least one plan is judged otherwise, or not at all."""
-    changed, original, instead = mutant
-    sources = {module: source_of(module) for module in MODULES}
-    assert sources[changed].count(original) == 1, "the mutant does not fit the source any more"
-    sources[changed] = sources[changed].replace(original, instead)
+    changed = mutant[0]
+    sources = {module: source_of(module) for module in MODULES} | {changed: mutated(*mutant)}
     verifier = verifier_of(sources)
+
+    def is_judged_right(case: Case) -> None:
+        assert said(verifier, case) == expected(case)
 
     # The cases that are about the changed text first.
     cases = sorted(CASES.values(), key=lambda case: (case.cost_m is None) == (changed == SEARCHES))
-
-    def is_judged_right(case: Case) -> bool:
-        try:
-            with np.errstate(all="ignore"):
-                return said(verifier, case) == expected(case)
-        except Exception:
-            return False
-
-    assert not all(is_judged_right(case) for case in cases)
+    assert not all_hold(partial(is_judged_right, case) for case in cases)

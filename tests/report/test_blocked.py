@@ -128,24 +128,19 @@ def test_refusal_during_a_run_is_not_violated(problem, tmp_path: Path, capsys) -
     assert any("neither its task nor a standstill" in reason for reason in check(tmp_path).reasons)
 
 
-@pytest.mark.parametrize("key", ["robot", "x_m"])
-def test_a_damaged_refusal_is_an_error(problem, tmp_path: Path, key: str) -> None:
-    """Ways of robots that there are, with as many x as y."""
+@pytest.mark.parametrize("damage", ["robot", "x_m", "missing"])
+def test_a_damaged_refusal_is_an_error(problem, tmp_path: Path, capsys, damage: str) -> None:
+    """Ways are of robots that there are, with as many x as y; without one the run is violated."""
     simulate(problem, seed=1).save(tmp_path)
     file = tmp_path / "run.json"
     data = json.loads(file.read_text())
-    data["blocked"][0][key] = "nobody" if key == "robot" else [1.0]
+    if damage == "missing":
+        del data["blocked"]
+        file.write_text(json.dumps(data))
+        assert main(["check", str(tmp_path)]) != 0
+        assert "neither its task nor a standstill" in capsys.readouterr().out
+        return
+    data["blocked"][0][damage] = "nobody" if damage == "robot" else [1.0]
     file.write_text(json.dumps(data))
     with refused():
         load_result(tmp_path)
-
-
-def test_no_plan_without_a_refusal_is_violated(problem, tmp_path: Path, capsys) -> None:
-    """What is taken as it stands must be there."""
-    simulate(problem, seed=1).save(tmp_path)
-    file = tmp_path / "run.json"
-    data = json.loads(file.read_text())
-    del data["blocked"]
-    file.write_text(json.dumps(data))
-    assert main(["check", str(tmp_path)]) != 0
-    assert "neither its task nor a standstill" in capsys.readouterr().out

@@ -269,11 +269,11 @@ def floor_pile_dbm(power_dbm: Floats) -> float | None:
 
 def _is_pile(counts: Indices) -> bool:
     """Return True if the count of the lowest power suggests a receiver floor."""
-    pile, beside = int(counts[0]), int(counts[1 : 1 + PILE_NEIGHBOURS].max())
+    pile, adjacent = int(counts[0]), int(counts[1 : 1 + PILE_NEIGHBOURS].max())
     if pile < LEAST_PILE:
         return False
     # Without a floor the lowest value has at most half of the two counts.
-    chance = float(bdtrc(pile - 1, pile + beside, 0.5))
+    chance = float(bdtrc(pile - 1, pile + adjacent, 0.5))
     return pile > PILE_RATIO * int(counts[1:].max()) or chance < PILE_CHANCE
 
 

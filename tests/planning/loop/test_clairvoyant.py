@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from shapely.geometry import LineString, box
+from strip_scene import strip
 
 from planopt import Problem
 from planopt.channel.ground_truth import power_truth
 from planopt.planning.initial_data import prepare
 from planopt.planning.loop.metrics import clairvoyant_path, realised_cost_m
 from planopt.planning.scene import build_scene
-from planopt.problems.problem import problem_from_tables
 
 STEP_M = 6.0
 
@@ -21,39 +21,7 @@ STEP_M = 6.0
 PRICE = 10.0
 
 
-def strip(folder: Path, gain_db: np.ndarray) -> Problem:
-    """A free strip of 60 m by 20 m; 50 m from start to goal.
-
-    Its power is `gain_db` at every metre, (60,) along x alone or (20, 60).
-    """
-    x, y = np.arange(0.5, 60.0), np.arange(0.5, 20.0)
-    rows = np.broadcast_to(gain_db, (len(y), len(x)))
-    np.savez(folder / "strip.npz", path_gain_db=rows, x=x, y=y)
-    tables = {
-        "problem": {"schema": 1, "name": "strip", "task": "reach"},
-        "world": {"bounds_m": [0.0, 0.0, 60.0, 20.0]},
-        "channel": {
-            "truth": {
-                "kind": "raster",
-                "file": "strip.npz",
-                "variable": "path_gain_db",
-                "floor_db": -130.0,
-            },
-            "measurements": {"count": 60},
-        },
-        "robots": [{"start_m": [5.0, 10.0], "goal_m": [55.0, 10.0], "speed_max_m_s": STEP_M}],
-        "stations": [
-            {
-                "position_m": [30.0, 10.0],
-                "height_m": 3.0,
-                "transmit_power_dbm": 0.0,
-                "threshold_dbm": -80.0,
-            }
-        ],
-        "constraints": {"p_min": 0.8, "clearance_m": 0.5, "goal_radius_m": 1.0},
-        "planner": {"horizon": 5, "step_s": 1.0},
-    }
-    return problem_from_tables(tables, folder=folder, file=None)
+COURIER = {"start_m": [5.0, 10.0], "goal_m": [55.0, 10.0], "speed_max_m_s": STEP_M}
 
 
 def path_of(problem: Problem) -> tuple[np.ndarray, float]:
@@ -67,7 +35,7 @@ def test_holes_between_the_ends_of_steps_are_charged(tmp_path: Path) -> None:
     """Two metres out of contact every 6 m, all across the strip: no steps lead over them."""
     x = np.arange(0.5, 60.0)
     out = (x % STEP_M < 2.0) & (x > 6.0) & (x < 54.0)
-    path, cost_m = path_of(strip(tmp_path, np.where(out, -100.0, -60.0)))
+    path, cost_m = path_of(strip(tmp_path, np.where(out, -100.0, -60.0), COURIER))
     assert path[0] == pytest.approx((5.0, 10.0)) and path[-1] == pytest.approx((55.0, 10.0))
     assert cost_m == pytest.approx(50.0 + PRICE * out.sum(), abs=1.0)
 
@@ -76,7 +44,7 @@ def test_it_goes_round_a_hole_if_that_is_cheaper(tmp_path: Path) -> None:
     """A hole that leaves 5 m free at one side: the taut way round its corners, to a few percent."""
     rows = np.full((20, 60), -60.0)
     rows[:15, 20:40] = -100.0
-    _, cost_m = path_of(strip(tmp_path, rows))
+    _, cost_m = path_of(strip(tmp_path, rows, COURIER))
     taut_m = 20.0 + 2.0 * np.hypot(15.0, 5.0)
     assert taut_m <= cost_m <= 1.04 * taut_m
 
@@ -85,7 +53,7 @@ def test_realised_cost_against_exact_geometry(tmp_path: Path) -> None:
     """A crooked path over a random map: shapely's lengths within the cells out of contact."""
     generator = np.random.default_rng(3)
     rows = np.where(generator.random((20, 60)) < 0.4, -100.0, -60.0)
-    problem = strip(tmp_path, rows)
+    problem = strip(tmp_path, rows, COURIER)
     truth = power_truth(np.arange(0.5, 60.0), np.arange(0.5, 20.0), rows)
     places = generator.uniform((1.0, 1.0), (59.0, 19.0), (12, 2))
     line = LineString(places)
@@ -104,7 +72,7 @@ def test_nobody_pays_less_than_the_clairvoyant(tmp_path: Path) -> None:
     """Random drives to the goal cost at least as much, but for what the lattice misses."""
     generator = np.random.default_rng(5)
     rows = np.where(generator.random((20, 60)) < 0.3, -100.0, -60.0)
-    problem = strip(tmp_path, rows)
+    problem = strip(tmp_path, rows, COURIER)
     _, least_m = path_of(problem)
     truths = prepare(problem, 0).truths
     for _ in range(200):

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
-from pathlib import Path
-from types import ModuleType
 
 import casadi as ca
 import numpy as np
 import pytest
 from motion_scene import DOUBLE, WHEELS, driven_problem
+from mutants import module_of, mutated, source_of
 from terms_scene import LEARNING
 
 from planopt.extend import CasadiMap
@@ -18,7 +16,7 @@ from planopt.planning.proof import motion
 from planopt.robots.dynamics import Drive, rolled_out
 from planopt.world import index_obstacles
 
-SOURCE = Path(motion.__file__).read_text()
+MOTION = motion.__name__
 
 MUTANTS = {
     "clearance of all but the last step": (
@@ -50,14 +48,6 @@ MUTANTS = {
     "shape of inputs": ("or drive.inputs.shape != (len(positions_m) - 1, inputs)", ""),
     "finite check dropped": ("np.isfinite(drive.states).all()", "True"),
 }
-
-
-def scorer_of(source: str) -> Callable:
-    """The scorer of a text."""
-    module = ModuleType("mutant_of_motion")
-    sys.modules[module.__name__] = module
-    exec(compile(source, "<mutant>", "exec"), module.__dict__)
-    return module.verify_motion
 
 
 def cases() -> Iterator[tuple]:
@@ -141,7 +131,7 @@ TRUE = said(motion.verify_motion)
 
 def test_source_as_it_is() -> None:
     """Good drives are sound, and every other has a reason."""
-    assert TRUE == said(scorer_of(SOURCE))
+    assert TRUE == said(module_of(MOTION, source_of(MOTION)).verify_motion)
     assert sum(not case[0] for case in TRUE) == 4
     assert all(len(case) == 2 for case in TRUE)
 
@@ -149,6 +139,5 @@ def test_source_as_it_is() -> None:
 @pytest.mark.parametrize("name", MUTANTS)
 def test_mutant_is_found_out(name: str) -> None:
     """At least one drive is judged otherwise."""
-    original, instead = MUTANTS[name]
-    assert SOURCE.count(original) == 1, "the mutant does not fit the source any more"
-    assert said(scorer_of(SOURCE.replace(original, instead))) != TRUE
+    mutant = module_of(MOTION, mutated(MOTION, *MUTANTS[name]))
+    assert said(mutant.verify_motion) != TRUE

@@ -193,25 +193,16 @@ def test_path_cost_is_the_plans_by_hand():
     assert certificate.path_cost_m == pytest.approx(driven + 5.0, abs=1e-6)
 
 
+@pytest.mark.parametrize("in_steps", [False, True])
 @pytest.mark.parametrize("beyond_m", [-0.1, 0.1])
-def test_just_as_much_dearer_as_is_tolerated(monkeypatch, beyond_m):
-    """Whatever the tolerance is: cost equal to it is excused, a little more is not."""
+def test_just_as_much_dearer_as_is_tolerated(monkeypatch, beyond_m, in_steps):
+    """A cost that equals the tolerance, or longest steps out of contact, and a little more."""
     certificate = assert_verified(assessed(small_problem(), CROSSING, WIDE))
-    over = certificate.path_cost_m / certificate.best_cost_m - 1.0
-    monkeypatch.setattr(single_steps, "COST_LEEWAY_STEPS", 0.0)
-    monkeypatch.setattr(single_steps, "COST_TOLERANCE", over - beyond_m / 100.0)
-    _, verdict = assessed(small_problem(), CROSSING, WIDE)
-    assert (verdict is Verdict.VERIFIED) == (beyond_m < 0.0)
-
-
-@pytest.mark.parametrize("beyond_m", [-0.1, 0.1])
-def test_the_leeway_is_of_steps_out_of_contact(monkeypatch, beyond_m):
-    """So many longest steps, each metre of them at the whole price."""
-    certificate = assert_verified(assessed(small_problem(), CROSSING, WIDE))
-    over = certificate.path_cost_m - certificate.best_cost_m
-    step = small_problem().step_length_m * 11.0
-    monkeypatch.setattr(single_steps, "COST_TOLERANCE", 0.0)
-    monkeypatch.setattr(single_steps, "COST_LEEWAY_STEPS", (over - beyond_m) / step)
+    over = certificate.path_cost_m / certificate.best_cost_m - 1.0 - beyond_m / 100.0
+    over_m = certificate.path_cost_m - certificate.best_cost_m - beyond_m
+    steps = over_m / (small_problem().step_length_m * 11.0)
+    monkeypatch.setattr(single_steps, "COST_TOLERANCE", 0.0 if in_steps else over)
+    monkeypatch.setattr(single_steps, "COST_LEEWAY_STEPS", steps if in_steps else 0.0)
     _, verdict = assessed(small_problem(), CROSSING, WIDE)
     assert (verdict is Verdict.VERIFIED) == (beyond_m < 0.0)
 

@@ -6,19 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from terms_scene import ENERGY, LEARNING, TRACKING, context_of, terms_problem
+from terms_scene import ENERGY, LEARNING, TRACKING, context_of, mapping, terms_problem
 
 from planopt.objectives.stage_power import CUSP_ROUNDING
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.values.objective_value import ObjectiveValue
-
-
-def mapping(form):
-    """A mapping term, with the keys that go with its form."""
-    term = {"kind": "mapping", "form": form}
-    if form in ("path", "two_layer"):
-        term |= {"variance_threshold_db2": 2.0, "closeness_per_m": 0.02}
-    return term
 
 
 def ways_of(context, count=7):

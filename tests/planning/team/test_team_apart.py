@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import copy
 from itertools import combinations
-from pathlib import Path
 
 import numpy as np
 import pytest
 from apart_scene import CART, apart_problem
-from terms_scene import LEARNING, TABLES, TRACKING
 
 from planopt import Problem, Verdict
 from planopt.extend import Rung
 from planopt.planning.solve import simulate, solve
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
-from planopt.problems.problem import problem_from_tables
 from planopt.robots.dynamics import rolled_out
 from planopt.world import centres_at
 
@@ -101,18 +97,8 @@ def wheels(x: float, y: float, heading: float = 0.0) -> dict:
 
 def team(*robots: dict, moving=(CART,), separation=3.0, learns=False, **planner) -> Problem:
     """Robots of the small scene that track, or learn."""
-    tables = copy.deepcopy(TABLES)
-    tables["problem"]["task"] = "learn" if learns else "track"
-    tables["objective"] = {"terms": [dict(LEARNING if learns else TRACKING)]}
-    if not learns:
-        tables["targets"] = [{"start_m": [14.0, 18.0], "velocity_m_s": [0.9, 0.2]}]
-    tables["robots"] = [
-        {"name": f"r{number}", "speed_max_m_s": 2.0, **robot} for number, robot in enumerate(robots)
-    ]
-    tables["constraints"] = {"clearance_m": 0.5, "separation_m": separation}
-    tables["world"]["moving"] = [dict(table) for table in moving]
-    tables["planner"].update({"horizon": 4, "max_steps": 6, **planner})
-    return problem_from_tables(tables, folder=Path(), file=None)
+    planner = {"horizon": 4, "max_steps": 6, **planner}
+    return apart_problem(robots, moving, separation, learns, **planner)
 
 
 def curve_sampled_m(path_m, drive, steps: int, braking: int = 0) -> np.ndarray:

@@ -11,6 +11,7 @@ from terms_scene import (
     LEARNING,
     TRACKING,
     context_of,
+    mapping,
     own_term,
     terms_problem,
 )
@@ -18,14 +19,6 @@ from terms_scene import (
 from planopt.planning.values.context import structure_of
 from planopt.planning.values.local_value import local_value
 from planopt.planning.values.objective_value import ObjectiveValue
-
-
-def mapping(form):
-    """A mapping term, with the keys that go with its form."""
-    term = {"kind": "mapping", "form": form}
-    if form in ("path", "two_layer"):
-        term |= {"variance_threshold_db2": 2.0, "closeness_per_m": 0.02}
-    return term
 
 
 def everything(path):

@@ -305,7 +305,7 @@ def _transmitters(
     if column is None:
         column = alias(table, "transmitter")
         if column is None:
-            notes.assume("all readings are of one transmitter")
+            notes.assume("all readings belong to one transmitter")
             return None, ["station"]
         notes.assume(f"column {column} names the transmitter")
     counts = labels_of(table, column)
@@ -500,7 +500,7 @@ def _workspace(
     bounds = (x_min - margin, y_min - margin, x_max + margin, y_max + margin)
     bounds = tuple(round(each, 1) for each in bounds)
     notes.assume(
-        f"the world extends around log, start and goal: {', '.join(f'{b:g}' for b in bounds)}"
+        f"the world surrounds log, start and goal: {', '.join(f'{b:g}' for b in bounds)} m"
         + ("; there are no obstacles (give --map)" if map_path is None else "")
     )
     return Workspace(bounds, obstacles)
@@ -552,7 +552,7 @@ def _tables(
         threshold = settings.threshold_dbm
     else:
         notes.assume(
-            f"a robot is connected from {threshold:g} dBm on, {ABOVE_FLOOR_DB:g} dB above the "
+            f"a robot is connected at {threshold:g} dBm or more, {ABOVE_FLOOR_DB:g} dB above the "
             "weakest reading (--threshold)"
         )
     if settings.speed_m_s is None:
@@ -562,7 +562,7 @@ def _tables(
     notes.assume(
         f"steps are {step:g} m long, P(connected) should be at least {settings.p_min:g}",
         f"transmit powers are {TRANSMIT_POWER_DBM:g} dBm; plans do not depend on them",
-        "simulations draw the channel from its fit to the log",
+        "simulations draw channels from the fit to the log",
     )
     obstacles: list[dict[str, Any]] = []
     if map_path is not None:

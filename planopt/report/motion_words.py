@@ -183,7 +183,7 @@ def run_in_words(run: Run) -> list[str]:
     lines = [
         f"{robots}; plans verified: {run.verified_rate:.1%}; {measured} measurements in {steps} "
         "steps" + (" of all robots" if len(run.runs) > 1 else ""),
-        f"number of executed steps by origin: {origins or 'none'}",
+        f"origin of the executed steps: {origins or 'none'}",
         *in_columns([*_metrics_in_words(run)]),
         *symbols_in_words(metric for metric, value in run.metrics.items() if not isnan(value)),
         *_unverified_in_words(run),

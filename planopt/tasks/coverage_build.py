@@ -180,14 +180,14 @@ class CoverageProblem(TaskProblem):
         """Return a text summary of the problem, line by line."""
         given, limit = self.given, self.given.agents.speed_max_m_s
         speed = "without a speed limit" if limit is None else f"at most {limit:g} m/s"
-        how = given.counting.method.removeprefix("known")
+        counted = given.counting.method
         lines = [
             f"{self.name}: {self.description}",
             f"  task        coverage, planner {given.planner.name}, steps of "
             f"{given.control.time_step_s:g} s, at most {given.control.duration_s:g} s",
             f"  region      {self.scene.ground.area_m2:g} m^2, {len(self.obstacles)} obstacles, "
             f"density {given.density.kind}",
-            f"  agents      {given.agents.start.number}, {speed}; number {f'counted by {how}' if how else 'known'}",
+            f"  agents      {given.agents.start.number}, {speed}; counting method: {counted}",
         ]
         for event in self.scene.events:
             x, y = event.place_m

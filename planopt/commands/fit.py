@@ -423,19 +423,24 @@ def fit(
         if hold_out is None:
             remedy = "add --hold-out COLUMN"
             raise InputError("needs --hold-out", key="--threshold", remedy=remedy)
-    if options.each is not None:
-        if hold_out is not None:
-            remedy = "hold out readings of one transmitter, with --where"
-            raise InputError("is for one transmitter", key="--hold-out", remedy=remedy)
-        return _fit_all(options, out, json)
+    if options.each is not None and hold_out is not None:
+        remedy = "hold out readings of one transmitter, with --where"
+        raise InputError("is for one transmitter", key="--hold-out", remedy=remedy)
+    report, fits, left_out = None, dict[str, LogFit](), dict[str, int]()
     with results_folder(out) as folder:
         with progress("fitting"):
-            fitted = read_and_fit(options)
-        data = fit_json(fitted)
-        report = None
+            if options.each is None:
+                fits[""] = read_and_fit(options)
+            else:
+                fits, left_out = fit_each(options)
+        found = {label: fit_json(each) for label, each in fits.items()}
+        if options.each is None:
+            data = found[""]
+        else:
+            data = {"each": options.each, "fits": found, "left_out": left_out}
         if hold_out is not None:
             with progress("predicting what is held out"):
-                report = held_out(options.log, fitted, hold_out, threshold)
+                report = held_out(options.log, fits[""], hold_out, threshold)
             data["held_out"] = held_out_json(report, hold_out)
         if folder is not None:
             from planopt.files.writing import replaced_results, strict_text, write_text
@@ -443,7 +448,9 @@ def fit(
             with replaced_results(folder, FIT) as new:
                 write_text(new / FIT_FILE, strict_text(data))
         # The numbers are printed before any figure can fail.
-        lines = [_in_words(data)]
+        lines = [f"{label}: {_in_words(each)}".removeprefix(": ") for label, each in found.items()]
+        if left_out:
+            lines.append(f"left out, with too few measurements: {listed(left_out)}")
         if report is not None:
             from planopt.report import reliability_lines
 
@@ -457,41 +464,13 @@ def fit(
             if new is not None:
                 from planopt.report import draw_fit, save_figure
 
-                station = fitted.found.parameters.station
-                figure = draw_fit(fitted.measurements, fitted.found, station)
-                save_figure(figure, new / "fit.png")
-                if report is not None:
-                    _draw_held_out(report, new)
-    return fitted.exit_code
-
-
-def _fit_all(options: LogOptions, out: Path | None, json: bool) -> int:
-    """Fit, print and save the channel of each transmitter."""
-    with results_folder(out) as folder:
-        with progress("fitting"):
-            fits, left_out = fit_each(options)
-        data: dict[str, Any] = {
-            "each": options.each,
-            "fits": {label: fit_json(each) for label, each in fits.items()},
-            "left_out": left_out,
-        }
-        if folder is not None:
-            from planopt.files.writing import replaced_results, strict_text, write_text
-
-            with replaced_results(folder, FIT) as new:
-                write_text(new / FIT_FILE, strict_text(data))
-        lines = [f"{label}: {_in_words(each)}" for label, each in data["fits"].items()]
-        if left_out:
-            lines.append(f"left out, with too few measurements: {listed(left_out)}")
-        show(json, data, "\n".join(lines))
-        with drawing(folder, FIT, wanted=True) as new:
-            if new is not None:
-                from planopt.report import draw_fit, save_figure
-
                 for number, (label, each) in enumerate(fits.items(), start=1):
                     name = re.sub(r"[^A-Za-z0-9_-]+", "-", label)[:40]
                     figure = draw_fit(each.measurements, each.found, each.found.parameters.station)
-                    save_figure(figure, new / f"fit_{number}_{name}.png")
+                    file = "fit.png" if options.each is None else f"fit_{number}_{name}.png"
+                    save_figure(figure, new / file)
+                if report is not None:
+                    _draw_held_out(report, new)
     return max(each.exit_code for each in fits.values())
 
 

@@ -119,63 +119,44 @@ def map_log(
 def _log_map(
     options: LogOptions, bounds: Bounds | None, cell: float | None, threshold: float | None
 ) -> _Mapped:
-    """Fit the channel to a log and map it."""
-    from planopt.channel.channel_map import default_cell_m, measured_bounds_m, posterior_map
-    from planopt.channel.posterior import condition
-
-    if options.each is not None:
-        return _server_map(options, bounds, cell, threshold)
-    fitted = read_and_fit(options)
-    measurements, found = fitted.measurements, fitted.found
-    box = measured_bounds_m(measurements) if bounds is None else bounds
-    maps = posterior_map(
-        condition(found.parameters, measurements),
-        box,
-        default_cell_m(box) if cell is None else cell,
-        _threshold_dbm(threshold, options.floor, measurements),
+    """Fit the channel of each transmitter in a log and map it, or the best of several."""
+    from planopt.channel.channel_map import (
+        default_cell_m,
+        measured_bounds_m,
+        posterior_map,
+        serving_map,
     )
-
-    def draw() -> Figure:
-        from planopt.report import draw_posterior_map
-
-        title = f"{options.log.name}: {len(measurements)} measurements, {found.method} fit"
-        return draw_posterior_map(maps, measurements, found.parameters.station, title)
-
-    return _Mapped(maps, [fit_json(fitted)], fitted.exit_code, draw, _origin_deg(options))
-
-
-def _server_map(
-    options: LogOptions, bounds: Bounds | None, cell: float | None, threshold: float | None
-) -> _Mapped:
-    """Fit the channel of each transmitter in a log and map the best of them."""
-    from planopt.channel.channel_map import default_cell_m, measured_bounds_m, serving_map
     from planopt.channel.measurements import join
     from planopt.channel.posterior import condition
+    from planopt.world.geodesy import parse_origin
 
-    fits, _ = fit_each(options)
+    several = options.each is not None
+    fits = fit_each(options)[0] if several else {"": read_and_fit(options)}
     pooled = reduce(join, (each.measurements for each in fits.values()))
     box = measured_bounds_m(pooled) if bounds is None else bounds
+    cell_m = default_cell_m(box) if cell is None else cell
     least = _threshold_dbm(threshold, options.floor, pooled)
     posteriors = [condition(each.found.parameters, each.measurements) for each in fits.values()]
-    cell_m = default_cell_m(box) if cell is None else cell
-    maps = serving_map(posteriors, box, cell_m, [least] * len(posteriors))
+    if several:
+        maps = serving_map(posteriors, box, cell_m, [least] * len(posteriors))
+        title = f"{options.log.name}: best of {len(fits)} transmitters"
+    else:
+        maps = posterior_map(posteriors[0], box, cell_m, least)
+        method = fits[""].found.method
+        title = f"{options.log.name}: {len(pooled)} measurements, {method} fit"
 
     def draw() -> Figure:
         from planopt.report import draw_posterior_map
 
         stations = [each.found.parameters.station for each in fits.values()]
-        title = f"{options.log.name}: best of {len(fits)} transmitters"
         return draw_posterior_map(maps, pooled, stations, title)
 
-    described = [{**fit_json(each), "station": label} for label, each in fits.items()]
+    described = [
+        fit_json(each) | ({"station": label} if several else {}) for label, each in fits.items()
+    ]
     exit_code = max(each.exit_code for each in fits.values())
-    return _Mapped(maps, described, exit_code, draw, _origin_deg(options))
-
-
-def _origin_deg(options: LogOptions) -> Origin | None:
-    from planopt.world.geodesy import parse_origin
-
-    return None if options.origin is None else parse_origin(options.origin)
+    origin_deg = None if options.origin is None else parse_origin(options.origin)
+    return _Mapped(maps, described, exit_code, draw, origin_deg)
 
 
 def _problem_map(

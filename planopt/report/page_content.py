@@ -17,6 +17,7 @@ from planopt.planning.loop.results import Run, Solution
 from planopt.planning.plan import Plan, Verdict
 from planopt.problems.load import problem_to_dict
 from planopt.problems.problem import Problem, problem_of_robot
+from planopt.problems.results import Result
 from planopt.problems.tasks import task_of
 from planopt.report.maps import believed_rasters, map_window
 from planopt.report.motion_words import MEANING, certificate_in_words, planned_in_words
@@ -51,7 +52,6 @@ from planopt.short_repr import shown_number
 from planopt.studies.comparison import Comparison, run_columns
 from planopt.studies.comparison_rows import setting_words, short_keys
 from planopt.studies.study import program
-from planopt.world.workspace import Obstacle
 
 TIME = "time [s]"
 
@@ -78,16 +78,11 @@ def motion_page(result: Solution | Run) -> Page:
     )
 
 
-def task_page(
-    name: str,
-    description: str,
-    data: Mapping[str, Any],
-    words: Sequence[str],
-    tables: Mapping[str, tuple[Sequence[Column], Data]],
-    obstacles: Sequence[Obstacle],
-    settings: Mapping[str, Any],
-) -> Page:
-    """Return the page of a result; its map shows the paths in `data`, the JSON object."""
+def task_page(result: Result) -> Page:
+    """Return the page of a result; its map shows the paths in the JSON object."""
+    problem, contents = result.problem, result.task.contents(result)
+    data: Mapping[str, Any] = contents.data
+    tables: Mapping[str, tuple[Sequence[Column], Data]] = contents.tables
     tracks = [
         Track(
             str(robot["name"]),
@@ -105,15 +100,15 @@ def task_page(
     if faults == []:
         certificate = ("The independent verifier found no violated constraint in any step.",)
     return Page(
-        title=f"{'Run' if 'outcome' in data else 'Plan'} of {name}",
-        description=description,
-        words=words,
+        title=f"{'Run' if 'outcome' in data else 'Plan'} of {problem.name}",
+        description=problem.description,
+        words=result.words,
         certificate=certificate,
-        map=PageMap(tracks, obstacles) if tracks else None,
+        map=PageMap(tracks, problem.obstacles) if tracks else None,
         tables=[
             PageTable("Key figures", ("name", "value"), figures),
             *_result_tables(tables),
-            *_settings(settings, data.get("seed")),
+            *_settings(result.task.tables(problem), data.get("seed")),
         ],
         charts=[
             chart

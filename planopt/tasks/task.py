@@ -198,16 +198,7 @@ class Task:
         """Return the content of the HTML page of a result."""
         from planopt.report.page_content import task_page
 
-        problem = result.problem
-        return task_page(
-            problem.name,
-            problem.description,
-            result.data,
-            result.words,
-            self.contents(result).tables,
-            problem.obstacles,
-            self.tables(problem),
-        )
+        return task_page(result)
 
     def no_plan(self, action: Action, problem: Any, seed: int, error: NoPlanError) -> Any:
         """Return the result of an action for which no plan exists."""

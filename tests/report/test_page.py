@@ -4,6 +4,7 @@ import json
 import re
 from html.parser import HTMLParser
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from browser import opened
 import planopt
 from planopt.cli import main
 from planopt.files.tables import Column
+from planopt.problems.results import Contents
 from planopt.report.page import MOST_ROWS, Chart, Page, PageTable, page_html, plain
 from planopt.report.page_content import task_page
 
@@ -151,8 +153,10 @@ def test_events_are_on_the_map(tmp_path: Path) -> None:
     table = {"event": names, "t_s": times, "there": there, "x_m": times, "y_m": 2.0 * times}
     columns = [Column("event", "", kind="text"), Column("t_s", "time", "s"), Column("x_m", "", "m")]
     robot = {"name": "agent0", "t_s": [0.0, 3.0], "x_m": [0.0, 1.0], "y_m": [0.0, 1.0]}
-    tables = {"events.csv": (columns, table)}
-    page = task_page("net", "", {"robots": [robot]}, (), tables, (), {})
+    contents = Contents("run.json", {"robots": [robot]}, {"events.csv": (columns, table)})
+    task = SimpleNamespace(contents=lambda _: contents, tables=lambda _: {})
+    problem = SimpleNamespace(name="net", description="", obstacles=())
+    page = task_page(SimpleNamespace(problem=problem, task=task, words=()))
     assert page.map is not None and not page.charts
     groups = content_of(page_html(page))["map"]["groups"]
     (track,) = groups[1]["tracks"]

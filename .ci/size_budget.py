@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 72_380,
-    "lines of code": 52_251,
+    "lines": 72_326,
+    "lines of code": 52_212,
     "files": 289,
-    "functions": 3_756,
-    "docstring lines": 8_541,
-    "lines of tests": 48_659,
+    "functions": 3_752,
+    "docstring lines": 8_539,
+    "lines of tests": 48_572,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

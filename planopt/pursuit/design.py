@@ -285,34 +285,28 @@ class _Found:
     binding: tuple[str, ...]
 
 
-@dataclass(frozen=True)
-class _Failed:
+class _FailedError(Exception):
     """A failed inequality, and the number of inequalities that hold before it."""
 
-    inequality: Inequality
-    held: int
-
-    @property
-    def order(self) -> tuple[int, float]:
-        """Return the sort key of a failure: number of inequalities held, then relative margin."""
-        return self.held, self.inequality.margin / self.inequality.right
-
-
-Candidate = _Found | _Failed
+    def __init__(self, inequality: Inequality, held: int) -> None:
+        super().__init__()
+        self.inequality = inequality
+        self.order = held, inequality.margin / inequality.right
 
 
 def _scan(
     task: DesignTask,
-    candidate: Callable[[int], Candidate],
+    candidate: Callable[[int], _Found],
     objective: Callable[[Design], float] = lambda design: design.cost_w,
 ) -> Design:
     """Return the best design over all numbers of bits; raise the error of the closest failure."""
     designs: list[Design] = []
-    failures: list[tuple[_Failed, int]] = []
+    failures: list[tuple[_FailedError, int]] = []
     for c in task.bits:
-        found = candidate(c)
-        if isinstance(found, _Failed):
-            failures.append((found, c))
+        try:
+            found = candidate(c)
+        except _FailedError as error:
+            failures.append((error, c))
             continue
         slot_s, divisor = found.slot_width_s, found.rate_divisor
         bounds = task.network.service(slot_s, c, divisor).bounds
@@ -325,26 +319,21 @@ def _scan(
     raise NoDesignError(nearest.inequality, c)
 
 
-def _lemma_candidate(task: DesignTask, bits: int) -> Candidate:
-    widest_s = _widest_s(task, bits)
-    return widest_s if isinstance(widest_s, _Failed) else _Found(widest_s, 1, ("lemma",))
+def _lemma_candidate(task: DesignTask, bits: int) -> _Found:
+    return _Found(_widest_s(task, bits), 1, ("lemma",))
 
 
-def _rated_candidate(task: DesignTask, bits: int) -> Candidate:
+def _rated_candidate(task: DesignTask, bits: int) -> _Found:
     """Return the design with the largest r for which slots carry the payload."""
     widest_s = _widest_s(task, bits)
-    if isinstance(widest_s, _Failed):
-        return widest_s
     divisor = math.floor(2.0 * widest_s / task.network.least_slot_s(bits) - 1.0)
     return _Found(2.0 * widest_s / (1 + divisor), divisor, ("lemma", "payload"))
 
 
-def _energy_candidate(task: DesignTask, bits: int) -> Candidate:
+def _energy_candidate(task: DesignTask, bits: int) -> _Found:
     """Return the feasible slot width of minimum energy per capture, ``(A / s + B) / (q - p s)``."""
     # A and B are the costs of transmission and idling, q = 1 - a and p s = x.
     widest_s = _widest_s(task, bits)
-    if isinstance(widest_s, _Failed):
-        return widest_s
     network, per_slot = task.network, task.staleness_per_slot
     left, least_s = _left(task, bits), network.least_slot_s(bits)
     sent = network.energy_j_per_bit * network.frame_bits(bits) / network.slots_per_frame
@@ -356,24 +345,25 @@ def _energy_candidate(task: DesignTask, bits: int) -> Candidate:
         soonest_s = driving_s / (left - least_s * per_slot)
         in_time = Inequality(IN_TIME, soonest_s, task.deadline_s, "s")
         if not in_time.holds:
-            return _Failed(in_time, 2)
+            raise _FailedError(in_time, 2)
     binding = min(limits, key=lambda name: limits[name])
     if limits[binding] < least_s:
         return _Found(least_s, 1, ("payload",))
     return _Found(limits[binding], 1, (binding,) if binding else ())
 
 
-def _sharp_candidate(task: DesignTask, theorem: Theorem, bits: int) -> Candidate:
+def _sharp_candidate(task: DesignTask, theorem: Theorem, bits: int) -> _Found:
     """Return the widest slot that satisfies a theorem, the capture radius and the deadline."""
     least_s = task.network.least_slot_s(bits)
     failing = partial(_failing, task, theorem, bits)
     fails, narrow_s = failing(least_s), SLOT_SHARE * least_s
     if fails is not None:
         if failing(narrow_s) is not None:
-            return _Failed(fails[1], SHARP_ORDER.get(fails[0], 0))
+            raise _FailedError(fails[1], SHARP_ORDER.get(fails[0], 0))
         # Narrower slots satisfy the requirements, but they cannot carry the payload.
         widest_s, _ = _bisected(failing, narrow_s, least_s)
-        return _Failed(Inequality(PAYLOAD_FITS, least_s, widest_s, "s"), SHARP_ORDER["payload"])
+        fits = Inequality(PAYLOAD_FITS, least_s, widest_s, "s")
+        raise _FailedError(fits, SHARP_ORDER["payload"])
     low, high = least_s, 2.0 * least_s
     while failing(high) is None:
         low, high = high, 2.0 * high
@@ -410,15 +400,17 @@ def _failing(
     return None if in_time.holds else ("deadline", in_time)
 
 
-def _widest_s(task: DesignTask, bits: int) -> float | _Failed:
-    """Return the widest slot by Lemma III.3, or the violated inequality."""
+def _widest_s(task: DesignTask, bits: int) -> float:
+    """Return the widest slot by Lemma III.3; raise an error with the violated inequality."""
     room = task.room(bits)
     shrinks = Inequality("a + margin below 1", 1.0 - room, 1.0)
     if not shrinks.holds:
-        return _Failed(shrinks, 0)
+        raise _FailedError(shrinks, 0)
     widest_s = room / task.staleness_per_slot
     fits = Inequality(PAYLOAD_FITS, task.network.least_slot_s(bits), widest_s, "s")
-    return widest_s if fits.holds else _Failed(fits, 1)
+    if not fits.holds:
+        raise _FailedError(fits, 1)
+    return widest_s
 
 
 def _left(task: DesignTask, bits: int) -> float:

@@ -204,6 +204,6 @@ def _group_column(text: str) -> GroupColumn:
         raise InputError(
             f"cannot read {text!r}",
             key="--hold-out",
-            remedy="write COLUMN or COLUMN:BLOCK with a block above 0, and commas between",
+            remedy="write COLUMN or COLUMN:BLOCK, BLOCK being above 0, separated by commas",
         )
     return GroupColumn(name, block)

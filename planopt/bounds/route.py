@@ -246,7 +246,7 @@ def blocked_areas(problem: RouteProblem) -> BlockedAreas:
 
 
 def _outer_radius_m(problem: RouteProblem) -> float:
-    """Return the radius of a circumscribed 256-corner polygon of the goal's disc."""
+    """Return the distance from the goal to the corners of a 256-gon around the goal's disc."""
     return problem.goal_radius_m / float(np.cos(np.pi / 256)) + CLEARANCE_TOLERANCE_M
 
 

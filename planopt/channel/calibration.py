@@ -49,7 +49,7 @@ class GroupedRatio:
         return GroupedRatio(self.value, self.low, min(self.high, 1.0))
 
     def root(self) -> GroupedRatio:
-        """Return the square root of the ratio and of its interval, such as an RMSE."""
+        """Return the square root of the mean and of its interval, such as an RMSE."""
         return GroupedRatio(math.sqrt(self.value), math.sqrt(self.low), math.sqrt(self.high))
 
 

@@ -337,7 +337,7 @@ class Origins:
         )
 
     def without_offsets(self) -> Origins:
-        """Return the origins without receivers, so that covariances exclude the offsets."""
+        """Return the origins without receivers, so that covariances exclude receiver offsets."""
         return self if self.receiver is None else replace(self, receiver=None)
 
 

@@ -71,7 +71,7 @@ class MarginalPosterior:
         return mixture(self.weights, [component.predict(places) for component in self.components])
 
     def connectivity(self, positions_m: Floats, threshold_dbm: float) -> Floats:
-        """Return P(power >= `threshold_dbm`) of the mixture at `positions_m` (n, 2); ``(n,)``."""
+        """Return P(power >= `threshold_dbm`) (n,) under the mixture at `positions_m` (n, 2)."""
         places = require_places(positions_m)
         chances = np.zeros(len(places))
         for weight, component in zip(self.weights, self.components, strict=True):

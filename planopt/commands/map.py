@@ -52,11 +52,12 @@ def map_log(
         option(
             "--p-min",
             "P",
-            "Contact mask: contact from this P(connected) on; default: 0.9.",
+            "Contact mask: P(connected) from which a cell is in contact; default: 0.9.",
         ),
     ] = None,
     cell: Annotated[
-        float | None, option("--cell", "M", "Cell side in metres; default: 200 cells.")
+        float | None,
+        option("--cell", "M", "Cell side in metres; default: 200 cells on the longer side."),
     ] = None,
     bounds: Annotated[
         str | None,
@@ -71,15 +72,15 @@ def map_log(
         ),
     ] = None,
     picture: Annotated[
-        Path | None, option("--picture", "FILE", "Draw it too; .png, .svg or .pdf.")
+        Path | None, option("--picture", "FILE", "Also draw the map; .png, .svg or .pdf.")
     ] = None,
     json: JsonOption = False,
 ) -> int:
     """Write a radio map of a log or a problem: power, its standard deviation, P(connected).
 
-    The map of a log is for its first receiver, at the time of the latest measurement. That of a
-    problem file (.toml) shows the best of its stations over its bounds. --nav2 writes three filter
-    masks: keepout, weighted and contact.
+    The map of a log is for its first receiver, at the time of the latest measurement. The map of
+    a problem file (.toml) covers its bounds and shows the best station at each position. --nav2
+    writes three filter masks: keepout, weighted and contact.
     """
     from planopt.channel.cholesky import one_blas_thread
     from planopt.world.nav2_masks import MaskLimits, write_masks

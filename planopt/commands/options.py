@@ -52,7 +52,10 @@ class PlanningOptions:
         str | None, option("--cost-to-go", "NAME", "Cost-to-go: geodesic or connected.")
     ] = None
     seed: Annotated[
-        int, option("--seed", None, "Random seed of fading and measured places.", min=0)
+        int,
+        option(
+            "--seed", None, "Random seed of fading and of initial measurement positions.", min=0
+        ),
     ] = 0
     out: OutOption = None
     json: JsonOption = False
@@ -75,7 +78,7 @@ class FormatOptions:
         option("--floor", "DBM", "Receiver sensitivity: powers at or below are upper limits."),
     ] = None
     resolution: Annotated[
-        float, option("--resolution", "DB", "Powers are rounded to this step.")
+        float, option("--resolution", "DB", "Rounding step of the powers in the log.")
     ] = 0.0
     position_error: Annotated[
         float, option("--position-error", "M", "Standard deviation of either coordinate (GPS).")
@@ -89,7 +92,11 @@ class FormatOptions:
     ] = None
     receiver: Annotated[
         str | None,
-        option("--receiver", "COLUMN", "Column of receivers: each has an offset to the first one."),
+        option(
+            "--receiver",
+            "COLUMN",
+            "Column of receivers; each has a power offset from the first one.",
+        ),
     ] = None
     where: Annotated[
         list[str] | None,
@@ -104,7 +111,7 @@ class FormatOptions:
         option(
             "--origin",
             "LAT,LON[,ANGLE]",
-            "The log is in degrees; latitude and longitude of (0, 0), angle from east to x.",
+            "For logs in degrees: latitude and longitude of (0, 0), and the angle from east to x.",
         ),
     ] = None
     power_unit: Annotated[
@@ -154,7 +161,8 @@ class LogOptions(FormatOptions):
         option("--forgetting", "S", "Time constant of changes in shadowing; needs --time."),
     ] = None
     loss: Annotated[
-        str, option("--loss", "NAME", "Loss of the method convex: squares, huber or absolute.")
+        str,
+        option("--loss", "NAME", "Loss function of --method convex: squares, huber or absolute."),
     ] = "squares"
 
 

@@ -72,7 +72,7 @@ def station_map(
 
 @dataclass(frozen=True)
 class MoveLimits:
-    """Motion limits of agents and their clearances."""
+    """Motion limits and clearances of agents."""
 
     time_step_s: float = 1.0
     speed_m_s: float = math.inf  # Largest speed; infinite without limit

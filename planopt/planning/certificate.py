@@ -286,13 +286,14 @@ def plan_message(certificate: Certificate, positions_m: Floats) -> str:
         if path_m is None or best_m is None:
             parts.append(
                 f"no position within reach has the required P(connected) at {steps}; "
-                f"up to {worst:.2f} dB of power are missing"
+                f"up to {worst:.2f} dB below the power needed"
             )
         else:
             parts.append(
-                f"P(connected) is below the required value at {steps}: up to {worst:.2f} dB of "
-                f"power are missing. This is allowed if a detour costs more: the planned route "
-                f"costs {path_m:.4g} m, the cheapest that the verifier found {best_m:.4g} m"
+                f"P(connected) is below the required value at {steps}, up to {worst:.2f} dB below "
+                f"the power needed. This is allowed if a detour costs more: length plus outage "
+                f"price is {path_m:.4g} m for the planned route and {best_m:.4g} m for the cheapest "
+                "route in the verifier's own search"
             )
     if np.linalg.norm(positions_m[1:] - positions_m[0], axis=1).max() <= STANDSTILL_M:
         parts.append("the plan stands still")
@@ -326,8 +327,8 @@ class Excused:
         why = "nothing excuses it"
         if self.excuse == "price":
             why = (
-                f"the route costs {self.path_cost_m:.1f} m, the cheapest that the verifier found "
-                f"{self.best_cost_m:.1f} m"
+                f"length plus outage price of the route is {self.path_cost_m:.1f} m, and "
+                f"{self.best_cost_m:.1f} m for the cheapest route in the verifier's own search"
             )
         elif self.excuse == "slack":
             why = "within constraints.slack_max_db"

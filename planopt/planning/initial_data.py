@@ -276,7 +276,7 @@ def _python_truth(problem: Problem, setup: ArrayTruth | FunctionTruth, station: 
 
 
 def _numbers(key: str, values: object) -> Floats:
-    """Return `values` as an array of real numbers; raise an InputError that names `key`."""
+    """Return `values` as an array of real numbers; refuse others by the name `key`."""
     try:
         found = np.asarray(values)
         # NumPy would parse text as numbers and drop imaginary parts.

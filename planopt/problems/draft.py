@@ -657,7 +657,7 @@ def _require_free(
             if not inside_bounds(workspace, at).all()
             else (f"less than the clearance of {clearance:g} m from an obstacle or unknown space")
         )
-        nearest = "there is no free position; lessen --clearance"
+        nearest = "there is no free position; reduce --clearance"
         if len(free):
             x, y = free[np.argmin(np.linalg.norm(free - at, axis=1))].tolist()
             nearest = f"the nearest free position is {x:.2f},{y:.2f}"

@@ -47,7 +47,7 @@ class AnyTerm:
     def __get_pydantic_json_schema__(
         self, schema: CoreSchema, handler: GetJsonSchemaHandler
     ) -> JsonSchemaValue:
-        """Return the JSON schema of the tables of all registered kinds of terms."""
+        """Return the JSON schema of a term's table, one alternative for each registered kind."""
         return handler(_adapter_of(registered_terms()).core_schema)
 
 
@@ -333,7 +333,7 @@ class Constraints(Part):
 
     p_min: Annotated[float, Field(ge=0, lt=1)] = 0.0
     """Required probability of connection at every step where feasible, or of the event selected by
-    connectivity; 0 for none. The task reach needs a value above 0."""
+    connectivity; 0 if no connection is required. The task "reach" needs a value above 0."""
     clearance_m: Annotated[float, Field(ge=0, le=1e4)] = 1.0
     """Minimum distance in metres of the swept path from static and moving obstacles."""
     goal_radius_m: Annotated[float, Field(gt=0, le=1e4)] = 1.0

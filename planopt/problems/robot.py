@@ -106,8 +106,8 @@ class Robot(Part):
     """Radius in metres around start_m within which the start is drawn with the random seed; not
     for the task reach."""
     weights: Annotated[tuple[Annotated[float, Field(ge=0, le=1e9)], ...], Strict(False)] = ()
-    """For tasks other than reach: weights of objective.terms for this robot, in their order and in
-    place of their own. A weight of 0 removes the term."""
+    """For tasks other than reach: this robot's weights of objective.terms, in the order of the
+    terms; they replace the terms' weights. A weight of 0 removes the term."""
 
     def __post_init__(self) -> None:
         rest = _start_rest(self.dynamics, cast("object", self.start_rest))

@@ -314,7 +314,7 @@ def certify(
 
 @dataclass(frozen=True)
 class Claim:
-    """Claims of a saved run for one theorem, about its first pursuer and evader."""
+    """Guarantee that a saved run claims by one theorem for its first pursuer and first evader."""
 
     theorem: Theorem
     distances: Distances

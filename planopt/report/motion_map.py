@@ -152,7 +152,7 @@ def draw_tracks(panel: Panel, problem: Problem, runs: Sequence[RobotRun]) -> lis
 
 
 def draw_plans(panel: Panel, problem: Problem, plans: Sequence[Plan], first: int) -> list[Artist]:
-    """Draw each plan from position `first` on, its route to the goal and the holes on it."""
+    """Draw each plan from position `first` on, its route to the goal and that route's holes."""
     entries: list[Artist] = []
     for number, plan in enumerate(plans):
         curve, steps = path_curve(problem, plan.positions_m, plan.drive, first)

@@ -226,7 +226,7 @@ def _draw_connection(panel: Panel, run: Run) -> None:
 
 
 def _draw_fallbacks(panel: Panel, run: Run) -> None:
-    """Draw a row per robot: the fallback of every plan, circled if the plan is not verified."""
+    """Draw each robot's fallbacks in a row; circle plans that are not verified."""
     logs = [one.log for one in run.runs]
     for rung, (marker, colour) in RUNG_LOOKS.items():
         rows = [_release_times(log, rung) for log in logs]

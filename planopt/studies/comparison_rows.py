@@ -25,8 +25,8 @@ SettingKey = tuple[str, str, str | None, str, int]
 class Row:
     """Statistics of one metric of one setting over all seeds; None for missing values.
 
-    The reference is the problem's first setting. With at least five seeds, there are 95 % Student
-    intervals, clipped to the metric's range.
+    Differences are relative to the problem's first setting. Means of at least five seeds have 95 %
+    Student intervals, clipped to the metric's range.
     """
 
     horizon: int  # Planning horizon in steps

@@ -121,7 +121,7 @@ def digest_of_tables(tables: Mapping[str, Any]) -> str:
 
 
 def _deciding(tables: Mapping[str, Any]) -> Any:
-    """Return the tables of a problem that affect a run, with the content of its files."""
+    """Return the tables that affect a run, with the content of the files that the problem names."""
     return _with_contents({key: each for key, each in tables.items() if key not in UNDECIDING})
 
 

@@ -282,7 +282,7 @@ def _tables(problem: PursuitProblem, pursuit: Pursuit) -> dict[str, Data]:
 
 THEOREM_WORDS = {
     "any_instant": "uses bounds on age and error of the reports",
-    "snapshots": "uses the schedule of the reports as well",
+    "snapshots": "also uses the schedule of the reports",
 }
 """Data that each theorem uses, in text."""
 
@@ -316,7 +316,7 @@ def _in_words(result: TaskResult) -> Sequence[str]:
         else:
             within = "" if lasts_s is None else f" within {lasts_s:.4g} s"
             reached = (
-                "one report was enough, so no bound between reports was tested"
+                "one report was enough, so the bound on later reports was not tested"
                 if share is None
                 else "distance bound at a report at most "
                 f"{100.0 * share:.1f} % of the value that the theorem allows"

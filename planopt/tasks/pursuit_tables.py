@@ -1,4 +1,4 @@
-"""Problem files of the task pursuit, and the scenes built from them."""
+"""Problem files of the task "pursuit", and the simulation scenes built from them."""
 
 from __future__ import annotations
 

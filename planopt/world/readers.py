@@ -23,7 +23,7 @@ from planopt.world.geodesy import Origin, east_north_m, require_origin
 from planopt.world.occupancy import OccupancyGrid, UnknownCells, grid_obstacles, is_grid, read_grid
 from planopt.world.workspace import Obstacle, footprint
 
-WKT_EXAMPLE = "write POLYGON ((0 0, 4 0, 4 3, 0 0)); the last corner is the first"
+WKT_EXAMPLE = "write POLYGON ((0 0, 4 0, 4 3, 0 0)), repeating the first corner at the end"
 
 DEEPEST = 32
 """Maximum nesting depth of geometries, which protects the stack of recursive parsers."""

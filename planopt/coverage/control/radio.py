@@ -1,8 +1,9 @@
 """Trees of radio links that moving agents maintain.
 
 Each agent is connected to a base station via its parent in a tree. The failure probabilities of
-the links along a path are added (union bound), so links need not be independent. Each link may
-grow until it uses up its share of the allowed sum; both ends stay in a disc of that diameter.
+the links along a path are added (union bound), so links need not be independent. A link may
+lengthen until its failure probability reaches its share of the allowed sum. Both ends of a link
+stay in a disc whose diameter is this maximum length.
 """
 
 from __future__ import annotations

@@ -150,7 +150,7 @@ class TermContext(Protocol):
 
     @property
     def thresholds_dbm(self) -> tuple[float, ...]:
-        """Minimum power of a connection to each station."""
+        """Minimum received power of a connection, for each station."""
         ...
 
     @property

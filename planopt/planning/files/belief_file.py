@@ -35,7 +35,7 @@ TINY = float(np.finfo(float).tiny)
 
 @dataclass(frozen=True)
 class _Stored:
-    """Type of one saved array of a station."""
+    """Expected dtype and shape of one saved array of a station."""
 
     name: str
     source: Callable[[Belief], object]

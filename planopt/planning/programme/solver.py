@@ -101,7 +101,7 @@ class NlpFunctions:
 
 
 def nlp_functions(solver: Any) -> NlpFunctions:
-    """Return the programme's functions from a built CasADi solver."""
+    """Return the functions of the nonlinear programme from a built CasADi solver."""
     f, g, df, dg, h = (
         solver.get_function(name)
         for name in ("nlp_f", "nlp_g", "nlp_grad_f", "nlp_jac_g", "nlp_hess_l")

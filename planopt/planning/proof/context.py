@@ -120,7 +120,7 @@ class VerifierContext:
 
     @property
     def laid_grid(self) -> GoalGrid | None:
-        """Grid of paths to the goal, shared by all steps of a run; None before it is built."""
+        """Grid of shortest paths to the goal, shared by all steps; None before it is built."""
         return self._goal_costs[0][0] if self._goal_costs else self.goal_grid
 
     def goal_costs(

@@ -144,7 +144,7 @@ def rows_again(
     earlier: list[tuple[float, RuleResult]],
     result: RuleResult,
 ) -> RuleRows | None:
-    """Return constraint rows corrected by a path's verified result; None if no risk is left.
+    """Return constraint rows corrected by a path's verified result; None without risk budget.
 
     The correction is the secant between the last feasible and the last infeasible path, or half of
     it if two successive paths are on the same side. The path is appended to `earlier`.

@@ -13,8 +13,8 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 72_326,
-    "lines of code": 52_212,
+    "lines": 72_329,
+    "lines of code": 52_218,
     "files": 289,
     "functions": 3_752,
     "docstring lines": 8_539,

@@ -292,8 +292,8 @@ def plan_message(certificate: Certificate, positions_m: Floats) -> str:
             parts.append(
                 f"P(connected) is below the required value at {steps}, up to {worst:.2f} dB below "
                 f"the power needed. This is allowed if a detour costs more: length plus outage "
-                f"price is {path_m:.4g} m for the planned route and {best_m:.4g} m for the cheapest "
-                "route in the verifier's own search"
+                f"price is {path_m:.4g} m for the planned route, and {best_m:.4g} m for the "
+                "cheapest route in the verifier's own search"
             )
     if np.linalg.norm(positions_m[1:] - positions_m[0], axis=1).max() <= STANDSTILL_M:
         parts.append("the plan stands still")

@@ -42,8 +42,8 @@ def test_a_plan_tells_of_all_its_steps():
     """By how much each misses the bound, and what the price of it was compared with."""
     first, second = said([PRICED])
     assert first == (
-        "step 1 misses p_min by 0.50 dB of power: the route costs 8.0 m, the cheapest that the "
-        "verifier found 7.5 m"
+        "step 1 misses p_min by 0.50 dB of power: length plus outage price of the route is 8.0 m, "
+        "and 7.5 m for the cheapest route in the verifier's own search"
     )
     assert second.startswith("step 3 misses p_min by 2.00 dB of power")
     assert said([FAR]) == [

@@ -6,6 +6,9 @@ a below 1 and a capture radius above the floor, and counts who is not caught in 
 pursuit_fleeing with every kind of evader; ``--problem pursuit_obstacles`` among obstacles,
 ``--turn-rate 0.5`` for a unicycle, ``--loss 0.3`` with lost reports, ``--evaders zigzag`` for one.
 ``python benchmarks/pursuit_study.py teams --seeds 20`` lets 1, 2 and 3 pursuers chase one evader.
+``cooperation --seeds 40`` compares 2 and 3 cooperating pursuers with `retarget`, paired by seed, in
+the open or, with ``--problem pursuit_obstacles``, among obstacles. In the open the longest straight
+flight shows what is left to gain.
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ import argparse
 import sys
 
 import numpy as np
+from scipy.stats import t
 
 import planopt
 from planopt import compare
@@ -137,6 +141,66 @@ def teams(first_seed: int, seeds: int) -> None:
             print("; ".join(words), flush=True)
 
 
+def cooperation(given: argparse.Namespace) -> None:
+    """Print the ratio of cooperating pursuers' capture times to those of `retarget`, paired."""
+    ground, seeds = planopt.load("pursuit_obstacles"), given.seeds
+    for count in (2, 3):
+        for name in given.evaders or ("fleeing", "foresighted"):
+            ratios, bounds = [], []
+            for seed in range(given.first_seed, given.first_seed + seeds):
+                if given.problem == "pursuit_obstacles":
+                    alone, joint = (
+                        among_obstacles_s(ground, count, name, seed, each)
+                        for each in ("retarget", "receding")
+                    )
+                else:
+                    starts, evader = team(count, TEAM_EVADERS[name], seed)
+                    alone, joint = (
+                        chase_s(starts, evader, TEAM_POLICIES[each])
+                        for each in ("retarget", "receding")
+                    )
+                    bounds.append(straight_flight_s(starts - evader.start_m) / alone)
+                ratios.append(joint / alone)
+            words = [f"{count} pursuers, {name}, {seeds} seeds, largest {max(ratios):.3f}"]
+            for label, each in (("receding", ratios), ("straight flight", bounds)):
+                if each:
+                    half = t.ppf(0.975, seeds - 1) * np.std(each, ddof=1) / np.sqrt(seeds)
+                    low, high = np.mean(each) + np.array([-half, half])
+                    words.append(
+                        f"{label} / retarget {np.mean(each):.4f} ({low:.4f} to {high:.4f})"
+                    )
+            print("; ".join(words), flush=True)
+
+
+def straight_flight_s(offsets_m):
+    """The longest straight flight at 2 m/s from pursuers at 5 m/s that know its direction.
+
+    No pursuers capture an evader that takes this direction earlier.
+    """
+    turns = np.linspace(0.0, 2.0 * np.pi, 3601)
+    away = np.stack([np.cos(turns), np.sin(turns)])
+    # The time s solves |2 s away - offset| = 5 s + 15.
+    half = -2.0 * offsets_m @ away - 75.0
+    over = (offsets_m**2).sum(axis=1) - 15.0**2
+    root_s = (half + np.sqrt(half**2 + 21.0 * over[:, None])) / 21.0
+    return root_s.min(axis=0).max()
+
+
+def among_obstacles_s(ground, count, name, seed, policy):
+    """The time to capture among the obstacles of pursuit_obstacles from random starts."""
+    generator, tables = np.random.default_rng(seed), ground.tables()
+    tables["evaders"][0] |= {"behaviour": EVADERS[name], "start_radius_m": 0.0}
+    pursuers = [tables["pursuers"][0] | {"name": f"pursuer_{k}"} for k in range(count)]
+    for each in (*pursuers, tables["evaders"][0]):
+        while True:
+            each["start_m"] = generator.uniform(10.0, 310.0, 2).tolist()
+            if ground.arena.is_free(np.array(each["start_m"]), 1.3):
+                break
+    tables |= {"pursuers": pursuers, "planner": {"name": policy}}
+    problem = problem_from(tables, folder=ground.file.parent, file=None)
+    return planopt.simulate(problem, seed=0).value.capture_time_s
+
+
 def team(count, behaviour, seed):
     """Starts of pursuers 150 to 450 m from an evader in random directions, and the evader."""
     generator = np.random.default_rng(seed)
@@ -228,7 +292,7 @@ def drawn(generator: np.random.Generator) -> tuple[Chase, SnapshotService, float
 def main() -> None:
     """Read the command line."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("study", choices=("captures", "horizons", "teams"))
+    parser.add_argument("study", choices=("captures", "cooperation", "horizons", "teams"))
     parser.add_argument("--runs", type=int, default=500)
     parser.add_argument("--seeds", type=int, default=40)
     parser.add_argument("--first-seed", type=int, default=0)
@@ -241,6 +305,8 @@ def main() -> None:
         captures(given.first_seed, given.runs)
     elif given.study == "teams":
         teams(given.first_seed, given.seeds)
+    elif given.study == "cooperation":
+        cooperation(given)
     else:
         horizons(given)
 

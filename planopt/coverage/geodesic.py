@@ -57,6 +57,7 @@ class GeodesicGround:
     mass: Floats  # (m,) mass of each node's part
     spread: float  # Coverage cost if every node had its own agent
     corner_sees: Mask  # (m, c) whether the line from the node's end to a corner is free
+    room_m: Floats  # (m,) distance of the node's end from the border; shorter lines are free
 
     @property
     def area_m2(self) -> float:
@@ -163,7 +164,25 @@ def geodesic_ground(
     nodes, mass, spread = _nodes(free, spacing_m, density)
     ends = area.nearest(nodes) if clearance_m > 0.0 else nodes
     sees = area.sees_each(ends, area.corners_m)
-    return GeodesicGround(free, area, hull, spacing_m, nodes, ends, mass, spread, sees)
+    room_m = _room_m(area, ends)
+    return GeodesicGround(free, area, hull, spacing_m, nodes, ends, mass, spread, sees, room_m)
+
+
+def _room_m(area: FreeArea, places_m: Floats) -> Floats:
+    """Return the distances (k,) of positions from the border of an area."""
+    away_m = shapely.distance(area.border, shapely.points(places_m))  # pyright: ignore[reportUnknownMemberType]
+    return np.asarray(away_m, dtype=np.float64)
+
+
+def _seen(
+    ground: GeodesicGround, agents_m: Floats, room_m: Floats, nodes: Indices, straight_m: Floats
+) -> Mask:
+    """Return a mask of the nodes (k,) that agents (k, 2) see along lines of length (k,)."""
+    # A line shorter than the distance of one end from the border does not meet the border.
+    seen = straight_m < np.maximum(ground.room_m[nodes], room_m)
+    rest = np.flatnonzero(~seen)
+    seen[rest] = ground.area.sees(agents_m[rest], ground.ends_m[nodes[rest]])
+    return seen
 
 
 def _in_one_part(whole: shapely.Polygon, obstacles: Sequence[shapely.Polygon]) -> shapely.Polygon:
@@ -281,25 +300,26 @@ def geodesic_cells(ground: GeodesicGround, agents_m: Floats) -> GeodesicCells:
         turn = through.argmin(axis=1)
         distance = through[np.arange(len(nodes)), turn]
         owner = best[turn]
-    # Test straight lines, nearest agents first, while they may still be shorter.
-    tree, waiting = KDTree(agents_m), np.arange(len(nodes))
-    near, fetched = np.zeros((len(nodes), 0), dtype=np.intp), 0
-    for rank in range(count):
-        if rank >= fetched:
-            fetched = min(count, max(4, 2 * fetched))
-            near = np.zeros((len(nodes), fetched), dtype=np.intp)
-            near[waiting] = _nearest(tree, nodes[waiting], fetched)
-        agent = near[waiting, rank]
-        straight = np.linalg.norm(nodes[waiting] - agents_m[agent], axis=1)
+    # Test straight lines, nearest agents first and ever more at once, while they may be shorter.
+    tree, waiting, room_m = KDTree(agents_m), np.arange(len(nodes)), _room_m(area, agents_m)
+    first_rank, ranks = 0, 1
+    while first_rank < count and len(waiting):
+        near = _nearest(tree, nodes[waiting], min(count, ranks))[:, first_rank:]
+        straight = np.linalg.norm(nodes[waiting, None] - agents_m[near], axis=2)
         # A straight line is preferred to an equally long path over the agent's own corner.
-        kept = straight <= distance[waiting] * (1.0 + AT_CORNER)
-        waiting, agent, straight = waiting[kept], agent[kept], straight[kept]
-        if not len(waiting):
-            break
-        seen = area.sees(agents_m[agent], nodes[waiting])
-        found = waiting[seen]
-        owner[found], distance[found], turn[found] = agent[seen], straight[seen], -1
-        waiting = waiting[~seen]
+        seen = straight <= distance[waiting, None] * (1.0 + AT_CORNER)
+        more = seen[:, -1].copy()
+        row, rank = np.nonzero(seen)
+        agent = near[row, rank]
+        seen[row, rank] = _seen(
+            ground, agents_m[agent], room_m[agent], waiting[row], straight[row, rank]
+        )
+        some = np.flatnonzero(seen.any(axis=1))
+        best, found = seen[some].argmax(axis=1), waiting[some]
+        owner[found], distance[found], turn[found] = near[some, best], straight[some, best], -1
+        more[some] = False
+        waiting = waiting[more]
+        first_rank, ranks = ranks, 2 * ranks
     toward = nodes - agents_m[owner]
     bent = turn >= 0
     toward[bent] = area.corners_m[first[owner[bent], turn[bent]]] - agents_m[owner[bent]]
@@ -358,7 +378,10 @@ def _path_lengths_m(ground: GeodesicGround, agents: Floats, who: Indices, nodes:
     """Return the lengths (k,) of shortest paths between agents and nodes with numbers (k,)."""
     ends = ground.ends_m[nodes]
     distance = np.linalg.norm(ends - agents[who], axis=1)
-    blind = np.flatnonzero(~ground.area.sees(agents[who], ends))
+    room_m = np.zeros(len(agents))
+    chosen = np.unique(who)
+    room_m[chosen] = _room_m(ground.area, agents[chosen])
+    blind = np.flatnonzero(~_seen(ground, agents[who], room_m[who], nodes, distance))
     if len(blind):
         used, row = np.unique(who[blind], return_inverse=True)
         reach, _ = ground.area.to_corners_m(agents[used])

@@ -37,6 +37,9 @@ MOST_LEVELS = 30
 MOST_CELLS = 200_000
 """Maximum number of cells per level, over all stages."""
 
+GAP = 1e-4
+"""Cells are dropped unless they may beat the value of a feasible path by this share of it."""
+
 MOST_PAIRS = 2_000_000
 """Maximum number of pairs of cells of successive stages that are evaluated one by one."""
 
@@ -108,19 +111,12 @@ class Level:
 
 
 def tube_bounds(
-    problem: StageProblem,
-    known: float,
-    tilts: Sequence[Tilt],
-    seconds: float,
-    gap: float = 1e-4,
+    problem: StageProblem, known: float, tilts: Sequence[Tilt], seconds: float
 ) -> Iterator[TubeBound]:
-    """Yield ever tighter upper bounds on the value of all paths until the time limit.
-
-    `known` is the value of a feasible path; cells that cannot beat it by the relative `gap` are
-    dropped. Each tilt has multipliers of steps (N, 2) and of p_min (N,).
-    """
+    """Yield ever tighter upper bounds on the value of all paths until the time limit."""
+    # Each tilt has multipliers of steps (N, 2) and of p_min (N,).
     begun, best = monotonic(), np.inf
-    threshold = known + gap * abs(known)
+    threshold = known + GAP * abs(known)
     side, active = FIRST_SHARE * problem.step_m, first_cells(problem)
     for number in range(1, MOST_LEVELS + 1):
         level_begun = monotonic()

@@ -33,6 +33,9 @@ OWN = {
 """Import paths of the built-in tasks, imported on demand."""
 
 
+LOOKING_AHEAD = "receding"
+"""Planner of tasks other than motion planning whose plans depend on the horizon."""
+
 TASKS = Registry("a task", "problem.task", OWN, GROUP)
 
 
@@ -88,12 +91,7 @@ class TaskProblem:
         """Return a text summary of the problem, line by line."""
         return (f"{self.name}: {self.description}", f"  task        {self.task}")
 
-    def with_planner(
-        self,
-        horizon: int | None = None,
-        planner: str | None = None,
-        looking_ahead: Sequence[str] = ("receding",),
-    ) -> Self:
+    def with_planner(self, horizon: int | None = None, planner: str | None = None) -> Self:
         """Return the problem with a changed planner, and horizon 1 unless it looks ahead."""
         now = self.given.planner
         model = cast("Any", type(now))
@@ -101,7 +99,7 @@ class TaskProblem:
         given = {name: value for name, value in changes.items() if value is not None}
         with located(model, None, "planner"):
             table = model.model_validate({**now.model_dump(), **given})
-        if table.name not in looking_ahead:
+        if table.name != LOOKING_AHEAD:
             table = table.model_copy(update={"horizon": 1})
         return replace(self, given=self.given.model_copy(update={"planner": table}))
 

@@ -289,7 +289,6 @@ class _FailedError(Exception):
     """A failed inequality, and the number of inequalities that hold before it."""
 
     def __init__(self, inequality: Inequality, held: int) -> None:
-        super().__init__()
         self.inequality = inequality
         self.order = held, inequality.margin / inequality.right
 

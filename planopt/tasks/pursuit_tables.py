@@ -213,11 +213,9 @@ class PursuitProblem(TaskProblem):
         )
 
     def guarantees(self, pursuer: int, evader: int) -> dict[Theorem, Guarantee]:
-        """Return the guarantees of one pursuer that chases one evader.
-
-        A stage takes one step (and one turn of a unicycle) longer than straight driving; each path
-        corner adds the same delay. With obstacles, the distance with the lower floor is used.
-        """
+        """Return the guarantees of one pursuer that chases one evader."""
+        # A stage takes one step (and one turn of a unicycle) longer than straight driving; each
+        # path corner adds the same delay. With obstacles, the distance with the lower floor counts.
         motion = self.given.pursuers[pursuer].motion(self.arena)
         speed = max(self.given.evaders[evader].speed_max_m_s, LEAST_SPEED_M_S)
         delay_s = (1 + self.arena.corners) * (self.given.pursuit.step_s + motion.turning_s)

@@ -13,11 +13,11 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 72_352,
-    "lines of code": 52_234,
+    "lines": 72_343,
+    "lines of code": 52_228,
     "files": 289,
     "functions": 3_754,
-    "docstring lines": 8_541,
+    "docstring lines": 8_533,
     "lines of tests": 48_572,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""

@@ -27,6 +27,11 @@ WHOLE_STEPS = 1e-6
 """Relative tolerance for a time to be a multiple of the step duration."""
 
 
+def _fault(problem: Problem, key: str, words: str, remedy: str) -> InputError:
+    """Return the error about a key of [constraints]."""
+    return InputError(words, file=problem.file, key=f"constraints.{key}", remedy=remedy)
+
+
 @dataclass(frozen=True)
 class EachStep(Rule):
     """Rule that the connection probability of each counted step is at least p_min."""
@@ -50,22 +55,16 @@ class EachStep(Rule):
         times_s, planner = problem.constraints.rule.connected_times_s, problem.planner
         end_s = max(planner.max_steps, planner.horizon) * planner.step_s
         if min(times_s, default=0.0) > end_s * (1.0 + WHOLE_STEPS):
-            raise InputError(
-                f"has only times from {min(times_s):g} s on, but a run ends after {end_s:g} s",
-                file=problem.file,
-                key="constraints.connected_times_s",
-                remedy="give earlier times, or increase planner.max_steps",
-            )
+            words = f"has only times from {min(times_s):g} s on, but a run ends after {end_s:g} s"
+            remedy = "give earlier times, or increase planner.max_steps"
+            raise _fault(problem, "connected_times_s", words, remedy)
         for number, time_s in enumerate(times_s):
             steps = time_s / planner.step_s
             if round(steps) < 1 or abs(steps - round(steps)) > WHOLE_STEPS:
-                raise InputError(
-                    f"is {time_s:g} s, which is not a multiple of planner.step_s "
-                    f"({planner.step_s:g} s)",
-                    file=problem.file,
-                    key=f"constraints.connected_times_s[{number}]",
-                    remedy="give times at which a step ends",
-                )
+                words = f"is {time_s:g} s, which is not a multiple of planner.step_s "
+                words += f"({planner.step_s:g} s)"
+                remedy = "give times at which a step ends"
+                raise _fault(problem, f"connected_times_s[{number}]", words, remedy)
 
     def counted(self, history: History, count: int) -> Mask:
         """Return a mask (count,) of the plan's steps for which p_min is required."""
@@ -127,12 +126,8 @@ def _require_shown(problem: Problem, words: str, remedy: str) -> None:
     """Raise an InputError if p_min exceeds the value that sampled channels can demonstrate."""
     p_min = problem.constraints.p_min
     if p_min > MOST_PROBABLE:
-        raise InputError(
-            f"is {p_min:g}, but at most {MOST_PROBABLE:g} can be verified {words}",
-            file=problem.file,
-            key="constraints.p_min",
-            remedy=f"require less, or {remedy}",
-        )
+        words = f"is {p_min:g}, but at most {MOST_PROBABLE:g} can be verified {words}"
+        raise _fault(problem, "p_min", words, f"require less, or {remedy}")
 
 
 def share_at_least(count: int, of: int) -> float:
@@ -169,6 +164,7 @@ class Joint(Rule):
 
     kind: ClassVar[str] = "joint"
     subject: ClassVar[str] = "the probability that all steps of the plan are connected"
+    is_joint: ClassVar[bool] = True
 
     @classmethod
     def check(cls, problem: Problem) -> None:
@@ -180,10 +176,6 @@ class Joint(Rule):
     def achieved(self, probability: Floats, history: History) -> float | Floats:
         """Return Boole's lower bound of the joint probability, which may be negative."""
         return 1.0 - (1.0 - probability).sum(axis=-1)
-
-    def correlates(self, p_min: float) -> bool:
-        """Return True, as the verified value is a joint probability."""
-        return True
 
     def by_slack(self, case: PathCase) -> BySlack:
         """Return a function that maps slack to a lower bound, by integration or sampling."""
@@ -293,6 +285,7 @@ class Data(Rule):
     keys: ClassVar[tuple[str, ...]] = ("data_mbit", "deadline_s", "rate_mbit_s")
     keys_required: ClassVar[int] = 3
     asks_p_min: ClassVar[bool] = False
+    is_joint: ClassVar[bool] = True
     problem: Problem
 
     @classmethod
@@ -302,8 +295,15 @@ class Data(Rule):
 
     @classmethod
     def check(cls, problem: Problem) -> None:
-        """Raise an InputError for an amount of data that no plan can be proved to deliver."""
-        _require_deliverable(problem)
+        """Raise an InputError for more data than a permanent connection can deliver in time."""
+        _require_shown(problem, "for data", "leave it out to ask for the expectation")
+        rule = problem.constraints.rule
+        most_mbit = (rule.rate_mbit_s or 0.0) * (rule.deadline_s or 0.0)
+        if (rule.data_mbit or 0.0) > most_mbit * (1.0 + ROUNDING):
+            words = f"is {rule.data_mbit:g}, more than the {most_mbit:g} Mbit that rate_mbit_s "
+            words += "delivers by deadline_s when always connected"
+            remedy = "reduce it, or increase constraints.deadline_s or constraints.rate_mbit_s"
+            raise _fault(problem, "data_mbit", words, remedy)
 
     def achieved(self, probability: Floats, history: History) -> float | Floats:
         """Return the expected data delivered by the plan."""
@@ -315,44 +315,20 @@ class Data(Rule):
         most = float(data_of_steps_mbit(self.problem, history.steps, count).sum())
         return needed if p_min == 0.0 or needed == 0.0 else most - (1.0 - p_min) * (most - needed)
 
-    def correlates(self, p_min: float) -> bool:
-        """Return whether the rule requires a probability p_min of delivery."""
-        return p_min > 0.0
-
     def by_slack(self, case: PathCase) -> BySlack:
         """Return a function that maps slack to the expected data, or to a probability's bound."""
-        p_min, count = case.problem.constraints.p_min, len(case.positions_m) - 1
-        if p_min == 0.0:
+        if case.problem.constraints.p_min == 0.0:
             return super().by_slack(case)
+        needed = data_pace_mbit(self.problem, case.history, len(case.positions_m) - 1)
         # The sum over whole steps may differ from the requirement by rounding.
-        needed = data_pace_mbit(self.problem, case.history, count) * (1.0 - ROUNDING)
-        return drawn_by_slack(self, case, needed)
+        return drawn_by_slack(self, case, needed * (1.0 - ROUNDING))
 
     def missed_words(self, result: RuleResult) -> tuple[str, str]:
         """Return text on the achieved expectation or probability, and on the required value."""
         if result.unit != self.unit:
             return super().missed_words(result)
-        words = "the expected data delivered by the plan"
-        return words, "keeping pace with constraints.data_mbit"
+        return "the expected data delivered by the plan", "keeping pace with constraints.data_mbit"
 
     def over_run(self, problem: Problem, connected: Mask) -> float:
         """Return the data that the run delivered by the deadline."""
         return float(data_of_steps_mbit(problem, 0, len(connected)) @ connected)
-
-
-def _require_deliverable(problem: Problem) -> None:
-    """Raise an InputError for more data than a permanent connection can deliver in time."""
-    _require_shown(problem, "for data", "leave it out to ask for the expectation")
-    rule = problem.constraints.rule
-    data_mbit, most_mbit = (
-        rule.data_mbit or 0.0,
-        (rule.rate_mbit_s or 0.0) * (rule.deadline_s or 0.0),
-    )
-    if data_mbit > most_mbit * (1.0 + ROUNDING):
-        raise InputError(
-            f"is {data_mbit:g}, more than the {most_mbit:g} Mbit that rate_mbit_s delivers by "
-            "deadline_s when always connected",
-            file=problem.file,
-            key="constraints.data_mbit",
-            remedy="reduce it, or increase constraints.deadline_s or constraints.rate_mbit_s",
-        )

@@ -81,6 +81,7 @@ class Rule(ABC):
     # Whether results report minus the value, which then has an upper bound
     greatest: ClassVar[bool] = False
     asks_p_min: ClassVar[bool] = True  # Whether p_min = 0 disables the rule
+    is_joint: ClassVar[bool] = False  # Whether a p_min bounds a joint probability of the steps
     subject: ClassVar[str] = ""  # Name of the value in messages
     metric: ClassVar[str] = ""  # Name of the metric of a run; empty if there is none
 
@@ -147,7 +148,7 @@ class Rule(ABC):
 
     def correlates(self, p_min: float) -> bool:
         """Return whether the verifier computes a joint probability of the steps."""
-        return False
+        return self.is_joint and p_min > 0.0
 
     def by_slack(self, case: PathCase) -> BySlack:
         """Return a function that maps slack to the verified result of a path."""

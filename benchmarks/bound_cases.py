@@ -42,7 +42,7 @@ def gaps_of(
     optimum = local_optimum(stages, plan.positions_m[1:], SURPLUS)
     plan = better_of(at, plan, optimum)
     tilts = tilts_near(
-        stages, [plan.positions_m[1:], optimum], at.stations[0].measurements.positions_m
+        stages, [plan.positions_m[1:], optimum], at.law.posteriors[0].measurements.positions_m
     )
     for bound in tube_bounds(stages, plan.objective, tilts, 1e6):
         taken = process_time() - begun

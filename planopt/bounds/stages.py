@@ -58,10 +58,10 @@ class SummedTerms:
 
 def summed_terms(problem: Problem, at: TermContext) -> SummedTerms:
     """Return the bounds of the terms of a problem's first robot."""
-    reason = why_not_enclosed(problem, at.stations)
+    reason = why_not_enclosed(problem, at.law.posteriors)
     if reason:
         return SummedTerms(reason=reason)
-    if any(len(station.measurements) > MOST_MEASUREMENTS for station in at.stations):
+    if any(len(station.measurements) > MOST_MEASUREMENTS for station in at.law.posteriors):
         return SummedTerms(
             reason=f"no bound of this objective is implemented beyond {MOST_MEASUREMENTS:,} "
             "measurements"
@@ -99,7 +99,7 @@ def stage_problem(
         steps=len(kept),
         bounds_m=problem.workspace.bounds_m,
         blocked=blocked_parts(problem),
-        makers=quantity_makers(at.stations, at.thresholds_dbm, at.anticipated[0]),
+        makers=quantity_makers(at.law.posteriors, at.law.thresholds_dbm, at.anticipated[0]),
         reward=reward,
         sure_m=at.connected_m,
         sure_radius_m=1.5 * SAME_PLACE_M,

@@ -265,7 +265,7 @@ class LawnmowerPlanner:
             self._stops_m, self._next = here_m[None], 0
             return
         first = int(nodes[np.argmin(lengths)])
-        apart = min(station.parameters.decorrelation_m for station in context.stations)
+        apart = min(station.parameters.decorrelation_m for station in context.law.posteriors)
         self._tour = lawn_tour(road_map, first, apart)
         longest = self._problem.step_length_m - STEP_PAD_M
         corners = np.vstack([here_m, road_map.nodes_m[self._tour]])

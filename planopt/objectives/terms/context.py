@@ -11,6 +11,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from planopt.arrays import Floats, Indices, Mask
+from planopt.channel.connectivity_law import ConnectivityLaw
 from planopt.channel.kriging import LocalChannel, LocalGrid
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, connection_probability
@@ -134,8 +135,8 @@ class TermContext(Protocol):
         ...
 
     @property
-    def stations(self) -> tuple[ChannelPosterior, ...]:
-        """Channel posterior of each station."""
+    def law(self) -> ConnectivityLaw:
+        """Probability model of connection, with channel posterior and threshold of each station."""
         ...
 
     @property
@@ -146,11 +147,6 @@ class TermContext(Protocol):
     @property
     def others_m(self) -> tuple[Floats, ...]:
         """``(N, 2)`` each: planned positions of the other robots after each step."""
-        ...
-
-    @property
-    def thresholds_dbm(self) -> tuple[float, ...]:
-        """Minimum received power of a connection, for each station."""
         ...
 
     @property
@@ -213,21 +209,12 @@ class TermContext(Protocol):
         """Length of the diagonal of the workspace bounds."""
         ...
 
-    @property
-    def decorrelation_m(self) -> float:
-        """Largest decorrelation distance of the stations' shadowing."""
-        ...
-
     def power(self, places_m: Floats) -> Prediction:
         """Return the serving power at positions (n, 2): measured if known, otherwise predicted."""
         ...
 
     def predicted(self, places_m: Floats) -> Prediction:
         """Return the predicted serving power at positions (n, 2), with unknown multipath."""
-        ...
-
-    def combined(self, powers: Sequence[Prediction]) -> Prediction:
-        """Return the serving power that results from the powers of all stations."""
         ...
 
     def chance(self, place_m: Floats) -> float:
@@ -265,13 +252,13 @@ class Paths:
     @cached_property
     def power(self) -> Prediction:
         """Predicted serving power at every position, path by path; ``(c N,)``."""
-        return self.at.combined(self.each)
+        return self.at.law.combined(self.each)
 
     @cached_property
     def chance(self) -> Floats:
         """Probability of connection after every step; ``(c, N)``."""
         found = connection_probability(
-            self.power.mean_db, self.power.deviation_db, self.at.thresholds_dbm[0]
+            self.power.mean_db, self.power.deviation_db, self.at.law.thresholds_dbm[0]
         )
         return found.reshape(self.shape)
 

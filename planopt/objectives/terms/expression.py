@@ -397,7 +397,7 @@ class CasadiTerm(Term):
     def value(self, at: TermContext, path_m: Floats) -> float:
         """Return the value of the expression for one path."""
         power, known = at.predicted(path_m), at.power(path_m)
-        chance = connection_probability(known.mean_db, known.deviation_db, at.thresholds_dbm[0])
+        chance = connection_probability(known.mean_db, known.deviation_db, at.law.thresholds_dbm[0])
         inputs = self.known(at, len(path_m)) | {
             "positions_m": path_m,
             "mean_db": power.mean_db[:, None],
@@ -440,7 +440,7 @@ class CasadiTerm(Term):
             )
             for axis, name in enumerate(("x", "y"))
         }
-        chance = connectivity_derivatives(*power, path.at.thresholds_dbm[0])
+        chance = connectivity_derivatives(*power, path.at.law.thresholds_dbm[0])
         channels = own | {"mean_db": power[0], "deviation_db": power[1], "connectivity": chance}
         return expression_derivatives(
             self.program, self.steps, channels, self.known(path.at, len(places))

@@ -100,7 +100,7 @@ class MeasuredTerm(Term):
                     posterior,
                 )
                 for station, now, posterior in zip(
-                    nodes.stations, at.stations, at.anticipated, strict=True
+                    nodes.stations, at.law.posteriors, at.anticipated, strict=True
                 )
             ],
             axis=0,
@@ -174,7 +174,7 @@ class LearningTerm(MeasuredTerm):
 
     def stage_bounds(self, at: TermContext) -> StageBounds | str:
         """Return upper bounds of criterion T one step ahead, with one station."""
-        if self.criterion != "T" or len(at.stations) > 1:
+        if self.criterion != "T" or len(at.law.posteriors) > 1:
             return "without a proven bound for other criteria than T or several stations"
         return StageBounds(lambda stage, field: field["trend"].positive_part(), most_steps=1)
 
@@ -282,7 +282,7 @@ class MappingTerm(MeasuredTerm):
         Variances given earlier positions of the path are at most those given the measurements, and
         path lengths at least the distances from the robot.
         """
-        if self.form != "path" or len(at.stations) > 1:
+        if self.form != "path" or len(at.law.posteriors) > 1:
             return "without a proven bound for other forms than path or several stations"
 
         def reward(stage: int, field: DiscField) -> UpperBounds:

@@ -153,7 +153,7 @@ class TrackingTerm(Term):
         return at.once(
             (TrackingTerm, self),
             lambda: Tracking(
-                at.thresholds_dbm[0], self.sensor, target, self.weights_of(len(target))
+                at.law.thresholds_dbm[0], self.sensor, target, self.weights_of(len(target))
             ),
         )
 
@@ -268,4 +268,4 @@ class TrackingTerm(Term):
 def _chance(at: TermContext, places_m: Floats) -> Floats:
     """Return the predicted probability of connection at positions (n, 2)."""
     power = at.power(places_m)
-    return connection_probability(power.mean_db, power.deviation_db, at.thresholds_dbm[0])
+    return connection_probability(power.mean_db, power.deviation_db, at.law.thresholds_dbm[0])

@@ -284,7 +284,7 @@ class UntilConnectedTerm(Term):
         x, y = at.position_m
         return Search(
             (float(x), float(y)),
-            at.thresholds_dbm,
+            at.law.thresholds_dbm,
             beyond_m=at.once((UntilConnectedTerm, "after", self), lambda: self._after_try_m(at)),
             step_m=at.step_length_m,
         )
@@ -307,7 +307,8 @@ class UntilConnectedTerm(Term):
         # The length is R of the module's `search_length_m`, or D + (1 - P) `beyond_m`.
         if self.beyond_m is not None:
             return length_m + (1.0 - chance) * self.beyond_m
-        return search_length_m(length_m, chance, at.decorrelation_m)
+        decorrelation_m = max(own.parameters.decorrelation_m for own in at.law.posteriors)
+        return search_length_m(length_m, chance, decorrelation_m)
 
     def charged_beyond_m(self, at: TermContext, ends_m: Floats) -> Floats:
         """Return the cost-to-go of plans that end at `ends_m` (n, 2) without connection; (n,)."""
@@ -320,7 +321,7 @@ class UntilConnectedTerm(Term):
         def charged_m() -> float:
             beyond = float(self.charged_beyond_m(at, path_m[-1:])[0])
             settings = replace(self.search(at), beyond_m=beyond)
-            return charged_distance_m(at.stations, path_m, settings, at.probing.takes(path_m))
+            return charged_distance_m(at.law.posteriors, path_m, settings, at.probing.takes(path_m))
 
         return -at.once((UntilConnectedTerm, "charged", self, path_m.tobytes()), charged_m)
 

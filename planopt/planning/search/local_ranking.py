@@ -77,8 +77,8 @@ class LocalRanking:
 
         self._expected = [near(posterior) for posterior in context.anticipated]
         # The predicted power excludes the other robots' future measurements.
-        same = context.anticipated == context.stations
-        self._stations = self._expected if same else [near(each) for each in context.stations]
+        same = context.anticipated == context.law.posteriors
+        self._stations = self._expected if same else [near(each) for each in context.law.posteriors]
 
     def _grid(self, channel: LocalChannel, about_m: Floats) -> LocalGrid | None:
         """Return the part of the map that paths near `about_m` (a, 2) can change, if needed."""
@@ -113,7 +113,7 @@ class LocalRanking:
                     continue  # The sum counts this term with the first station.
                 with calling(term, "slope", key="objective.terms"):
                     pull = pull.plus(term.slope(paths, number), term.weight)
-            if self._missing_db_cost is not None and len(at.stations) == 1:
+            if self._missing_db_cost is not None and len(at.law.posteriors) == 1:
                 # With several stations, the gradient of the chance constraint is omitted.
                 own = paths.stations[0]
                 lacking = Pull().plus(missing_slope(at, own), -self._missing_db_cost)

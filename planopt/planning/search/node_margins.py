@@ -161,7 +161,7 @@ class NodeField(Nodes):
     def _measured_nodes(self, context: StepContext) -> Indices:
         """Return the free nodes (n, 2) near the robot at which measurements exist, as (iy, ix)."""
         lattice, (rows, columns) = self._lattice, self.window
-        places = np.vstack([own.measurements.positions_m for own in context.stations])
+        places = np.vstack([own.measurements.positions_m for own in context.law.posteriors])
         nodes = np.rint((places - lattice.origin_m) / lattice.spacing_m).astype(np.intp)[:, ::-1]
         first, last = (rows.start, columns.start), (rows.stop, columns.stop)
         inside = ((nodes >= first) & (nodes < np.minimum(last, lattice.shape))).all(axis=1)

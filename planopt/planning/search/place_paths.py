@@ -120,7 +120,9 @@ class ProbedPlaces:
         return PlaceTree(self._ground.road_map.nodes_m)
 
     def _chance(self, context: StepContext, power: Prediction) -> Floats:
-        return connection_probability(power.mean_db, power.deviation_db, context.thresholds_dbm[0])
+        return connection_probability(
+            power.mean_db, power.deviation_db, context.law.thresholds_dbm[0]
+        )
 
     def _places(self, context: StepContext) -> Floats:
         """Return the robot's position, positions on circles, and reachable connected positions."""

@@ -68,7 +68,7 @@ class Steering:
 
     def find_path(self, context: StepContext) -> SteeringPath | None:
         """Return the steering path; None if no reachable cell exceeds the variance threshold."""
-        (own,), (posterior,) = context.stations, context.anticipated
+        (own,), (posterior,) = context.law.posteriors, context.anticipated
         if posterior is own:
             self._map.refresh(own)
             variance = self._map.deviation_db[self._at] ** 2

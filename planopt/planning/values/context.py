@@ -180,11 +180,6 @@ class StepContext(VerifierContext):
         return STANDSTILL_M
 
     @property
-    def thresholds_dbm(self) -> tuple[float, ...]:
-        """Power thresholds of connection, one per station."""
-        return tuple(radio.threshold_dbm for radio in self.problem.stations)
-
-    @property
     def target_motion(self) -> TargetModel:
         """Return the motion model of the target."""
         return target_model(self.problem)
@@ -224,21 +219,12 @@ class StepContext(VerifierContext):
     def anticipated(self) -> tuple[ChannelPosterior, ...]:
         """Return each station's posterior given the other robots' measurements."""
         spacing = self.problem.channel.measure_spacing_m
-        return anticipated(self.stations, self.pending, self.position_m, spacing)
+        return anticipated(self.posteriors, self.pending, self.position_m, spacing)
 
     @property
     def others_m(self) -> tuple[Floats, ...]:
         """Positions (N, 2) of each other robot's plan."""
         return self.pending.planned_m
-
-    @property
-    def stations(self) -> tuple[ChannelPosterior, ...]:
-        """Return the posterior of each station's channel."""
-        return self.posteriors
-
-    def combined(self, powers: Sequence[Prediction]) -> Prediction:
-        """Return the serving power, which determines connection, from each station's prediction."""
-        return self.law.combined(powers)
 
     @cached_property
     def measuring(self) -> MeasuringRule:
@@ -279,8 +265,8 @@ class StepContext(VerifierContext):
         known = [
             np.vstack([own.positions_m[own.power_dbm < threshold], here_m])
             for own, threshold in zip(
-                (station.measurements for station in self.stations),
-                self.thresholds_dbm,
+                (station.measurements for station in self.posteriors),
+                self.law.thresholds_dbm,
                 strict=True,
             )
         ]
@@ -327,11 +313,6 @@ class StepContext(VerifierContext):
         """Return the length of the diagonal of the workspace bounds."""
         x_min, y_min, x_max, y_max = self.problem.workspace.bounds_m
         return math.hypot(x_max - x_min, y_max - y_min)
-
-    @property
-    def decorrelation_m(self) -> float:
-        """Largest shadowing decorrelation distance of all stations."""
-        return max(station.parameters.decorrelation_m for station in self.stations)
 
 
 def step_context(base: VerifierContext, region: Region, aim: Aim) -> StepContext:

@@ -53,8 +53,8 @@ def local_value(context: StepContext, path_m: Floats, rows: RuleRows | None = No
 
     anticipated = _joint_channels(context, context.anticipated, path_m)
     channels = [channel for channel, _ in anticipated]
-    if context.anticipated != context.stations:
-        known = _joint_channels(context, context.stations, path_m)
+    if context.anticipated != context.law.posteriors:
+        known = _joint_channels(context, context.law.posteriors, path_m)
         channels = [channel for channel, _ in known]
     rule = None
     if any(term.is_measured for term in problem.terms):

@@ -62,7 +62,7 @@ class ObjectiveValue:
             return np.array([self._contributed(number, path) for path in paths_m])
         paths = np.array(paths_m)
         power = at.power(paths.reshape(-1, 2))
-        chance = connection_probability(power.mean_db, power.deviation_db, at.thresholds_dbm[0])
+        chance = connection_probability(power.mean_db, power.deviation_db, at.law.thresholds_dbm[0])
         return probe_values(at, number, paths, chance.reshape(paths.shape[:2]))
 
     @property

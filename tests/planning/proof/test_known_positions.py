@@ -40,7 +40,7 @@ def test_every_rule_knows_the_connection(connectivity, p_min):
     """Certain where a packet arrives, impossible where none does, whatever p_min."""
     context, _, path = staying(ABOVE_DB, p_min, connectivity=connectivity)
     (station,) = context.posteriors
-    assert station.connectivity(path[:1], context.thresholds_dbm[0])[0] < 0.6
+    assert station.connectivity(path[:1], context.law.thresholds_dbm[0])[0] < 0.6
     found = verify(context, path)
     assert found.certificate.min_connectivity == 1.0
     assert found.certificate.rule is None or found.certificate.rule.achieved > 0.999

@@ -59,7 +59,7 @@ def test_known_connection_draws_the_robot(step):
     problem, context, _, ground = step
     here = context.position_m
     beside = here + np.array([1.1 * problem.step_length_m, 0.0])
-    reading = Measurements(beside[None], np.array([context.thresholds_dbm[0] + 1.0]))
+    reading = Measurements(beside[None], np.array([context.law.thresholds_dbm[0] + 1.0]))
     known = replace(
         context,
         posteriors=(context.posterior.extend(reading),),

@@ -32,7 +32,7 @@ def a_path(situation: StepContext) -> np.ndarray:
 def alone(situation: StepContext, station: int) -> StepContext:
     """What is known, with one of the stations."""
     problem = replace(situation.problem, stations=(situation.problem.stations[station],))
-    posterior = situation.stations[station]
+    posterior = situation.law.posteriors[station]
     return replace(situation, problem=problem, posteriors=(posterior,))
 
 
@@ -49,7 +49,7 @@ def drawn_connected(situation: StepContext, path: np.ndarray) -> np.ndarray:
     """Whether each step is connected to any station, in drawn channels; (DRAWS, N)."""
     generator = np.random.default_rng(11)
     found = np.zeros((DRAWS, len(path)), dtype=bool)
-    for posterior, radio in zip(situation.stations, situation.problem.stations, strict=True):
+    for posterior, radio in zip(situation.law.posteriors, situation.problem.stations, strict=True):
         law = joint_prediction(posterior, path)
         normal = generator.standard_normal(found.shape)
         power = law.mean_db + normal @ semidefinite_factor(law.covariance_db2).T

@@ -33,7 +33,7 @@ def gaps_of(
         limits = replace(problem.constraints, p_min=0.0)
         problem = replace(problem, workspace=workspace, constraints=limits)
         place = replace(place, problem=problem, ground=build_ground(problem, at.position_m))
-        at, scorer = context_in(place, place.belief, at.position_m, np.asarray(at.target_m))
+        at, scorer = context_in(place, place.belief, at.position_m, np.asarray(at.aim.target_m))
     plan = HorizonPlanner(place.problem, place.ground).plan(at, scorer)
     begun, found = process_time(), list[tuple[float, float]]()
     stages = stages_of(place.problem, at, plan)

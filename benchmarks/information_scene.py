@@ -13,7 +13,7 @@ from planopt.extend import Term
 from planopt.objectives import LearningTerm, MappingTerm, TermsObjective
 from planopt.planning.candidates import Scorer
 from planopt.planning.scene import build_ground
-from planopt.planning.values.context import StepContext
+from planopt.planning.values.context import Aim, StepContext
 from planopt.planning.values.objective_value import ObjectiveValue
 
 Worth = Literal["information", "average", "path", "D", "A"]
@@ -46,5 +46,5 @@ def information_step(
     belief = replace(place.belief, posterior=condition(law, known.measurements))
     place = replace(place, problem=problem, ground=build_ground(problem, at), belief=belief)
     situation, _ = context_in(place, belief, at, None)
-    situation = replace(situation, target_m=None)
+    situation = replace(situation, aim=Aim())
     return place, situation, Scorer(situation, ObjectiveValue(situation))

@@ -40,7 +40,8 @@ def best_of_starts(
         away = STEP_M * horizon * np.sqrt(generator.uniform())
         place = situation.position_m + away * np.array([np.cos(angle), np.sin(angle)])
         # A target that waits at the place draws the lattice's path there.
-        lured = replace(situation, target_m=np.tile(place, (horizon, 1)))
+        aim = replace(situation.aim, target_m=np.tile(place, (horizon, 1)))
+        lured = replace(situation, aim=aim)
         for start in search.find_guesses(lured, None)[:1]:
             start = replace(start, value=max(scorer.objective(start.path_m), 1e-3))
             for candidate in planner.cascade.refinement.candidates(

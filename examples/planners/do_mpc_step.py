@@ -37,7 +37,7 @@ class DoMpcStep:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             import do_mpc
-        problem, target = situation.problem, situation.target_m
+        problem, target = situation.problem, situation.aim.target_m
         if target is None:
             raise AssertionError("tracking has a target")
         model = do_mpc.model.Model("discrete", symbols)

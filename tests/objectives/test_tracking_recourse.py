@@ -235,9 +235,10 @@ def test_later_steps_are_discounted():
     assert weight[0] == SETTINGS.tracking.weight[0]
     problem = terms_problem({**TRACKING, "form": "recourse"}, horizon=3)
     raw, _ = context_of(problem)
-    if raw.information is None:
+    if raw.aim.information is None:
         raise AssertionError("the station knows something")
-    sent = replace(raw, held=Held(raw.information, np.zeros(0), np.zeros(0)))
+    held = Held(raw.aim.information, np.zeros(0), np.zeros(0))
+    sent = replace(raw, aim=replace(raw.aim, held=held))
     (term,) = problem.terms
     way, chance = np.tile(raw.position_m, (1, 3, 1)), np.ones((1, 3))
     values = [term.probe_values(each, way, chance)[0] for each in (raw, sent)]

@@ -121,7 +121,7 @@ def test_another_unit_of_length_changes_nothing(terms, by):
         ),
         Measurements(by * known.positions_m, known.power_dbm, known.censored),
     )
-    target = None if situation.target_m is None else by * situation.target_m
+    target = None if situation.aim.target_m is None else by * situation.aim.target_m
     here = by * situation.position_m
     index = index_obstacles(other.workspace)
     base = VerifierContext(other, index, (posterior,), here)

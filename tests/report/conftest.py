@@ -26,10 +26,10 @@ from planopt.channel import Belief, ChannelFit, ChannelParameters, Station, Trut
 from planopt.channel.prediction import connection_probability
 from planopt.extend import Rung, Termination
 from planopt.objectives import ReachObjective
+from planopt.objectives.terms.context import Aim
 from planopt.planning.certificate import Certificate
 from planopt.planning.loop.log import Metrics, Outcome, RobotRun, StepLog
 from planopt.planning.loop.results import RunSummary, summary_of
-from planopt.planning.values.context import Aim
 from planopt.studies.comparison_rows import Row
 from planopt.world import Raster
 

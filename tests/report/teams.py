@@ -7,8 +7,8 @@ import numpy as np
 
 from planopt import Robot, Run, Target
 from planopt.objectives import LearningTerm, MappingTerm, TermsObjective, TrackingTerm
+from planopt.objectives.terms.context import Aim
 from planopt.planning.loop.log import ChannelLog, TargetLog
-from planopt.planning.values.context import Aim
 
 TERMS = {
     "track": TrackingTerm(0.008, 0.08, 1.0),

@@ -10,8 +10,8 @@ from artists import collection_of, drawn, labels_of, legend_of, line_of, panel_o
 from teams import team_problem, team_run
 
 from planopt import ConnectivityRule, MovingObstacle, Solution, Verdict, load, simulate, solve
+from planopt.objectives.terms.context import Aim
 from planopt.planning.certificate import RuleResult
-from planopt.planning.values.context import Aim
 from planopt.report import draw_run, draw_run_series, draw_solution
 from planopt.report.motion_figures import WORDS_LINES
 from planopt.report.motion_words import certificate_in_words

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Protocol, TypeVar
 
@@ -111,6 +111,35 @@ class SteeringPath:
         return (self.rest_m[0] - distance).sum(axis=-1)
 
 
+@dataclass(frozen=True, eq=False)
+class Pending:
+    """Positions at which the other robots of a team measure or have measured."""
+
+    # Positions (N, 2) after each step of every other robot's plan
+    planned_m: tuple[Floats, ...] = ()
+    # (k, 2) the others' positions after each past step of the run
+    driven_m: Floats = field(default_factory=lambda: np.zeros((0, 2)))
+
+
+NOTHING_PENDING = Pending()
+
+
+@dataclass(frozen=True, eq=False)
+class Aim:
+    """External inputs of one plan's objective, such as the expected target track."""
+
+    # (N, 2) expected target position at the end of each step; None without a target
+    target_m: Floats | None = None
+    # (m, 2) path of the two-layer steering: the robot's position, turns, and end; None without
+    # steering
+    steering_turns_m: Floats | None = None
+    # (4, 4) J_{t|t} of the station's filter at that time; None without a target
+    information: Floats | None = None
+    pending: Pending = NOTHING_PENDING  # Positions at which the other robots measure
+    # The robot's unsent target measurements if packets carry estimates; otherwise None
+    held: Held | None = None
+
+
 class TermContext(Protocol):
     """Step context: the data from which a robot plans one step."""
 
@@ -145,23 +174,8 @@ class TermContext(Protocol):
         ...
 
     @property
-    def others_m(self) -> tuple[Floats, ...]:
-        """``(N, 2)`` each: planned positions of the other robots after each step."""
-        ...
-
-    @property
-    def target_m(self) -> Floats | None:
-        """``(N, 2)`` expected target position after each step; None without a target."""
-        ...
-
-    @property
-    def information(self) -> Floats | None:
-        """``(4, 4)`` information matrix of the station's filter; None without a target."""
-        ...
-
-    @property
-    def held(self) -> Held | None:
-        """Target measurements of the robot that the station lacks, if packets carry estimates."""
+    def aim(self) -> Aim:
+        """External inputs of the objective: target, other robots, unsent measurements."""
         ...
 
     @property

@@ -390,8 +390,8 @@ class CasadiTerm(Term):
                 remedy=f"create it again with planopt.extend.casadi_term for horizon {steps}",
             )
         known = {START: at.position_m[None]}
-        if at.target_m is not None:
-            known["target_m"] = at.target_m
+        if at.aim.target_m is not None:
+            known["target_m"] = at.aim.target_m
         return known
 
     def value(self, at: TermContext, path_m: Floats) -> float:

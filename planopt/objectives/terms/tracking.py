@@ -147,7 +147,7 @@ class TrackingTerm(Term):
 
     def settings(self, at: TermContext) -> Tracking:
         """Return the tracking problem of one planning step."""
-        target = at.target_m
+        target = at.aim.target_m
         if target is None:
             raise AssertionError("a tracking term needs a target")
         return at.once(
@@ -189,13 +189,13 @@ class TrackingTerm(Term):
         """Return data for recourse: filter, retreats, others' information, cost without packets."""
         own = self._filtered(at)
         target_m = own.tracking.target_m
-        places = np.vstack([target_m, *at.others_m])
+        places = np.vstack([target_m, *at.aim.pending.planned_m])
         arrives = at.probed(places, _chance(at, places))
-        ends = np.cumsum([len(target_m), *map(len, at.others_m)])
+        ends = np.cumsum([len(target_m), *map(len, at.aim.pending.planned_m)])
         at_target, *along = np.split(arrives, ends[:-1])
         retreats = retreats_of(at.connected_m, at_target, own, at.step_length_m)
         others = np.zeros(len(target_m))
-        for path, chance in zip(at.others_m, along, strict=True):
+        for path, chance in zip(at.aim.pending.planned_m, along, strict=True):
             at_last = np.minimum(np.arange(len(target_m)), len(path) - 1)
             sensing = sensing_information(own.tracking.sensor, path[at_last], target_m)
             others += chance[at_last] * sensing
@@ -203,17 +203,17 @@ class TrackingTerm(Term):
 
     def _filtered(self, at: TermContext) -> FilteredTracking:
         """Return the tracking problem and the station's filter, beyond the horizon as well."""
-        if at.information is None:
+        if at.aim.information is None:
             raise AssertionError("this form of tracking needs the station's filter")
         settings = self.settings(at)
         found = FilteredTracking(
-            settings, at.target_motion, at.information, self.criterion, at.held
-        ).extended(RECOURSE_STEPS if at.held is None else STEPS_OF_ESTIMATES)
+            settings, at.target_motion, at.aim.information, self.criterion, at.aim.held
+        ).extended(RECOURSE_STEPS if at.aim.held is None else STEPS_OF_ESTIMATES)
         # The terminal weight applies only to the last step of the horizon.
         steps, count = len(settings.weight), len(found.tracking.weight)
         beyond = self._step_weights_of(count)[steps:]
         found = found.weighted(np.append(settings.weight, beyond))
-        return found if at.held is None else discounted(found)
+        return found if at.aim.held is None else discounted(found)
 
     def values(self, paths: Paths) -> Floats:
         """Return the information or covariance reduction by many paths."""

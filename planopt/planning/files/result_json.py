@@ -17,6 +17,7 @@ from pydantic import BeforeValidator, Field, TypeAdapter
 from planopt.arrays import Floats
 from planopt.channel.calibration import ReliabilityBin
 from planopt.files.typed_json import encoded
+from planopt.objectives.terms.context import Aim
 from planopt.planning.certificate import (
     BlockedWay,
     Certificate,
@@ -41,7 +42,6 @@ from planopt.planning.loop.log import Metrics, Outcome, RobotRun
 from planopt.planning.loop.metrics import COSTS, run_holes, run_reliability
 from planopt.planning.loop.results import Run, Solution, summary_of
 from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict, share_gained
-from planopt.planning.values.context import Aim
 from planopt.problems.problem import Problem
 
 

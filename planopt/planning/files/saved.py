@@ -20,6 +20,7 @@ from planopt.errors import InputError
 from planopt.files.compare import DIGEST, digest
 from planopt.files.reading import read_text
 from planopt.files.tables import REMEDY, Data, read_table
+from planopt.objectives.terms.context import Aim
 from planopt.planning.certificate import BlockedWay
 from planopt.planning.explanation import Crossing, Relaxation
 from planopt.planning.files.belief_file import (
@@ -52,7 +53,6 @@ from planopt.planning.files.run_tables import (
 )
 from planopt.planning.loop.results import Run, Solution
 from planopt.planning.plan import Pivot, Plan, Verdict
-from planopt.planning.values.context import Aim
 from planopt.problems.load import problem_from_dict
 from planopt.problems.problem import Problem
 from planopt.problems.results import Contents

@@ -16,6 +16,7 @@ from planopt.channel.ground_truth import Truth, measure
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import Belief, ChannelPosterior
 from planopt.errors import NoPlanError
+from planopt.objectives.terms.context import Pending
 from planopt.planning.certificate import BlockedError, BlockedWay
 from planopt.planning.loop.log import ChannelLog, Outcome, channel_row, target_log
 from planopt.planning.loop.metrics import robot_run, run_costs, true_serving_dbm
@@ -24,13 +25,7 @@ from planopt.planning.plan import Plan, Rung, Verdict
 from planopt.planning.proof.motion import is_at_goal, stands
 from planopt.planning.stepping import Planning, Stepper, TargetWatch
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M, STEP_PAD_M
-from planopt.planning.values.context import (
-    NOTHING_PENDING,
-    Pending,
-    anticipated,
-    counts_others,
-    places_of_others,
-)
+from planopt.planning.values.context import anticipated, counts_others, places_of_others
 from planopt.planning.values.exploration import learns, left_to_learn, workspace_region
 from planopt.problems.problem import Problem
 from planopt.targets.information_filter import sense
@@ -195,7 +190,7 @@ def _stuck(problem: Problem, connected: Mask, robot: Progress) -> str | None:
 
 def _has_left(team: Problem, robots: Sequence[Progress], robot: Progress) -> bool:
     """Return whether unmeasured positions remain for a robot, apart from those of other robots."""
-    problem, states, others = robot.problem, robot.states, NOTHING_PENDING
+    problem, states, others = robot.problem, robot.states, Pending()
     if counts_others(team):
         driven = [np.array(each.states)[1:, :2] for each in robots]
         number = next(number for number, each in enumerate(robots) if each is robot)

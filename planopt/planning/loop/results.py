@@ -18,12 +18,12 @@ from planopt.bounds.bound import Bound, total_bound
 from planopt.channel.ground_truth import Truth
 from planopt.channel.posterior import Belief
 from planopt.errors import A_FOLDER, InputError, path_of
+from planopt.objectives.terms.context import Aim
 from planopt.planning.certificate import BlockedWay
 from planopt.planning.explanation import Crossing, Relaxation
 from planopt.planning.loop.log import ChannelLog, Outcome, RobotRun, TargetLog
 from planopt.planning.loop.metrics import run_metrics
 from planopt.planning.plan import Plan, Verdict
-from planopt.planning.values.context import Aim
 from planopt.problems.problem import Problem
 from planopt.problems.results import Result
 from planopt.short_repr import LINES, wrapped

@@ -130,7 +130,7 @@ class ProbedPlaces:
         circles = here + self._offsets_m
         reach_m = self._problem.planner.horizon * self._longest_m
         known = known[np.linalg.norm(known - here, axis=1) <= reach_m]
-        target = context.target_m
+        target = context.aim.target_m
         if target is not None and len(known) > MOST_KNOWN:
             away = np.linalg.norm(known[:, None] - target, axis=2).sum(axis=1)
             known = known[np.argsort(away, kind="stable")[:MOST_KNOWN]]
@@ -150,7 +150,7 @@ class ProbedPlaces:
 
     def _round(self, context: StepContext, hidden_m: Floats) -> list[Floats]:
         """Return paths around obstacles to those of `hidden_m` (n, 2) nearest to the target."""
-        target, horizon = context.target_m, self._problem.planner.horizon
+        target, horizon = context.aim.target_m, self._problem.planner.horizon
         if not len(hidden_m) or target is None:
             return []
         away = np.linalg.norm(hidden_m - target[-1], axis=1)

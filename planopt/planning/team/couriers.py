@@ -20,6 +20,7 @@ from functools import partial
 import numpy as np
 
 from planopt.arrays import Floats
+from planopt.objectives.terms.context import Aim
 from planopt.planning.initial_data import TeamSeeds
 from planopt.planning.plan import Plan, Rung, Verdict
 from planopt.planning.planners import asked_plan, planner_for
@@ -32,7 +33,6 @@ from planopt.planning.search.timed_search import DELAYS_STEPS, is_apart, timed_p
 from planopt.planning.stepping import Planning, PlanStep, TeamMoment
 from planopt.planning.team.team_step import build_team, keep_apart, plan_in_turn, plan_together
 from planopt.planning.tolerances import STEP_PAD_M
-from planopt.planning.values.context import Aim
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.problems.settings import OWN
 from planopt.world.motion import TimedMotion

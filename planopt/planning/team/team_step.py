@@ -15,7 +15,7 @@ from typing import Any
 from planopt.arrays import Floats
 from planopt.channel.posterior import Belief
 from planopt.objectives.moments import Region
-from planopt.objectives.terms.context import SteeringPath
+from planopt.objectives.terms.context import NOTHING_PENDING, Aim, Pending, SteeringPath
 from planopt.objectives.terms.term import Steers
 from planopt.planning.candidates import Scorer
 from planopt.planning.foresight import FollowingPlanner
@@ -34,9 +34,6 @@ from planopt.planning.search.steering import ConnectionSteering, GoalSteering, S
 from planopt.planning.stepping import TeamMoment
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
 from planopt.planning.values.context import (
-    NOTHING_PENDING,
-    Aim,
-    Pending,
     StepContext,
     counts_others,
     places_of_others,

@@ -25,9 +25,8 @@ from planopt.channel.posterior import ChannelPosterior, with_expected
 from planopt.channel.prediction import Prediction, connection_probability
 from planopt.objectives.measuring import MeasuringRule
 from planopt.objectives.moments import Region
-from planopt.objectives.terms.context import SteeringPath
+from planopt.objectives.terms.context import Aim, Pending, SteeringPath
 from planopt.objectives.terms.term import Structure, explores
-from planopt.objectives.tracking import Held
 from planopt.planning.proof.context import VerifierContext, search_power, search_prediction
 from planopt.planning.tolerances import STANDSTILL_M
 from planopt.planning.values.exploration import region_near, steering_path
@@ -37,19 +36,6 @@ from planopt.targets.information_filter import TargetModel
 MOST_DRIVEN = 256
 """Maximum number of positions visited by other robots that are considered, nearest first. Farther
 ones hardly affect reachable positions."""
-
-
-@dataclass(frozen=True, eq=False)
-class Pending:
-    """Positions at which the other robots of a team measure or have measured."""
-
-    # Positions (N, 2) after each step of every other robot's plan
-    planned_m: tuple[Floats, ...] = ()
-    # (k, 2) the others' positions after each past step of the run
-    driven_m: Floats = field(default_factory=lambda: np.zeros((0, 2)))
-
-
-NOTHING_PENDING = Pending()
 
 
 def anticipated(
@@ -114,22 +100,6 @@ def target_model(problem: Problem) -> TargetModel:
     return TargetModel(problem.planner.step_s, deviation**2 * np.eye(2))
 
 
-@dataclass(frozen=True, eq=False)
-class Aim:
-    """External inputs of one plan's objective, such as the expected target track."""
-
-    # (N, 2) expected target position at the end of each step; None without a target
-    target_m: Floats | None = None
-    # (m, 2) path of the two-layer steering: the robot's position, turns, and end; None without
-    # steering
-    steering_turns_m: Floats | None = None
-    # (4, 4) J_{t|t} of the station's filter at that time; None without a target
-    information: Floats | None = None
-    pending: Pending = NOTHING_PENDING  # Positions at which the other robots measure
-    # The robot's unsent target measurements if packets carry estimates; otherwise None
-    held: Held | None = None
-
-
 Made = TypeVar("Made")
 
 if TYPE_CHECKING:
@@ -143,15 +113,10 @@ else:
 class StepContext(VerifierContext):
     """Step context: all inputs on which the objective value of a path depends."""
 
-    # (N, 2) expected target position at the end of each step; None without a target
-    target_m: Floats | None = None
     region: Region  # Region of the map, for terms that average over it
+    aim: Aim  # External inputs of the objective
     # Steering path; None if no term steers or no steering position is reachable
     steering: SteeringPath | None = None
-    # (4, 4) J_{t|t} of the station's filter; None without a target
-    information: Floats | None = None
-    pending: Pending = NOTHING_PENDING  # Positions at which the other robots measure
-    held: Held | None = None  # Unsent target measurements if packets carry estimates
     _power: dict[bytes, tuple[float, float]] = field(
         default_factory=dict[bytes, tuple[float, float]], init=False, repr=False
     )
@@ -219,12 +184,7 @@ class StepContext(VerifierContext):
     def anticipated(self) -> tuple[ChannelPosterior, ...]:
         """Return each station's posterior given the other robots' measurements."""
         spacing = self.problem.channel.measure_spacing_m
-        return anticipated(self.posteriors, self.pending, self.position_m, spacing)
-
-    @property
-    def others_m(self) -> tuple[Floats, ...]:
-        """Positions (N, 2) of each other robot's plan."""
-        return self.pending.planned_m
+        return anticipated(self.posteriors, self.aim.pending, self.position_m, spacing)
 
     @cached_property
     def measuring(self) -> MeasuringRule:
@@ -321,9 +281,6 @@ def step_context(base: VerifierContext, region: Region, aim: Aim) -> StepContext
     return StepContext(
         **{each.name: getattr(base, each.name) for each in fields(VerifierContext) if each.init},
         region=region,
-        target_m=aim.target_m,
+        aim=aim,
         steering=None if turns_m is None else steering_path(base.problem, base.index, turns_m),
-        information=aim.information,
-        pending=aim.pending,
-        held=aim.held,
     )

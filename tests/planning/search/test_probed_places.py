@@ -63,7 +63,7 @@ def test_known_connection_draws_the_robot(step):
     known = replace(
         context,
         posteriors=(context.posterior.extend(reading),),
-        target_m=np.tile(beside + (1.0, 0.0), (6, 1)),
+        aim=replace(context.aim, target_m=np.tile(beside + (1.0, 0.0), (6, 1))),
     )
     ends = [way[-1] for way in found_ways(problem, known, ground)]
     np.testing.assert_array_equal(ends[0], beside)

@@ -16,12 +16,12 @@ import planopt.planning.team.team_step as team_step
 from planopt import Verdict, check
 from planopt.channel import true_power_dbm
 from planopt.channel.connectivity_law import serving_power_dbm
+from planopt.objectives.terms.context import Aim
 from planopt.planning.files.belief_file import BELIEF_FILE
 from planopt.planning.files.result_json import solution_json
 from planopt.planning.initial_data import team_seeds
 from planopt.planning.solve import simulate, solve
 from planopt.planning.team.team_step import build_team
-from planopt.planning.values.context import Aim
 from planopt.planning.values.objective_value import ObjectiveValue
 
 LANE = [
@@ -155,6 +155,6 @@ def test_the_objective_is_the_paths_own(name, monkeypatch):
     problem = terms_problem(TRACKING, name=name, p_min=0.6)
     situation, belief = context_of(problem)
     member = build_team(problem, team_seeds(problem, 0))[0]
-    plan, _ = member.plan(belief, member.start, Aim(situation.target_m, None), None)
+    plan, _ = member.plan(belief, member.start, Aim(situation.aim.target_m, None), None)
     alone, _ = context_of(problem)
     assert plan.objective == pytest.approx(ObjectiveValue(alone)(plan.positions_m[1:]), rel=1e-12)

@@ -7,8 +7,8 @@ import pytest
 from terms_scene import CONNECT, ENERGY, LEARNING, TRACKING, context_of, terms_problem
 
 from planopt.objectives.moments import posterior_moments
+from planopt.objectives.terms.context import Pending
 from planopt.planning.search.local_ranking import LocalRanking
-from planopt.planning.values.context import Pending
 from planopt.planning.values.local_value import local_value
 from planopt.planning.values.objective_value import ObjectiveValue
 
@@ -43,7 +43,7 @@ def paths(situation, count=3):
 def beside(situation, *others, driven_m=None):
     """The situation with these plans pending."""
     driven = np.zeros((0, 2)) if driven_m is None else driven_m
-    return replace(situation, pending=Pending(tuple(others), driven))
+    return replace(situation, aim=replace(situation.aim, pending=Pending(tuple(others), driven)))
 
 
 def together(term, posterior, places, situation):
@@ -111,7 +111,7 @@ def test_searches_and_solvers_count_the_others(terms, stations):
 def test_packets_of_the_others_are_counted():
     """A second robot on the same path is worth less; far from the target it changes nothing."""
     situation, _ = context_of(terms_problem({**TRACKING, "form": "recourse"}))
-    target = situation.target_m
+    target = situation.aim.target_m
     alone = ObjectiveValue(situation)(target)
     assert 0.0 < ObjectiveValue(beside(situation, target))(target) < 0.999 * alone
     away = target + 1e5

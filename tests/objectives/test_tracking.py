@@ -13,7 +13,6 @@ from planopt.channel import Station, condition
 from planopt.channel.kriging import LocalChannel, predict
 from planopt.objectives import TrackingTerm
 from planopt.objectives.stage_power import StagePredictor
-from planopt.objectives.terms.context import Aim
 from planopt.objectives.tracking import Tracking
 from planopt.targets.information_filter import Sensor, sensing_derivatives, sensing_information
 
@@ -25,7 +24,7 @@ TERM = TrackingTerm(0.008, 0.08, 1.0, form="additive", step_weights=WEIGHT)
 
 def context(posterior=POSTERIOR, target=TARGET, threshold=-73.0):
     return SimpleNamespace(
-        aim=Aim(target),
+        aim=SimpleNamespace(target_m=target),
         law=SimpleNamespace(thresholds_dbm=(threshold,)),
         power=posterior.predict,
         once=lambda key, make: make(),

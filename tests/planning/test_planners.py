@@ -109,9 +109,8 @@ def test_greedy_steps_do_not_come_back_to_a_place():
     assert apart.min() >= problem.channel.measure_spacing_m
     still = {**TRACKING, "sweet_spot_m": 0.0}
     problem, situation, scorer, ground = scene(still, horizon=3)
-    here = replace(
-        situation, aim=replace(situation.aim, target_m=np.tile(situation.position_m, (3, 1)))
-    )
+    aim = replace(situation.aim, target_m=np.tile(situation.position_m, (3, 1)))
+    here = replace(situation, aim=aim)
     plan = OneStepPlanner(problem, ground).plan(here, scorer)
     np.testing.assert_allclose(plan.positions_m, np.tile(situation.position_m, (4, 1)))
 

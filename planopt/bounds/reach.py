@@ -49,7 +49,7 @@ def relaxed_constraints(problem: Problem, robots: int) -> tuple[str, ...]:
     """Return descriptions of the constraints that the bound of a robot ignores."""
     rule = problem.constraints.rule
     found: list[str] = []
-    if problem.constraints.asks_connection and not rule.is_plain:
+    if problem.constraints.requires_connection and not rule.is_plain:
         name = "p_min at each step" if rule.by_step else f"the rule {rule.connectivity}"
         found.append(f"{name} (outage is only priced)")
     return (*found, *ignored_motion(problem, robots))

@@ -95,11 +95,11 @@ class MeasuringRule:
             return np.zeros(paths_m.shape[:-1], dtype=np.bool_)
         if paths_m.ndim == 2 and len(paths_m) > LONGEST_PATH:
             return self._takes_of_log(paths_m)
-        ways = paths_m.reshape(-1, *paths_m.shape[-2:])
-        taken = self.is_open(ways.reshape(-1, 2)).reshape(ways.shape[:2])
-        close = _squared_between_m2(ways) < self.spacing_m**2
+        each_path = paths_m.reshape(-1, *paths_m.shape[-2:])
+        taken = self.is_open(each_path.reshape(-1, 2)).reshape(each_path.shape[:2])
+        close = _squared_between_m2(each_path) < self.spacing_m**2
         if close.any():
-            for k in range(1, ways.shape[1]):
+            for k in range(1, each_path.shape[1]):
                 taken[:, k] &= ~(close[:, k, :k] & taken[:, :k]).any(axis=1)
         return taken.reshape(paths_m.shape[:-1])
 
@@ -119,8 +119,8 @@ class MeasuringRule:
         places = paths_m.reshape(-1, 2)
         distance, offset = self._beside(places)
         squared = _squared_between_m2(paths_m)
-        beside = distance < self.open_m
-        if not beside.any() and not (squared < self.open_m**2).any():
+        near = distance < self.open_m
+        if not near.any() and not (squared < self.open_m**2).any():
             return None
         taken = self.takes(paths_m)
         # Earlier measuring positions of the path act like earlier measurements.

@@ -18,7 +18,7 @@ from planopt.arrays import Floats
 from planopt.channel.prediction import Prediction
 from planopt.errors import InputError
 from planopt.parts import part_of
-from planopt.planning.certificate import Certificate, margins_asked_db
+from planopt.planning.certificate import Certificate, required_margins_db
 from planopt.planning.free_space import leaving_path
 from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_drive
 from planopt.planning.proof.context import VerifierContext
@@ -171,7 +171,7 @@ class Scorer:
 
     def margins_db(self, power: Prediction) -> Floats:
         """Return the margins in dB by which predicted powers satisfy p_min."""
-        return margins_asked_db(self.problem, power)
+        return required_margins_db(self.problem, power)
 
     def candidate(
         self, path_m: Floats, rung: Rung, termination: Termination, drive: Drive | None = None

@@ -77,7 +77,7 @@ class BlockedError(NoPlanError):
         self.blocked = blocked
 
 
-def margins_asked_db(problem: Problem, power: Prediction) -> Floats:
+def required_margins_db(problem: Problem, power: Prediction) -> Floats:
     """Return the margin (n,) in dB by which each power exceeds the requirement of p_min."""
     return bound_margin_db(
         power.mean_db,
@@ -116,7 +116,7 @@ def holes_on(problem: Problem, power: Prediction, places_m: Floats) -> tuple[Hol
     threshold = problem.stations[0].threshold_dbm
     chance = connection_probability(power.mean_db, power.deviation_db, threshold)
     slack_db = problem.constraints.rule.slack_max_db or 0.0
-    return holes_along(places_m, chance, margins_asked_db(problem, power) < -slack_db)
+    return holes_along(places_m, chance, required_margins_db(problem, power) < -slack_db)
 
 
 def named_holes(holes: Sequence[Hole], before: str, more: str) -> list[str]:

@@ -180,14 +180,14 @@ class FallbackCascade:
         """Return candidates that move straight to a reachable position which satisfies p_min."""
         found: list[Candidate] = []
         for path in paths_to_good_place(scorer, candidates):
-            way = scorer.candidate(path, Rung.COLD_RETRY, Termination.LATTICE_ONLY)
+            unrefined = scorer.candidate(path, Rung.COLD_RETRY, Termination.LATTICE_ONLY)
             if self.refinement is not None:
-                start = Guess(path, scorer.score(way), rule_missing(context, path))
+                start = Guess(path, scorer.score(unrefined), rule_missing(context, path))
                 refined = self.refinement.candidates(
                     context, scorer, start, Rung.COLD_RETRY, budget
                 )
                 found += [replace(candidate, rung=Rung.COLD_RETRY) for candidate in refined]
-            found.append(scorer.assessed(way))
+            found.append(scorer.assessed(unrefined))
             if any(candidate.verdict is Verdict.VERIFIED for candidate in found):
                 break
         return found
@@ -226,10 +226,10 @@ class HorizonPlanner:
         budget = budget_from(self.problem, begun)
         shifted = shifted_path(scorer, warm)
         starts = self._search.find_guesses(context, shifted, budget)
-        way = self._exit_path(context, starts)
-        if way is not None:
-            out = Guess(way, scorer.objective(way), rule_missing(context, way))
-            if context.measuring.takes(way).any():
+        exit_m = self._exit_path(context, starts)
+        if exit_m is not None:
+            out = Guess(exit_m, scorer.objective(exit_m), rule_missing(context, exit_m))
+            if context.measuring.takes(exit_m).any():
                 # The path yields a measurement, so it competes with the other guesses.
                 starts = sorted([*starts, out], key=lambda start: -start.value)
             elif (plan := self._released(context, scorer, out, warm, begun)) is not None:

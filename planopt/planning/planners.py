@@ -77,7 +77,7 @@ def planner_for(problem: Problem, ground: Ground, generator: np.random.Generator
     return made
 
 
-def asked_plan(
+def plan_of(
     planner: Planner, context: StepContext, scorer: Scorer, warm: Plan | None = None
 ) -> Plan:
     """Return the plan of a planner; faults of user-defined planners raise InputErrors."""

@@ -115,7 +115,7 @@ def with_bounds(task: PathTask, context: StepContext, rows: RuleRows) -> PathTas
     slack at a higher price.
     """
     constraints = context.problem.constraints
-    if not constraints.asks_connection:
+    if not constraints.requires_connection:
         return task
     power, rule = context.predicted(task.path_m), constraints.rule
     short_db, allowed = rows.shortfall_db(power), rule.slack_max_db or 0.0

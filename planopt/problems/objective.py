@@ -372,14 +372,14 @@ class Constraints(Part):
                         f'has {key}, which applies only with connectivity = "{other.kind}": '
                         "leave it out, or set this connectivity"
                     )
-        if not self.asks_connection and not rule.every_step:
+        if not self.requires_connection and not rule.every_step:
             return (
                 f'needs p_min above 0 for connectivity = "{form}": write p_min = 0.9, for instance'
             )
         missing = rule.kind.keys_fault(given)
         if missing is not None:
             return f"needs {missing}, for instance"
-        if self.rule.slack_max_db is not None and not self.asks_connection:
+        if self.rule.slack_max_db is not None and not self.requires_connection:
             return (
                 "has slack_max_db, but no connection is required, since p_min is 0: write "
                 "a p_min above 0, or leave slack_max_db out"
@@ -401,7 +401,7 @@ class Constraints(Part):
         return None
 
     @property
-    def asks_connection(self) -> bool:
+    def requires_connection(self) -> bool:
         """Return True if the connection is constrained."""
         return self.p_min > 0.0 or not self.rule.kind.asks_p_min
 

@@ -232,7 +232,7 @@ class Problem:
             len(self.stations),
             bool(self.targets),
             self.has_dynamics,
-            not self.constraints.asks_connection and len(self.objective.terms) == 1,
+            not self.constraints.requires_connection and len(self.objective.terms) == 1,
             any(target.packets == "estimates" for target in self.targets),
         )
 

@@ -230,7 +230,7 @@ def _reach_fault(tables: ProblemFile) -> str | None:
         )
     if tables.targets:
         return 'the task "reach" has no targets: leave them out, or write problem.task = "track"'
-    if not tables.constraints.asks_connection:
+    if not tables.constraints.requires_connection:
         return 'the task "reach" needs constraints.p_min above 0: write p_min = 0.9, for instance'
     if not planner_kind(tables.planner.name).reaches_goals:
         return (

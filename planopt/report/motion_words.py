@@ -99,7 +99,7 @@ def _value(problem: Problem, objective: float) -> str:
 def plan_in_words(problem: Problem, plan: Plan) -> list[str]:
     """Return verdict, objective, distances, connectivity and coverage holes of a robot's plan."""
     proof, unit = plan.certificate, " s" if problem.has_goal else ""
-    limited = problem.constraints.asks_connection or problem.has_goal
+    limited = problem.constraints.requires_connection or problem.has_goal
     count = f"{plan.iterations} iteration" + ("" if plan.iterations == 1 else "s")
     lines = [
         f"{plan.robot}: {plan.verdict.value}; {ORIGINS[plan.rung.value]}; solver "
@@ -299,7 +299,7 @@ def problem_in_words(problem: Problem) -> list[str]:
                 robot.name, *robot.start_m, goal, robot.speed_max_m_s
             )
         )
-    if limits.asks_connection:
+    if limits.requires_connection:
         lines.append(f"  required    P(connected) of at least {limits.p_min:g}")
     lines.append(f"  clearance   {limits.clearance_m:g} m from obstacles")
     return lines

@@ -47,11 +47,11 @@ class SteeredTerm(Term):
 
     def slope(self, paths: Paths, number: int) -> Pull:
         """Return the adjoints of :meth:`values` w.r.t. the positions of paths."""
-        steering, ways = paths.at.steering, paths.paths_m
+        steering, places = paths.at.steering, paths.paths_m
         if steering is None:
             return Pull()
-        turns = steering.next_turns(ways.reshape(-1, 2))
-        offset = steering.turns_m[turns].reshape(ways.shape) - ways
+        turns = steering.next_turns(places.reshape(-1, 2))
+        offset = steering.turns_m[turns].reshape(places.shape) - places
         length = np.maximum(np.linalg.norm(offset, axis=2), TINY_M)
         return Pull(by_position=offset / length[:, :, None])
 

@@ -17,7 +17,7 @@ import numpy as np
 from planopt.arrays import Floats, Mask
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import Prediction, connection_probability
-from planopt.planning.certificate import margins_asked_db
+from planopt.planning.certificate import required_margins_db
 from planopt.planning.explanation import Relaxation
 from planopt.planning.plan import BEGINNING, Plan, Verdict
 from planopt.planning.proof.context import (
@@ -298,7 +298,7 @@ def _connection(case: Case) -> Fault | None:
     short_db = max(missing for _, missing in missed)
     if _met_nowhere(case) or is_priced(problem):
         # If no reachable position has this probability, the shortfall of the best one is reported.
-        best_db = _best_score(problem, case.posteriors, partial(margins_asked_db, problem))
+        best_db = _best_score(problem, case.posteriors, partial(required_margins_db, problem))
         short_db = -best_db if best_db < 0.0 else short_db
     elif rule.slack_max_db is None and max(certificate.best_margin_db) < 0.0:
         return None  # excused, as no reachable position satisfies them
@@ -431,6 +431,6 @@ def _is_kept(case: Case, key: Key, amount: float) -> bool:
         context = VerifierContext(problem, index, tuple(case.posteriors), start)
         result = whole_plan_result(PathCase(context, plan.positions_m, power))
         return result.slack_db > 0.0 or not result.is_missed
-    margins = margins_asked_db(problem, power) + (rule.slack_max_db or 0.0)
+    margins = required_margins_db(problem, power) + (rule.slack_max_db or 0.0)
     kept = margins[[step - 1 for step in plan.certificate.relaxed_steps]] >= -MARGIN_TOLERANCE_DB
     return bool(kept.any() if _met_nowhere(case) else kept.all())

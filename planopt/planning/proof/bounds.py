@@ -18,7 +18,7 @@ from planopt.bounds.tube import StageProblem, proves
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.reach import integrated_cost_m, outage_share, path_cost_s
 from planopt.objectives.terms.context import TermContext
-from planopt.planning.certificate import margins_asked_db
+from planopt.planning.certificate import required_margins_db
 from planopt.planning.plan import Plan
 from planopt.planning.proof.context import connectivity_law
 from planopt.problems.problem import Problem
@@ -74,7 +74,7 @@ def stages_of(problem: Problem, at: TermContext, plan: Plan) -> StageProblem | s
         return terms.reason
     kept = np.zeros(len(path), dtype=np.bool_)
     if problem.constraints.p_min > 0.0 and problem.constraints.rule.is_plain:
-        kept = np.asarray(margins_asked_db(problem, at.predicted(path)) >= 0.0)
+        kept = np.asarray(required_margins_db(problem, at.predicted(path)) >= 0.0)
     return stage_problem(problem, at, terms, kept)
 
 

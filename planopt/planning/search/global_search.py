@@ -168,7 +168,7 @@ class GlobalSearch:
         horizon = problem.planner.horizon
         first = found.nodes[:horizon]
         self.margins.correct(first)
-        way = np.vstack([position_m, places[found.nodes]])
+        path = np.vstack([position_m, places[found.nodes]])
         given = replace(
             start,
             nodes=first,
@@ -179,7 +179,7 @@ class GlobalSearch:
             gives_way=True,
         )
         step_m = problem.step_length_m - STEP_PAD_M
-        return given, timed_places(way, places[found.route], step_m, steps), found
+        return given, timed_places(path, places[found.route], step_m, steps), found
 
     def _has_wandered(self, history: History) -> bool:
         """Return whether the robot has circled or driven too far to keep searching for contact.

@@ -191,8 +191,8 @@ class GuessSearch:
         self._may_bend = bends_guesses(problem, steered=False)
         # Built on first use because its raster of clearances is expensive.
         self._fan: FanGuesses | None = None
-        tries = any(term.probes_end for term in problem.terms)
-        self._probed = ProbedPlaces(problem, ground) if tries else None
+        probes = any(term.probes_end for term in problem.terms)
+        self._probed = ProbedPlaces(problem, ground) if probes else None
 
     def find_guesses(
         self,

@@ -148,7 +148,7 @@ class LocalRanking:
             value += term.weight * returned(
                 term, "values", found, value.shape, words="one number for each path", unbounded=True
             )
-        if not at.problem.constraints.asks_connection:
+        if not at.problem.constraints.requires_connection:
             return value
         if self._missing_db_cost is None:
             self._missing_db_cost = MISSING_DB_SHARE * float(np.abs(value).max())

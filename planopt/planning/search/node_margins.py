@@ -155,7 +155,7 @@ class NodeField(Nodes):
         self.window = rows, columns
         self._exact[:] = False
         self._context = context
-        if context.problem.constraints.asks_connection:
+        if context.problem.constraints.requires_connection:
             self.correct(self._measured_nodes(context))
 
     def _measured_nodes(self, context: StepContext) -> Indices:

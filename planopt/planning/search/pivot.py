@@ -124,21 +124,21 @@ def find_pivot(
 ) -> Pivot:
     """Return the farthest route point visible from the guess's end, or one beyond its reach."""
     end = int(start.nodes[-1])
-    way = route_from(scene.road_map, start.cost_to_go, end, LOOKAHEAD_STEPS * step_length_m)
-    places = scene.road_map.nodes_m[way]
+    route = route_from(scene.road_map, start.cost_to_go, end, LOOKAHEAD_STEPS * step_length_m)
+    places = scene.road_map.nodes_m[route]
     origin = places[0] if origin_m is None else origin_m
     chosen = 0
-    if len(way) > 1:
+    if len(route) > 1:
         # Segments from one origin as one path: origin, p1, origin, p2, ...
-        fan = np.empty((2 * (len(way) - 1) + 1, 2))
+        fan = np.empty((2 * (len(route) - 1) + 1, 2))
         fan[0::2] = origin
         fan[1::2] = places[1:]
         seen = is_clear(swept_clearance_m(scene.index, fan)[0::2], clearance)
         farthest_seen = int(np.argmin(seen)) if not seen.all() else len(seen)
         if node_margin_db is not None:
-            within = node_margin_db[way] >= MARGIN_PAD_DB
+            within = node_margin_db[route] >= MARGIN_PAD_DB
             changed = np.nonzero(within != within[0])[0]
-            farthest_seen = min(farthest_seen, int(changed[0]) - 1 if changed.size else len(way))
+            farthest_seen = min(farthest_seen, int(changed[0]) - 1 if changed.size else len(route))
         ahead = np.linalg.norm(places - origin, axis=1)
         room = LATTICE_DETOUR * len(start.nodes) * step_length_m
         enough = int(np.argmax(ahead >= room)) if ahead.max() >= room else len(ahead) - 1
@@ -147,6 +147,6 @@ def find_pivot(
     straight = float(np.linalg.norm(places[chosen] - origin))
     # At the guess's end, the cost via the pivot equals the cost via the lattice.
     joining = float(np.linalg.norm(places[0] - origin)) * float(start.metre_cost[end])
-    saved = joining + float(cost_m[end] - cost_m[way[chosen]])
+    saved = joining + float(cost_m[end] - cost_m[route[chosen]])
     metre_cost = saved / straight if straight else 1.0
-    return Pivot(places[chosen], float(cost_m[way[chosen]]), max(metre_cost, 1.0))
+    return Pivot(places[chosen], float(cost_m[route[chosen]]), max(metre_cost, 1.0))

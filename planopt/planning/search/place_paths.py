@@ -61,7 +61,7 @@ class ProbedPlaces:
     def __init__(self, problem: Problem, ground: Ground) -> None:
         self._problem, self._ground = problem, ground
         self._longest_m = problem.step_length_m - STEP_PAD_M
-        self._alone = len(problem.terms) == 1 and not problem.constraints.asks_connection
+        self._alone = len(problem.terms) == 1 and not problem.constraints.requires_connection
         places = [np.zeros((1, 2))]
         for number, radius in enumerate(CIRCLES):
             apart = max(LEAST_APART, radius * APART_SHARE)
@@ -98,7 +98,7 @@ class ProbedPlaces:
             if term.probes_end:
                 value += probe_values(context, number, paths, chance)
         missing = np.zeros(len(paths))
-        if self._problem.constraints.asks_connection:
+        if self._problem.constraints.requires_connection:
             constraints = self._problem.constraints
             each = chance if constraints.rule.by_step else chance.mean(axis=1, keepdims=True)
             missing = np.maximum(constraints.p_min - each, 0.0).sum(axis=1)
@@ -296,12 +296,12 @@ def _in_fewest_steps(scorer: Scorer, turns_m: Floats, length_m: float) -> Floats
     Steps end on the path, at its turns, and at crossings of its extended legs, since one step end
     near a corner can replace several turns around the corner.
     """
-    way = np.vstack([scorer.position_m, turns_m])
-    driven = np.concatenate([[0.0], np.linalg.norm(np.diff(way, axis=0), axis=1).cumsum()])
+    route = np.vstack([scorer.position_m, turns_m])
+    driven = np.concatenate([[0.0], np.linalg.norm(np.diff(route, axis=0), axis=1).cumsum()])
     between = np.arange(0.0, driven[-1], length_m / STEP_PLACES)
     at = np.unique(np.concatenate([driven, between]))
-    places = np.stack([np.interp(at, driven, way[:, axis]) for axis in (0, 1)], axis=1)
-    next_to, crossed_at = _crossings(way, driven, length_m)
+    places = np.stack([np.interp(at, driven, route[:, axis]) for axis in (0, 1)], axis=1)
+    next_to, crossed_at = _crossings(route, driven, length_m)
     order = np.argsort(np.concatenate([at, crossed_at]), kind="stable")
     places = np.concatenate([places, next_to])[order]
     steps = np.full(len(places), np.inf)
@@ -321,22 +321,22 @@ def _in_fewest_steps(scorer: Scorer, turns_m: Floats, length_m: float) -> Floats
     return places[path[::-1]]
 
 
-def _crossings(way_m: Floats, driven_m: Floats, length_m: float) -> tuple[Floats, Floats]:
+def _crossings(route_m: Floats, driven_m: Floats, length_m: float) -> tuple[Floats, Floats]:
     """Return crossings of legs with backward extensions of later legs, and path lengths there."""
-    legs = np.diff(way_m, axis=0)
+    legs = np.diff(route_m, axis=0)
     places, along = [np.zeros((0, 2))], [np.zeros(0)]
     for one in range(len(legs)):
         for other in range(one + 2, len(legs)):
             if driven_m[other] - driven_m[one + 1] > length_m:
                 break
             cross = legs[one, 0] * legs[other, 1] - legs[one, 1] * legs[other, 0]
-            gap = way_m[other] - way_m[one + 1]
+            gap = route_m[other] - route_m[one + 1]
             if abs(cross) < 1e-9 * np.linalg.norm(legs[one]) * np.linalg.norm(legs[other]):
                 continue
             on = (gap[0] * legs[other, 1] - gap[1] * legs[other, 0]) / cross
             back = (gap[0] * legs[one, 1] - gap[1] * legs[one, 0]) / cross
             if on > 0.0 > back:
-                places.append((way_m[one + 1] + on * legs[one])[None])
+                places.append((route_m[one + 1] + on * legs[one])[None])
                 along.append(np.array([0.5 * (driven_m[one + 1] + driven_m[other])]))
     return np.concatenate(places), np.concatenate(along)
 

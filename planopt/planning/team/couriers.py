@@ -23,7 +23,7 @@ from planopt.arrays import Floats
 from planopt.objectives.terms.context import Aim
 from planopt.planning.initial_data import TeamSeeds
 from planopt.planning.plan import Plan, Rung, Verdict
-from planopt.planning.planners import asked_plan, planner_for
+from planopt.planning.planners import plan_of, planner_for
 from planopt.planning.proof.context import obstacles_ahead
 from planopt.planning.proof.motion import is_at_goal
 from planopt.planning.reach_planner import Course, Outlook, ReachPlanner
@@ -56,7 +56,7 @@ class Couriers:
         for number, (scene, generator) in enumerate(zip(scenes, seeds.planners, strict=True)):
             own, proposal = problem_of_robot(problem, number), None
             if problem.planner.name not in OWN:
-                proposal = partial(asked_plan, planner_for(own, scene, generator))
+                proposal = partial(plan_of, planner_for(own, scene, generator))
             self._planners.append(ReachPlanner(own, scene, others, proposal))
         self._order = list(range(count))
         self._arrived: list[int] = []

@@ -21,7 +21,7 @@ from planopt.planning.candidates import Scorer
 from planopt.planning.foresight import FollowingPlanner
 from planopt.planning.initial_data import TeamSeeds
 from planopt.planning.plan import BEGINNING, History, Plan, Verdict
-from planopt.planning.planners import Planner, asked_plan, planner_for
+from planopt.planning.planners import Planner, plan_of, planner_for
 from planopt.planning.proof.context import SEARCH_EXACT_LIMIT, verifier_context
 from planopt.planning.reservations import (
     discs_to_avoid,
@@ -119,7 +119,7 @@ class Member:
             ObjectiveValue(context),
             reserved_m[1:] if reserved_m is not None and len(moving) else None,
         )
-        plan = _valued_alone(asked_plan(self.planner, context, scorer, warm), context)
+        plan = _valued_alone(plan_of(self.planner, context, scorer, warm), context)
         steered = None if context.steering is None else context.steering.turns_m
         return plan, replace(watched, steering_turns_m=steered, pending=pending)
 

@@ -19,7 +19,7 @@ from planopt.errors import InputError
 from planopt.objectives.reach import charged_length_m, cost_rate_s_m, outage_share, path_cost_s
 from planopt.objectives.terms.term import Term
 from planopt.parts import calling, returned
-from planopt.planning.certificate import RuleResult, margins_asked_db
+from planopt.planning.certificate import RuleResult, required_margins_db
 from planopt.planning.plan import Pivot
 from planopt.planning.proof.rule import PathCase, rule_of, whole_plan_result
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
@@ -123,7 +123,7 @@ def rule_missing(at: StepContext, path_m: Floats) -> float:
     times `SHARE_IN_DB`.
     """
     constraints = at.problem.constraints
-    if not constraints.asks_connection:
+    if not constraints.requires_connection:
         return 0.0
     if constraints.rule.by_step:
         missed = _missed_db(at, path_m) - (constraints.rule.slack_max_db or 0.0)
@@ -137,7 +137,7 @@ def rule_missing(at: StepContext, path_m: Floats) -> float:
 def _missed_db(at: StepContext, path_m: Floats) -> Floats:
     """Return the shortfall of p_min in dB at each constrained step; (N,)."""
     power, problem = at.power(path_m), at.problem
-    margins = margins_asked_db(problem, power)
+    margins = required_margins_db(problem, power)
     missed = margins < -MARGIN_TOLERANCE_DB
     asked = rule_of(problem).counted(at.history, len(path_m))
     return np.where(missed & asked, -margins, 0.0)

@@ -15,14 +15,14 @@ import numpy as np
 from planopt.arrays import Floats, Mask
 from planopt.channel.prediction import Prediction, bound_quantile, connection_probability
 from planopt.objectives.moments import LocalPaths, Pull
-from planopt.planning.certificate import RuleResult, margins_asked_db
+from planopt.planning.certificate import RuleResult, required_margins_db
 from planopt.planning.plan import History
 from planopt.planning.proof.rule import Rule, rule_of
 from planopt.planning.values.context import StepContext
 from planopt.planning.values.objective_value import rule_result
 from planopt.problems.problem import Problem
 
-UNASKED = 0.5
+UNCONSTRAINED = 0.5
 """Probability level that stands for an unconstrained step."""
 
 LEAST_LEVEL = 1e-3
@@ -85,7 +85,7 @@ def has_sum_row(problem: Problem) -> bool:
 
 def has_step_rows(problem: Problem) -> bool:
     """Return whether the rule constrains single steps."""
-    return problem.constraints.asks_connection and not has_sum_row(problem)
+    return problem.constraints.requires_connection and not has_sum_row(problem)
 
 
 def rule_rows(context: StepContext, path_m: Floats) -> RuleRows:
@@ -96,9 +96,9 @@ def rule_rows(context: StepContext, path_m: Floats) -> RuleRows:
     threshold = problem.stations[0].threshold_dbm
     power = context.predicted(path_m)
     if rule.holds_steps:
-        keeps = margins_asked_db(problem, power) >= 0.0
-        bounded = rule.held(keeps, history) & problem.constraints.asks_connection
-        return RuleRows(threshold, np.where(bounded, p_min, UNASKED), bounded)
+        keeps = required_margins_db(problem, power) >= 0.0
+        bounded = rule.held(keeps, history) & problem.constraints.requires_connection
+        return RuleRows(threshold, np.where(bounded, p_min, UNCONSTRAINED), bounded)
     chance = connection_probability(power.mean_db, power.deviation_db, threshold)
     achieved, slope = rule.slopes(chance, history)
     least = rule.required(p_min, history, count)
@@ -108,7 +108,7 @@ def rule_rows(context: StepContext, path_m: Floats) -> RuleRows:
             least = min(least, scaled_value(rule, context, float(achieved), count, result))
     none = np.zeros(count, dtype=np.bool_)
     total = least - float(achieved) + float(slope @ chance)
-    return RuleRows(threshold, np.full(count, UNASKED), none, slope, total)
+    return RuleRows(threshold, np.full(count, UNCONSTRAINED), none, slope, total)
 
 
 LARGEST_FACTOR = 4.0
@@ -188,7 +188,7 @@ def step_rows(context: StepContext, path_m: Floats) -> RuleRows:
     level = chance - spare
     bounded = (rows.weight > 0.0) & (level > LEAST_LEVEL)
     level = np.clip(level, LEAST_LEVEL, 1.0 - LEAST_LEVEL)
-    return RuleRows(rows.threshold_dbm, np.where(bounded, level, UNASKED), bounded)
+    return RuleRows(rows.threshold_dbm, np.where(bounded, level, UNCONSTRAINED), bounded)
 
 
 @dataclass(frozen=True, eq=False)
@@ -235,7 +235,7 @@ def find_guided(context: StepContext, search: GuidedSearch, is_kept: IsKept) -> 
     level = common_level(rule, problem.constraints.p_min, history, count)
     found += search(Guide(level, np.ones(count, dtype=np.bool_), no_credit))
     # Bisection finds the smallest sufficient credit, a Lagrange multiplier.
-    _, weight = rule.slopes(np.full(count, UNASKED), history)
+    _, weight = rule.slopes(np.full(count, UNCONSTRAINED), history)
     weight = weight / max(float(weight.max()), 1e-9)
     low, high = LOWEST_CREDIT, HIGHEST_CREDIT
     most = search(replace(none, credit=high * weight))
@@ -263,7 +263,7 @@ def common_level(rule: Rule, p_min: float, history: History, count: int) -> floa
 
 def _held_patterns(rule: Rule, context: StepContext, count: int) -> list[Mask]:
     """Return masks (N,) of steps whose connection satisfies the rule: late, earlier, and all."""
-    history, asks = context.history, context.problem.constraints.asks_connection
+    history, asks = context.history, context.problem.constraints.requires_connection
     every = np.ones(count, dtype=np.bool_)
     latest = rule.held(every, history)
     if rule.by_step or not latest.any():
@@ -287,7 +287,7 @@ def missing(at: StepContext, legs_m: Floats, power: Prediction) -> Floats:
     constraints, history = at.problem.constraints, at.history
     rule, shape = rule_of(at.problem, legs_m), legs_m.shape
     if rule.by_step:
-        margins = margins_asked_db(at.problem, power).reshape(shape)
+        margins = required_margins_db(at.problem, power).reshape(shape)
         every = np.ones(int(legs_m.shape[1]), dtype=np.bool_)
         return np.maximum(-margins, 0.0) @ rule.held(every, history)
     threshold = at.problem.stations[0].threshold_dbm

@@ -13,7 +13,7 @@ from silent_field import TABLES, belief_in
 
 from planopt import Problem, Verdict, explain
 from planopt.channel.kriging import predict
-from planopt.planning.certificate import margins_asked_db
+from planopt.planning.certificate import required_margins_db
 from planopt.planning.solve import solve_on
 from planopt.problems.problem import problem_from_tables
 
@@ -62,7 +62,7 @@ def edge_m(problem: Problem, belief, from_x_m: float) -> float:
     """How far right of a place on y = 20 the bound is first kept."""
     x = np.arange(from_x_m, 60.0, 0.005)
     power = predict(belief.posterior, np.stack([x, np.full_like(x, 20.0)], axis=1))
-    return float(x[np.argmax(margins_asked_db(problem, power) >= 0.0)] - from_x_m)
+    return float(x[np.argmax(required_margins_db(problem, power) >= 0.0)] - from_x_m)
 
 
 def is_least(problem: Problem, belief, one) -> None:

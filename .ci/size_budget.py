@@ -13,11 +13,11 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 72_343,
-    "lines of code": 52_228,
+    "lines": 72_047,
+    "lines of code": 52_113,
     "files": 289,
-    "functions": 3_754,
-    "docstring lines": 8_533,
+    "functions": 3_741,
+    "docstring lines": 8_191,
     "lines of tests": 48_572,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""

@@ -191,12 +191,9 @@ def known_places(posterior: ChannelPosterior, grid_m: Floats) -> KnownPlaces:
     return KnownPlaces(grid_m, phi, regressors(grid_m, parameters.station) - phi.T @ solved)
 
 
-def cross_covariance_db2(
-    posterior: ChannelPosterior,
-    path_m: Floats,  # (N, 2)
-    known: KnownPlaces,
-) -> Floats:
+def cross_covariance_db2(posterior: ChannelPosterior, path_m: Floats, known: KnownPlaces) -> Floats:
     """Return covariances of measurements on a path with the power at map positions; ``(N, g)``."""
+    # Shapes: path_m (N, 2).
     # c(q) = k_h(q) - Phi' U^-1 phi(q) + B M varphi(q) (equation 4.6).
     parameters = posterior.parameters
     phi = posterior.covariance_with_db2(path_m)
@@ -275,12 +272,9 @@ def _sum(a: NDArray[Real] | None, b: NDArray[Real] | None, weight: float) -> NDA
     return found
 
 
-def pull_of_lengths(
-    start_m: Floats,  # (2,)
-    paths_m: Floats,  # (c, N, 2)
-    by_length: Floats,  # (c, N)
-) -> Pull:
+def pull_of_lengths(start_m: Floats, paths_m: Floats, by_length: Floats) -> Pull:
     """Return the adjoints of positions from the adjoints `by_length` of step lengths."""
+    # Shapes: start_m (2,); paths_m (c, N, 2); by_length (c, N).
     ends = np.concatenate([np.broadcast_to(start_m, (len(paths_m), 1, 2)), paths_m], axis=1)
     legs = np.diff(ends, axis=1)
     length = np.maximum(np.hypot(legs[..., 0], legs[..., 1]), TINY_M)
@@ -434,12 +428,10 @@ class LocalPaths:
 
 
 def _single_kernel(
-    a: Floats,  # (n, 2)
-    b: Floats,  # (m, 2)
-    parameters: ChannelParameters,
-    added_m2: Floats | None = None,  # (m,) added to the squared distances
+    a: Floats, b: Floats, parameters: ChannelParameters, added_m2: Floats | None = None
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Return distances and shadowing covariances of positions `a` and `b`; both ``(n, m)``."""
+    # Shapes: a (n, 2); b (m, 2); added_m2 (m,), added to the squared distances.
     # Offsets from the mean of `a` are rounded to float32, so coordinates near 3e6 keep their
     # digits.
     middle = a.mean(axis=0)

@@ -281,12 +281,10 @@ def by_positions(found: PathDerivatives, gates: Gates | None) -> PathDerivatives
 
 
 def by_stages(
-    value: float,
-    gradient: Floats,  # (h, c)
-    hessian: Floats,  # (h, c, h, c)
-    inputs: Sequence[Derivatives],
+    value: float, gradient: Floats, hessian: Floats, inputs: Sequence[Derivatives]
 ) -> PathDerivatives:
     """Return derivatives w.r.t. positions of a value that depends on c inputs per stage."""
+    # Shapes: gradient (h, c); hessian (h, c, h, c).
     steps = len(gradient)
     slopes = np.stack([each.gradient for each in inputs], axis=1)
     bent = np.stack([each.hessian for each in inputs], axis=1)

@@ -106,10 +106,8 @@ class FilteredTracking:
 
 
 def left(received: Floats, settings: FilteredTracking) -> Floats:
-    """Return the criterion of the target's position covariance, as a weighted sum over steps.
-
-    The filter runs in place, because searches evaluate hundreds of paths over all steps.
-    """
+    """Return the criterion of the target's position covariance, as a weighted sum over steps."""
+    # The filter runs in place, because searches evaluate hundreds of paths over all steps.
     # Shapes: received (..., k), information of the packets per axis in 1 / m^2.
     weight, steps = settings.tracking.weight, Axis.of(settings)
     total = np.zeros(received.shape[:-1])
@@ -194,10 +192,8 @@ class Retreats:
     connected: int  # Number of known connected retreats; they come first
 
     def nearest_connected(self, stops_m: Floats) -> tuple[Floats, Floats]:
-        """Return the known connected positions (c, 2) nearest to stops, and distances in steps.
-
-        A stop itself does not count. If there is none, return the stop at infinite distance.
-        """
+        """Return the known connected positions (c, 2) nearest to stops, and distances in steps."""
+        # A stop itself does not count. If there is none, return the stop at infinite distance.
         if not self.connected:
             return stops_m, np.full(len(stops_m), np.inf)
         places = self.places_m[: self.connected]
@@ -221,12 +217,10 @@ class Retreats:
 
 
 def retreats_of(
-    connected_m: Floats,  # (n, 2)
-    target_chance: Floats,  # (k,)
-    settings: FilteredTracking,
-    longest_m: float,
+    connected_m: Floats, target_chance: Floats, settings: FilteredTracking, longest_m: float
 ) -> Retreats:
     """Return alternatives to a path's end: known connected and expected target positions."""
+    # Shapes: connected_m (n, 2); target_chance (k,).
     tracking = settings.tracking
     target = tracking.target_m
     certain = sensing_information(tracking.sensor, connected_m[:, None], target)
@@ -240,13 +234,11 @@ def retreats_of(
 
 
 def recourse_costs(
-    paths_m: Floats,  # (c, N, 2)
-    chance: Floats,  # (c, N) probability of connection after each step
-    retreats: Retreats,
-    others: Floats,  # (k,) expected information of the other robots' packets, per m^2
-    settings: FilteredTracking,
+    paths_m: Floats, chance: Floats, retreats: Retreats, others: Floats, settings: FilteredTracking
 ) -> Floats:
     """Return the expected cost of paths whose ends are probed (equation 4.22); ``(c,)``."""
+    # Shapes: paths_m (c, N, 2); chance (c, N), probability of connection after each step; others
+    # (k,), expected information of the other robots' packets, per m^2.
     steps, tracking = chance.shape[1], settings.tracking
     arrivals = last_arrivals(paths_m)
     at_stop = np.arange(len(tracking.target_m)) >= arrivals[:, None]
@@ -274,17 +266,13 @@ def stayed_steps(paths_m: Floats) -> int:
 
 
 def at_ends(
-    paths_m: Floats,  # (c, N, 2)
-    arrivals: Indices,
-    retreats: Retreats,
-    settings: FilteredTracking,
+    paths_m: Floats, arrivals: Indices, retreats: Retreats, settings: FilteredTracking
 ) -> Floats:
-    """Return the information per step after a successful and a failed probe (equation 4.21).
-
-    Shape (2, c, k). After a successful probe the robot stays during the first `STAYED_STEPS` steps.
-    A path that ends with its first step probes nothing. Without these two rules, a robot at rest
-    would score like one that moves, because in the model it may leave at any step.
-    """
+    """Return the information per step after a successful and a failed probe (equation 4.21)."""
+    # Shapes: paths_m (c, N, 2).
+    # Shape (2, c, k). After a successful probe the robot stays during the first `STAYED_STEPS`
+    # steps. A path that ends with its first step probes nothing. Without these two rules, a robot
+    # at rest would score like one that moves, because in the model it may leave at any step.
     tracking, stops = settings.tracking, paths_m[:, -1]
     staying = sensing_information(tracking.sensor, stops[:, None], tracking.target_m)
     later = np.arange(len(tracking.target_m)) >= stayed_steps(paths_m)
@@ -347,11 +335,9 @@ def delayed_costs(
 
 
 def arrival_chance(chance: Floats, held: int) -> Floats:
-    """Return P(the station has the measurement of step s by step k); (N, M + N, c).
-
-    Correlated shadowing makes packets arrive or fail together. The result is therefore the largest
-    probability of the packets sent from step s to k; it is zero for s > k.
-    """
+    """Return P(the station has the measurement of step s by step k); (N, M + N, c)."""
+    # Correlated shadowing makes packets arrive or fail together. The result is therefore the
+    # largest probability of the packets sent from step s to k; it is zero for s > k.
     # Shapes: chance (c, N).
     count, length = chance.shape
     found = np.zeros((length, held + length, count))
@@ -391,11 +377,9 @@ def _variance_on_path(
 def _return_paths(
     stops_m: Floats, leaving: Indices, retreats: Retreats, total: int
 ) -> tuple[Floats, Floats]:
-    """Return straight paths to the nearest connected position ``(c, k, 2)`` and arrival steps.
-
-    Each robot stays at its stop until step `leaving` (c,) ends. The arrival step is infinite if no
-    connected position is known.
-    """
+    """Return straight paths to the nearest connected position ``(c, k, 2)`` and arrival steps."""
+    # Each robot stays at its stop until step `leaving` (c,) ends. The arrival step is infinite if
+    # no connected position is known.
     home_m, steps = retreats.nearest_connected(stops_m)
     driven = np.maximum(np.arange(total) - leaving[:, None], 0.0)
     share = np.where(np.isfinite(steps)[:, None], driven / np.maximum(steps, 1.0)[:, None], 0.0)

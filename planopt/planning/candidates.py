@@ -197,10 +197,9 @@ class Scorer:
         return replace(candidate, found=found)
 
     def standing(self, horizon: int) -> Candidate:
-        """Return a candidate that waits or, if waiting is unsafe, one that avoids collisions.
-
-        The alternatives are the reservation, which other robots avoid, and a path out of obstacles.
-        """
+        """Return a candidate that waits or, if waiting is unsafe, one that avoids collisions."""
+        # The alternatives are the reservation, which other robots avoid, and a path out of
+        # obstacles.
         place = np.tile(self.position_m, (horizon, 1))
         found = self.assessed(self.candidate(place, Rung.STOP, Termination.NO_PATH))
         if found.sound:
@@ -290,10 +289,8 @@ def verified_of(candidates: Sequence[Candidate]) -> list[Candidate]:
 def best_of(
     scorer: Scorer, candidates: Sequence[Candidate], warm: Plan | None, least: float = -math.inf
 ) -> Candidate:
-    """Return the best verified candidate, or a fallback if no candidate is verified.
-
-    An unverified candidate is released only if its value is at least `least`.
-    """
+    """Return the best verified candidate, or a fallback if no candidate is verified."""
+    # An unverified candidate is released only if its value is at least `least`.
     verified = verified_of(candidates)
     if verified:
         return with_effort(max(verified, key=scorer.score), candidates)
@@ -319,10 +316,8 @@ def with_effort(chosen: Candidate, candidates: Sequence[Candidate]) -> Candidate
 
 
 def shifted_path(scorer: Scorer, warm: Plan | None) -> Floats | None:
-    """Return a verified plan shifted by one step (N, 2), with a waiting step at its end.
-
-    None if the plan is unverified, no longer drivable, or for a robot with dynamics.
-    """
+    """Return a verified plan shifted by one step (N, 2), with a waiting step at its end."""
+    # None if the plan is unverified, no longer drivable, or for a robot with dynamics.
     if warm is None or warm.verdict is not Verdict.VERIFIED or warm.drive is not None:
         return None
     rest = np.vstack([warm.positions_m[2:], warm.positions_m[-1:]])

@@ -87,12 +87,10 @@ def required_margins_db(problem: Problem, power: Prediction) -> Floats:
     )
 
 
-def holes_along(
-    places_m: Floats,  # (n, 2) positions of the path
-    connectivity: Floats,  # (n,) P(connected)
-    is_below: Mask,  # (n,) whether P(connected) violates the bound
-) -> tuple[Hole, ...]:
+def holes_along(places_m: Floats, connectivity: Floats, is_below: Mask) -> tuple[Hole, ...]:
     """Return the coverage holes of a path with known probabilities of connection."""
+    # Shapes: places_m (n, 2), positions of the path; connectivity (n,), P(connected); is_below
+    # (n,), whether P(connected) violates the bound.
     lengths = np.linalg.norm(np.diff(places_m, axis=0), axis=1)
     share = 0.5 * (is_below[:-1].astype(float) + is_below[1:]) * lengths
     edges = np.flatnonzero(np.diff(np.concatenate([[0], is_below.astype(int), [0]])))
@@ -374,10 +372,8 @@ def _excused(proof: Certificate, number: int, step: int) -> Excused:
 
 
 def worst_of(certificates: Sequence[Certificate]) -> Certificate:
-    """Return a certificate with the worst value of each entry, without the violating steps.
-
-    Costs are those of the plan, and of the step, with the largest excess over the cheapest path.
-    """
+    """Return a certificate with the worst value of each entry, without the violating steps."""
+    # Costs are those of the plan, and of the step, with the largest excess over the cheapest path.
     paths = [
         (one.excess_m, one.path_cost_m, one.best_cost_m)
         for one in certificates

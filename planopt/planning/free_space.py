@@ -95,12 +95,10 @@ NEARER_M = 1e-9
 def leaving_path(
     problem: Problem, index: ObstacleIndex, moving: MovingDiscs, position_m: Floats
 ) -> Floats | None:
-    """Return a path (N, 2) whose first step leaves violated clearances, bounds or separations.
-
-    After drift or next to a new obstacle, a robot may have no safe plan. Of the moves that reduce
-    no distance, the one with the least violation at its end, then the shortest, is chosen; it may
-    cross obstacles that contain the robot. None if no constraint is violated or no move helps.
-    """
+    """Return a path (N, 2) whose first step leaves violated clearances, bounds or separations."""
+    # After drift or next to a new obstacle, a robot may have no safe plan. Of the moves that reduce
+    # no distance, the one with the least violation at its end, then the shortest, is chosen; it may
+    # cross obstacles that contain the robot. None if no constraint is violated or no move helps.
     # Shapes: position_m (2,).
     horizon = problem.planner.horizon
     lengths = (problem.step_length_m - STEP_PAD_M) * np.arange(1, LENGTHS + 1) / LENGTHS
@@ -135,10 +133,8 @@ def leaving_path(
 
 
 def _inside_m(index: ObstacleIndex, places_m: Floats) -> tuple[Floats, ObstacleIndex]:
-    """Return the depth of each position (n, 2) in an obstacle group, and the other obstacles.
-
-    The group contains the obstacles around the first position and all that intersect them.
-    """
+    """Return the depth of each position (n, 2) in an obstacle group, and the other obstacles."""
+    # The group contains the obstacles around the first position and all that intersect them.
     points = np.asarray(shapely.points(places_m), np.object_)
     about = index.tree.query(points[0], predicate="within")
     if not len(about):

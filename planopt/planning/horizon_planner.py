@@ -240,10 +240,8 @@ class HorizonPlanner:
         return scorer.plan_from(chosen, wall_s=perf_counter() - begun)
 
     def _exit_path(self, context: StepContext, starts: list[Guess]) -> Floats | None:
-        """Return a path (N, 2) to an unmeasured position if no guess yields measurements.
-
-        Otherwise None, also if no term uses measurements or no unmeasured position is left.
-        """
+        """Return a path (N, 2) to an unmeasured position if no guess yields measurements."""
+        # Otherwise None, also if no term uses measurements or no unmeasured position is left.
         terms = self.problem.terms
         if not any(term.is_measured for term in terms) or not all(
             term.is_measured or term.structure == "chain" for term in terms

@@ -295,10 +295,8 @@ def _numbers(key: str, values: object) -> Floats:
 def with_measurements(
     problem: Problem, measurements: UserMeasurements | None
 ) -> tuple[Problem, tuple[Measurements, ...] | None]:
-    """Return the problem without its own measurements, and the user's as a table per station.
-
-    Without user measurements, return the unchanged problem and None.
-    """
+    """Return the problem without its own measurements, and the user's as a table per station."""
+    # Without user measurements, return the unchanged problem and None.
     if measurements is None:
         return problem, None
     by_station = measurements_by_station(problem, measurements)

@@ -204,10 +204,8 @@ def share_gained(gain: float, lattice: float, refined: float) -> float:
 
 
 def shifted_drive(problem: Problem, warm: Plan | None) -> Drive | None:
-    """Return a drive shifted by one step, for a robot with dynamics, with braking at its end.
-
-    The plan need not be verified, since the swept area does not depend on the channel.
-    """
+    """Return a drive shifted by one step, for a robot with dynamics, with braking at its end."""
+    # The plan need not be verified, since the swept area does not depend on the channel.
     dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
     if warm is None or warm.drive is None:
         return None

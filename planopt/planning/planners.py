@@ -273,10 +273,8 @@ class LawnmowerPlanner:
 
 
 def lawn_tour(road_map: RoadMap, first: int, apart_m: float) -> Indices:
-    """Return the nodes of a tour in lanes over all space reachable from `first`, move by move.
-
-    The lane spacing is `apart_m`, rounded to rows of nodes.
-    """
+    """Return the nodes of a tour in lanes over all space reachable from `first`, move by move."""
+    # The lane spacing is `apart_m`, rounded to rows of nodes.
     tour = [first]
     low, high = int(road_map.rows.min()), int(road_map.rows.max())
     lanes = lane_rows(low, high, apart_m / road_map.lattice.spacing_m)

@@ -128,13 +128,10 @@ class ReachPlanner:
             self._refinement = Refinement(problem, scene, others)
 
     def plan(
-        self,
-        belief: Belief,
-        state: Floats,  # (s,)
-        warm: Plan | None = None,
-        history: History = BEGINNING,
+        self, belief: Belief, state: Floats, warm: Plan | None = None, history: History = BEGINNING
     ) -> Plan:
         """Return a plan from `state` with the current belief."""
+        # Shapes: state (s,).
         return self.release(self.outlook(belief, state, history), warm)
 
     def outlook(self, belief: Belief, state: Floats, history: History = BEGINNING) -> Outlook:
@@ -257,10 +254,8 @@ class ReachPlanner:
         lattice: Candidate,
         warm: Plan | None,
     ) -> list[tuple[Floats, Rung]]:
-        """Return initial guesses (N, 2), best first; RELAXED ones violate the chance constraint.
-
-        If the shifted last plan costs less than the lattice path, it is the best guess.
-        """
+        """Return initial guesses (N, 2), best first; RELAXED ones violate the chance constraint."""
+        # If the shifted last plan costs less than the lattice path, it is the best guess.
         problem = self.problem
         guesses = [(start.path_m, Rung.RELAXED)]
         if not (start.margin_db < 0.0).any():

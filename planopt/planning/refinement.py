@@ -97,10 +97,8 @@ MISSING_DB_COST = 100.0
 
 
 def tightened(task: PathTask, rows: RuleRows, power: Prediction, *, feasible: bool) -> Floats:
-    """Return a task's constraint bounds, tightened by the local model's error at its path.
-
-    With `feasible`, constraints that the path satisfies by the exact `power` stay feasible.
-    """
+    """Return a task's constraint bounds, tightened by the local model's error at its path."""
+    # With `feasible`, constraints that the path satisfies by the exact `power` stay feasible.
     local, per_db = task.evaluate(task.path_m).rows, rows.per_db(power)
     missing = rows.total - rows.achieved(power)
     bound = missing + local + LOCAL_PAD_DB * per_db
@@ -109,11 +107,9 @@ def tightened(task: PathTask, rows: RuleRows, power: Prediction, *, feasible: bo
 
 
 def with_bounds(task: PathTask, context: StepContext, rows: RuleRows) -> PathTask:
-    """Return the task with connectivity constraints, relaxed where the guess violates them.
-
-    All rows have bounded slack at its price. A row that the guess violates by more has unlimited
-    slack at a higher price.
-    """
+    """Return the task with connectivity constraints, relaxed where the guess violates them."""
+    # All rows have bounded slack at its price. A row that the guess violates by more has unlimited
+    # slack at a higher price.
     constraints = context.problem.constraints
     if not constraints.requires_connection:
         return task
@@ -136,11 +132,9 @@ def with_bounds(task: PathTask, context: StepContext, rows: RuleRows) -> PathTas
 def lacks(
     context: StepContext, power: Prediction, rows: RuleRows, held: Mask, *, firmly: bool = False
 ) -> bool:
-    """Return whether these powers violate a constraint row that the solver enforced (`held`).
-
-    With `firmly`, a margin below the error of search predictions counts as a violation, since
-    verification may be expensive.
-    """
+    """Return whether these powers violate a constraint row that the solver enforced (`held`)."""
+    # With `firmly`, a margin below the error of search predictions counts as a violation, since
+    # verification may be expensive.
     unsure = firmly and rows.weight is None and not is_search_exact(context.posterior)
     most = -SEARCH_ERROR_DB if unsure else MARGIN_TOLERANCE_DB
     return bool((rows.shortfall_db(power)[held] > most).any())
@@ -184,11 +178,9 @@ def goal_value(
 
 
 def arrival_step(problem: Problem, path_m: Floats) -> int | None:
-    """Return the step (1..N) from which a path (N, 2) to a goal waits; None if it never does.
-
-    A guess that waits at its end has arrived, at the goal or a waiting position. A refinement over
-    the whole horizon would never arrive.
-    """
+    """Return the step (1..N) from which a path (N, 2) to a goal waits; None if it never does."""
+    # A guess that waits at its end has arrived, at the goal or a waiting position. A refinement
+    # over the whole horizon would never arrive.
     standing = np.linalg.norm(path_m - path_m[-1], axis=1) <= STANDSTILL_M
     arrival = len(path_m) - int(np.argmin(standing[::-1])) if not standing.all() else 0
     dwells = is_at_goal(problem, path_m[-1]) or arrival < len(path_m) - 1
@@ -378,10 +370,8 @@ class Refinement:
     def _lines_about(
         self, context: StepContext, path_m: Floats, drive: Drive | None, count: int
     ) -> tuple[SeparatingLines, SeparatingLines]:
-        """Return `count` lines per segment of a guess (N, 2), and those of its braking segment.
-
-        The last lines of each are for discs that move after the plan.
-        """
+        """Return `count` lines per segment of a guess (N, 2), and those of its braking segment."""
+        # The last lines of each are for discs that move after the plan.
         problem, discs, pieces = self._problem, context.moving, self._ground.pieces
         ends, tail = np.vstack([context.position_m, path_m]), self._tail(discs)
         reach = LINE_REACH_STEPS * problem.step_length_m

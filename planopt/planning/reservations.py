@@ -25,12 +25,9 @@ from planopt.world.motion import TimedMotion, step_distances_m
 from planopt.world.moving_discs import MovingDiscs, joined_discs, predicted_discs
 
 
-def reserved_path(
-    position_m: Floats,  # (2,)
-    last_path_m: Floats | None,  # (N + 1, 2)
-    horizon: int,
-) -> Floats:
+def reserved_path(position_m: Floats, last_path_m: Floats | None, horizon: int) -> Floats:
     """Return the reserved positions of a single integrator over the horizon; ``(N + 1, 2)``."""
+    # Shapes: position_m (2,); last_path_m (N + 1, 2).
     if last_path_m is None:
         return np.tile(position_m, (horizon + 1, 1))
     return np.vstack([last_path_m[1:], last_path_m[-1:]])

@@ -95,10 +95,8 @@ def smooth_route(
 def cleared(
     index: ObstacleIndex, clearance_m: float, path_m: Floats, longest_m: float
 ) -> Floats | None:
-    """Return a path (n, 2) whose points are moved out of the clearance; None if that fails.
-
-    Its ends stay. Points are added between points whose connection is too close to an obstacle.
-    """
+    """Return a path (n, 2) whose points are moved out of the clearance; None if that fails."""
+    # Its ends stay. Points are added between points whose connection is too close to an obstacle.
     path = stops_along(path_m, longest_m)
     for _ in range(CLEARINGS):
         blocked = ~segments_clear(index, path[:-1], path[1:], clearance_m)
@@ -251,11 +249,9 @@ def smooth_steps(
     places_m: Floats,
     longest_m: float,
 ) -> Floats:
-    """Return positions (k + 1, 2) moved to reduce the cost of the legs; first and last stay.
-
-    `leg_value` maps starts and ends (n, k, 2) of the k legs to costs (n, k), infinite if a leg is
-    not allowed.
-    """
+    """Return positions (k + 1, 2) moved to reduce the cost of the legs; first and last stay."""
+    # `leg_value` maps starts and ends (n, k, 2) of the k legs to costs (n, k), infinite if a leg is
+    # not allowed.
     places = places_m.copy()
     choices, still = len(ROUND), len(ROUND) // 2
     for unit in (longest_m * STEP_UNITS).tolist():
@@ -468,10 +464,8 @@ class RouteSmoothing:
         return np.array(found[::-1]), rest[number][1:]
 
     def _thinned(self, route_m: Floats) -> list[int]:
-        """Return indices of vertices about a step apart that collision-free legs connect.
-
-        The numbers count from the vertex after the first. There are at most `WINDOW`.
-        """
+        """Return indices of vertices about a step apart that collision-free legs connect."""
+        # The numbers count from the vertex after the first. There are at most `WINDOW`.
         lengths = np.linalg.norm(np.diff(route_m, axis=0), axis=1)
         along = np.concatenate([[0.0], lengths.cumsum()])
         kept = [0]

@@ -42,10 +42,8 @@ class Ground:
 
 
 def build_ground(problem: Problem, anchor_m: Floats, shared: Ground | None = None) -> Ground:
-    """Return the geometry of a problem, with a lattice node at `anchor_m` (2,).
-
-    `shared` is the ground of another robot, whose obstacles are reused.
-    """
+    """Return the geometry of a problem, with a lattice node at `anchor_m` (2,)."""
+    # `shared` is the ground of another robot, whose obstacles are reused.
     workspace = problem.workspace
     return Ground(
         index_obstacles(workspace) if shared is None else shared.index,
@@ -201,10 +199,8 @@ def taut_turns(
     corners_m: Floats,  # (n, 2)
     is_cheap: Callable[[int], Mask] | None = None,
 ) -> Floats:
-    """Return the turns (m, 2) of a path, each the farthest corner visible from its predecessor.
-
-    `is_cheap` maps a corner's index to a mask of the later corners with a cheap straight leg.
-    """
+    """Return the turns (m, 2) of a path, each the farthest corner visible from its predecessor."""
+    # `is_cheap` maps a corner's index to a mask of the later corners with a cheap straight leg.
     turns, last = [corners_m[0]], 0
     while last < len(corners_m) - 1:
         ahead = corners_m[last + 1 :]
@@ -235,13 +231,10 @@ def stops_along(corners_m: Floats, longest_m: float) -> Floats:
     return np.concatenate(stops)
 
 
-def retime(
-    start_m: Floats,  # (2,) position of the robot
-    path_m: Floats,  # (N, 2) its path; final waiting steps mean arrival
-    beyond_m: Floats,  # (b, 2)
-    step_m: float,
-) -> Floats:
+def retime(start_m: Floats, path_m: Floats, beyond_m: Floats, step_m: float) -> Floats:
     """Return N positions `step_m` apart along the polyline of a path and its route; ``(N, 2)``."""
+    # Shapes: start_m (2,), position of the robot; path_m (N, 2), its path; final waiting steps mean
+    # arrival; beyond_m (b, 2).
     horizon = len(path_m)
     arrived = horizon > 1 and bool((path_m[-1] == path_m[-2]).all())
     line = np.vstack([start_m, path_m] if arrived else [start_m, path_m, beyond_m])

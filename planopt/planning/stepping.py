@@ -370,11 +370,9 @@ class Stepper:
         ]
 
     def _goes_on(self, number: int, state: Floats) -> bool:
-        """Return whether a robot is on its previous plan and may continue it.
-
-        Off its plan, a robot with dynamics cannot drive the remainder, and other robots do not
-        avoid it.
-        """
+        """Return whether a robot is on its previous plan and may continue it."""
+        # Off its plan, a robot with dynamics cannot drive the remainder, and other robots do not
+        # avoid it.
         plan, robot = self._warm[number], self.problem.robots[number]
         if plan is None:
             return False

@@ -66,12 +66,10 @@ class TargetPrediction:
 
 
 def simulate_target(
-    model: TargetModel,
-    start: Floats,  # (4,) x_0: position in metres, velocity in metres per second
-    steps: int,
-    generator: np.random.Generator,
+    model: TargetModel, start: Floats, steps: int, generator: np.random.Generator
 ) -> Floats:
     """Return simulated states x_0 .. x_steps of one target; ``(steps + 1, 4)``."""
+    # Shapes: start (4,), x_0: position in metres, velocity in metres per second.
     state = require_state(start)
     if steps < 0:
         raise InputError(f"is {steps!r}, should be a number of steps of at least 0", key="steps")
@@ -159,10 +157,8 @@ def information_state(mean: Floats, covariance: Floats) -> InformationState:
 
 
 def predict(model: TargetModel, state: InformationState) -> InformationState:
-    """Return the prediction chi_{t+1|t} and J_{t+1|t} one step ahead.
-
-    chi_{t+1|t} = J_{t+1|t} A J^-1 chi = (I - K B') A^-T chi, K as in :func:`predicted_information`.
-    """
+    """Return the prediction chi_{t+1|t} and J_{t+1|t} one step ahead."""
+    # chi_{t+1|t} = J_{t+1|t} A J^-1 chi = (I - K B') A^-T chi, K as in `predicted_information`.
     moved = _moved(model, state.matrix)
     gain, _ = _gain(model, moved)
     vector = np.linalg.solve(model.transition.T, state.vector)
@@ -172,12 +168,10 @@ def predict(model: TargetModel, state: InformationState) -> InformationState:
 
 
 def predicted_information(model: TargetModel, matrix: Floats) -> Floats:
-    """Return the predicted information (A J^-1 A' + B Theta B')^-1 for a batch ``(..., 4, 4)``.
-
-    With M = A^-T J A^-1, T = (I + B' M B Theta)^-1 and K = M B Theta T, it is computed as
-    (I - K B') M (I - K B')' + M B T' Theta T B' M (matrix inversion lemma in Joseph form). Both
-    terms are positive semidefinite, so there is no cancellation.
-    """
+    """Return the predicted information (A J^-1 A' + B Theta B')^-1 for a batch ``(..., 4, 4)``."""
+    # With M = A^-T J A^-1, T = (I + B' M B Theta)^-1 and K = M B Theta T, it is computed as (I - K
+    # B') M (I - K B')' + M B T' Theta T B' M (matrix inversion lemma in Joseph form). Both terms
+    # are positive semidefinite, so there is no cancellation.
     moved = _moved(model, matrix)
     gain, inner = _gain(model, moved)
     rest = np.eye(4) - gain @ model.noise_gain.T
@@ -188,12 +182,10 @@ def predicted_information(model: TargetModel, matrix: Floats) -> Floats:
 
 
 def update(
-    state: InformationState,
-    measured_m: Floats,  # (n, 2)
-    noise_covariance_m2: Floats,  # (n, 2, 2) Lambda_i
-    delivered: Mask,  # (n,) lambda_i
+    state: InformationState, measured_m: Floats, noise_covariance_m2: Floats, delivered: Mask
 ) -> InformationState:
     """Return the state after delivered packets: chi += H' Lambda^-1 z, J += H' Lambda^-1 H."""
+    # Shapes: measured_m (n, 2); noise_covariance_m2 (n, 2, 2), Lambda_i; delivered (n,), lambda_i.
     count = len(delivered)
     if measured_m.shape != (count, 2) or noise_covariance_m2.shape != (count, 2, 2):
         raise InputError(
@@ -292,23 +284,19 @@ def noise_covariance_m2(sensor: Sensor, positions_m: Floats, target_m: Floats) -
 
 
 def sense(
-    sensor: Sensor,
-    positions_m: Floats,  # (n, 2) positions of the robots
-    target_m: Floats,  # (2,) position of the target
-    generator: np.random.Generator,
+    sensor: Sensor, positions_m: Floats, target_m: Floats, generator: np.random.Generator
 ) -> Floats:
     """Return a drawn target measurement per robot, z = p + noise of covariance Phi(q, p)."""
+    # Shapes: positions_m (n, 2), positions of the robots; target_m (2,), position of the target.
     deviation = np.sqrt(2.0 / sensing_information(sensor, positions_m, target_m))
     return target_m + deviation[:, None] * generator.standard_normal(positions_m.shape)
 
 
 def sensing_derivatives(sensor: Sensor, positions_m: Floats, target_m: Floats) -> Derivatives:
-    """Return the information 1 / g of a packet with gradient and Hessian w.r.t. q.
-
-    The result is exact at distances of at least `CUSP_SHARE` r_s from the target. At smaller
-    distances it uses the smoothed distance of :mod:`planopt.targets.rounding`; g is then too small
-    by at most 3/4 `CUSP_SHARE` varpi r_s^2.
-    """
+    """Return the information 1 / g of a packet with gradient and Hessian w.r.t. q."""
+    # The result is exact at distances of at least `CUSP_SHARE` r_s from the target. At smaller
+    # distances it uses the smoothed distance of `planopt.targets.rounding`; g is then too
+    # small by at most 3/4 `CUSP_SHARE` varpi r_s^2.
     offset = positions_m - target_m
     sweet = sensor.sweet_spot_m
     square = np.einsum("...i,...i->...", offset, offset)

@@ -149,13 +149,10 @@ class NearPairs:
 
 
 def open_moves(
-    index: ObstacleIndex,
-    positions_m: Floats,  # (ny, nx, 2) node positions
-    free: Mask,  # (ny, nx) nodes that keep the clearance
-    near: NearPairs,
-    clearance_m: float,
+    index: ObstacleIndex, positions_m: Floats, free: Mask, near: NearPairs, clearance_m: float
 ) -> Mask:
     """Return a mask of the moves from each node that end at a node and keep the clearance."""
+    # Shapes: positions_m (ny, nx, 2), node positions; free (ny, nx), nodes that keep the clearance.
     result = np.zeros((len(MOVES), *free.shape), dtype=np.bool_)
     result[0] = free
     places = positions_m.reshape(-1, 2)
@@ -192,14 +189,10 @@ def _ends(
 
 
 def _unsure(
-    near: NearPairs,
-    moves: Mask,  # (nodes,)
-    stride: int,
-    places_m: Floats,
-    clearance_m: float,
-    obstacles: int,
+    near: NearPairs, moves: Mask, stride: int, places_m: Floats, clearance_m: float, obstacles: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Return start node and obstacle of the moves that the Lipschitz bound does not decide."""
+    # Shapes: moves (nodes,).
     # A move is undecided only if both ends are among the pairs, because an end outside the pairs is
     # farther away than clearance plus move length.
     from_open = np.flatnonzero(moves[near.node])

@@ -59,11 +59,9 @@ class SteeringPath:
         return np.concatenate([np.cumsum(legs[::-1])[::-1], [0.0]])
 
     def next_turns(self, places_m: Floats) -> Indices:
-        """Return the index of the turn that each position (n, 2) heads for next.
-
-        Of the consecutive visible turns from the first visible one on, it is the last. If no turn
-        is visible, it is the start of the path.
-        """
+        """Return the index of the turn that each position (n, 2) heads for next."""
+        # Of the consecutive visible turns from the first visible one on, it is the last. If no turn
+        # is visible, it is the start of the path.
         found = np.zeros(len(places_m), dtype=np.intp)
         left = np.arange(len(places_m))
         last = self._ends_of_legs(places_m) if self.in_order else None

@@ -32,10 +32,8 @@ from planopt.short_repr import short_repr
 
 
 def library_remarks(file: str, problem: Problem, seed: int = 0) -> list[str]:
-    """Return the differences between a saved problem and the library's problem of that name.
-
-    Horizon, planner and cost-to-go are not compared because the file stores them separately.
-    """
+    """Return the differences between a saved problem and the library's problem of that name."""
+    # Horizon, planner and cost-to-go are not compared because the file stores them separately.
     original = library_folder() / f"{problem.name}{SUFFIX}"
     if not original.is_file():
         return [

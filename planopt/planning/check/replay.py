@@ -63,10 +63,8 @@ VALUES, NOISE = "values_db", "noise_variance_db2"
 
 
 def initial_belief(problem: Problem, first: Sequence[Measurements], saved: SavedBelief) -> Belief:
-    """Return the belief before the first step, fitted again with the saved channel parameters.
-
-    Fits on different machines differ slightly; saved and refitted parameters are compared.
-    """
+    """Return the belief before the first step, fitted again with the saved channel parameters."""
+    # Fits on different machines differ slightly; saved and refitted parameters are compared.
     learnt = learn_stations(problem, first)
     each = [
         _with_parameters(replace(own, further=()), record)
@@ -233,10 +231,8 @@ def _planning(saved: Saved) -> Planning:
 
 
 def _no_plan(saved: Saved, owns: Sequence[Problem], states: Sequence[Floats]) -> BlockedError:
-    """Return the error that ended a run, with the saved reason if it can be verified.
-
-    Valid reasons are obstacles that cut off a goal and a blocked path from a robot's position.
-    """
+    """Return the error that ended a run, with the saved reason if it can be verified."""
+    # Valid reasons are obstacles that cut off a goal and a blocked path from a robot's position.
     steps = len(saved.plans[0])
     message = (
         f"the run ends after step {steps}, planner.max_steps is "

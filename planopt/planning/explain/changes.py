@@ -163,10 +163,8 @@ def rounded(value: float, digits: int, down: bool) -> float:
 def bisected(
     suffices: Callable[[float], bool], least: float, most: float, count: int, settled: float = 0.0
 ) -> float:
-    """Bisect between `least` and `most` for the sufficient value nearest to `least`.
-
-    `most` must suffice; it may be smaller than `least`. At most `count` halvings are made.
-    """
+    """Bisect between `least` and `most` for the sufficient value nearest to `least`."""
+    # `most` must suffice; it may be smaller than `least`. At most `count` halvings are made.
     for _ in range(count):
         if abs(most - least) <= settled * most:  # Relative tolerance
             break
@@ -306,10 +304,8 @@ def _connection(case: Case) -> Fault | None:
 
 
 def _distances(case: Case) -> list[Fault]:
-    """Return violations of the distances to robots and moving obstacles at equal times.
-
-    Violations while a robot brakes after the last step count towards the last step.
-    """
+    """Return violations of the distances to robots and moving obstacles at equal times."""
+    # Violations while a robot brakes after the last step count towards the last step.
     discs, planned = case.moving, len(case.plan.positions_m) - 1
     motion = braked_motion(case.plan.positions_m, case.plan.drive, case.problem.planner.step_s)
     away = np.full((len(discs), planned), np.inf)
@@ -330,10 +326,8 @@ def _distances(case: Case) -> list[Fault]:
 def _best_score(
     problem: Problem, posteriors: Sequence[ChannelPosterior], score: Callable[[Prediction], Floats]
 ) -> float:
-    """Return the largest connectivity score that a counted step attains at a reachable position.
-
-    If steps may violate p_min at a price, the whole workspace counts as reachable.
-    """
+    """Return the largest connectivity score that a counted step attains at a reachable position."""
+    # If steps may violate p_min at a price, the whole workspace counts as reachable.
     law, index = connectivity_law(problem, posteriors), index_obstacles(problem.workspace)
     if is_priced(problem):
         places = build_goal_grid(problem, index).nodes_m

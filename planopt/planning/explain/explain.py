@@ -133,10 +133,8 @@ def _planned(
 def explain_no_plan(
     problem: Problem, seed: int, ends_s: float | None = None
 ) -> tuple[Relaxation, ...]:
-    """Return changes that would open a path to the goal in a problem without a plan.
-
-    With several robots, those that have no path even alone are explained.
-    """
+    """Return changes that would open a path to the goal in a problem without a plan."""
+    # With several robots, those that have no path even alone are explained.
     ends_s = process_time() + EXPLAINED_S if ends_s is None else ends_s
     try:
         belief = prepare(problem, seed).belief
@@ -200,10 +198,8 @@ def explain_crossing(
 def _cheapest_path(
     problem: Problem, scene: Scene, start_m: Floats, surcharge: Floats
 ) -> tuple[float, Floats]:
-    """Return cost and positions (n, 2) of the cheapest path from a position to the goal.
-
-    The cost per metre at each node is one plus its `surcharge` (n,).
-    """
+    """Return cost and positions (n, 2) of the cheapest path from a position to the goal."""
+    # The cost per metre at each node is one plus its `surcharge` (n,).
     road_map = scene.road_map
     paths = lattice_paths(road_map, scene.goal_node, 1.0 + surcharge)
     nodes, lengths = first_moves(scene, problem, start_m)
@@ -232,10 +228,8 @@ def open_scene(problem: Problem) -> Scene | None:
 
 
 def explain_no_path(problem: Problem, trials: Trials, joined: bool) -> tuple[Relaxation, ...]:
-    """Return changes, each of which alone would open a path around obstacles to the goal.
-
-    If free space connects start and goal (`joined`), only the lattice is too coarse.
-    """
+    """Return changes, each of which alone would open a path around obstacles to the goal."""
+    # If free space connects start and goal (`joined`), only the lattice is too coarse.
     if joined:
         clearance_m = problem.constraints.clearance_m
         return (*_clearance(problem, trials, clearance_m), *_step(problem, trials))
@@ -335,13 +329,9 @@ def explain_blocked(
     return tuple(found)
 
 
-def _widest(
-    road_map: RoadMap,
-    first: Indices,
-    goal: int,
-    score: Floats,  # (n,)
-) -> float:
+def _widest(road_map: RoadMap, first: Indices, goal: int, score: Floats) -> float:
     """Return the maximum over paths to the goal of the minimum score along the path."""
+    # Shapes: score (n,).
     levels = np.unique(score)
     low, high = 0, len(levels) - 1
     while low < high:

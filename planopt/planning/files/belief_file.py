@@ -137,15 +137,10 @@ def belief_arrays_of(
     }
 
 
-def known_before_steps(
-    belief: Belief,
-    first: int,
-    tracks_m: Sequence[Floats],  # (steps + 1, 2) each
-) -> NDArray[np.int64]:
-    """Return the number of measurements known when each step was planned; (steps,).
-
-    Measurements of a run are taken at visited positions, in order, at most one per visit.
-    """
+def known_before_steps(belief: Belief, first: int, tracks_m: Sequence[Floats]) -> NDArray[np.int64]:
+    """Return the number of measurements known when each step was planned; (steps,)."""
+    # Shapes: tracks_m (steps + 1, 2), each.
+    # Measurements of a run are taken at visited positions, in order, at most one per visit.
     taken = belief.posterior.measurements.positions_m
     count = first
     known: list[int] = []

@@ -166,10 +166,8 @@ def read_object(path: Path) -> tuple[Path, Mapping[str, Any]]:
 
 
 def saved_from(file: Path, data: Mapping[str, Any]) -> Saved:
-    """Return the plan or run of a JSON file that is already loaded.
-
-    Invalid content raises an InputError. Only a replay verifies the plans.
-    """
+    """Return the plan or run of a JSON file that is already loaded."""
+    # Invalid content raises an InputError. Only a replay verifies the plans.
     if data.get("format") != FORMAT:
         message = f"is {data['format']!r}, should be {FORMAT}" if "format" in data else "is missing"
         raise _damaged(file, "format", message)

@@ -49,10 +49,8 @@ class Progress:
 
 
 def goals_ending(problem: Problem, robots: Sequence[Progress]) -> tuple[Outcome, str] | None:
-    """Return the outcome of a run to goals; None while any robot can continue.
-
-    Arrived and waiting robots can still give way to others.
-    """
+    """Return the outcome of a run to goals; None while any robot can continue."""
+    # Arrived and waiting robots can still give way to others.
     ends = [_goal_ending(each) for each in robots]
     if len(robots) == 1:
         return ends[0]
@@ -114,12 +112,10 @@ def _stays(track: Sequence[Floats], step_length_m: float) -> bool:
 def terms_ending(
     problem: Problem, connected: Mask, robots: Sequence[Progress]
 ) -> tuple[Outcome, str] | None:
-    """Return the outcome of a run for a sum of terms and the reason; None if it continues.
-
-    The run ends if all robots that have to connect are connected, if all with goals have arrived,
-    if no robot can make progress, or after `planner.max_steps`. It has stalled if all robots are
-    stuck (at the step limit: any robot), unless no position is left to measure.
-    """
+    """Return the outcome of a run for a sum of terms and the reason; None if it continues."""
+    # The run ends if all robots that have to connect are connected, if all with goals have arrived,
+    # if no robot can make progress, or after `planner.max_steps`. It has stalled if all robots are
+    # stuck (at the step limit: any robot), unless no position is left to measure.
     # Shapes: connected (steps, robots).
     steps, term = len(connected), problem.terms[0]
     waiting = [robot.problem.terms[0].steers == "connection" for robot in robots]
@@ -320,10 +316,8 @@ def first_steps(
     count: int,
     recorded: Sequence[Sequence[Sequence[float]]] = (),  # (steps, robots, state)
 ) -> tuple[list[list[Plan]], list[list[Floats]]]:
-    """Return the plans and states of the first steps of a run, by step and robot.
-
-    Robots are set to recorded states, if any, so that rounding errors do not accumulate.
-    """
+    """Return the plans and states of the first steps of a run, by step and robot."""
+    # Robots are set to recorded states, if any, so that rounding errors do not accumulate.
     robots = Stepper(problem, belief, planning, target)
     made: list[list[Plan]] = []
     for step in range(len(recorded) or count):

@@ -234,11 +234,9 @@ def channel_row(
     )
 
 
-def target_log(
-    watches: Iterable[TargetWatch | None],
-    delivered: Mask,  # (steps, robots)
-) -> TargetLog | None:
+def target_log(watches: Iterable[TargetWatch | None], delivered: Mask) -> TargetLog | None:
     """Return the log of a target at the start and after each step; None without a target."""
+    # Shapes: delivered (steps, robots).
     known = [watch for watch in watches if watch is not None]
     if not known:
         return None

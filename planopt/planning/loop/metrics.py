@@ -62,10 +62,8 @@ ANY = (-np.inf, np.inf)
 def metrics_of(
     log: StepLog, plans: Sequence[Plan], learnt: Sequence[bool], arrival: int | None
 ) -> Metrics:
-    """Return the metrics of a robot; metrics over steps are NaN if there are none.
-
-    `learnt` flags steps with a measurement; `arrival` is the step of arrival at the goal.
-    """
+    """Return the metrics of a robot; metrics over steps are NaN if there are none."""
+    # `learnt` flags steps with a measurement; `arrival` is the step of arrival at the goal.
     lengths = np.linalg.norm(np.diff(log.positions_m, axis=0), axis=1)
     # A measured ground truth defines no connection between its readings.
     known = ~np.isnan(log.true_dbm[1:])
@@ -146,10 +144,8 @@ def _mean_of_known(values: Sequence[float]) -> float:
 
 
 def nis_interval(count: int) -> tuple[float, float]:
-    """Return the 95 % interval of the mean normalised innovation squared of a consistent filter.
-
-    The `count` values are independent, chi-square with two degrees of freedom (equation 4.19).
-    """
+    """Return the 95 % interval of the mean normalised innovation squared of a consistent filter."""
+    # The `count` values are independent, chi-square with two degrees of freedom (equation 4.19).
     return float(chdtri(2 * count, 0.975)) / count, float(chdtri(2 * count, 0.025)) / count
 
 
@@ -168,21 +164,16 @@ def run_holes(run: RobotRun) -> tuple[Hole, ...]:
 
 
 def true_serving_dbm(problem: Problem, truths: Sequence[Truth], positions_m: Floats) -> Floats:
-    """Return the true serving power (n,) at positions (n, 2), on the scale of the first station.
-
-    A robot is connected if this power reaches ``problem.stations[0].true_threshold_dbm``.
-    """
+    """Return the true serving power (n,) at positions (n, 2), on the scale of the first station."""
+    # A robot is connected if this power reaches `problem.stations[0].true_threshold_dbm`.
     powers = np.stack([true_power_dbm(truth, positions_m) for truth in truths])
     return serving_power_dbm(powers, [radio.true_threshold_dbm for radio in problem.stations])
 
 
-def step_log(
-    problem: Problem,
-    track_m: Floats,  # (steps + 1, 2) robot positions, the start first
-    true_dbm: Floats,  # (steps + 1,) true power there
-    plans: Sequence[Plan],
-) -> StepLog:
+def step_log(problem: Problem, track_m: Floats, true_dbm: Floats, plans: Sequence[Plan]) -> StepLog:
     """Return the step log of a robot; the prediction of row 0 is that of the first plan."""
+    # Shapes: track_m (steps + 1, 2), robot positions, the start first; true_dbm (steps + 1,), true
+    # power there.
 
     def column(at_start: float, values: Sequence[float]) -> Floats:
         return np.array([at_start, *values], dtype=float)
@@ -270,10 +261,8 @@ def run_costs(
     tracks_m: Sequence[Floats],  # (n + 1, 2) positions of each robot
     outcome: Outcome,
 ) -> dict[str, float]:
-    """Return the cost of a run to goals, of the clairvoyant paths, and their ratio.
-
-    Clairvoyant paths ignore other robots. The ratio is NaN for runs that did not arrive.
-    """
+    """Return the cost of a run to goals, of the clairvoyant paths, and their ratio."""
+    # Clairvoyant paths ignore other robots. The ratio is NaN for runs that did not arrive.
     if not road_maps:
         return {}
     index = index_obstacles(problem.workspace)

@@ -80,10 +80,8 @@ EvaluatePath = Callable[[Floats], Evaluation]
 
 
 def remembering(evaluate: EvaluatePath) -> EvaluatePath:
-    """Return `evaluate` with a cache for the last path.
-
-    Solvers request value, rows and derivatives at the same point in separate calls.
-    """
+    """Return `evaluate` with a cache for the last path."""
+    # Solvers request value, rows and derivatives at the same point in separate calls.
     key, last = b"", None
 
     def remembered(places_m: Floats) -> Evaluation:

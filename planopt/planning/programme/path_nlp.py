@@ -195,10 +195,8 @@ reachable terminal waypoint in 14 of 180 straight tasks; without them, in none."
 
 
 def near_start(shape: PathShape, *, until_settled: bool = False) -> dict[str, Any]:
-    """Return the options for refining a guess near the optimum.
-
-    With `until_settled`, a solve ends once iterations gain little, possibly before a KKT point.
-    """
+    """Return the options for refining a guess near the optimum."""
+    # With `until_settled`, a solve ends once iterations gain little, possibly before a KKT point.
     settled = SETTLED if shape.motion is None else DRIVEN_SETTLED
     driven = {} if shape.motion is None else DRIVEN
     return NEAR_START | driven | (settled if until_settled else {})
@@ -210,11 +208,9 @@ def build_path_nlp(
     budget_s: float | None = None,
     options: dict[str, Any] | None = None,
 ) -> PathNlp:
-    """Return a solver of the nonlinear programme for one problem structure.
-
-    A solve ends after `budget_s` seconds; None means no limit. `options` are IPOPT's; None means
-    those of :func:`near_start`.
-    """
+    """Return a solver of the nonlinear programme for one problem structure."""
+    # A solve ends after `budget_s` seconds; None means no limit. `options` are IPOPT's; None means
+    # those of `near_start`.
     n, source = shape.horizon, ValueSource()
     quantities: dict[str, tuple[int, int, Callable[[Evaluation], Any]]] = {
         "value": (1, CURVATURE[shape.structure](n), lambda at: at.value)

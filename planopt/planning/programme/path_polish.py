@@ -196,13 +196,10 @@ def tail_count(discs: MovingDiscs, horizon: int) -> int:
 
 
 def lines_about(
-    problem: Problem,
-    pieces: PackedPieces,
-    discs: MovingDiscs,
-    path_m: Floats,  # (N + 1, 2) the robot's position, then the guess
-    count: int,
+    problem: Problem, pieces: PackedPieces, discs: MovingDiscs, path_m: Floats, count: int
 ) -> SeparatingLines:
     """Return `count` separating lines per segment for nearby convex pieces and moving discs."""
+    # Shapes: path_m (N + 1, 2), the robot's position, then the guess.
     reach = LINE_REACH_STEPS * problem.step_length_m
     standing = count - moving_count(discs)
     lines = separating_lines(pieces, path_m[:-1], path_m[1:], standing, reach)

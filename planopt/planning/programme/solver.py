@@ -138,10 +138,8 @@ def kkt_residual(
     variable_bounds: Bounds,
     variable_multipliers: Floats,
 ) -> float:
-    """Return the unscaled KKT residual at a point; infinite if any part is NaN.
-
-    It is the maximum of stationarity, violation, wrong multiplier sign and complementarity.
-    """
+    """Return the unscaled KKT residual at a point; infinite if any part is NaN."""
+    # It is the maximum of stationarity, violation, wrong multiplier sign and complementarity.
     free = variable_bounds.lower < variable_bounds.upper
     stationarity = gradient + jacobian.T @ row_multipliers + variable_multipliers
     parts = [np.abs(stationarity[free])]
@@ -219,11 +217,9 @@ def call_nlp(
     variable_bounds: Bounds,
     row_bounds: Bounds,
 ) -> NlpPoint:
-    """Return the point found by a CasADi solver; a point of NaN if CasADi rejects the input.
-
-    The raw status is mapped because `unified_return_status` hides infeasible and NaN, and `success`
-    includes acceptable points.
-    """
+    """Return the point found by a CasADi solver; a point of NaN if CasADi rejects the input."""
+    # The raw status is mapped because `unified_return_status` hides infeasible and NaN, and
+    # `success` includes acceptable points.
     try:
         result = solver(
             x0=start,

@@ -167,10 +167,8 @@ def steps_ahead(problem: Problem) -> int:
 
 
 def obstacles_ahead(problem: Problem, driven: int) -> MovingDiscs:
-    """Return the predicted moving obstacles over the steps ahead, after `driven` steps of a run.
-
-    Predictions are renewed at every step; their uncertainty grows over the steps ahead.
-    """
+    """Return the predicted moving obstacles over the steps ahead, after `driven` steps of a run."""
+    # Predictions are renewed at every step; their uncertainty grows over the steps ahead.
     if not problem.workspace.moving:
         return NOTHING_MOVES
     settings = problem.planner

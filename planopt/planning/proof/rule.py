@@ -185,11 +185,9 @@ def rule_of(problem: Problem, legs_m: Floats | None = None) -> Rule:
 
 
 def whole_plan_result(case: PathCase) -> RuleResult:
-    """Return the result of a rule over all steps of a path, with the required slack.
-
-    The slack is the smallest threshold reduction for which the rule holds, or zero if no reduction
-    up to `slack_max_db` suffices.
-    """
+    """Return the result of a rule over all steps of a path, with the required slack."""
+    # The slack is the smallest threshold reduction for which the rule holds, or zero if no
+    # reduction up to `slack_max_db` suffices.
     result_at = case.rule.by_slack(case)
     hard = result_at(0.0)
     limit = case.problem.constraints.rule.slack_max_db or 0.0

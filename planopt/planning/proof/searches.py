@@ -99,10 +99,8 @@ def best_by_paths(
     looked: list[Places],
     spacing_m: float,
 ) -> tuple[float, ...]:
-    """Return the best margin (dB) of the positions reachable within each of k path lengths.
-
-    Negative margins are compared by straight distance, so a negative result is an upper bound.
-    """
+    """Return the best margin (dB) of the positions reachable within each of k path lengths."""
+    # Negative margins are compared by straight distance, so a negative result is an upper bound.
     paths = shortest_paths(index, bounds_m, start_m, clearance, float(reach_m[-1]), inner=True)
     places = np.concatenate([at for at, _ in looked])
     margins = np.concatenate([values for _, values in looked])
@@ -142,10 +140,8 @@ def _about(
 def _best_reached(
     paths: ShortestPaths, reach_m: Floats, places_m: Floats, margins_db: Floats, bound_db: Floats
 ) -> tuple[float, ...]:
-    """Return the largest margin of positions, sorted best first, within each of k path lengths.
-
-    If no position is within a path length, return the upper bound `bound_db` (k,) of all others.
-    """
+    """Return the largest margin of positions, sorted best first, within each of k path lengths."""
+    # If no position is within a path length, return the upper bound `bound_db` (k,) of all others.
     by_air = np.linalg.norm(places_m - paths.start_m, axis=1)
     length = np.full(len(places_m), np.nan)
     best: list[float] = []
@@ -190,10 +186,8 @@ def best_margins_by_step(
     clearance: float,
     may_reach: MayReach | None = None,
 ) -> tuple[float, ...]:
-    """Return the largest connectivity margin (dB) over the positions reachable by each step.
-
-    One grid serves all steps, so values never decrease unless the robot cannot wait.
-    """
+    """Return the largest connectivity margin (dB) over the positions reachable by each step."""
+    # One grid serves all steps, so values never decrease unless the robot cannot wait.
     radius = float(steps[-1]) * step_length_m
     spacing = step_length_m / (FINE_NODES if steps[-1] <= FINE_STEPS else COARSE_NODES)
     grid = grid_of(bounds_m, start_m, spacing, radius)

@@ -222,10 +222,8 @@ Commands = tuple[Floats, Floats]
 def commands_via(
     start_m: Floats, place_m: Floats, horizon: int, longest_m: float
 ) -> Commands | None:
-    """Return commands that lead to a position, straight or in an arc, and then onward or wait.
-
-    None if the position is not reachable within the horizon.
-    """
+    """Return commands that lead to a position, straight or in an arc, and then onward or wait."""
+    # None if the position is not reachable within the horizon.
     # Shapes: start_m, place_m (2,).
     offset = (place_m - start_m) / longest_m
     chord, heading = float(np.hypot(*offset)), math.atan2(offset[1], offset[0])
@@ -241,11 +239,9 @@ def commands_via(
 
 
 def arc_turn(chord: float, steps: int) -> float:
-    """Return the turn per step in rad with which `steps` unit steps end at distance `chord`.
-
-    For a turn a, ``chord = sin(steps a / 2) / sin(a / 2)`` decreases from `steps` to 0 for a in
-    (0, 2 pi / steps).
-    """
+    """Return the turn per step in rad with which `steps` unit steps end at distance `chord`."""
+    # For a turn a, `chord = sin(steps a / 2) / sin(a / 2)` decreases from `steps` to 0 for a in (0,
+    # 2 pi / steps).
     low, high = 0.0, 2.0 * math.pi / steps
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
@@ -291,10 +287,8 @@ def varied_paths(
     value: Callable[[Floats], Floats],
     budget: Budget = UNLIMITED,
 ) -> Floats:
-    """Return the best distinct paths after a few rounds of random bends and shifts of positions.
-
-    If terms have no gradients, this finds maxima that the fan misses, such as short first steps.
-    """
+    """Return the best distinct paths after a few rounds of random bends and shifts of positions."""
+    # If terms have no gradients, this finds maxima that the fan misses, such as short first steps.
     generator = np.random.default_rng(SEED)
     horizon, apart = int(paths_m.shape[1]), APART_STEPS * longest_m
     values = value(paths_m)

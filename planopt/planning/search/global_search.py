@@ -182,23 +182,19 @@ class GlobalSearch:
         return given, timed_places(path, places[found.route], step_m, steps), found
 
     def _has_wandered(self, history: History) -> bool:
-        """Return whether the robot has circled or driven too far to keep searching for contact.
-
-        Out of contact throughout, the shortest path costs ``1 + outage_price`` times its length. A
-        robot that has driven this far takes the shortest path, so that its run is at most
-        ``3 + 2 outage_price`` times as long as that path.
-        """
+        """Return whether the robot has circled or driven too far to keep searching for contact."""
+        # Out of contact throughout, the shortest path costs `1 + outage_price` times its length. A
+        # robot that has driven this far takes the shortest path, so that its run is at most `3 + 2
+        # outage_price` times as long as that path.
         if self._forbids:
             return False
         allowed = (1.0 + self._problem.reach.outage_price) * self._direct_m
         return history.has_circled or history.steps * self._problem.step_length_m > allowed
 
     def _cost_to_go_from(self, position_m: Floats) -> CostToGo:
-        """Return the cost-to-go to the goal near the robot and near the end of its plan.
-
-        The search radius follows from the cost-to-go one step ago. If it is too small, the search
-        covers all nodes.
-        """
+        """Return the cost-to-go to the goal near the robot and near the end of its plan."""
+        # The search radius follows from the cost-to-go one step ago. If it is too small, the search
+        # covers all nodes.
         scene, metre_cost = self._scene, self._metre_cost()
         node = node_at(scene.road_map, position_m)
         back_m = BACK_STEPS * self._problem.step_length_m
@@ -219,10 +215,8 @@ class GlobalSearch:
     def _within_rule(
         self, context: StepContext, cost_to_go: CostToGo, cheapest: Indices
     ) -> Indices:
-        """Return the cheapest path that satisfies the rule and makes enough progress.
-
-        Without one, return `cheapest`. With a slack limit, the rule has priority over progress.
-        """
+        """Return the cheapest path that satisfies the rule and makes enough progress."""
+        # Without one, return `cheapest`. With a slack limit, the rule has priority over progress.
         found: dict[bytes, Indices] = {}
         places = self._scene.road_map.nodes_m
 
@@ -301,10 +295,8 @@ class GlobalSearch:
         priced: bool,
         effort_s2_m2: float | None = None,
     ) -> Indices | None:
-        """Return the nodes (N,) of the cheapest path, with corrected predictions along it.
-
-        `effort_s2_m2` replaces the problem's effort weight.
-        """
+        """Return the nodes (N,) of the cheapest path, with corrected predictions along it."""
+        # `effort_s2_m2` replaces the problem's effort weight.
         if effort_s2_m2 is None:
             effort_s2_m2 = self._problem.reach.effort_weight_s2_m2
         problem, scene, margins = self._problem, self._scene, self.margins

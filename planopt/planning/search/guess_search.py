@@ -123,10 +123,8 @@ class StageRewards:
 
 
 def move_values(problem: Problem, lengths_m: Floats) -> Floats:
-    """Return the values of moves of these lengths: minus the energy of motion.
-
-    Waiting is excluded if another measurement at the same position is redundant.
-    """
+    """Return the values of moves of these lengths: minus the energy of motion."""
+    # Waiting is excluded if another measurement at the same position is redundant.
     value = np.zeros(len(lengths_m))
     for term in problem.terms:
         with calling(term, "move_reward", key="objective.terms"):
@@ -168,10 +166,8 @@ class Guess:
 
 
 def without_waiting(position_m: Floats, path_m: Floats) -> Floats:
-    """Return a path (N, 2) with the initial waiting steps moved to its end.
-
-    A refinement cannot do this, and a plan that waits first would be postponed at every step.
-    """
+    """Return a path (N, 2) with the initial waiting steps moved to its end."""
+    # A refinement cannot do this, and a plan that waits first would be postponed at every step.
     away = np.linalg.norm(path_m - position_m, axis=1) > STANDSTILL_M
     waits = int(away.argmax())
     return np.vstack([path_m[waits:], np.repeat(path_m[-1:], waits, axis=0)])
@@ -195,12 +191,10 @@ class GuessSearch:
         self._probed = ProbedPlaces(problem, ground) if probes else None
 
     def find_guesses(
-        self,
-        context: StepContext,
-        shifted_m: Floats | None,  # (N, 2) the last plan shifted by one step, or None
-        budget: Budget = UNLIMITED,
+        self, context: StepContext, shifted_m: Floats | None, budget: Budget = UNLIMITED
     ) -> list[Guess]:
         """Return initial guesses, best first; guesses that satisfy the rule precede the others."""
+        # Shapes: shifted_m (N, 2), the last plan shifted by one step, or None.
         problem = self._problem
         reach = problem.step_length_m * problem.planner.horizon
         self._field.refresh(context, reach)
@@ -248,10 +242,8 @@ class GuessSearch:
         return kept or paths
 
     def _lattice_paths(self, context: StepContext, budget: Budget) -> list[Floats]:
-        """Return the best lattice paths, one for each guide of the connectivity rule.
-
-        After the first path, the search stops once its time budget is spent.
-        """
+        """Return the best lattice paths, one for each guide of the connectivity rule."""
+        # After the first path, the search stops once its time budget is spent.
         found = False
 
         def search(guide: Guide) -> list[Floats]:

@@ -97,10 +97,8 @@ def first_steps_apart(discs: MovingDiscs, position_m: Floats, ends_m: Floats) ->
 
 
 def steps_apart(discs: MovingDiscs, step: int, starts_m: Floats, ends_m: Floats) -> Mask:
-    """Return a mask of straight motions (..., 2) in `step` (0-based) that avoid collisions.
-
-    A first step that begins too close to a disc is allowed if it moves away.
-    """
+    """Return a mask of straight motions (..., 2) in `step` (0-based) that avoid collisions."""
+    # A first step that begins too close to a disc is allowed if it moves away.
     if not len(discs):
         return np.ones(starts_m.shape[:-1], dtype=np.bool_)
     begin = discs.centres_m[:, step].reshape(-1, *([1] * (starts_m.ndim - 1)), 2)
@@ -355,10 +353,8 @@ class StageFrame:
 
 
 def _largest_in_disc(around: Floats) -> Floats:
-    """Return the maximum over the neighbours with dx^2 + dy^2 <= 5 of each node.
-
-    `around` (h + 4, w + 4) is two nodes wider on each side than the result (h, w).
-    """
+    """Return the maximum over the neighbours with dx^2 + dy^2 <= 5 of each node."""
+    # `around` (h + 4, w + 4) is two nodes wider on each side than the result (h, w).
     height, width = around.shape[0] - 2 * REACH, around.shape[1] - 2 * REACH
     three = np.maximum(around[:, 1 : width + 1], around[:, 2 : width + 2])
     np.maximum(three, around[:, 3 : width + 3], out=three)
@@ -419,12 +415,10 @@ class LatticeSearch:
     """Lattice search from one position, for any number of reward functions."""
 
     def __init__(
-        self,
-        moves: MoveValues,
-        first: Indices,  # (n, 2) end nodes (iy, ix) of the first step, n > 0
-        first_value: Floats,  # (n,) value of the first step to each node
-        horizon: int,
+        self, moves: MoveValues, first: Indices, first_value: Floats, horizon: int
     ) -> None:
+        # Shapes: first (n, 2), end nodes (iy, ix) of the first step, n > 0; first_value (n,), value
+        # of the first step to each node.
         shape = moves.table.lattice.shape
         low, high = first.min(axis=0), first.max(axis=0)
         self._moves, self._first, self._first_value = moves, first, first_value

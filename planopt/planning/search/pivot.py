@@ -70,10 +70,8 @@ class Ahead:
         return Pivot(place, float(self._start.cost_to_go.cost_m[node]), metre)
 
     def leading(self, end_m: Floats) -> Pivot:
-        """Return a pivot of the route from `end_m` (2,) that no path of N steps can reach.
-
-        With a reachable pivot, a solver could postpone the departure.
-        """
+        """Return a pivot of the route from `end_m` (2,) that no path of N steps can reach."""
+        # With a reachable pivot, a solver could postpone the departure.
         joined = self._joined(end_m)
         return self.pivot if joined is None else self._seen_from(joined[0], end_m)
 

@@ -148,10 +148,8 @@ def _search_within(
     least_stages: int,
     limit_s: float,
 ) -> TimedPath | None:
-    """Return the best path up to a cost limit, from nodes (m,) at which the first step may end.
-
-    Once all other robots have stopped, a static search completes the search in space and time.
-    """
+    """Return the best path up to a cost limit, from nodes (m,) at which the first step may end."""
+    # Once all other robots have stopped, a static search completes the search in space and time.
     to_go = costs.rate_s_m * costs.cost_to_go.cost_m
     stages: list[tuple[Indices, Indices]] = [(nodes, np.zeros(len(nodes), dtype=np.intp))]
     moved = (np.abs(np.diff(discs.centres_m, axis=1)) > 0.0).any(axis=(0, 2))
@@ -191,10 +189,8 @@ def _is_free(costs: TimedCosts, discs: MovingDiscs, step: int, route: Indices) -
 
 
 def _cost_to_go_past_standing(costs: TimedCosts, discs: MovingDiscs) -> CostToGo:
-    """Return the cost-to-go around the other robots' last positions, where they rest.
-
-    Nodes near a disc are blocked, so that no move between other nodes violates the separation.
-    """
+    """Return the cost-to-go around the other robots' last positions, where they rest."""
+    # Nodes near a disc are blocked, so that no move between other nodes violates the separation.
     road_map = costs.road_map
     factor = 1.0 + costs.surcharge_s_m[:-1] / costs.rate_s_m
     if len(discs):
@@ -208,10 +204,8 @@ def _cost_to_go_past_standing(costs: TimedCosts, discs: MovingDiscs) -> CostToGo
 def _next_stage(
     costs: TimedCosts, nodes: Indices, cost: Floats, discs: MovingDiscs, step: int, limit_s: float
 ) -> tuple[Indices, Floats, Indices]:
-    """Return the nodes reachable from nodes (m,) in one step, their costs and predecessors.
-
-    A node's successors equal its predecessors, since lattice moves are symmetric.
-    """
+    """Return the nodes reachable from nodes (m,) in one step, their costs and predecessors."""
+    # A node's successors equal its predecessors, since lattice moves are symmetric.
     road_map, count = costs.road_map, len(costs.road_map.nodes_m)
     half, to_go = 0.5 * costs.surcharge_s_m, costs.rate_s_m * costs.cost_to_go.cost_m
     targets = road_map.sources[nodes]

@@ -102,11 +102,9 @@ class Couriers:
         return max((plans, instead), key=lambda made: self._rank(made, must_move))
 
     def _rank(self, plans: Sequence[Plan], must_move: bool) -> tuple[bool, int, int]:
-        """Return a rank: whether separated, number of moving plans if required, verified plans.
-
-        If moving plans were not counted, two robots could block each other forever: waiting is
-        verified, whereas giving way may violate the chance constraint.
-        """
+        """Return a rank: whether separated, number of moving plans if required, verified plans."""
+        # If moving plans were not counted, two robots could block each other forever: waiting is
+        # verified, whereas giving way may violate the chance constraint.
         leading = sum(plan.rung not in STAYING for plan in plans) if must_move else 0
         verified = sum(plan.verdict is Verdict.VERIFIED for plan in plans)
         return keep_apart(self._problem, plans), leading, verified
@@ -125,12 +123,10 @@ class Couriers:
         return plan_in_turn(self._problem, at, self._order, kept, plan_one)
 
     def _courses(self, at: TeamMoment, outlooks: Sequence[Outlook]) -> list[Course] | None:
-        """Return separated courses and store their order; None if none are found.
-
-        If no order lets all arrive, some wait at refuges off the others' paths; robots that have
-        been at their goals plan last. If waiting robots block the way, all others make room for the
-        first robot that has not arrived.
-        """
+        """Return separated courses and store their order; None if none are found."""
+        # If no order lets all arrive, some wait at refuges off the others' paths; robots that have
+        # been at their goals plan last. If waiting robots block the way, all others make room for
+        # the first robot that has not arrived.
         for number, state in enumerate(at.states):
             at_goal = is_at_goal(self._planners[number].problem, state[:2])
             if at_goal and number not in self._arrived:
@@ -256,10 +252,8 @@ def planning(
     seeds: TeamSeeds,
     foreseen_m: Sequence[Floats] | None = None,  # (T, 2)
 ) -> Planning:
-    """Return a function that creates planners of steps, to goals or for a sum of terms.
-
-    The scenes belong to the initial obstacles and are rebuilt if obstacles change.
-    """
+    """Return a function that creates planners of steps, to goals or for a sum of terms."""
+    # The scenes belong to the initial obstacles and are rebuilt if obstacles change.
 
     def made(now: Problem, states: Sequence[Floats]) -> PlanStep:
         at_start = now.workspace.obstacles == problem.workspace.obstacles

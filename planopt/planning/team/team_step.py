@@ -131,11 +131,9 @@ class Member:
 
 
 def _valued_alone(plan: Plan, context: StepContext) -> Plan:
-    """Return the plan with its objective value recomputed in a fresh context.
-
-    Beyond `SEARCH_EXACT_LIMIT` measurements, predictions depend on the positions that are predicted
-    together, so values computed during a search are not reproducible.
-    """
+    """Return the plan with its objective value recomputed in a fresh context."""
+    # Beyond `SEARCH_EXACT_LIMIT` measurements, predictions depend on the positions that are
+    # predicted together, so values computed during a search are not reproducible.
     if len(context.posterior.measurements) <= SEARCH_EXACT_LIMIT:
         return plan
     value = ObjectiveValue(replace(context))(plan.positions_m[1:])
@@ -243,12 +241,10 @@ def _again_in_turn(
     plans: Sequence[Plan],
     aims: Sequence[Aim],
 ) -> tuple[list[Plan], list[Aim]]:
-    """Let each robot plan again with the other plans fixed, and return the better plans.
-
-    With F the objective of all plans together, F(p_i | others) = F(all) - F(others). Only a
-    verified plan of larger F(p_i | others) replaces a verified plan, so that F(all) never
-    decreases. Robots with individual weights compare by their own objective.
-    """
+    """Let each robot plan again with the other plans fixed, and return the better plans."""
+    # With F the objective of all plans together, F(p_i | others) = F(all) - F(others). Only a
+    # verified plan of larger F(p_i | others) replaces a verified plan, so that F(all) never
+    # decreases. Robots with individual weights compare by their own objective.
     chosen = list(aims)
 
     def plan_one(

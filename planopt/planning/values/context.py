@@ -39,12 +39,10 @@ ones hardly affect reachable positions."""
 
 
 def anticipated(
-    posteriors: Sequence[ChannelPosterior],
-    pending: Pending,
-    position_m: Floats,  # (2,) position of the robot
-    spacing_m: float,
+    posteriors: Sequence[ChannelPosterior], pending: Pending, position_m: Floats, spacing_m: float
 ) -> tuple[ChannelPosterior, ...]:
     """Return each station's channel posterior, updated with the others' measurements."""
+    # Shapes: position_m (2,), position of the robot.
     away = np.linalg.norm(pending.driven_m - position_m, axis=1)
     near = np.sort(np.argsort(away, kind="stable")[:MOST_DRIVEN])
     places = np.vstack([pending.driven_m[near], *pending.planned_m])
@@ -83,11 +81,9 @@ def structure_of(problem: Problem) -> Structure:
 
 
 def bends_guesses(problem: Problem, *, steered: bool = True) -> bool:
-    """Return whether the search adds a fan of paths in all directions to the lattice paths.
-
-    A fan is used for terms that couple the positions of a path, unless these terms propose paths
-    themselves: to probed positions, or along the path that the robot is `steered` along.
-    """
+    """Return whether the search adds a fan of paths in all directions to the lattice paths."""
+    # A fan is used for terms that couple the positions of a path, unless these terms propose paths
+    # themselves: to probed positions, or along the path that the robot is `steered` along.
     return any(
         term.structure == "full" and not term.probes_end and not (steered and term.steers)
         for term in problem.terms
@@ -150,11 +146,9 @@ class StepContext(VerifierContext):
         return target_model(self.problem)
 
     def power(self, places_m: Floats) -> Prediction:
-        """Return the power predicted for searches at `places_m` (n, 2), cached by position.
-
-        With many measurements the prediction is approximate and depends slightly on the positions
-        that are predicted together; released plans are evaluated separately.
-        """
+        """Return the power predicted for searches at `places_m` (n, 2), cached by position."""
+        # With many measurements the prediction is approximate and depends slightly on the positions
+        # that are predicted together; released plans are evaluated separately.
         keys = [place.tobytes() for place in np.asarray(places_m, dtype=np.float64)]
         new = {
             key: place for key, place in zip(keys, places_m, strict=True) if key not in self._power
@@ -204,10 +198,8 @@ class StepContext(VerifierContext):
 
     @cached_property
     def probing(self) -> MeasuringRule:
-        """Return the rule that decides at which positions the robot probes for a connection.
-
-        The robot's current position is excluded unless the last step was connected.
-        """
+        """Return the rule that decides at which positions the robot probes for a connection."""
+        # The robot's current position is excluded unless the last step was connected.
         return self._probing if self.history.steps else self._untried(self.position_m[None])
 
     @cached_property
@@ -217,11 +209,9 @@ class StepContext(VerifierContext):
         return self._untried(self.position_m[None] if lost else np.zeros((0, 2)))
 
     def _untried(self, here_m: Floats) -> MeasuringRule:
-        """Return the rule that excludes probes near lost packets and near `here_m` (k, 2).
-
-        Lost packets are measurements below the threshold, and earlier failures without a
-        measurement, because a connected measurement was close by.
-        """
+        """Return the rule that excludes probes near lost packets and near `here_m` (k, 2)."""
+        # Lost packets are measurements below the threshold, and earlier failures without a
+        # measurement, because a connected measurement was close by.
         known = [
             np.vstack([own.positions_m[own.power_dbm < threshold], here_m])
             for own, threshold in zip(
@@ -239,11 +229,9 @@ class StepContext(VerifierContext):
         return MeasuringRule(spacing, tuple(np.vstack([places, unmeasured]) for places in known))
 
     def probed(self, places_m: Floats, predicted: Floats) -> Floats:
-        """Return the probabilities of connection (...) of probes at positions (..., 2).
-
-        The probability is one at known connections and zero at other positions that a robot would
-        not probe. Elsewhere it is `predicted` (...).
-        """
+        """Return the probabilities of connection (...) of probes at positions (..., 2)."""
+        # The probability is one at known connections and zero at other positions that a robot would
+        # not probe. Elsewhere it is `predicted` (...).
         flat = places_m.reshape(-1, 2)
         found = np.where(self._probing.is_open(flat), predicted.reshape(-1), 0.0)
         connected = self.law.is_connected(flat)

@@ -67,10 +67,8 @@ def workspace_region(problem: Problem) -> Region:
 
 
 def region_near(problem: Problem, whole: Region, position_m: Floats) -> Region:
-    """Return the region `whole` with a fine grid near a robot's position (2,).
-
-    The coarse grid alone would strongly overestimate the value of plans through its nodes.
-    """
+    """Return the region `whole` with a fine grid near a robot's position (2,)."""
+    # The coarse grid alone would strongly overestimate the value of plans through its nodes.
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     reach = problem.step_length_m * (problem.planner.horizon + ROOM_STEPS)
     low = np.maximum(position_m - reach, (x_min, y_min))
@@ -127,11 +125,9 @@ def left_to_learn(
     here_m: Floats,  # (2,) position of the robot
     posteriors: Sequence[ChannelPosterior],
 ) -> Floats:
-    """Return the reachable positions (k, 2) that are worth measuring.
-
-    They are lattice nodes, or intermediate positions if all nodes are measured. If all terms have a
-    variance threshold, they are the positions of the workspace grid above the threshold.
-    """
+    """Return the reachable positions (k, 2) that are worth measuring."""
+    # They are lattice nodes, or intermediate positions if all nodes are measured. If all terms have
+    # a variance threshold, they are the positions of the workspace grid above the threshold.
     nodes = node_positions(lattice)[reachable_nodes(problem, index, lattice, here_m)]
     rule = MeasuringRule.of(posteriors, problem.channel.measure_spacing_m)
     limits = [term.variance_threshold for term in problem.terms if explores(term)]

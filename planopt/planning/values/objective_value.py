@@ -117,11 +117,9 @@ def slack_cost(at: StepContext, path_m: Floats) -> float:
 
 
 def rule_missing(at: StepContext, path_m: Floats) -> float:
-    """Return the rule's violation by a path (N, 2) beyond its slack; 0 if it is satisfied.
-
-    The unit is dB, summed over steps. For a rule over a whole plan it is the relative shortfall
-    times `SHARE_IN_DB`.
-    """
+    """Return the rule's violation by a path (N, 2) beyond its slack; 0 if it is satisfied."""
+    # The unit is dB, summed over steps. For a rule over a whole plan it is the relative shortfall
+    # times `SHARE_IN_DB`.
     constraints = at.problem.constraints
     if not constraints.requires_connection:
         return 0.0
@@ -238,10 +236,8 @@ class ReachCost:
         return 1.0 + self.outage_price * self._outage_share(places)
 
     def outage_charges(self, path_m: Floats) -> tuple[float, Floats]:
-        """Return the penalised fraction of a metre at the robot, and along a path (N, 2).
-
-        The second value, (N,), is the fraction if connection were impossible.
-        """
+        """Return the penalised fraction of a metre at the robot, and along a path (N, 2)."""
+        # The second value, (N,), is the fraction if connection were impossible.
         below = self._is_below(self.power(path_m))
         certain = outage_share(np.zeros(len(path_m)), below, self._everywhere)
         return float(self._outage_share(self.position_m[None])[0]), certain

@@ -118,10 +118,8 @@ LARGEST_FACTOR = 4.0
 def scaled_value(
     rule: Rule, context: StepContext, achieved: float, count: int, result: RuleResult
 ) -> float:
-    """Return the required value that corresponds to the allowed risk (equation 5.7).
-
-    The value's shortfall from that of certain connection is scaled by allowed over verified risk.
-    """
+    """Return the required value that corresponds to the allowed risk (equation 5.7)."""
+    # The value's shortfall from that of certain connection is scaled by allowed over verified risk.
     most = float(rule.valued(np.ones(count), context.history))
     factor = (1.0 - result.asked) / max(1.0 - result.achieved, 1e-12)
     return most - (most - achieved) * float(np.clip(factor, 1.0 / LARGEST_FACTOR, LARGEST_FACTOR))
@@ -144,11 +142,9 @@ def rows_again(
     earlier: list[tuple[float, RuleResult]],
     result: RuleResult,
 ) -> RuleRows | None:
-    """Return constraint rows corrected by a path's verified result; None without risk budget.
-
-    The correction is the secant between the last feasible and the last infeasible path, or half of
-    it if two successive paths are on the same side. The path is appended to `earlier`.
-    """
+    """Return constraint rows corrected by a path's verified result; None without risk budget."""
+    # The correction is the secant between the last feasible and the last infeasible path, or half
+    # of it if two successive paths are on the same side. The path is appended to `earlier`.
     rule, history = rule_of(context.problem), context.history
     if not rule.correlates(context.problem.constraints.p_min) or rows.weight is None:
         return None
@@ -175,10 +171,8 @@ def rows_again(
 
 
 def step_rows(context: StepContext, path_m: Floats) -> RuleRows:
-    """Return constraint rows for single steps, whatever the rule, near a path (N, 2).
-
-    A constraint on a sum becomes one per step; the path's surplus or deficit is spread evenly.
-    """
+    """Return constraint rows for single steps, whatever the rule, near a path (N, 2)."""
+    # A constraint on a sum becomes one per step; the path's surplus or deficit is spread evenly.
     rows = rule_rows(context, path_m)
     if rows.weight is None:
         return rows
@@ -278,11 +272,9 @@ def _held_patterns(rule: Rule, context: StepContext, count: int) -> list[Mask]:
 
 
 def missing(at: StepContext, legs_m: Floats, power: Prediction) -> Floats:
-    """Return the shortfall (c,) of each path, 0 if it satisfies the rule.
-
-    For rules on each step, the unit is dB, summed over steps; otherwise it is the number of missing
-    connected steps.
-    """
+    """Return the shortfall (c,) of each path, 0 if it satisfies the rule."""
+    # For rules on each step, the unit is dB, summed over steps; otherwise it is the number of
+    # missing connected steps.
     # Shapes: legs_m (c, N).
     constraints, history = at.problem.constraints, at.history
     rule, shape = rule_of(at.problem, legs_m), legs_m.shape

@@ -13,11 +13,11 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 72_047,
-    "lines of code": 52_113,
+    "lines": 72_038,
+    "lines of code": 52_107,
     "files": 289,
     "functions": 3_741,
-    "docstring lines": 8_191,
+    "docstring lines": 8_183,
     "lines of tests": 48_572,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""

@@ -267,8 +267,15 @@ def doubt_sensors(
         found = faulty_reading(fresh, sensing, hull)
         if found != NONE:
             doubts[agents, belief.owners[rows][found]] += 1
-        elif level < OUTLIER_LEVEL:
-            since[agents] = step
+        elif level < OUTLIER_LEVEL and sensing.memory_s is None:
+            group = np.isin(np.arange(len(asks)), agents)
+            for every, same in _groups(belief.held, group):
+                # An uncertain estimate is not refuted if another position explains all readings.
+                joint = _located(
+                    taken(belief.readings, every), np.zeros(int(every.sum())), sensing, hull, None
+                )
+                if misfit_level(fresh, sensing, joint) < OUTLIER_LEVEL:
+                    since[same] = step
     doubted = replace(belief, doubts=doubts)
     # An agent whose readings have been silent for a while refutes an event by its own reading.
     last = np.where(belief.held, belief.steps, NEVER).max(axis=1, initial=NEVER)

@@ -24,9 +24,9 @@ SEEDS = (0, 1)
 runs = {h: [simulate(problem, horizon=h, seed=seed) for seed in SEEDS] for h in (1, 10)}
 
 # %%
-# Horizon 10. All robots go to the target and stay with it; dots on the curve of trace P say that
-# packets came through. The farther they follow, the less likely that is: the predicted chance is
-# near 1 for 10 s, and 0.6 for two of the robots at the end. In the last 2 s packets are lost (the
+# Horizon 10. All robots go to the target and stay with it, 2 m apart; dots on the curve of trace P
+# say that packets came through. The farther they follow, the less likely that is: the predicted
+# chance is near 1 for 10 s, and 0.3 to 0.7 at the end. In the last 2 s packets are lost (the
 # crosses), and trace P, 0.025 m^2 while all are heard, doubles: what the station does not hear it
 # has to predict.
 figure = draw_run(runs[10][0])

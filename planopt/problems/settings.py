@@ -345,7 +345,7 @@ class ComparisonSettings(Part):
         | Annotated[str, Field(pattern=r"^\d{1,9}:\d{1,9}$")],
         BeforeValidator(known_seeds),
     ] = DEFAULT_SEEDS
-    """Number of random seeds (30: 0 to 29), or a range "100:120" (100 to 119)."""
+    """Number of random seeds (30 means 0 to 29), or a range ("100:120" means 100 to 119)."""
     # Groups of settings in sequence; the first setting of the first group is the reference of the
     # paired comparison
     settings: Annotated[

@@ -613,7 +613,7 @@ def raster_ending(path: Path) -> str:
     ending = path.suffix.lower()
     if ending not in READERS:
         raise InputError(
-            f"does not name a map: the ending {ending!r} is unknown",
+            f"is not a map file: the ending {ending!r} is unknown",
             file=path,
             remedy=f"use a name that ends in one of {', '.join(READERS)}",
         )

@@ -220,7 +220,7 @@ def _parsed(program: str, symbols: Mapping[str, Any], steps: int) -> Any:
                 case [ast.Expr(right)] if row == len(lines):
                     return _built(right, names, symbols)
                 case _:
-                    raise ValueError("neither `name = expression` nor the value in the last line")
+                    raise ValueError("should be `name = expression` with a new name, or the value in the last line")
         except (SyntaxError, ValueError, KeyError, TypeError, RecursionError, MemoryError) as error:
             reason = "not an expression, or nested too deeply"
             if type(error) is ValueError:

@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 72_038,
-    "lines of code": 52_107,
-    "files": 289,
-    "functions": 3_741,
-    "docstring lines": 8_183,
-    "lines of tests": 48_572,
+    "lines": 73_578,
+    "lines of code": 53_238,
+    "files": 296,
+    "functions": 3_843,
+    "docstring lines": 8_349,
+    "lines of tests": 48_678,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

@@ -116,6 +116,13 @@ class PowerModel:
         value, slope = self.variance_db2 + self.variance_high + bent, self.variance_slope
         return value, slope.T, value + np.hypot(*slope) * self.radius_m
 
+    def minus_variance_bounds(self) -> tuple[Array, Array, Array]:
+        """Return upper bounds of minus the variance over each disc: value, slope and constant."""
+        bent = _range_of_form(self.variance_form, self.radius_m)[0]
+        value, slope = self.variance_db2 + self.variance_low + bent, self.variance_slope
+        least = np.maximum(value - np.hypot(*slope) * self.radius_m, self.least_variance)
+        return -value, -slope.T, -least
+
     def precision_bounds(self) -> tuple[Array, Array, Array]:
         """Return upper bounds of 1 / variance: centre value, slope and constant (equation 9.5)."""
         variance, slope = self.variance_db2, self.variance_slope

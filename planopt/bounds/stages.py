@@ -83,14 +83,31 @@ def summed_terms(problem: Problem, at: TermContext) -> SummedTerms:
 
 
 def stage_problem(
-    problem: Problem, at: TermContext, terms: SummedTerms, kept: NDArray[np.bool_]
+    problem: Problem,
+    at: TermContext,
+    terms: SummedTerms,
+    kept: NDArray[np.bool_],
+    path_m: Array | None = None,
 ) -> StageProblem:
-    """Return the stage problem of the first robot; p_min applies to the steps in `kept` (N,)."""
+    """Return the stage problem of the first robot; p_min applies to the steps in `kept` (N,).
+
+    A path (N, 2) that measures makes the bound of mapped information tighter (equation 9.14).
+    """
+    paired, measured = None, at.anticipated[0]
+    mapped = [(weight, each.paired) for weight, each in terms.each if each.paired is not None]
+    if len(kept) > 1 and len(mapped) == sum(term.is_measured for term in problem.terms) == 1:
+        [(weight, own)] = mapped
+        paired = replace(own, weight=weight).informed(path_m)
+        measured = paired.posterior
 
     def reward(stage: int, field: Field) -> UpperBounds:
         total = no_reward(stage, field)
         for weight, bounds in terms.each:
-            total = total.plus(bounds.reward(stage, field).scaled(weight))
+            own = bounds.reward(stage, field)
+            if paired is not None and bounds.paired is not None:
+                most = own.most + (0.0 if stage else paired.given_nats)
+                own = replace(own, value=most, slope=np.zeros_like(own.slope), most=most)
+            total = total.plus(own.scaled(weight))
         return total
 
     return StageProblem(
@@ -99,13 +116,14 @@ def stage_problem(
         steps=len(kept),
         bounds_m=problem.workspace.bounds_m,
         blocked=blocked_parts(problem),
-        makers=quantity_makers(at.law.posteriors, at.law.thresholds_dbm, at.anticipated[0]),
+        makers=quantity_makers(at.law.posteriors, at.law.thresholds_dbm, measured),
         reward=reward,
         sure_m=at.connected_m,
         sure_radius_m=1.5 * SAME_PLACE_M,
         per_metre=sum(weight * bounds.per_metre for weight, bounds in terms.each),
         per_move=sum(weight * bounds.per_move for weight, bounds in terms.each),
         standstill_m=at.standstill_m,
+        paired=paired,
         p_min=np.where(kept, problem.constraints.p_min - LESS_CHANCE, 0.0) if kept.any() else None,
     )
 
@@ -142,9 +160,13 @@ def quantity_makers(
         share = UpperBounds(*model(shared, discs).precision_bounds(), discs.radius_m)
         return whole.times(share).plus(constant_bounds(discs, -1.0))
 
+    def minus_variance(discs: Discs) -> UpperBounds:
+        return UpperBounds(*model(measured, discs).minus_variance_bounds(), discs.radius_m)
+
     makers: dict[Quantity, Callable[[Discs], UpperBounds]] = {
         "chance": chance,
         "variance_db2": variance,
+        "minus_variance_db2": minus_variance,
         "trend": trend,
     }
     return {name: partial(or_nothing, make) for name, make in makers.items()}

@@ -22,7 +22,15 @@ import shapely
 from numpy.typing import NDArray
 
 from planopt.bounds.bound import Tilts
-from planopt.objectives.upper_bounds import Discs, Field, Makers, UpperBounds, constant_bounds
+from planopt.bounds.paired import PairedSteps
+from planopt.objectives.upper_bounds import (
+    Discs,
+    Field,
+    Makers,
+    PairedInformation,
+    UpperBounds,
+    constant_bounds,
+)
 
 Array = NDArray[np.float64]
 Cells = NDArray[np.intp]  # (n, 2) indices of cells along x and y
@@ -78,6 +86,7 @@ class StageProblem:
     standstill_m: float = 0.0
     # (N,) least probability of connection at the end of each step; 0 if there is none
     p_min: Array | None = None
+    paired: PairedInformation | None = None
 
 
 @dataclass(frozen=True)
@@ -297,6 +306,8 @@ def sure_rewards(
 def through_bounds(level: Level, tilts: Sequence[Tilt]) -> list[Array]:
     """Return, for each stage, upper bounds on the value of paths through each active cell."""
     best = [np.full(len(each), np.inf) for each in level.active]
+    if level.problem.paired is not None:
+        return paired_bounds(level, level.problem.paired)
     steps = [Step.between(level, k) for k in range(1, len(best))]
     for of_steps, of_p_min in tilts:
         own = [tilted(level, k, of_steps, of_p_min) for k in range(len(best))]
@@ -313,6 +324,25 @@ def through_bounds(level: Level, tilts: Sequence[Tilt]) -> list[Array]:
             if k:
                 back = steps[k - 1].best(moves[k - 1], own[k] + back, ahead=False)
     # An undefined bound proves nothing.
+    return [np.nan_to_num(each, nan=np.inf, posinf=np.inf, neginf=-np.inf) for each in best]
+
+
+def paired_bounds(level: Level, paired: PairedInformation) -> list[Array]:
+    """Return :func:`through_bounds` without multipliers, with losses between successive stages."""
+    problem, (of_steps, of_p_min) = level.problem, untilted(level.problem)
+    costs = problem.per_metre, problem.per_move, problem.standstill_m
+    longest_m = problem.step_m * (1.0 + ROUNDING)
+    steps = PairedSteps.over(paired, level.active, level.fields, level.side_m, longest_m, costs)
+    own = [tilted(level, k, of_steps, of_p_min) for k in range(problem.steps)]
+    forward = [own[0] + first_moves(level, of_steps[0])]
+    for k in range(1, problem.steps):
+        forward.append(own[k] + steps.best(k, forward[-1], ahead=True))
+    back, best = np.zeros(len(own[-1])), list(forward)
+    for k in range(problem.steps - 1, -1, -1):
+        best[k] = forward[k] + back
+        best[k] += ROUNDING * np.where(np.isfinite(best[k]), np.abs(forward[k]) + np.abs(back), 0.0)
+        if k:
+            back = steps.best(k, own[k] + back, ahead=False)
     return [np.nan_to_num(each, nan=np.inf, posinf=np.inf, neginf=-np.inf) for each in best]
 
 

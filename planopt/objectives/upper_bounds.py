@@ -7,13 +7,22 @@ A bound of a function f over the disc with centre c and radius rho has two parts
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 
 from planopt.arrays import Floats, Indices
+from planopt.channel.parameters import MIN_DISTANCE_M
+from planopt.channel.posterior import ChannelPosterior
+from planopt.objectives.moments import posterior_moments
 from planopt.targets.information_filter import Sensor
+
+ASSUMED = 3.0
+"""Assumed information on the path loss, in units of what the plan tells of it (equation 9.14)."""
+
+DECIBELS = 10.0 / np.log(10.0)
+"""Change of the path loss by a unit of the natural logarithm of the distance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,9 +77,9 @@ class UpperBounds:
         )
 
 
-Quantity = Literal["chance", "variance_db2", "trend"]
-"""Predicted quantity: probability of connection, variance of the power, or the trace of the
-information on the path loss (equation 9.6)."""
+Quantity = Literal["chance", "variance_db2", "minus_variance_db2", "trend"]
+"""Predicted quantity: probability of connection, variance of the power, minus the variance, or the
+trace of the information on the path loss (equation 9.6)."""
 
 
 Makers = Mapping[Quantity, Callable[[Discs], UpperBounds]]
@@ -102,6 +111,51 @@ class Field:
         return Field(discs, self.makers, (self, rows))
 
 
+@dataclass(frozen=True, eq=False)
+class PairedInformation:
+    """Information that a measurement loses because the previous position was measured."""
+
+    posterior: ChannelPosterior
+    weight: float = 1.0
+    given_nats: float = 0.0  # Information of what the posterior is assumed to know of the path loss
+
+    def informed(self, path_m: Floats | None) -> PairedInformation:
+        """Return the bound that assumes to know more of the path loss than a path tells of it."""
+        if path_m is None:
+            return self
+        moments, spread = posterior_moments(self.posterior, path_m), self.posterior.theta_covariance
+        trend = moments.whole_trend
+        told = trend.T @ np.linalg.solve(moments.whole_covariance, trend)
+        gain = np.eye(2) + ASSUMED * spread @ told
+        left = np.linalg.solve(gain, spread)
+        posterior = replace(self.posterior, theta_covariance=0.5 * (left + left.T))
+        return replace(self, posterior=posterior, given_nats=0.5 * np.linalg.slogdet(gain)[1])
+
+    def nearest_m(self, discs: Discs) -> Floats:
+        """Return the least distances of discs from the station; (n,)."""
+        station = self.posterior.parameters.station
+        across = np.hypot(*(discs.centre_m - np.asarray(station.position_m)).T) - discs.radius_m
+        return np.maximum(np.hypot(np.maximum(across, 0.0), station.height_m), MIN_DISTANCE_M)
+
+    def lost(
+        self, before_db2: Floats, after_db2: Floats, distance_m: float, nearest_m: Floats
+    ) -> Floats:
+        """Return a lower bound of the loss in nats at most `distance_m` apart (equation 9.13).
+
+        `before_db2` bounds the earlier variance from below, `after_db2` the later from above.
+        """
+        parameters, spread = self.posterior.parameters, self.posterior.theta_covariance
+        noise = parameters.multipath_std_db**2
+        shadow = -np.expm1(-distance_m / parameters.decorrelation_m)
+        apart = np.sqrt(2.0 * shadow) * parameters.shadow_std_db
+        trend = np.sqrt(spread[1, 1]) * DECIBELS * np.log1p(distance_m / nearest_m)
+        apart = noise + 0.5 * (apart + trend) ** 2
+        after = np.minimum(after_db2, before_db2 + 2.0 * apart)
+        shared = np.maximum(0.5 * (before_db2 + after) - apart, 0.0)
+        left = np.maximum(after - shared**2 / before_db2, noise)
+        return 0.5 * self.weight * np.log(np.maximum(after_db2, left) / left)
+
+
 @dataclass(frozen=True)
 class StageBounds:
     """Upper bounds of a term that is a sum over stages, and its costs of moves."""
@@ -111,6 +165,8 @@ class StageBounds:
     per_metre: float = 0.0  # Cost of a metre
     per_move: float = 0.0  # Cost of a step longer than a standstill
     most_steps: int | None = None  # Maximum number of steps of a plan; None: any
+    # What a stage loses by the previous position; its reward is then a constant on each disc
+    paired: PairedInformation | None = None
 
 
 def no_reward(stage: int, field: Field) -> UpperBounds:
@@ -122,6 +178,13 @@ def constant_bounds(discs: Discs, value: float) -> UpperBounds:
     """Return the bounds of a constant."""
     values = np.full(len(discs.centre_m), value)
     return UpperBounds(values, np.zeros_like(discs.centre_m), values, discs.radius_m)
+
+
+def information_bounds(variance: UpperBounds, noise_db2: float) -> UpperBounds:
+    """Return upper bounds of the information of one measurement in nats, ``log(v / noise) / 2``."""
+    value = 0.5 * np.log(variance.value / noise_db2)
+    slope = variance.slope / (2.0 * variance.value)[:, None]
+    return UpperBounds(value, slope, 0.5 * np.log(variance.most / noise_db2), variance.radius_m)
 
 
 def closeness_bounds(decay_per_m: float, here_m: Floats, discs: Discs) -> UpperBounds:

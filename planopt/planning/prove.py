@@ -84,7 +84,9 @@ def with_sum_bound(
     stages = stages_of(problem, at, plan)
     if isinstance(stages, str):
         return replace(plan, bound=Bound(None, problem.sense, plan.objective, reason=stages))
-    if stages.steps == 1:
+    if stages.paired is not None:
+        optimum = plan.positions_m[1:]
+    elif stages.steps == 1:
         exact = replace(stages, step_m=at.step_length_m)
         optimum = best_place(exact, 0.3 * seconds).place_m[None]
     else:

@@ -11,7 +11,7 @@ import planopt
 from planopt.bounds.stages import stage_problem, summed_terms
 from planopt.bounds.tube import StageProblem
 from planopt.channel import ChannelParameters, Measurements, condition
-from planopt.objectives import MotionEnergyTerm, TrackingTerm
+from planopt.objectives import MappingTerm, MotionEnergyTerm, TrackingTerm
 from planopt.planning.proof.context import verifier_context
 from planopt.planning.values.context import Aim, StepContext, step_context
 from planopt.planning.values.exploration import workspace_region
@@ -22,7 +22,9 @@ SIZE_M = 40.0
 STEP_M = 2.0
 
 
-def sum_context(seed: int, steps: int, *, energy: bool = True, plain: bool = False) -> StepContext:
+def sum_context(
+    seed: int, steps: int, *, energy: bool = True, plain: bool = False, mapped: bool = False
+) -> StepContext:
     """A random channel, target and sensor, up to three obstacles, one or two stations."""
     generator = np.random.default_rng(seed)
     uniform = generator.uniform
@@ -45,6 +47,8 @@ def sum_context(seed: int, steps: int, *, energy: bool = True, plain: bool = Fal
     terms: list[planopt.objectives.Term] = [
         TrackingTerm(**sensor, form="additive", terminal_weight=float(uniform(0.5, 2.0)))
     ]
+    if mapped:
+        terms = [MappingTerm(weight=float(uniform(0.5, 2.0)))]
     if energy:
         power = float(generator.choice([0.0, 0.3]))
         terms.append(MotionEnergyTerm(float(uniform(0.0, 1.0)), power, weight=float(uniform())))
@@ -59,7 +63,7 @@ def sum_context(seed: int, steps: int, *, energy: bool = True, plain: bool = Fal
             [planopt.Obstacle(f"box {k}", b) for k, b in enumerate(boxes)],
         ),
         objective=terms,
-        targets=planopt.Target(start_m=(20.0, 20.0), velocity_m_s=(0.0, 0.0)),
+        targets=() if mapped else planopt.Target(start_m=(20.0, 20.0), velocity_m_s=(0.0, 0.0)),
         constraints=planopt.Constraints(clearance_m=float(generator.choice([0.0, 0.5]))),
         planner=planopt.PlannerSettings(step_s=1.0, horizon=steps),
     )
@@ -84,15 +88,17 @@ def sum_context(seed: int, steps: int, *, energy: bool = True, plain: bool = Fal
     line = start + uniform(-6.0, 6.0, 2)
     target = line + np.arange(1, steps + 1)[:, None] * [np.cos(angle), np.sin(angle)]
     base = verifier_context(problem, index_obstacles(problem.workspace), posteriors, start)
-    return step_context(base, workspace_region(problem), Aim(target))
+    return step_context(base, workspace_region(problem), Aim(None if mapped else target))
 
 
-def stages_in(context: StepContext, p_min: float = 0.0) -> StageProblem:
-    """The stage problem of a context, with p_min at all its steps."""
+def stages_in(
+    context: StepContext, p_min: float = 0.0, path: np.ndarray | None = None
+) -> StageProblem:
+    """The stage problem of a context, with p_min at all its steps, near a path that measures."""
     problem = context.problem
     problem = replace(problem, constraints=replace(problem.constraints, p_min=p_min))
     kept = np.full(problem.planner.horizon, p_min > 0.0)
-    return stage_problem(problem, context, summed_terms(problem, context), kept)
+    return stage_problem(problem, context, summed_terms(problem, context), kept, path)
 
 
 def random_paths(context: StepContext, count: int, seed: int) -> np.ndarray:

@@ -28,10 +28,12 @@ from planopt.objectives.terms.distance import SteeredTerm
 from planopt.objectives.terms.term import Steers, Term, TermSetting
 from planopt.objectives.upper_bounds import Field as DiscField
 from planopt.objectives.upper_bounds import (
+    PairedInformation,
     StageBounds,
     UpperBounds,
     closeness_bounds,
     constant_bounds,
+    information_bounds,
 )
 
 
@@ -277,13 +279,20 @@ class MappingTerm(MeasuredTerm):
         return Information() if self.form == "information" else VarianceRemoved()
 
     def stage_bounds(self, at: TermContext) -> StageBounds | str:
-        """Return upper bounds of the form ``path`` with one station, exact one step ahead.
+        """Return upper bounds of the forms ``path`` and ``information`` with one station.
 
         Variances given earlier positions of the path are at most those given the measurements, and
         path lengths at least the distances from the robot.
         """
-        if self.form != "path" or len(at.law.posteriors) > 1:
-            return "without a proven bound for other forms than path or several stations"
+        if self.form not in ("path", "information") or len(at.law.posteriors) > 1:
+            return "without a proven bound for this form or for several stations"
+        if self.form == "information":
+            [posterior] = at.anticipated
+            noise = posterior.parameters.multipath_std_db**2
+            return StageBounds(
+                lambda stage, field: information_bounds(field["variance_db2"], noise),
+                paired=PairedInformation(posterior),
+            )
 
         def reward(stage: int, field: DiscField) -> UpperBounds:
             near = closeness_bounds(self.closeness_per_m, at.position_m, field.discs)

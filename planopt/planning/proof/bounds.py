@@ -75,7 +75,7 @@ def stages_of(problem: Problem, at: TermContext, plan: Plan) -> StageProblem | s
     kept = np.zeros(len(path), dtype=np.bool_)
     if problem.constraints.p_min > 0.0 and problem.constraints.rule.is_plain:
         kept = np.asarray(required_margins_db(problem, at.predicted(path)) >= 0.0)
-    return stage_problem(problem, at, terms, kept)
+    return stage_problem(problem, at, terms, kept, path)
 
 
 def bound_of_sum(problem: Problem, plan: Plan, tilts: Tilts, robots: int) -> Bound:

@@ -13,11 +13,11 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 73_578,
-    "lines of code": 53_238,
-    "files": 296,
-    "functions": 3_843,
-    "docstring lines": 8_349,
+    "lines": 72_224,
+    "lines of code": 52_251,
+    "files": 290,
+    "functions": 3_751,
+    "docstring lines": 8_205,
     "lines of tests": 48_678,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""

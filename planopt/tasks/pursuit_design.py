@@ -441,7 +441,8 @@ def _front(problem: DesignProblem) -> list[dict[str, Any]]:
 def in_words(result: TaskResult) -> Sequence[str]:
     """Return a text summary of a design, line by line."""
     problem, data = cast("DesignProblem", result.problem), result.data
-    binding = " and ".join(BINDING_WORDS.get(name, name) for name in data["binding"])
+    names = cast("list[str]", data["binding"])
+    binding = " and ".join(BINDING_WORDS.get(name, name) for name in names)
     lines = [
         f"{problem.name}: {data['verdict']}, {problem.method.words}",
         f"  power {data['cost_w']:.6g} W: TDMA slots of {1e3 * data['slot_width_s']:.4g} ms, "

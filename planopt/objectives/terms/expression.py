@@ -220,7 +220,9 @@ def _parsed(program: str, symbols: Mapping[str, Any], steps: int) -> Any:
                 case [ast.Expr(right)] if row == len(lines):
                     return _built(right, names, symbols)
                 case _:
-                    raise ValueError("should be `name = expression` with a new name, or the value in the last line")
+                    raise ValueError(
+                        "should be `name = expression` with a new name, or the final value"
+                    )
         except (SyntaxError, ValueError, KeyError, TypeError, RecursionError, MemoryError) as error:
             reason = "not an expression, or nested too deeply"
             if type(error) is ValueError:

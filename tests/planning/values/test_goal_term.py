@@ -136,10 +136,10 @@ def test_each_robot_has_a_goal_of_its_own():
 
 def test_what_is_wrong_is_said():
     """The goal and its term go together; one thing steers."""
-    with pytest.raises(InputError, match=r"a term of kind goal needs robots\[0\]\.goal_m"):
+    with pytest.raises(InputError, match=r'"goal" needs robots\[0\]\.goal_m'):
         terms_problem(GOAL)
-    with pytest.raises(InputError, match=r"has no robots\.goal_m without a term of kind goal"):
+    with pytest.raises(InputError, match=r"robots\[0\]\.goal_m has no meaning"):
         to_goal(LEARNING)
     steering = {"kind": "mapping", "form": "two_layer"}
-    with pytest.raises(InputError, match=r"two of objective\.terms steer"):
+    with pytest.raises(InputError, match=r"two entries of objective\.terms steer"):
         to_goal(GOAL, steering)

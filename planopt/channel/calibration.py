@@ -49,7 +49,7 @@ class GroupedRatio:
         return GroupedRatio(self.value, self.low, min(self.high, 1.0))
 
     def root(self) -> GroupedRatio:
-        """Return the square root of the mean and of its interval, such as an RMSE."""
+        """Return the square roots of the ratio and of its bounds, for an RMSE with its interval."""
         return GroupedRatio(math.sqrt(self.value), math.sqrt(self.low), math.sqrt(self.high))
 
 
@@ -109,7 +109,7 @@ class ReliabilityBin:
 
     @property
     def agrees(self) -> bool | None:
-        """Return True if the interval contains the mean prediction; None without an interval."""
+        """Return whether the bin's interval contains its mean prediction; None without interval."""
         if self.interval is None:
             return None
         return self.interval[0] <= self.predicted <= self.interval[1]

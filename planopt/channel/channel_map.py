@@ -122,7 +122,7 @@ class TileMap:
         return trend.reshape(*self.mean_db.shape, 2)
 
     def _mark(self, posterior: ChannelPosterior, wanted: Mask) -> tuple[Indices, Indices]:
-        """Return the tiles that a single new measurement affects, and its index for each tile."""
+        """Return the tiles that a single new measurement affects, and that measurement's index."""
         # All other affected tiles are marked dirty.
         measured, last = posterior.measurements, self._last
         before = 0 if last is None else len(last.measurements)
@@ -190,7 +190,7 @@ class TileMap:
         tiles: Indices,  # (k,)
         newcomers: Indices,  # (k,)
     ) -> None:
-        """Replace the farthest of the measurements that each tile uses by a new one."""
+        """Put the new measurement of each tile in place of the tile's farthest measurement."""
         # Removing measurement j from P = U^-1 subtracts w w' with w = P e_j / sqrt(P_jj). Adding
         # one with covariance c to the others adds v v' with v = [1; -P c] / sqrt(delta), delta its
         # variance given the others. The kriging terms change along the same directions.
@@ -241,7 +241,7 @@ class TileMap:
         columns: Floats,
         sign: float,
     ) -> None:
-        """Update the kriging terms for a rank-one change `sign` v v' of U^-1, v = `direction`."""
+        """Update the kriging terms for a rank-one change of the inverse covariance."""
         seen = (across @ direction[:, :, None])[:, :, 0]
         projected = sign * (direction[:, None, :] @ columns)
         self._terms.data_db[tiles] += seen * projected[:, :, 0]
@@ -250,7 +250,7 @@ class TileMap:
 
 
 def _columns(posterior: ChannelPosterior, indices: Indices) -> Floats:
-    """Return powers and regressors [y, Gamma] of measurements (k, m); ``(k, m, 3)``."""
+    """Return the columns [power, regressors] (k, m, 3) of measurements with `indices` (k, m)."""
     columns = np.empty((*indices.shape, 3))
     columns[..., 0] = posterior.values_db[indices]
     at = posterior.measurements.positions_m[indices]
@@ -511,7 +511,7 @@ def serving_map(
 
 
 def default_cell_m(bounds_m: Bounds) -> float:
-    """Return the cell side, rounded to two digits, for `CELLS_ALONG` cells on the longer side."""
+    """Return a cell side of two digits, with `CELLS_ALONG` cells on the bounds' longer side."""
     x_min, y_min, x_max, y_max = bounds_m
     return float(f"{max(x_max - x_min, y_max - y_min) / CELLS_ALONG:.2g}")
 

@@ -53,7 +53,7 @@ def factor_and_whitened(matrix: Floats, right: Floats) -> tuple[Floats, Floats]:
 
 
 def put_lower_factor(into: Floats, matrix: Floats) -> None:
-    """Write the Cholesky factor of `matrix` to the zero array `into` (n, n); overwrite `matrix`."""
+    """Overwrite `matrix`; write its Cholesky factor to the zero array `into` (n, n)."""
     factor = _half_factor(matrix, overwrite=True)
     for start in range(0, len(into), PUT_ROWS):
         rows = slice(start, start + PUT_ROWS)
@@ -115,7 +115,7 @@ def solve_upper(lower: Floats, right: Floats) -> Floats:
 
 
 def half_inverse(matrix: Floats) -> tuple[float, Floats]:
-    """Return log |matrix| and the upper half of its inverse; `matrix` is overwritten."""
+    """Overwrite `matrix`; return its log-determinant, and the upper half of its inverse."""
     lower, info = FACTOR(matrix.T, lower=True, clean=True, overwrite_a=True)
     if info != 0:
         raise AssertionError("a covariance with a nugget is positive definite")
@@ -125,7 +125,7 @@ def half_inverse(matrix: Floats) -> tuple[float, Floats]:
 
 
 def symmetric_product(half: Floats, columns: Floats) -> Floats:
-    """Return the product of a symmetric matrix with upper half `half` and `columns` (n, m)."""
+    """Multiply a symmetric matrix, given by its upper half `half`, by `columns` (n, m)."""
     return SYMMETRIC(1.0, half.T, columns, lower=1)
 
 

@@ -59,7 +59,7 @@ LOG_ROOT_2PI = 0.5 * math.log(2.0 * math.pi)
 
 
 def any_score(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the combined score z of m stations with scores (m, ...), at least the largest."""
+    """Return the combined score (...) of m stations, given the score of each station (m, ...)."""
     return _score(_log_any(scores), _log_normal(-scores).sum(axis=0))
 
 
@@ -89,7 +89,7 @@ def _log_normal(scores: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _log_any(scores: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return log P(any connected) by P(a or b) = P(a) + P(b) (1 - P(a)), without cancellation."""
+    """Return log P(any station connects) without cancellation, adding one station at a time."""
     found = _log_normal(scores[0])
     none = _log_normal(-scores[0])
     with np.errstate(invalid="ignore"):  # NaN scores remain NaN
@@ -136,7 +136,7 @@ def any_probability(
     thresholds_dbm: Sequence[float],
     slack_db: float = 0.0,
 ) -> NDArray[np.float64]:
-    """Return P(connected to any station), thresholds lowered by `slack_db`; ``(n,)``."""
+    """Return P(connected to any station) (n,) with all thresholds lowered by `slack_db`."""
     above, deviation = above_thresholds_db(predictions, thresholds_dbm)
     return np.asarray(ndtr(any_score((above + slack_db) / deviation)), dtype=np.float64)
 
@@ -144,7 +144,7 @@ def any_probability(
 def serving_power_dbm(
     powers_dbm: NDArray[np.float64], thresholds_dbm: Sequence[float]
 ) -> NDArray[np.float64]:
-    """Return the serving power S for known powers ``(m, ...)`` of m stations; ``(...)``."""
+    """Return the serving power (...) for known powers (m, ...) of m stations."""
     if len(powers_dbm) == 1:
         return powers_dbm[0]
     offsets = thresholds_dbm[0] - np.asarray(thresholds_dbm)
@@ -154,7 +154,7 @@ def serving_power_dbm(
 def above_thresholds_db(
     predictions: Sequence[Prediction], thresholds_dbm: Sequence[float]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return mean minus threshold, and standard deviation, for each station; both ``(m, n)``."""
+    """Return each station's mean power above its threshold (m, n), and its deviation (m, n)."""
     above = np.stack(
         [
             prediction.mean_db - threshold
@@ -168,7 +168,7 @@ def above_thresholds_db(
 def any_margin_db(
     above_db: NDArray[np.float64], deviation_db: NDArray[np.float64], p_min: float
 ) -> NDArray[np.float64]:
-    """Return the common rise of the thresholds that makes P(connected to any) = `p_min`; ``(n,)``.
+    """Return the common rise (n,) of the thresholds that makes P(connected to any) = `p_min`.
 
     The combined score :func:`any_score` is convex and decreasing in the rise, so Newton's method
     converges from the margin of the best station. Inputs have shape (m, n) for m stations.
@@ -198,7 +198,7 @@ def any_margin_db(
 
 @dataclass(frozen=True, eq=False)
 class KnownPower:
-    """Bounds of the power at positions where readings determine the connection."""
+    """Lower and upper bounds of the power where readings decide whether a robot connects."""
 
     rows: NDArray[np.intp]  # (k,) indices of the positions
     # (k,) bounds of the power; equal for an exact reading, minus infinity for a censored one
@@ -206,7 +206,7 @@ class KnownPower:
     most_dbm: NDArray[np.float64]
 
     def replace_in(self, power: Prediction) -> Prediction:
-        """Return the prediction with known rows clipped to their bounds and without variance."""
+        """Return `power`, clipped to the known bounds and without deviation where known."""
         if not len(self.rows):
             return power
         mean, deviation = power.mean_db.copy(), power.deviation_db.copy()
@@ -218,7 +218,7 @@ class KnownPower:
 def known_power(
     station: ChannelPosterior, positions_m: NDArray[np.float64], threshold_dbm: float
 ) -> KnownPower:
-    """Return the known power at positions (n, 2), unless readings disagree (equation 3.12)."""
+    """Return the power bounds at those positions where readings decide the connection."""
     places, read = station.index.within(positions_m, SAME_PLACE_M)
     least, most = _power_bounds_dbm(station, read)
     rows, first = np.unique(places, return_index=True)
@@ -258,18 +258,18 @@ class ConnectivityLaw:
     p_min: float  # Required probability; the combined law's margin is exact for it
 
     def combined(self, powers: Sequence[Prediction]) -> Prediction:
-        """Return the normal law of the serving power from each station's predicted power."""
+        """Return the normal law of the serving power, given each station's predicted power."""
         return serving_prediction(powers, self.thresholds_dbm, self.p_min)
 
     def known(self, positions_m: NDArray[np.float64]) -> list[KnownPower]:
-        """Return the known power of each station at positions (n, 2)."""
+        """Return each station's known power at those positions (n, 2) that have readings."""
         return [
             known_power(station, positions_m, threshold)
             for station, threshold in zip(self.posteriors, self.thresholds_dbm, strict=True)
         ]
 
     def is_connected(self, positions_m: NDArray[np.float64]) -> NDArray[np.bool_]:
-        """Return a mask of positions (n, 2) with a known connection to any station; ``(n,)``."""
+        """Return a mask (n,) of positions (n, 2) where a reading proves a connection."""
         found = np.zeros(len(positions_m), dtype=np.bool_)
         for known, threshold in zip(self.known(positions_m), self.thresholds_dbm, strict=True):
             found[known.rows[known.least_dbm >= threshold]] = True
@@ -308,11 +308,11 @@ class ConnectivityLaw:
     def probability(
         self, positions_m: NDArray[np.float64], slack_db: float = 0.0
     ) -> NDArray[np.float64]:
-        """Return P(connected) at positions (n, 2), thresholds lowered by `slack_db`; ``(n,)``."""
+        """Return P(connected) (n,) at positions (n, 2), thresholds lowered by `slack_db`."""
         return any_probability(self.each_power(positions_m), self.thresholds_dbm, slack_db)
 
     def margin_db(self, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the margin of the chance constraint P(connected) >= p_min in dB; ``(n,)``."""
+        """Return the margin (n,) of the chance constraint P(connected) >= p_min in dB."""
         return self.margin_of_db(self.power(positions_m))
 
     def margin_of_db(self, power: Prediction) -> NDArray[np.float64]:
@@ -364,7 +364,7 @@ class UncertainParameters(ConnectivityLaw):
     def probability(
         self, positions_m: NDArray[np.float64], slack_db: float = 0.0
     ) -> NDArray[np.float64]:
-        """Return P(connected) from the mixture, thresholds lowered by `slack_db`; ``(n,)``."""
+        """Return P(connected) (n,) from the mixture, thresholds lowered by `slack_db`."""
         threshold, (known,) = self.thresholds_dbm[0] - slack_db, self.known(positions_m)
         found = self.marginal.connectivity(positions_m, threshold)
         found[known.rows] = known.least_dbm >= threshold
@@ -380,7 +380,7 @@ NEWTON_STEP_DB = 1e-8
 def mixture_quantile_dbm(
     weights: NDArray[np.float64], parts: list[Prediction], p_min: float
 ) -> NDArray[np.float64]:
-    """Return the power that a mixture of normal laws exceeds with probability `p_min`; (n,)."""
+    """Return the power (n,) that a mixture of normal laws exceeds with probability `p_min`."""
     # The parts' quantiles bracket it; bisection replaces Newton steps that leave the bracket.
     means = np.stack([part.mean_db for part in parts])
     deviations = np.stack([part.deviation_db for part in parts])

@@ -82,7 +82,7 @@ def truncated_normal(upper: Floats, width: Floats) -> TruncatedNormal:
 
 
 def _half_line(upper: Floats) -> TruncatedNormal:
-    """Return normal moments given x <= upper: mean -h, variance 1 - h (upper + h), h the hazard."""
+    """Return mean and variance of standard normal variables, given that they are <= `upper`."""
     hazard = np.sqrt(2.0 / np.pi) / np.asarray(erfcx(-np.sqrt(0.5) * upper), dtype=np.float64)
     return TruncatedNormal(
         np.asarray(log_ndtr(upper), dtype=np.float64), -hazard, 1.0 - hazard * (upper + hazard)
@@ -120,7 +120,7 @@ class Sites:
 
 @dataclass(frozen=True)
 class Intervals:
-    """Intervals that contain the powers with multipath."""
+    """Intervals that contain the received powers, multipath included."""
 
     upper_db: Floats  # (m,) upper ends
     width_db: Floats  # (m,) infinite for censored measurements
@@ -147,7 +147,7 @@ class LatentPrior:
         return LatentPrior(mean_db, covariance_db2, nothing, np.zeros((0, 0)), np.zeros(0))
 
     def integrated(self) -> tuple[LatentPrior, float]:
-        """Return the prior with the path loss delta integrated out, and the log of the integral."""
+        """Return the prior with the path loss integrated out, and the integral's logarithm."""
         # This makes EP's sweeps cheaper. `information` must be positive definite.
         lower = lower_factor(self.information)
         moved = solve_lower(lower, self.columns.T)
@@ -188,7 +188,7 @@ def first_sites(
     width_db: Floats,  # (m,)
     noise_variance_db2: float,
 ) -> tuple[Floats, Floats]:
-    """Return initial precisions and shifts (m,): interval midpoints, or zero for limits."""
+    """Return initial precisions (m,) and shifts (m,): the interval midpoints, or the limits."""
     precision = 1.0 / (noise_variance_db2 + rounded_variance_db2(width_db))
     return precision, precision * (limit_db - 0.5 * np.where(np.isinf(width_db), 0.0, width_db))
 
@@ -199,7 +199,7 @@ def matched_sites(
     inside: TruncatedNormal,
     noise_variance_db2: float,
 ) -> tuple[Floats, Floats]:
-    """Return precisions and shifts (m,) of sites matched to cavity times interval likelihood."""
+    """Return precisions (m,) and shifts (m,) of sites that match the truncated moments."""
     # The precision is (1 - s^2) / (omega^2 + s^2 v), v the cavity's variance and s^2 the truncated
     # variance relative to omega^2 + v. This form has no cancellation in narrow intervals.
     shrink = np.maximum(1.0 - inside.variance, 0.0)
@@ -258,7 +258,7 @@ class _Sweep:
 def _swept(
     prior: LatentPrior, precision: Floats, shift: Floats, limit: Floats, width: Floats, noise: float
 ) -> _Sweep:
-    """Return one EP sweep: match each site to the moments of its cavity times its likelihood."""
+    """Return one EP sweep, which matches each site to its interval's truncated moments."""
     variance, mean, log_integral = _conditioned(prior, precision, shift)
     left = np.maximum(1.0 - precision * variance, 1e-12)
     cavity, cavity_mean = variance / left, (mean - variance * shift) / left
@@ -289,7 +289,7 @@ def _swept(
 def _conditioned(
     prior: LatentPrior, precision: Floats, shift: Floats
 ) -> tuple[Floats, Floats, float]:
-    """Return variances and means of f minus its prior mean given sites, and the log-evidence."""
+    """Return variances (m,) and mean shifts (m,) of the prior given sites, and log-evidence."""
     # Conditions on the sites by factorising I + S^1/2 covariance S^1/2, S the precisions.
     root = np.sqrt(precision)
     scaled = root[:, None] * prior.covariance_db2
@@ -314,14 +314,14 @@ def _conditioned(
 
 
 def needs_site(measurements: Measurements, noise_variance_db2: float) -> Mask:
-    """Return a mask of measurements that need a site: censored or coarsely rounded ones."""
+    """Return a mask of the measurements that are censored or coarsely rounded."""
     # `noise_variance_db2` is omega^2; the result is a mask ``(n,)``.
     finest = FINE_STEP * np.sqrt(noise_variance_db2)
     return measurements.censored | (measurements.resolution_db > finest)
 
 
 def intervals(measurements: Measurements) -> Intervals:
-    """Return the interval of each power; its upper end is r / 2 above the recorded value."""
+    """Return the interval of each power; its upper end is half a step above the recorded value."""
     resolution = measurements.resolution_db
     width = np.where(measurements.censored, np.inf, resolution)
     return Intervals(measurements.power_dbm + 0.5 * resolution, width)

@@ -128,7 +128,7 @@ class Rician:
         return self._moments()[1]
 
     def _moments(self) -> tuple[float, float]:
-        """Return mean and standard deviation in dB, by a series over the Poisson variable."""
+        """Return mean and standard deviation in dB by a series over Poisson probabilities."""
         # With J Poisson of mean K, the power times K + 1 is Gamma(1 + J).
         k_factor = self.k_factor
         reach = SERIES_DEVIATIONS * math.sqrt(k_factor)
@@ -226,7 +226,7 @@ def _as_rician(source: Multipath) -> Rician:
 
 
 def _with_std(std_db: Callable[[float], float], least: float, wanted_db: float) -> float:
-    """Return the fading parameter for a required standard deviation, by logarithmic bisection."""
+    """Return the parameter m or K that gives a required standard deviation, by bisection."""
     most_db, least_db = std_db(least), std_db(STRONGEST)
     if not least_db <= wanted_db <= most_db:
         raise InputError(
@@ -263,7 +263,7 @@ def multipath_field_db(
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """Measured powers, and the distance up to which the nearest one is the ground truth."""
+    """Measured powers, and the reach within which the nearest power is the ground truth."""
 
     measured: Measurements
     within_m: float
@@ -273,12 +273,12 @@ class Readings:
         return PlaceTree(self.measured.positions_m)
 
     def nearest(self, places_m: Floats) -> tuple[Indices, Mask]:
-        """Return the row of the reading nearest to each place (n, 2) and whether it is in reach."""
+        """Return the reading nearest to each position (n, 2), and whether it is in reach."""
         rows, away_m = self._tree.nearest(places_m, 1)
         return rows[:, 0], away_m[:, 0] <= self.within_m
 
     def power_dbm(self, places_m: Floats) -> Floats:
-        """Return the power of the nearest reading, NaN where none is in reach; ``(n,)``."""
+        """Return the power (n,) of the nearest reading, NaN where no reading is in reach."""
         rows, near = self.nearest(places_m)
         return np.where(near, self.measured.power_dbm[rows], np.nan)
 
@@ -450,7 +450,7 @@ def measured_truth(
 
 
 def true_power_dbm(truth: Truth, positions_m: ArrayLike) -> Floats:
-    """Return the received power at `positions_m` (n, 2), at least the floor; ``(n,)`` dBm."""
+    """Return the received power (n,) in dBm at `positions_m` (n, 2), at least the floor."""
     places = require_places(positions_m, at_least=0)
     if truth.readings is not None:
         return truth.readings.power_dbm(places)
@@ -459,7 +459,7 @@ def true_power_dbm(truth: Truth, positions_m: ArrayLike) -> Floats:
 
 
 def mean_power_dbm(truth: Truth, positions_m: ArrayLike) -> Floats:
-    """Return the power without small-scale fading at `positions_m` (n, 2); ``(n,)`` dBm."""
+    """Return the power (n,) in dBm without small-scale fading at `positions_m` (n, 2)."""
     if truth.readings is not None:
         return true_power_dbm(truth, positions_m)
     iy, ix = nearest_cells(truth.raster, require_places(positions_m, at_least=0))

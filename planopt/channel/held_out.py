@@ -173,14 +173,14 @@ def _uncensored(measurements: Measurements) -> Measurements:
 
 
 def _correlation(distance_m: Floats, length_m: float, noise: float) -> Floats:
-    """Return the correlation of powers (n, n); `noise` is the noise share of their variance."""
+    """Return the correlation (n, n) of powers; the share `noise` of their variance is white."""
     correlation = (1.0 - noise) * np.exp(-distance_m / length_m)
     np.fill_diagonal(correlation, 1.0)
     return correlation
 
 
 def _most_likely(positions_m: Floats, centred_db: Floats) -> Point:
-    """Return the most likely length scale and noise share by a grid search with one refinement."""
+    """Return the most likely length scale and noise share, by a grid search."""
     distance_m = pairwise_distance_m(positions_m, positions_m)
 
     def likelihood(point: Point) -> float:
@@ -352,7 +352,7 @@ def part_between(
     low: float,
     high: float,
 ) -> Floats:
-    """Return the share of each PIT value in [low, high), (n,); the last interval includes 1."""
+    """Return the share (n,) of each PIT value in [low, high); the last interval includes 1."""
     inside = (pit >= low) & ((pit < high) | (high >= 1.0))
     below = np.clip(pit, low, high) - low
     # A PIT of 0 lies entirely in the first interval.

@@ -450,7 +450,7 @@ def sent_and_lost(
     connected: Mask,  # (count, h)
     traffic: Traffic,
 ) -> tuple[Floats, Floats, Floats]:
-    """Return the bits delivered, lost, and left in the buffer; each ``(count,)``."""
+    """Return the bits (count,) delivered, lost, and left in the buffer."""
     # This is exact for a fluid: rates are constant on a leg, so its buffer level is monotonic.
     waiting = np.full(len(connected), traffic.waiting_bits)
     delivered = np.zeros(len(connected))
@@ -488,6 +488,6 @@ def _connected(
     count: int,
     generator: np.random.Generator,
 ) -> Mask:
-    """Draw connection states at positions (h, 2); ``(count, h)``."""
+    """Draw `count` sets of connection states (count, h) at positions (h, 2)."""
     threshold = require_finite(threshold_dbm, "threshold_dbm")
     return sample_power(posterior, places_m, count, generator) >= threshold

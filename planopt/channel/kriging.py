@@ -192,18 +192,18 @@ class LocalChannel:
 
     @property
     def positions_m(self) -> Floats:
-        """Positions of the measurements, ``(..., m, 2)``."""
+        """Positions (..., m, 2) of the measurements."""
         return self.origins.positions_m
 
     @cached_property
     def added_m2(self) -> Floats:
-        """Smoothing term of the kernel, added to squared distances to measurements; (..., m)."""
+        """Increase (..., m) of squared distances to measurements with position errors."""
         blur = self.origins.blur_m2
         return np.zeros(self.columns.shape[:-1]) if blur is None else blur
 
     @cached_property
     def inverse(self) -> Floats:
-        """Inverse covariance with uncertain receiver offsets, without age factors; (..., m, m)."""
+        """Inverse covariance (..., m, m) with uncertain receiver offsets, before ageing."""
         # The result is P - P Z V Z' P, P the inverse for known offsets, V their covariance.
         if self.covariance_db2.ndim == 2:
             found = inverse(lower_factor(self.covariance_db2))
@@ -216,32 +216,32 @@ class LocalChannel:
 
     @cached_property
     def _weighted(self) -> Floats:
-        """Inverse covariance times [y, Gamma] at mean offsets, without age factors; (..., m, 3)."""
+        """Inverse covariance times the columns [power, regressors]; (..., m, 3)."""
         if not len(self.offsets.receivers):
             return self.inverse @ self.columns
         return np.asarray(np.linalg.solve(self.covariance_db2, self.columns), dtype=np.float64)
 
     @cached_property
     def _aged(self) -> Floats | None:
-        """Age factor of each measurement, ``(..., m)``; None for a static channel."""
+        """Age factor (..., m) of each measurement; None for a static channel."""
         times = self.origins.time_s
         return None if times is None else ageing(times, self.now_s, self.parameters)
 
     @cached_property
     def precision(self) -> Floats:
-        """Inverse covariance of the measurements with age factors, ``(..., m, m)``."""
+        """Inverse covariance (..., m, m) of the measurements, age factors included."""
         aged = self._aged
         return self.inverse if aged is None else self.inverse * aged[..., None] * aged[..., None, :]
 
     @cached_property
     def weights(self) -> Floats:
-        """Kriging weights: inverse covariance times powers, with age factors; ``(..., m)``."""
+        """Kriging weights (..., m): inverse covariance times powers, times age factors."""
         weights = self._weighted[..., 0]
         return np.ascontiguousarray(weights if self._aged is None else self._aged * weights)
 
     @cached_property
     def trend(self) -> Floats:
-        """Inverse covariance times the regressors Gamma, with age factors; ``(..., m, 2)``."""
+        """Inverse covariance times the path loss regressors, (..., m, 2), with age factors."""
         trend = self._weighted[..., 1:]
         return np.ascontiguousarray(trend if self._aged is None else self._aged[..., None] * trend)
 
@@ -250,7 +250,7 @@ class LocalChannel:
         places_m: Floats,  # (..., p, 2)
         position_std_m: Floats | None = None,  # (..., p)
     ) -> Floats:
-        """Return covariances of positions with measurements, times age factors; ``(..., p, m)``."""
+        """Return covariances (..., p, m) of positions with the measurements, after ageing."""
         places = place_origins(places_m, self.now_s, self.parameters, position_std_m)
         return covariance_db2(places, self.origins, self.parameters)
 
@@ -285,7 +285,7 @@ class LocalChannel:
 
 
 def nearest_to_path(posterior: ChannelPosterior, path_m: Floats, count: int) -> Indices:
-    """Return indices of the `count` measurements nearest to a path (h, 2), or all if fewer."""
+    """Return indices of the `count` measurements nearest to a path (h, 2), or of all."""
     # Indices are the nearest to each position, then the second nearest, and so on, so that every
     # position is represented.
     places = require_places(path_m)
@@ -300,7 +300,7 @@ def nearest_to_path(posterior: ChannelPosterior, path_m: Floats, count: int) -> 
 
 @dataclass(frozen=True, eq=False)
 class LocalGrid:
-    """Grid positions with their kriging terms for one local channel."""
+    """Grid positions with precomputed kriging terms, all from one local channel."""
 
     positions_m: Floats  # (g, 2)
     root_weight: Floats  # (g,) square roots of the weights
@@ -353,7 +353,7 @@ def nearby_terms(
 def _groups(
     posterior: ChannelPosterior, positions_m: Floats, count: int
 ) -> Iterator[tuple[Indices, Indices]]:
-    """Yield groups of positions, each with the union of its positions' nearest measurements."""
+    """Yield groups of positions, with the nearest measurements of all positions in each group."""
     pending = [np.arange(len(positions_m))] if len(positions_m) else []
     while pending:
         rows = pending.pop()

@@ -71,12 +71,12 @@ class VecchiaInformation:
     products: Floats
 
     def path_loss_products(self) -> Floats:
-        """Return C' U^-1 C (3, 3) for C = [residual power, regressors], offsets integrated out."""
+        """Return whitened products (3, 3) of power and regressors without offsets."""
         crossed = self.products[:3, 3:]
         return self.products[:3, :3] - crossed @ self.offset_covariance_db2() @ crossed.T
 
     def offset_covariance_db2(self) -> Floats:
-        """Return the offset covariance (I / s^2 + Z' U0^-1 Z)^-1 of R receivers given theta."""
+        """Return the covariance (R, R) of the receiver offsets given theta."""
         prior = np.eye(len(self.receivers)) / RECEIVER_OFFSET_STD_DB**2
         return np.asarray(np.linalg.inv(self.products[3:, 3:] + prior), dtype=np.float64)
 
@@ -88,7 +88,7 @@ def vecchia_information(
     noise_variance_db2: Floats,  # (n,) with sites for intervals
     before: tuple[VecchiaInformation, PlaceIndex] | None = None,  # Sums over the first ones
 ) -> VecchiaInformation:
-    """Return the information from all `measurements`; `before` is that from the first ones."""
+    """Return the information from `measurements`, reusing that `before` the last ones."""
     places = measurements.positions_m
     if before is None:
         windows = earlier_windows(places, place_blocks(places, BLOCK), BLOCK_NEIGHBOURS)
@@ -139,7 +139,7 @@ class OffsetsGivenTheta:
     covariance_db2: Floats  # (R, R) s^2 I - s^4 Z' U^-1 Z
 
     def indicators(self, receiver: Indices) -> Floats:
-        """Return indicators Z for measurements with receiver numbers (...); ``(..., R)``."""
+        """Return indicator columns (..., R) of the R receivers for numbers (...)."""
         return (receiver[..., None] == self.receivers).astype(np.float64)
 
 
@@ -200,7 +200,7 @@ measurements. It takes about ten sweeps."""
 
 @dataclass(frozen=True, eq=False)
 class IntervalRows:
-    """Interval measurements (m of n), and the windows in which their sites are matched."""
+    """Indices of the interval measurements, and the windows in which sites are matched."""
 
     rows: Indices  # (m,) indices, ascending
     known: Intervals
@@ -239,7 +239,7 @@ def window_sites(
     start: WindowSites | None,
     tolerance: float,
 ) -> WindowSites:
-    """Match the Gaussian sites of intervals by sweeps over the windows until they converge."""
+    """Match the Gaussian sites of intervals by sweeps over all windows until convergence."""
     omega2 = parameters.multipath_std_db**2
     rows, mean = intervals.rows, mean_db[intervals.rows]
     limit = intervals.known.upper_db - mean
@@ -315,7 +315,7 @@ def _cavities(
     own: int,
     rows: Indices,
 ) -> tuple[Floats, Floats]:
-    """Return leave-one-out means and variances of the block's `rows`."""
+    """Return leave-one-out means and variances of those block members with the given `rows`."""
     lower, whitened = factor_and_whitened(covariance, centred_db)
     near = len(lower) - own
     inverse = lower_inverse(np.tril(lower[near:, near:]))

@@ -258,7 +258,7 @@ matrix is skipped, and temporary arrays stay in cache."""
 
 
 def pairwise_distance_m(a: Floats, b: Floats, blur_m2: Floats | None = None) -> Floats:
-    """Return distances between every row of `a` (..., n, 2) and `b` (..., m, 2); (..., n, m)."""
+    """Return distances (..., n, m) between rows of `a` (..., n, 2) and `b` (..., m, 2)."""
     # `blur_m2` (position errors) is broadcast and added to the squares. Differences are squared
     # without expanding, so that coordinates near 3e6 keep their precision.
     dx = a[..., :, None, 0] - b[..., None, :, 0]
@@ -274,12 +274,12 @@ def pairwise_distance_m(a: Floats, b: Floats, blur_m2: Floats | None = None) -> 
 def shadow_covariance_db2(
     a: Floats, b: Floats, parameters: ChannelParameters, blur_m2: Floats | None = None
 ) -> Floats:
-    """Return the covariance of shadowing between `a` and `b` (see `pairwise_distance_m`)."""
+    """Return the covariance (..., n, m) of shadowing between positions `a` and `b`."""
     return decayed_db2(pairwise_distance_m(a, b, blur_m2), parameters)
 
 
 def decayed_db2(distance_m: NDArray[Real], parameters: ChannelParameters) -> NDArray[Real]:
-    """Return the covariance of shadowing at distances of any shape; the input is overwritten."""
+    """Overwrite distances of any shape with the covariance of shadowing at these distances."""
     covariance = distance_m
     covariance *= -1.0 / parameters.decorrelation_m
     np.exp(covariance, out=covariance)
@@ -293,7 +293,7 @@ def path_loss_variance_db2(
     station: Station,
     n_pl: float,
 ) -> Floats:
-    """Return the variance of path loss at positions with errors; (...) in dB^2."""
+    """Return the variance (...) of path loss in dB^2 due to position errors."""
     # ``(10 n_PL / ln 10)^2 sigma^2 (rho^2 + sigma^2) / (rho^2 + h^2 + 2 sigma^2)^2`` with rho the
     # horizontal distance to the station and h its height. It is the variance of the squared
     # distance divided by four times its squared mean. Near the station it is bounded and too small:
@@ -310,7 +310,7 @@ def path_loss_variance_db2(
 def measured_path_loss_variance_db2(
     measurements: Measurements, parameters: ChannelParameters
 ) -> Floats:
-    """Return the variance of path loss from the measurements' position errors; ``(n,)`` in dB^2."""
+    """Return the variance (n,) of path loss in dB^2 due to position errors."""
     return path_loss_variance_db2(
         measurements.positions_m, measurements.position_std_m, parameters.station, parameters.n_pl
     )
@@ -328,7 +328,7 @@ class Origins:
     receiver: Indices | None = None  # (..., n); None if all are 0
 
     def at(self, rows: Indices | slice) -> Origins:
-        """Return the origins of `rows`; indices (k, m) give k batches of m."""
+        """Return the origins with indices `rows`; indices (k, m) give k batches of m origins."""
         return Origins(
             self.positions_m[rows],
             None if self.blur_m2 is None else self.blur_m2[rows],
@@ -367,7 +367,7 @@ def place_origins(
 
 
 def covariance_db2(first: Origins, second: Origins, parameters: ChannelParameters) -> Floats:
-    """Return the covariance of powers at `first` (..., n) and `second` (..., m); (..., n, m)."""
+    """Return the covariance (..., n, m) of powers at `first` (..., n) and `second` (..., m)."""
     blur_m2 = _blur_m2(first, second)
     distance_m = pairwise_distance_m(first.positions_m, second.positions_m, blur_m2)
     return covariance_over_db2(distance_m, first, second, parameters)
@@ -386,7 +386,7 @@ def covariance_over_db2(
 
 
 def offset_covariance_db2(first: Indices, second: Indices) -> Floats:
-    """Return the covariance of the offsets of receivers (..., n) and (..., m); (..., n, m)."""
+    """Return the covariance (..., n, m) of receiver offsets at `first` and `second`."""
     one, other = first[..., :, None], second[..., None, :]
     return np.where((one == other) & (one != 0), RECEIVER_OFFSET_STD_DB**2, 0.0)
 
@@ -396,7 +396,7 @@ def own_covariance_db2(
     parameters: ChannelParameters,
     distance_m: Floats | None = None,  # (..., n, n) blurred; None to compute them
 ) -> Floats:
-    """Return the covariance of the powers at `origins` with each other; (..., n, n) in dB^2."""
+    """Return the covariance (..., n, n) in dB^2 of the powers at `origins`."""
     count = origins.positions_m.shape[-2]
     if distance_m is not None:
         covariance = covariance_over_db2(distance_m.copy(), origins, origins, parameters)
@@ -417,7 +417,7 @@ def own_covariance_db2(
 
 
 def own_variance_db2(origins: Origins, parameters: ChannelParameters) -> Floats:
-    """Return the variance of shadowing and the receiver's offset; ``(..., n)`` in dB^2."""
+    """Return the variance (..., n) in dB^2 of shadowing plus receiver offset."""
     variance = np.full(origins.positions_m.shape[:-1], float(parameters.shadow_std_db) ** 2)
     if origins.receiver is not None:
         variance[origins.receiver != 0] += RECEIVER_OFFSET_STD_DB**2
@@ -425,7 +425,7 @@ def own_variance_db2(origins: Origins, parameters: ChannelParameters) -> Floats:
 
 
 def own_distance_m(origins: Origins) -> Floats:
-    """Return distances between all pairs of `origins`, position errors included; ``(n, n)``."""
+    """Return distances (n, n) between all pairs of `origins`, increased by position errors."""
     blur_m2 = _blur_m2(origins, origins)
     distance = pairwise_distance_m(origins.positions_m, origins.positions_m, blur_m2)
     np.fill_diagonal(distance, 0.0)
@@ -433,13 +433,13 @@ def own_distance_m(origins: Origins) -> Floats:
 
 
 def ageing(one_s: Floats | float, other_s: Floats | float, parameters: ChannelParameters) -> Floats:
-    """Return the age factor exp(-|t_1 - t_2| / T); the arrays of times are broadcast."""
+    """Return the age factor exp(-|t_1 - t_2| / T) for times t_1, t_2 and forgetting time T."""
     gap = np.abs(np.subtract(one_s, other_s))
     return np.exp(-gap / parameters.forgetting_s)
 
 
 def _blur_m2(first: Origins, second: Origins) -> Floats | None:
-    """Return the increase of squared distances due to position errors, shaped for (..., n, m)."""
+    """Return the increase (..., n, m) of squared distances due to position errors, or None."""
     if first.blur_m2 is None:
         return None if second.blur_m2 is None else second.blur_m2[..., None, :]
     if second.blur_m2 is None:

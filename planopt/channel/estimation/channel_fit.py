@@ -66,7 +66,7 @@ class CovarianceFit:
 def covariance_bounds(
     residual_variance_db2: float, decorrelation_bounds_m: tuple[float, float]
 ) -> CovarianceBounds:
-    """Return bounds of xi^2 and omega^2 from the line's residual variance, and bounds of beta."""
+    """Return bounds of xi^2, omega^2 and beta from the path loss line's residual variance."""
     floor = max(MIN_VARIANCE_DB2, MIN_NUGGET_SHARE * residual_variance_db2)
     high = max(MAX_SHADOW_RATIO * residual_variance_db2, 100.0 * MIN_VARIANCE_DB2)
     return CovarianceBounds((MIN_VARIANCE_DB2, high), (floor, high), decorrelation_bounds_m)
@@ -130,7 +130,7 @@ def from_correlation(
 
 
 def at_bound(name: str, value: float, unit: str) -> str:
-    """Return the warning that a parameter is at a bound."""
+    """Return the warning that the fitted value of a parameter is at its lower or upper bound."""
     return f"{name} is at a bound of its range ({value:.3g} {unit}): the log does not determine it"
 
 

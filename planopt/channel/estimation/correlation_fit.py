@@ -146,7 +146,7 @@ def lemma1_fit(
 def convex_fit(
     bins: LogBins, alpha_db2: float, count: int, bounds: CovarianceBounds, loss: Loss = "squares"
 ) -> CovarianceFit:
-    """Fit xi, beta and omega by ``min sum rho(sqrt(tau) (log r - a + b d))`` within `bounds`."""
+    """Fit xi, beta and omega by a line through `bins` that minimises a convex loss in `bounds`."""
     # With squared loss and no active bound, the result equals `lemma1_fit` on the same bins.
     if loss == "squares":
         intercept, rate = _convex_line(bins, alpha_db2, bounds, loss)
@@ -171,7 +171,7 @@ def convex_fit(
 def nls_fit(
     correlation: EmpiricalCorrelation, alpha_db2: float, count: int, bounds: CovarianceBounds
 ) -> CovarianceFit:
-    """Fit xi, beta and omega by ``min sum n (xi^2 exp(-d / beta) - r)^2`` over all bins."""
+    """Fit xi, beta and omega by nonlinear least squares of the exponential to all bins."""
     lag, share = correlation.lag_m, np.clip(correlation.covariance_db2 / alpha_db2, -1e3, 1e3)
     root = np.sqrt(correlation.pairs / correlation.pairs.sum())
     low, high = (math.log(end) for end in bounds.decorrelation_m)
@@ -217,13 +217,13 @@ def nls_fit(
 
 
 def _scatter(bins: LogBins, intercept: float, rate_per_m: float) -> Floats:
-    """Return weighted residuals sqrt(tau) (log r - intercept + rate d), where sum(tau) = 1."""
+    """Return the residuals (b,) of the bins from a line, weighted by the root of their weights."""
     scatter = bins.log_covariance - intercept + rate_per_m * bins.lag_m
     return np.sqrt(bins.weight / bins.weight.sum()) * scatter
 
 
 def _line_errors(bins: LogBins, intercept: float, squares: float) -> tuple[float, float]:
-    """Return standard errors of xi^2 = exp(intercept) and of the rate; ``inf`` for two bins."""
+    """Return standard errors of xi^2 and of the line's rate; ``inf`` for two bins."""
     # `squares` is the sum of squared residuals, which are assumed independent between bins.
     count = len(bins.lag_m)
     if count < 3:
@@ -241,7 +241,7 @@ def _line_errors(bins: LogBins, intercept: float, squares: float) -> tuple[float
 
 
 def _weighed_by_line(bins: LogBins, intercept: float, rate: float) -> LogBins:
-    """Return the bins with weights n r^2, where r is the value of the fitted line."""
+    """Return the bins, with weights times the squared correlation on the fitted line."""
     above = intercept - rate * bins.lag_m - bins.log_covariance
     # Relative to the largest to avoid overflow; only ratios of weights matter.
     return replace(bins, weight=bins.weight * np.exp(2.0 * (above - above.max())))

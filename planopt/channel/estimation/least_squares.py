@@ -128,7 +128,7 @@ def _decorrelation_bounds_m(distinct: Floats, extent_m: float) -> tuple[float, f
 
 
 def nearest_distance_m(positions_m: Floats) -> Floats:
-    """Return the distance of each position (n, 2) from its nearest neighbour; (n,)."""
+    """Return the distance (n,) of each position (n, 2) from its nearest neighbour."""
     return PlaceTree(positions_m).nearest(positions_m, 2)[1][:, 1]
 
 
@@ -209,13 +209,13 @@ def coefficient_covariance(
 
 
 def receiver_columns(measurements: Measurements) -> Floats:
-    """Return indicator columns of all receivers except number 0; ``(n, R)``."""
+    """Return indicator columns (n, R) of the R receivers other than number 0."""
     numbers = np.unique(measurements.receiver)
     return (measurements.receiver[:, None] == numbers[numbers != 0]).astype(np.float64)
 
 
 def _ridged_inverse(columns: Floats, free: int) -> Floats:
-    """Return the ridge pseudoinverse (q, n) of `columns`, the first `free` ones without a ridge."""
+    """Return the pseudoinverse (q, n) of `columns` (n, q), with a ridge from column `free` on."""
     if columns.shape[1] == free:
         return np.asarray(np.linalg.pinv(columns), dtype=np.float64)
     ridge = np.sqrt(OFFSET_RIDGE) * np.eye(columns.shape[1])[free:]
@@ -224,7 +224,7 @@ def _ridged_inverse(columns: Floats, free: int) -> Floats:
 
 
 def _expected_below(limit: Floats, mean: Floats, variance: float) -> tuple[Floats, Floats]:
-    """Return mean and variance of N(mean, variance) truncated above at `limit`; (m,) each."""
+    """Return means (m,) and variances (m,) of normal variables truncated above at `limit`."""
     deviation = np.sqrt(max(variance, 1e-12))
     z = (limit - mean) / deviation
     log_below = np.asarray(log_ndtr(z), dtype=np.float64)

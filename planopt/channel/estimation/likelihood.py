@@ -85,7 +85,7 @@ RANK_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class LikelihoodData:
-    """Measurements in one window, or in blocks from coarse to fine with earlier neighbours."""
+    """Measurements in one window, or in a sequence of blocks with their earlier neighbours."""
 
     known: ChannelParameters  # The forgetting time and the station, which are not estimated
     origins: Origins  # (n) of the measurements; receivers' offsets are coefficients here
@@ -127,7 +127,7 @@ class LikelihoodData:
         )
 
     def flat_columns(self) -> Floats:
-        """Return independent regressors (n, k) of the mean and of offsets with a flat prior."""
+        """Return independent columns (n, k) that span the mean and the receiver offsets."""
         # Offsets are left out if fewer than `LEAST_FREEDOM` degrees of freedom would remain.
         mean = self.columns[:, : len(self.line)]
         if self.columns.shape[1] == len(self.line):
@@ -218,14 +218,14 @@ MEAN_TOLERANCE = 0.2
 
 @dataclass(frozen=True, eq=False)
 class Precision:
-    """Inverse covariance of all measurements, and the factors of the projection P."""
+    """Inverse covariance of all measurements, with the coefficients' covariance."""
 
     half: Floats  # (n, n) upper half of V^-1, zeros below
     weights: Floats  # (n, q) V^-1 X
     spread: Floats  # (q, q) S
 
     def projection(self) -> Floats:
-        """Return the projection P = V^-1 - V^-1 X S X' V^-1; ``(n, n)``."""
+        """Return the inverse covariance (n, n), less the part that the regressors explain."""
         whole = self.half + np.triu(self.half, 1).T
         return whole - self.weights @ self.spread @ self.weights.T
 
@@ -253,7 +253,7 @@ class LogNormal:
     deviation: float  # Standard deviation of log beta
 
     def added_to(self, at: Evaluation, beta: float) -> Evaluation:
-        """Return an evaluation of the likelihood with the logarithm of the prior added."""
+        """Return the evaluation `at` with the prior's logarithm at `beta` added."""
         apart = math.log(beta / self.median_m) / self.deviation
         gradient = at.gradient.copy()
         gradient[2] -= apart / (self.deviation * beta)
@@ -267,7 +267,7 @@ class LogNormal:
 
 
 class RestrictedLikelihood:
-    """Restricted likelihood, times a prior if there is one; sites and mean are warm-started."""
+    """Restricted likelihood, times a prior if there is one."""
 
     def __init__(self, data: LikelihoodData, prior: LogNormal | None = None) -> None:
         self.data, self.prior = data, prior
@@ -281,7 +281,7 @@ class RestrictedLikelihood:
         return at if self.prior is None else self.prior.added_to(at, covariance[2])
 
     def information(self, covariance: Covariance, at: Evaluation) -> Floats:
-        """Return the expected information (3, 3) for the evaluation `at` the same point."""
+        """Return the expected information (3, 3) at `covariance`, evaluated as `at`."""
         if at.precision is None:
             return at.information
         expected = _expected_information(self.data, covariance, at.precision.projection())
@@ -389,7 +389,7 @@ class RestrictedLikelihood:
 
 @dataclass(eq=False)
 class _Sums:
-    """Sums over windows: log |V|, C' V^-1 C, their derivatives, and the information."""
+    """Sums over all windows from which the likelihood and its derivatives are computed."""
 
     log_determinant: float
     products: Floats
@@ -398,7 +398,7 @@ class _Sums:
     information: Floats
 
     def estimate(self, prior_precision: Floats) -> tuple[Floats, Floats]:
-        """Return the generalised least-squares coefficients and their covariance S."""
+        """Return generalised least-squares coefficients (q,) and their covariance (q, q)."""
         spread = np.asarray(
             np.linalg.inv(self.products[1:, 1:] + np.diag(prior_precision)), dtype=np.float64
         )
@@ -448,7 +448,7 @@ def _evaluation(
 def _with_sites(
     rows: IntervalRows, values: Floats, noise: Floats, sites: Sites
 ) -> tuple[Floats, Floats]:
-    """Return values and noise variances (n,), with sites for the intervals."""
+    """Return values (n,) and noise variances (n,) in which Gaussian sites replace the intervals."""
     values, noise = values.copy(), noise.copy()
     values[rows.rows] = sites.values_db
     noise[rows.rows] = sites.noise_variance_db2 + rows.displaced_db2
@@ -460,7 +460,7 @@ def _interval_prior(
     latent_db2: Floats,  # (n, n) covariance of shadowing
     noise_db2: Floats,  # (n,) of the Gaussian measurements
 ) -> tuple[LatentPrior, float]:
-    """Return the intervals' prior given Gaussian measurements, and the log-likelihood of these."""
+    """Return the powers' prior given the Gaussian measurements, with their log-likelihood."""
     # If rounded intervals may be needed to determine theta, log L is taken at the line; the
     # integral over theta is left to the prior's score and information.
     if data.intervals is None:
@@ -501,7 +501,7 @@ def _window_sums(
     columns: Floats,  # (n, q + 1) C
     noise_db2: Floats,  # (n,), sites as measurements
 ) -> _Sums:
-    """Return the likelihood's sums over blocks, each conditional on its earlier neighbours."""
+    """Return the sums over all blocks, each block conditional on its earlier neighbours."""
     shadow, _, beta = covariance
     size = columns.shape[1]
     sums = _Sums(
@@ -545,7 +545,7 @@ def _window_sums(
 def _expected_information(
     data: LikelihoodData, covariance: Covariance, projection: Floats
 ) -> Floats:
-    """Return the expected information of (xi^2, omega^2, beta), tr(P dV_i P dV_j) / 2; (3, 3)."""
+    """Return the expected information (3, 3) of (xi^2, omega^2, beta)."""
     # Intervals count as Gaussian sites. The variance of a rounded measurement is assumed to grow as
     # omega^2. Censored measurements carry no information on omega^2, so that its standard error is
     # not understated.
@@ -559,7 +559,7 @@ def _expected_information(
 def profiled_log_likelihood(
     data: LikelihoodData, correlated_share: float, decorrelation_m: float
 ) -> tuple[float, float]:
-    """Return log L of Gaussian measurements at the best total variance alpha, and alpha."""
+    """Return the log-likelihood at the best total variance alpha, and this alpha."""
     # Receivers' offsets have a flat prior and position errors are ignored: terms that do not scale
     # with alpha cannot be profiled.
     count = len(data.values_db)

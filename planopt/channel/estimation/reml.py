@@ -156,7 +156,7 @@ def variances(logs: Floats) -> Covariance:
 def _starts(
     data: LikelihoodData, prior: LogNormal | None, bounds: CovarianceBounds, box: Floats
 ) -> list[Floats]:
-    """Return initial guesses: the maxima of a sample's likelihood."""
+    """Return initial guesses: the maxima of the likelihood of a subset of the measurements."""
     taken = data.gaussian.copy()
     if data.is_whole:
         rows = np.flatnonzero(taken)
@@ -256,7 +256,7 @@ def _beyond_best(likelihood: RestrictedLikelihood, best: Mode, box: Floats) -> F
 
 
 def _covariance_fit(likelihood: RestrictedLikelihood, mode: Mode, box: Floats) -> CovarianceFit:
-    """Return the covariance parameters at the optimum with standard errors and warnings."""
+    """Return the covariance parameters at an optimum, with standard errors and warnings."""
     shadow, nugget, beta = mode.covariance
     free = (mode.logs - box[:, 0] >= BOUND_TOLERANCE) & (box[:, 1] - mode.logs >= BOUND_TOLERANCE)
     errors = np.full(3, math.inf)
@@ -335,7 +335,7 @@ def minimise_damped(
 
 
 def _updated(curvature: Floats, moves: Iterable[tuple[Floats, Floats]]) -> Floats:
-    """Return `curvature` after BFGS updates; pairs of nearly no curvature are skipped."""
+    """Return `curvature` after BFGS updates by pairs (step, change of gradient)."""
     for step, change in moves:
         along = curvature @ step
         observed, expected = float(step @ change), float(step @ along)
@@ -347,7 +347,7 @@ def _updated(curvature: Floats, moves: Iterable[tuple[Floats, Floats]]) -> Float
 
 
 def _gain(gradient: Floats, curvature: Floats, free: Mask) -> float:
-    """Return the predicted gain of a Newton step on the free variables."""
+    """Return the decrease that a Newton step on the free variables is predicted to bring."""
     if not free.any():
         return 0.0
     part = curvature[np.ix_(free, free)] + CURVATURE_FLOOR * np.eye(int(free.sum()))

@@ -232,7 +232,7 @@ def station_surface(
 
 
 def losses(surface: StationSurface, places_m: Floats) -> tuple[Floats, Floats]:
-    """Return the loss l ``(m,)`` and theta ``(m, 2)`` for stations at `places_m` (m, 2)."""
+    """Return the loss (m,) and path loss theta (m, 2) of stations at `places_m` (m, 2)."""
     # l is infinite where n_PL is below `MIN_N_PL`.
     dx = surface.positions_m[:, None, 0] - places_m[:, 0]
     dy = surface.positions_m[:, None, 1] - places_m[:, 1]
@@ -253,7 +253,7 @@ def losses(surface: StationSurface, places_m: Floats) -> tuple[Floats, Floats]:
 
 
 def _mean_jacobian(positions_m: Floats, station: Station, n_pl: float) -> Floats:
-    """Return the Jacobian J (n, 4) of the mean with respect to K_PL, n_PL, x and y."""
+    """Return the Jacobian (n, 4) of the mean with respect to K_PL, n_PL, x and y."""
     # For a measurement at p the gradient with respect to q is ``10 n_PL / ln 10 (p - q) / d^2``.
     offset = positions_m - np.asarray(station.position_m)
     square = (offset**2).sum(axis=1) + station.height_m**2
@@ -265,7 +265,7 @@ def _mean_jacobian(positions_m: Floats, station: Station, n_pl: float) -> Floats
 
 
 def gauss_newton(surface: StationSurface, position_m: Floats) -> tuple[float, Floats, Floats]:
-    """Return value, gradient (2,) and Gauss-Newton curvature (2, 2) of l at a position (2,)."""
+    """Return the loss of a station position, its gradient (2,) and approximate Hessian (2, 2)."""
     # The gradient is exact. The curvature is the expected (Fisher) information of the position with
     # theta unknown; its inverse is the position's covariance if l is quadratic.
     station = surface.station(position_m)
@@ -283,7 +283,7 @@ def gauss_newton(surface: StationSurface, position_m: Floats) -> tuple[float, Fl
 
 
 def _grid_starts(surface: StationSurface) -> list[Floats]:
-    """Return the best local minima of l on the grid."""
+    """Return the best local minima of the loss on a grid of station positions."""
     low, high = surface.box_m(GRID_MARGIN)
     iy, ix = np.divmod(np.arange(GRID**2), GRID)
     grid = low + np.column_stack([ix, iy]) / (GRID - 1) * (high - low)
@@ -301,7 +301,7 @@ def _grid_starts(surface: StationSurface) -> list[Floats]:
 
 
 def _climbed(surface: StationSurface, starts: list[Floats]) -> Floats:
-    """Return the best optimum reached from the initial guesses `starts`."""
+    """Return the best station position reached from the initial guesses `starts`."""
     # Scaled to tenths of the extent to suit the minimiser's maximum step.
     unit = 0.1 * surface.extent_m
     low, high = surface.box_m(MARGIN)
@@ -380,7 +380,7 @@ def _clear_of(measurements: Measurements, station: Station) -> Station:
 
 
 def line_covariance_m2(measurements: Measurements, parameters: ChannelParameters) -> Floats | None:
-    """Return the sandwich covariance (2, 2) of the ``line`` position; None if undetermined."""
+    """Return the covariance (2, 2) of a position fitted by ``line``; None if undetermined."""
     line = _line_surface(measurements, parameters.station)
     fitted = station_surface(measurements, parameters, has_prior=False)
     if _is_at_edge(line, parameters.station):
@@ -399,7 +399,7 @@ def line_covariance_m2(measurements: Measurements, parameters: ChannelParameters
 
 
 def joint_covariance_m2(measurements: Measurements, parameters: ChannelParameters) -> Floats | None:
-    """Return the second moments of the likelihood about the estimate; None if undetermined."""
+    """Return the covariance (2, 2) of a position fitted by ``joint``; None if undetermined."""
     # Moments are sums over a lattice along the principal axes of the information, up to `MARGIN`
     # extents. Its spacing grows from a fraction of the standard deviation with the distance.
     surface = station_surface(measurements, parameters, has_prior=True)
@@ -427,7 +427,7 @@ def joint_covariance_m2(measurements: Measurements, parameters: ChannelParameter
 
 
 def theta_by_position(measurements: Measurements, parameters: ChannelParameters) -> Floats:
-    """Return the derivative B (2, 2) of theta with respect to the station's position."""
+    """Return the derivative (2, 2) of theta with respect to the station's position."""
     # With S the position's covariance, theta's covariance grows by B S B', because the position's
     # error is uncorrelated with theta's error at the true position.
     surface = station_surface(measurements, parameters, has_prior=False)
@@ -437,13 +437,13 @@ def theta_by_position(measurements: Measurements, parameters: ChannelParameters)
 
 
 def _whitened_jacobian(surface: StationSurface, parameters: ChannelParameters) -> Floats:
-    """Return the whitened Jacobian L^-1 J at the estimate; ``(n, 4)``."""
+    """Return the whitened Jacobian (n, 4) of the mean at the estimated station."""
     jacobian = _mean_jacobian(surface.positions_m, parameters.station, parameters.n_pl)
     return solve_lower(surface.lower, jacobian)
 
 
 def _is_at_edge(surface: StationSurface, station: Station) -> bool:
-    """Return whether the search ended at the edge of its box."""
+    """Return whether the fitted station is at the edge of the box that was searched."""
     low, high = surface.box_m(MARGIN)
     near, position = 1e-6 * surface.extent_m, np.asarray(station.position_m)
     return bool(((position - low < near) | (high - position < near)).any())

@@ -60,7 +60,7 @@ class _Track:
 
     @property
     def rank(self) -> tuple[bool, bool, int]:
-        """Sort key of tracks; the preferred track has the smallest."""
+        """Sort key of a track; the preferred track has the smallest key."""
         return self.in_degrees, self.frame != IN_MAP, PREFERRED.index(self.kind)
 
     def at(self, time_s: Floats) -> Floats:
@@ -123,7 +123,7 @@ def _is_wanted(topic: str, kind: str, definition: str) -> bool:
 
 
 def _is_number(topic: str, words: set[str]) -> bool:
-    """Return whether a topic is named like a power and carries plain numbers."""
+    """Return whether a topic carries plain numbers and has a name that denotes a power."""
     return "data" in words and _power_name(topic.split("/")) is not None
 
 
@@ -134,7 +134,7 @@ def _power_name(names: Sequence[str]) -> str | None:
 
 
 def _powers(message: Recorded) -> Iterator[_Reading]:
-    """Yield the power readings of a message: its own, and one from each entry of its lists."""
+    """Yield the power readings in a message: one of its own, and one per entry of each list."""
     content = message.content
     lists: list[Any] = [value for _, value in _fields(content) if isinstance(value, list)]
     entries = [each for one in lists for each in one if isinstance(each, SimpleNamespace)]
@@ -221,7 +221,7 @@ def _transformed(messages: Sequence[Recorded]) -> Iterator[_Track]:
 
 
 def _rotated(turn: Floats, place: Floats) -> Floats:
-    """Return positions (n, 3) rotated by quaternions (n, 4), which need not have length 1."""
+    """Return positions (n, 3) rotated by quaternions (n, 4) of any length."""
     turn = turn / np.linalg.norm(turn, axis=1, keepdims=True)
     twice = 2.0 * np.cross(turn[:, :3], place)
     return place + turn[:, 3:] * twice + np.cross(turn[:, :3], twice)

@@ -112,7 +112,7 @@ class LogFormat(Part):
 
     @classmethod
     def of_keys(cls, table: Any) -> dict[str, Any]:
-        """Return the field values in a table; the row filter becomes pairs of column and text."""
+        """Return field values from the keys of a table; the filter becomes (column, text)."""
         return {**super().of_keys(table), "where": tuple(table.where.items())}
 
 
@@ -132,7 +132,7 @@ def parse_columns(text: str) -> Columns:
 
 
 def parse_where(texts: Sequence[str]) -> tuple[tuple[str, str], ...]:
-    """Parse each ``COLUMN=TEXT`` to a pair for `where` of :class:`LogFormat`."""
+    """Parse texts ``COLUMN=TEXT`` to pairs for the field `where` of :class:`LogFormat`."""
     pairs: list[tuple[str, str]] = []
     for text in texts:
         column, equals, value = (piece.strip() for piece in text.partition("="))
@@ -143,7 +143,7 @@ def parse_where(texts: Sequence[str]) -> tuple[tuple[str, str], ...]:
 
 
 def parse_station(text: str, origin_deg: Origin | None = None) -> Station | None:
-    """Parse ``X,Y[,HEIGHT]`` in metres, or ``LAT,LON[,HEIGHT]`` with an origin; None if unknown."""
+    """Parse ``X,Y[,HEIGHT]``, with an origin ``LAT,LON[,HEIGHT]``; None for ``unknown``."""
     if text.strip().lower() == "unknown":
         return None
     form = "X,Y[,HEIGHT] in metres" if origin_deg is None else "LAT,LON[,HEIGHT] in degrees"

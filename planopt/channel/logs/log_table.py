@@ -139,7 +139,7 @@ class LogTable:
 
     @cached_property
     def folded(self) -> dict[str, str]:
-        """Return the column names by their reduced forms from :func:`fold`."""
+        """Return the columns by reduced name, as :func:`fold` reduces it."""
         return {fold(name): name for name in reversed(self.names)}
 
 

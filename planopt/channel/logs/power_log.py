@@ -153,7 +153,7 @@ def _from_milliwatts(cells: Sequence[Cell], power: NDArray[np.float64]) -> NDArr
 def _position_std_m(
     table: LogTable, columns: LogColumns, log_format: LogFormat
 ) -> NDArray[np.float64]:
-    """Return each position's standard deviation: from its accuracy cell, else the format's."""
+    """Return the standard deviation of each position, from its cell or else the format."""
     if columns.accuracy is None:
         return np.full(len(table.rows), log_format.position_std_m)
     cells = table.numbers(columns.accuracy)
@@ -250,7 +250,7 @@ def _selected(source: Source, log_format: LogFormat) -> tuple[LogTable, LogColum
 
 
 def rows_of(table: LogTable, log_format: LogFormat) -> LogTable:
-    """Return the rows that pass the format's filter; at least one."""
+    """Return the rows of a table that pass the format's filter; raise an error if none does."""
     chosen = table.where(log_format.where)
     if not chosen.rows:
         raise _no_rows(table, log_format)

@@ -113,7 +113,7 @@ def known_readers() -> dict[str, LogReader]:
 
 
 def _likeness(names: Sequence[str]) -> int:
-    """Return a score of column names: 0 for no log, largest for a known program's columns."""
+    """Return how much column names look like a log: 0 for none, most for a known program's."""
     table = LogTable(None, tuple(names), ())
     known = [len(each.signature) for each in known_readers().values() if _is_of(table, each)]
     roles = [("x", "y"), ("longitude", "latitude")]
@@ -122,7 +122,7 @@ def _likeness(names: Sequence[str]) -> int:
 
 
 def columns_of(table: LogTable, log_format: LogFormat) -> LogColumns:
-    """Return the columns of a log from its format, else from a known program, else by name."""
+    """Return the columns of a log, from its format, a known program, or their names."""
     name, reader = _reader_of(table, log_format) or (None, None)
     x, y, power = log_format.columns
     if reader is not None:
@@ -168,7 +168,7 @@ def columns_of(table: LogTable, log_format: LogFormat) -> LogColumns:
 def _position_columns(
     table: LogTable, log_format: LogFormat, x: str | None, y: str | None
 ) -> tuple[bool, str, str]:
-    """Return whether positions are in degrees, and their columns; metres are preferred."""
+    """Return whether positions are in degrees, and the two columns that hold positions."""
     degrees = [alias(table, role) for role in DEGREES]
     metres = [alias(table, role) for role in ("x", "y")]
     in_degrees = None not in degrees and (
@@ -180,7 +180,7 @@ def _position_columns(
 
 
 def _named(table: LogTable, name: str) -> str:
-    """Return the spelling that the table uses for a column's name."""
+    """Return the column of a table whose name equals `name`, in the table's own spelling."""
     return table.folded.get(fold(name), name)
 
 

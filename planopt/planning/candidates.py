@@ -60,7 +60,7 @@ UNLIMITED = Budget()
 
 
 def budget_from(problem: Problem, begun_s: float) -> Budget:
-    """Return the deadlines of a plan, which leave time to verify the path of the last solve."""
+    """Return the deadlines of a plan; they reserve time to verify the path of the last solve."""
     budget_s = problem.planner.budget_s
     if budget_s is None:
         return UNLIMITED
@@ -197,7 +197,7 @@ class Scorer:
         return replace(candidate, found=found)
 
     def standing(self, horizon: int) -> Candidate:
-        """Return a candidate that waits or, if waiting is unsafe, one that avoids collisions."""
+        """Return a candidate that waits or, if that is unsafe, one that avoids collisions."""
         # The alternatives are the reservation, which other robots avoid, and a path out of
         # obstacles.
         place = np.tile(self.position_m, (horizon, 1))
@@ -275,7 +275,7 @@ def released(scorer: Scorer, path_m: Floats, begun_s: float) -> Plan:
 
 
 def held(context: VerifierContext, path: list[Floats]) -> Floats:
-    """Return a path of N steps that follows `path` and then waits at its end; (N, 2)."""
+    """Return the positions (N, 2) of a path that follows `path` and then waits at its end."""
     horizon = context.problem.planner.horizon
     last = path[-1] if path else context.position_m
     return np.asarray([*path, *[last] * (horizon - len(path))])[:horizon]
@@ -316,7 +316,7 @@ def with_effort(chosen: Candidate, candidates: Sequence[Candidate]) -> Candidate
 
 
 def shifted_path(scorer: Scorer, warm: Plan | None) -> Floats | None:
-    """Return a verified plan shifted by one step (N, 2), with a waiting step at its end."""
+    """Return the rest of the last verified plan and a final waiting step as positions (N, 2)."""
     # None if the plan is unverified, no longer drivable, or for a robot with dynamics.
     if warm is None or warm.verdict is not Verdict.VERIFIED or warm.drive is not None:
         return None
@@ -342,7 +342,7 @@ def without_guess(scorer: Scorer, warm: Plan | None) -> Candidate:
 
 
 def _driven_without_guess(scorer: Scorer, warm: Plan | None) -> Candidate:
-    """Return a candidate that brakes: at once if that is collision-free, else after the last plan.
+    """Return the rest of the last plan if it is verified, else a stop now or after that rest.
 
     The remainder of the previous plan is collision-free whatever the channel belief, and the other
     robots avoid it.

@@ -118,7 +118,7 @@ def holes_on(problem: Problem, power: Prediction, places_m: Floats) -> tuple[Hol
 
 
 def named_holes(holes: Sequence[Hole], before: str, more: str) -> list[str]:
-    """Return descriptions of the longest holes, each after `before`, and the number of others."""
+    """Return texts on the longest holes, each prefixed by `before`, and a count of the others."""
     longest = sorted(holes, key=lambda hole: -hole.length_m)[:MOST_IN_WORDS]
     named = [f"{before}{hole.words}" for hole in holes if hole in longest]
     left = len(holes) - len(longest)
@@ -336,7 +336,7 @@ class Excused:
 
 
 def excused_steps(proofs: Sequence[Certificate]) -> list[Excused]:
-    """Return the excused steps: any step of a single plan, or the first step of each plan."""
+    """Return the excused steps of a single plan, or the excused first steps of several plans."""
     if len(proofs) == 1:
         return [_excused(proofs[0], k, step) for k, step in enumerate(proofs[0].relaxed_steps)]
     return [
@@ -358,7 +358,7 @@ def excused_in_words(steps: Sequence[Excused]) -> list[str]:
 
 
 def _excused(proof: Certificate, number: int, step: int) -> Excused:
-    """Return entry `number` of the steps that may miss p_min, as step number `step` of the run."""
+    """Return the excuse of a violating step, by its index `number` and its run step `step`."""
     missed_db = proof.relaxation_db[number]
     if proof.excess_m is not None:
         return Excused(step, missed_db, "price", proof.path_cost_m, proof.best_cost_m)
@@ -372,7 +372,7 @@ def _excused(proof: Certificate, number: int, step: int) -> Excused:
 
 
 def worst_of(certificates: Sequence[Certificate]) -> Certificate:
-    """Return a certificate with the worst value of each entry, without the violating steps."""
+    """Return the worst value of every entry as a certificate that lists no violating steps."""
     # Costs are those of the plan, and of the step, with the largest excess over the cheapest path.
     paths = [
         (one.excess_m, one.path_cost_m, one.best_cost_m)
@@ -415,7 +415,7 @@ def _known(values: Iterable[float | None]) -> list[float]:
 
 
 def worst_of_robots(certificates: Mapping[str, Certificate]) -> Certificate:
-    """Return the worst values over robots as a certificate; its reasons name the robot."""
+    """Return the robots' worst values as one certificate; each reason names its robot."""
     each = tuple(certificates.values())
     if len(each) == 1:
         return each[0]

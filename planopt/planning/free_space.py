@@ -48,7 +48,7 @@ def build_roads(problem: Problem, anchor_m: Floats) -> RoadMap:
 
 
 def is_joined(problem: Problem, clearance_m: float, without: Obstacle | None = None) -> bool:
-    """Return whether a path from start to goal with a clearance exists in continuous space."""
+    """Return whether some path in continuous space keeps a clearance from start to goal."""
     polygons = [each.polygon for each in problem.workspace.obstacles if each is not without]
     covered = shapely.union_all(shapely.buffer(polygons, clearance_m))
     free = shapely.box(*problem.workspace.bounds_m).difference(covered)
@@ -95,7 +95,7 @@ NEARER_M = 1e-9
 def leaving_path(
     problem: Problem, index: ObstacleIndex, moving: MovingDiscs, position_m: Floats
 ) -> Floats | None:
-    """Return a path (N, 2) whose first step leaves violated clearances, bounds or separations."""
+    """Return a path (N, 2) whose first step reduces violations of clearance, bounds, separation."""
     # After drift or next to a new obstacle, a robot may have no safe plan. Of the moves that reduce
     # no distance, the one with the least violation at its end, then the shortest, is chosen; it may
     # cross obstacles that contain the robot. None if no constraint is violated or no move helps.
@@ -133,7 +133,7 @@ def leaving_path(
 
 
 def _inside_m(index: ObstacleIndex, places_m: Floats) -> tuple[Floats, ObstacleIndex]:
-    """Return the depth of each position (n, 2) in an obstacle group, and the other obstacles."""
+    """Return depths (n,) in the obstacles around the first position, and the other obstacles."""
     # The group contains the obstacles around the first position and all that intersect them.
     points = np.asarray(shapely.points(places_m), np.object_)
     about = index.tree.query(points[0], predicate="within")
@@ -150,7 +150,7 @@ def _inside_m(index: ObstacleIndex, places_m: Floats) -> tuple[Floats, ObstacleI
 
 
 def _too_near_m(moving: MovingDiscs, paths_m: Floats) -> Floats:
-    """Return the shortfall (c,) of separation from moving discs after the first step of paths."""
+    """Return each path's largest shortfall (c,) of separation from moving discs after its start."""
     if not len(moving):
         return np.zeros(len(paths_m))
     places = int(paths_m.shape[1])
@@ -167,7 +167,7 @@ MOST_DRAWS = 10_000
 
 
 def with_drawn_starts(problem: Problem, seed: int) -> Problem:
-    """Return the problem with drawn start positions, where starts are random."""
+    """Return the problem with drawn values for random starts of robots and targets."""
     spread = any(robot.start_spread_m > 0.0 for robot in problem.robots)
     moved = any(target.start_distance_m is not None for target in problem.targets)
     if not spread and not moved:
@@ -251,7 +251,7 @@ def _is_free(problem: Problem, index: ObstacleIndex, places_m: Floats, clearance
 
 
 def free_target_path(problem: Problem, draw_path: Callable[[], Floats]) -> Floats:
-    """Return a target's states (n + 1, 4), drawn again until its path is free, if required."""
+    """Return the drawn states (n + 1, 4) of a target, whose path is free if that is required."""
     if not problem.targets[0].stays_free:
         return draw_path()
     index = index_obstacles(problem.workspace)

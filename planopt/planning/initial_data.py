@@ -295,7 +295,7 @@ def _numbers(key: str, values: object) -> Floats:
 def with_measurements(
     problem: Problem, measurements: UserMeasurements | None
 ) -> tuple[Problem, tuple[Measurements, ...] | None]:
-    """Return the problem without its own measurements, and the user's as a table per station."""
+    """Return the problem without measurements of its own, and the user's, one table per station."""
     # Without user measurements, return the unchanged problem and None.
     if measurements is None:
         return problem, None
@@ -343,7 +343,7 @@ def learn(problem: Problem, measurements: Measurements, station: int = 0) -> Bel
 def _given(
     problem: Problem, known: GivenParameters, measurements: Measurements, station: int
 ) -> tuple[ChannelFit, ChannelPosterior]:
-    """Return fit and posterior of a channel with known parameters; path loss may be estimated."""
+    """Return a channel's fit and posterior for known parameters; unknown path loss is fitted."""
     radio = problem.stations[station]
     path_loss_known = known.k_pl_db is not None
     parameters = ChannelParameters(

@@ -283,7 +283,7 @@ def _circled(track_m: Floats, step_length_m: float, gave_way: Sequence[bool]) ->
 
 
 def data_of_steps_mbit(problem: Problem, first: int, count: int) -> Floats:
-    """Return the data that each step after `first` delivers by the deadline if connected; (n,)."""
+    """Return the data (count,) that connected steps after step `first` deliver by the deadline."""
     rule, step_s = problem.constraints.rule, problem.planner.step_s
     if rule.deadline_s is None or rule.rate_mbit_s is None:
         return np.zeros(count)

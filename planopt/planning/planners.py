@@ -96,7 +96,7 @@ Score = Callable[[StepContext, Floats], Floats]
 
 
 def as_ranked(context: StepContext, paths_m: Floats) -> Floats:
-    """Return the objective values (c,) of paths (c, N, 2), as for ranking."""
+    """Return the approximate objective values (c,) by which searches rank paths (c, N, 2)."""
     return LocalRanking(context, paths_m)(paths_m)
 
 
@@ -143,7 +143,7 @@ class OneStepPlanner:
         return released(scorer, held(context, path), begun)
 
     def _best_step(self, context: StepContext, path: list[Floats]) -> Floats | None:
-        """Return the best next position after `path`; None if none is free."""
+        """Return the best next position after `path`; None if no next position is allowed."""
         here = path[-1] if path else context.position_m
         ends = here + self._offsets_m
         allowed = free_ends(self._problem, self._ground, here, ends)
@@ -273,7 +273,7 @@ class LawnmowerPlanner:
 
 
 def lawn_tour(road_map: RoadMap, first: int, apart_m: float) -> Indices:
-    """Return the nodes of a tour in lanes over all space reachable from `first`, move by move."""
+    """Return every node of a tour that sweeps all space reachable from node `first` in lanes."""
     # The lane spacing is `apart_m`, rounded to rows of nodes.
     tour = [first]
     low, high = int(road_map.rows.min()), int(road_map.rows.max())
@@ -294,7 +294,7 @@ def lawn_tour(road_map: RoadMap, first: int, apart_m: float) -> Indices:
 
 
 def lane_rows(low: int, high: int, apart: float) -> list[int]:
-    """Return lattice rows of lanes about `apart` apart, half of that from the outermost rows."""
+    """Return evenly spaced lattice rows for lanes, about `apart` rows from each other."""
     rows = high - low + 1
     count = min(max(math.ceil(rows / apart), FEWEST_LANES), rows)
     middles = low + (np.arange(count) + 0.5) * rows / count - 0.5
@@ -321,7 +321,7 @@ Assumed = Callable[[ChannelParameters], ChannelParameters]
 
 
 def path_loss_only(parameters: ChannelParameters) -> ChannelParameters:
-    """Return the fitted channel; used without measurements, it predicts path loss only."""
+    """Return the fitted parameters unchanged; without measurements they predict path loss only."""
     return parameters
 
 

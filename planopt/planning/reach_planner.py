@@ -157,7 +157,7 @@ class ReachPlanner:
         return _course(outlook, search)
 
     def refuge_course(self, outlook: Outlook, others_m: Floats, steps: int) -> Course | None:
-        """Return a timed path to a refuge away from others (k, 2); None if there is none."""
+        """Return a timed path to a refuge away from `others_m` (k, 2); None if there is none."""
         search = partial(self._search.refuge_course, others_m=others_m, steps=steps)
         return _course(outlook, search)
 
@@ -254,7 +254,7 @@ class ReachPlanner:
         lattice: Candidate,
         warm: Plan | None,
     ) -> list[tuple[Floats, Rung]]:
-        """Return initial guesses (N, 2), best first; RELAXED ones violate the chance constraint."""
+        """Return initial guesses (N, 2), best first, marked RELAXED if they violate p_min."""
         # If the shifted last plan costs less than the lattice path, it is the best guess.
         problem = self.problem
         guesses = [(start.path_m, Rung.RELAXED)]
@@ -310,7 +310,7 @@ class ReachPlanner:
         yield replace(lattice, rung=Rung.RELAXED) if lattice.relaxes else lattice
 
     def _sooner(self, scorer: Scorer, path_m: Floats) -> Floats | None:
-        """Return positions (N, 2) along a path that reach the goal sooner; None if impossible."""
+        """Return a path's positions (N, 2) at full speed if that reaches the goal sooner."""
         problem = self.problem
         away = np.linalg.norm(path_m - np.asarray(problem.goal_m), axis=1)
         there = np.flatnonzero(away <= problem.constraints.goal_radius_m)
@@ -325,7 +325,7 @@ def _course(
     outlook: Outlook,
     search: Callable[[Floats, GlobalStart], tuple[GlobalStart, Floats, TimedPath] | None],
 ) -> Course | None:
-    """Return the result of a search for a timed path; None if there is none."""
+    """Return the path that `search` finds for a robot as a course; None if there is none."""
     begun = perf_counter()
     found = None if outlook.start is None else search(outlook.state[:2], outlook.start)
     if found is None:
@@ -512,7 +512,7 @@ class DrivenReach:
         return self._cascade.first_verified(step, scorer, charged, warm, budget)
 
     def _charge(self, cost: ReachCost, pivot: Pivot, drive: Drive) -> GoalCharge:
-        """Return the goal cost; near the goal, each step pays for the remaining distance."""
+        """Return the parameters of the goal cost, charged at each step if the goal is near."""
         problem, horizon = self._problem, len(drive.inputs)
         away = np.linalg.norm(resting_places_m(drive)[1:] - pivot.position_m, axis=1)
         arrived = np.flatnonzero(away <= problem.constraints.goal_radius_m)
@@ -529,7 +529,7 @@ class DrivenReach:
         )
 
     def _is_stagnant(self, found: Candidate) -> bool:
-        """Return whether the plan comes to rest close to where braking now would end."""
+        """Return whether a plan comes to rest near the position where braking now would end."""
         if found.drive is None:
             return False
         resting = resting_places_m(found.drive)

@@ -97,7 +97,7 @@ MISSING_DB_COST = 100.0
 
 
 def tightened(task: PathTask, rows: RuleRows, power: Prediction, *, feasible: bool) -> Floats:
-    """Return a task's constraint bounds, tightened by the local model's error at its path."""
+    """Return a task's constraint bounds, tightened by the local model's error at the guess."""
     # With `feasible`, constraints that the path satisfies by the exact `power` stay feasible.
     local, per_db = task.evaluate(task.path_m).rows, rows.per_db(power)
     missing = rows.total - rows.achieved(power)
@@ -132,7 +132,7 @@ def with_bounds(task: PathTask, context: StepContext, rows: RuleRows) -> PathTas
 def lacks(
     context: StepContext, power: Prediction, rows: RuleRows, held: Mask, *, firmly: bool = False
 ) -> bool:
-    """Return whether these powers violate a constraint row that the solver enforced (`held`)."""
+    """Return whether predicted powers violate a constraint row that the mask `held` selects."""
     # With `firmly`, a margin below the error of search predictions counts as a violation, since
     # verification may be expensive.
     unsure = firmly and rows.weight is None and not is_search_exact(context.posterior)
@@ -141,7 +141,7 @@ def lacks(
 
 
 def moved(task: PathTask, evaluate: EvaluatePath, path_m: Floats, drive: Drive | None) -> PathTask:
-    """Return the task for another guess (N, 2), with the local model around its path."""
+    """Return the task for a new guess `path_m` (N, 2) and its local model `evaluate`."""
     motion = task.motion
     if motion is not None and drive is not None:
         motion = replace(motion, drive=drive)
@@ -214,11 +214,11 @@ class Refinement:
         self._nlp_for(obstacles_ahead(problem, 0))
 
     def _tail(self, discs: MovingDiscs) -> int:
-        """Return the number of lines for discs that move after the plan of a sum of terms."""
+        """Return the number of lines for discs that move after the plan; 0 for plans to a goal."""
         return 0 if self._to_goal else tail_count(discs, self._problem.planner.horizon)
 
     def _nlp_for(self, discs: MovingDiscs) -> PathNlp:
-        """Return the solver for this number of moving discs, built on first use."""
+        """Return the solver with enough lines for these moving discs, built on first use."""
         problem, settings, robot = self._problem, self._problem.planner, self._problem.robots[0]
         lines = max(self._moving, moving_count(discs)) + self._tail(discs)
         lines += GOAL_LINES if self._to_goal else LINES_PER_SEGMENT
@@ -254,7 +254,7 @@ class Refinement:
         rung: Rung,
         budget: Budget | None = None,
     ) -> list[Candidate]:
-        """Return refined candidates of a guess, verified; none once the budget is spent."""
+        """Refine a guess and verify the candidates; return none once the budget is spent."""
         budget = Budget() if budget is None else budget
         problem, to_goal = self._problem, self._to_goal
         nlp = self._nlp_for(context.moving)
@@ -370,7 +370,7 @@ class Refinement:
     def _lines_about(
         self, context: StepContext, path_m: Floats, drive: Drive | None, count: int
     ) -> tuple[SeparatingLines, SeparatingLines]:
-        """Return `count` lines per segment of a guess (N, 2), and those of its braking segment."""
+        """Return `count` lines per segment of a guess (N, 2), and lines for its braking segment."""
         # The last lines of each are for discs that move after the plan.
         problem, discs, pieces = self._problem, context.moving, self._ground.pieces
         ends, tail = np.vstack([context.position_m, path_m]), self._tail(discs)

@@ -156,7 +156,7 @@ class CostRaster:
         return np.asarray((self._values[corners] * weights).sum(axis=1))
 
     def legs_m(self, starts_m: Floats, ends_m: Floats) -> Floats:
-        """Return the costs of straight legs (n, 2), by the midpoint rule."""
+        """Return the costs of straight legs to `ends_m` (n, 2), by the midpoint rule."""
         lengths = np.linalg.norm(ends_m - starts_m, axis=1)
         count = max(1, math.ceil(float(lengths.max(initial=0.0)) / self.spacing_m))
         share = (np.arange(count) + 0.5) / count
@@ -399,7 +399,7 @@ class RouteSmoothing:
         ends_m: Floats,
         is_step: Mask | bool,
     ) -> Floats:
-        """Return the costs of steps or route legs (n, 2); infinite if one is not allowed."""
+        """Return the costs (n,) of steps or route legs; infinite for a leg that is not allowed."""
         planner, rate = self._problem.planner, rate_s_m(self._problem)
         lengths = np.linalg.norm(ends_m - starts_m, axis=1)
         weight = self._problem.reach.effort_weight_s2_m2

@@ -116,7 +116,7 @@ def _sensor(problem: Problem) -> Sensor | None:
 
 
 def _first_watch(problem: Problem, true_m: Floats, error: Floats) -> TargetWatch | None:
-    """Return the initial state of all filters, for an error (4,) in standard deviations."""
+    """Return the initial state of all filters, with an error (4,) in standard deviations."""
     sensor = _sensor(problem)
     if sensor is None or not problem.targets:
         return None
@@ -209,7 +209,7 @@ def _counted(
     positions_m: Floats,
     delivered: Mask,
 ) -> InformationState:
-    """Return a filter one step later, with sensor noise evaluated at its own estimate."""
+    """Return a filter after one more step; its noise depends on the predicted target position."""
     ahead = predict(watch.model, state)
     noise = noise_covariance_m2(watch.sensor, positions_m, ahead.mean[:2])
     return update(ahead, measured_m, noise, delivered)
@@ -267,12 +267,12 @@ class Stepper:
         self._warm: list[Plan | None] = [None for _ in numbers]
 
     def kept(self) -> dict[str, Any]:
-        """Return the state for a copy in another process, without the planner."""
+        """Return the state without its planner, to be copied to another process."""
         return {name: value for name, value in vars(self).items() if "_plan" not in name}
 
     @classmethod
     def restored(cls, kept: Mapping[str, Any], planning: Planning) -> Stepper:
-        """Return a copy from a state that :meth:`kept` returned, with a new planner."""
+        """Return a stepper from the state that :meth:`kept` returned, with a new planner."""
         made = cls.__new__(cls)
         vars(made).update(kept, _planning=planning)
         made._know(made.problem)

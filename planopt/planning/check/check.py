@@ -152,7 +152,7 @@ def _different(saved: Saved, found: Contents) -> list[str]:
 
 
 def _no_plan_reasons(saved: Saved) -> list[str]:
-    """Return the message that no plan exists, and differences from the recomputed file."""
+    """Return the saved message that no plan exists, and differences from the recomputed file."""
     message, record = str(saved.data["message"]), saved.record
     found: dict[str, Any]
     if saved.file.name == PLAN_FILE and isinstance(record, NoPlanRecord):

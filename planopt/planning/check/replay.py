@@ -1,8 +1,8 @@
 """Replay of a saved plan or run: trajectories are executed and plans verified again.
 
 The simulation loop runs with saved trajectories in place of a planner; nothing is planned. If the
-problem has a ground truth, it is drawn again together with the initial measurements; otherwise
-both are read from the files.
+problem has a ground truth, it and the initial measurements are drawn again. Otherwise, true powers
+and initial measurements are read from the files.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def belief_reasons(saved: SavedBelief, found: Arrays, seed: int) -> list[str]:
 
 
 def _comparable(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """Return arrays as lists, with EP sites as natural parameters, which are comparable."""
+    """Return arrays as lists; sites of expectation propagation become natural parameters."""
     lists: dict[str, Any] = {name: array.tolist() for name, array in arrays.items()}
     for name, variance in arrays.items():
         values = arrays.get(name.removesuffix(NOISE) + VALUES)
@@ -112,7 +112,7 @@ def _comparable(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
 
 
 def start_of(saved: Saved) -> tuple[Prepared, list[str]]:
-    """Return the initial data of a saved result, drawn again or from its files, with remarks."""
+    """Return the initial data of a saved result, drawn again or from its files; add remarks."""
     problem, seed = saved.problem, saved.record.seed
     first = [own.measurements.take(slice(own.first)) for own in saved.beliefs[0].stations]
     remarks: list[str] = []

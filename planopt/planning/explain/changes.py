@@ -145,7 +145,7 @@ class Trials:
         return plan is not None and plan.verdict is Verdict.VERIFIED
 
     def first(self, problem: Problem, key: Key, least: float) -> float | None:
-        """Return the first value of a key near the estimate `least` with a verified plan."""
+        """Loosen a key by about the amount `least`; return the first value with a verified plan."""
         values = dict.fromkeys(key.loosened(factor * least) for factor in EXTRA)
         return next((v for v in values if self.is_verified(key.changed(problem, v))), None)
 
@@ -163,7 +163,7 @@ def rounded(value: float, digits: int, down: bool) -> float:
 def bisected(
     suffices: Callable[[float], bool], least: float, most: float, count: int, settled: float = 0.0
 ) -> float:
-    """Bisect between `least` and `most` for the sufficient value nearest to `least`."""
+    """Return by bisection the value nearest to `least` that suffices; `most` has to suffice."""
     # `most` must suffice; it may be smaller than `least`. At most `count` halvings are made.
     for _ in range(count):
         if abs(most - least) <= settled * most:  # Relative tolerance
@@ -183,7 +183,7 @@ def without(
 
 
 def constraint_key(problem: Problem, name: str, unit: str, limit: float) -> Key:
-    """Return a key of ``[constraints]`` or of the connectivity rule, with 0 for a missing value."""
+    """Return a key of ``[constraints]`` or of the connectivity rule; 0 stands for no value."""
     constraints = problem.constraints
     owner = constraints if hasattr(constraints, name) else constraints.rule
     return Key(f"constraints.{name}", unit, float(getattr(owner, name) or 0.0), limit)
@@ -232,7 +232,7 @@ SLACK_PRICE = 1e5
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Plan to be explained: one robot's plan from the start of a run, with its belief."""
+    """Plan to be explained, made for one robot at the start of a run, and its channel belief."""
 
     problem: Problem  # Problem with all robots
     number: int  # Number of the robot
@@ -258,7 +258,7 @@ class Fault:
 
     @classmethod
     def at(cls, missed: Missed, steps: Mask, shortfall: float, unit: str) -> Fault:
-        """Return the violation at the steps marked by a mask (N,)."""
+        """Return a fault at the steps that the mask `steps` (N,) marks."""
         return cls(missed, tuple((np.flatnonzero(steps) + 1).tolist()), shortfall, unit)
 
 
@@ -369,7 +369,7 @@ def explain_violated(case: Case, trials: Trials) -> tuple[Relaxation, ...]:
 
 
 def _elastic(case: Case, trials: Trials) -> list[Case]:
-    """Return the case replanned with priced slack, which minimises the rule's violation, if any."""
+    """Return a list with the case replanned with priced slack; empty if that is not possible."""
     problem, rule = case.problem, case.problem.constraints.rule
     if problem.has_goal or (rule.by_step and rule.slack_max_db is None):
         return []

@@ -168,7 +168,7 @@ CONNECTION_PRICE = 1e4
 def explain_crossing(
     problem: Problem, posteriors: Sequence[ChannelPosterior], plan: Plan
 ) -> Crossing | None:
-    """Return the coverage holes on a robot's path to its goal, with reasons; None without any."""
+    """Return the holes that a robot's path crosses, and the reasons; None if it crosses none."""
     if not plan.holes:
         return None
     scene = build_scene(problem)

@@ -35,7 +35,7 @@ TINY = float(np.finfo(float).tiny)
 
 @dataclass(frozen=True)
 class _Stored:
-    """Expected dtype and shape of one saved array of a station."""
+    """Expected dtype and shape of an array that is saved for each station."""
 
     name: str
     source: Callable[[Belief], object]
@@ -129,7 +129,7 @@ def belief_arrays_of(
     belief: Belief,
     known: Callable[[Belief, int], NDArray[np.int64]] = lambda _own, _first: np.zeros(0, np.int64),
 ) -> Arrays:
-    """Return the arrays of a belief, with the measurement counts before each step, if any."""
+    """Return the arrays of a belief, with any counts of measurements known before each step."""
     return {
         station_prefix(station) + name: array
         for station, own in enumerate((belief, *belief.further))

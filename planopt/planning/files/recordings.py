@@ -41,7 +41,7 @@ OBSTACLE_COLOUR = {"r": 0.35, "g": 0.35, "b": 0.35, "a": 1.0}
 
 @dataclass(frozen=True, eq=False)
 class _Track:
-    """Motion of a robot: poses and numbers at times, and the plan made at each step."""
+    """Motion of a robot: times, poses, numbers to plot, and the plan made at each step."""
 
     robot: str
     t_s: NDArray[np.float64]
@@ -73,7 +73,7 @@ def _numbers(mean_dbm: NDArray[np.float64], source: Any) -> dict[str, NDArray[np
 
 
 def _map_of(result: MotionResult) -> PosteriorMap:
-    """Return the map of the last channel estimate of the first robot over the bounds."""
+    """Return a map of the workspace from the first robot's last channel estimate."""
     problem = result.problem
     bounds = problem.workspace.bounds_m
     thresholds = [station.threshold_dbm for station in problem.stations]
@@ -155,7 +155,7 @@ def _pose(place: Sequence[float], heading_rad: float = 0.0) -> dict[str, Any]:
 
 
 def _headings(positions_m: NDArray[np.float64]) -> list[float]:
-    """Return the direction of motion at each position; the last one is kept."""
+    """Return the heading at each position; a stationary robot keeps its last heading."""
     steps = np.diff(positions_m, axis=0, append=positions_m[-1:])
     found: list[float] = []
     for dx, dy in steps.tolist():
@@ -264,7 +264,7 @@ def write_mcap(path: Path, result: MotionResult) -> None:
 
 
 def write_rerun(path: Path, result: MotionResult) -> None:
-    """Write a result as a recording of Rerun; the y axis points down, as in its plane views."""
+    """Write a result as a Rerun recording, with the y axis down as in Rerun's plane views."""
     rerun = _package("rerun", "rerun")
     recording = rerun.RecordingStream("planopt")
     recording.save(path)

@@ -346,7 +346,7 @@ def _holes(holes: Iterable[Hole]) -> list[dict[str, Any]]:
 
 
 def certificate_json(certificate: Certificate) -> dict[str, Any]:
-    """Return the JSON data of a certificate, with any connectivity rule other than the default."""
+    """Return the JSON data of a certificate, without the key ``rule`` under the default rule."""
     found: dict[str, Any] = encoded(certificate)
     if found["rule"] is None:
         del found["rule"]
@@ -354,7 +354,7 @@ def certificate_json(certificate: Certificate) -> dict[str, Any]:
 
 
 def no_certificate_json(reasons: Iterable[str]) -> dict[str, Any]:
-    """Return the JSON keys of a certificate for a result without a plan, with the reasons."""
+    """Return a certificate's JSON keys with null or empty values, and reasons for no plan."""
     names = [part.name for part in fields(Certificate) if part.name != "rule"]
     lists = dict[str, Any](relaxed_steps=[], relaxation_db=[], best_margin_db=[])
     return {**dict.fromkeys(names), **lists, "reasons": list(reasons)}

@@ -115,7 +115,7 @@ class SavedPlan:
         return None if self.record.pivot is None else self.record.pivot.pivot
 
     def aim(self, watched: Aim) -> Aim:
-        """Return the objective's inputs: `watched`, the saved steering path and others' plans."""
+        """Return `watched` with the steering path and the other robots' plans from the file."""
         saved_aim, turns = self.record.aim, self.record.aim.steering_turns_m
         planned = tuple(np.array(path).reshape(-1, 2) for path in saved_aim.pending_m)
         return replace(

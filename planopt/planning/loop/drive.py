@@ -185,7 +185,7 @@ def _stuck(problem: Problem, connected: Mask, robot: Progress) -> str | None:
 
 
 def _has_left(team: Problem, robots: Sequence[Progress], robot: Progress) -> bool:
-    """Return whether unmeasured positions remain for a robot, apart from those of other robots."""
+    """Return whether a robot has positions left to measure, given the others' measurements."""
     problem, states, others = robot.problem, robot.states, Pending()
     if counts_others(team):
         driven = [np.array(each.states)[1:, :2] for each in robots]

@@ -172,7 +172,7 @@ class TargetLog:
 
     @property
     def normalised_trace_p(self) -> Floats:
-        """Return the station's trace of P divided by its initial value; (steps + 1,)."""
+        """Return the trace of the station's covariance over its initial value; (steps + 1,)."""
         return self.station_variance_m2 / self.station_variance_m2[0]
 
 
@@ -205,7 +205,7 @@ def channel_row(
     truths: Sequence[Truth],
     places_m: Floats,  # (n, 2) positions of the predictions
 ) -> tuple[float, ...]:
-    """Return a row of the channel log over all stations, in the order of :class:`ChannelLog`."""
+    """Return the values of one row of :class:`ChannelLog`, computed over all stations."""
     power = np.stack([true_power_dbm(truth, places_m) for truth in truths])
     shadowed = np.stack([mean_power_dbm(truth, places_m) for truth in truths])
     predicted = np.stack([search_power(each, places_m).mean_db for each in posteriors])
@@ -259,7 +259,7 @@ def target_log(watches: Iterable[TargetWatch | None], delivered: Mask) -> Target
 
 
 def _innovations(before: TargetWatch, after: TargetWatch) -> list[float]:
-    """Return the normalised innovation squared nu' S^-1 nu of each robot's filter in one step."""
+    """Return the normalised innovation squared (NIS) of each robot's filter in one step."""
     sent, found = after.sent[-1], list[float]()
     for state, measured, place, seen in zip(
         before.robots, sent.measured_m, sent.positions_m, sent.seen, strict=True
@@ -273,5 +273,5 @@ def _innovations(before: TargetWatch, after: TargetWatch) -> list[float]:
 
 
 def _squared(error: Floats, covariance: Floats) -> float:
-    """Return the squared Mahalanobis distance e' P^-1 e."""
+    """Return the squared Mahalanobis distance of an error with this covariance."""
     return float(error @ np.linalg.solve(covariance, error))

@@ -164,7 +164,7 @@ def run_holes(run: RobotRun) -> tuple[Hole, ...]:
 
 
 def true_serving_dbm(problem: Problem, truths: Sequence[Truth], positions_m: Floats) -> Floats:
-    """Return the true serving power (n,) at positions (n, 2), on the scale of the first station."""
+    """Return true serving powers (n,), to be compared with the first station's threshold."""
     # A robot is connected if this power reaches `problem.stations[0].true_threshold_dbm`.
     powers = np.stack([true_power_dbm(truth, positions_m) for truth in truths])
     return serving_power_dbm(powers, [radio.true_threshold_dbm for radio in problem.stations])

@@ -95,7 +95,7 @@ def remembering(evaluate: EvaluatePath) -> EvaluatePath:
 
 
 class ValueSource:
-    """Evaluation function that a solver's callbacks call; each solve sets its own."""
+    """Evaluation function for a solver's callbacks; every solve sets a new function."""
 
     def __init__(self) -> None:
         self._evaluate: EvaluatePath | None = None

@@ -35,7 +35,7 @@ from planopt.world.separation import (
 
 @dataclass(frozen=True, eq=False)
 class MotionTask:
-    """Initial guess of a robot with dynamics and separating lines of its braking."""
+    """Initial guess of a robot with dynamics, and separating lines for its braking path."""
 
     shape: MotionShape
     drive: Drive  # Drive along the guess, from the robot's state
@@ -186,19 +186,19 @@ MOVING_LINES = 3
 
 
 def moving_count(discs: MovingDiscs) -> int:
-    """Return the number of a segment's lines for moving discs, after its lines for obstacles."""
+    """Return the number of separating lines that each segment reserves for moving discs."""
     return min(MOVING_LINES, len(discs))
 
 
 def tail_count(discs: MovingDiscs, horizon: int) -> int:
-    """Return the number of lines for discs that still move after the last step of the plan."""
+    """Return the number of lines for discs that move after the plan's end; 0 if none moves."""
     return moving_count(discs) if discs.steps > horizon else 0
 
 
 def lines_about(
     problem: Problem, pieces: PackedPieces, discs: MovingDiscs, path_m: Floats, count: int
 ) -> SeparatingLines:
-    """Return `count` separating lines per segment for nearby convex pieces and moving discs."""
+    """Return `count` separating lines per segment, for nearby obstacle pieces and moving discs."""
     # Shapes: path_m (N + 1, 2), the robot's position, then the guess.
     reach = LINE_REACH_STEPS * problem.step_length_m
     standing = count - moving_count(discs)
@@ -214,7 +214,7 @@ def lines_with_violated(
     found_m: Floats,  # (N, 2)
     lines: SeparatingLines,
 ) -> SeparatingLines | None:
-    """Return the guess's `lines` plus lines for collisions of a path; None if there are none."""
+    """Return `lines` changed to separate a path from obstacles that it hits; None without any."""
     guess_m, path_m = (np.vstack([task.start_m, each]) for each in (task.path_m, found_m))
     standing = lines.piece.shape[1] - moving_count(discs)
     chosen = lines.piece[:, :standing].copy()
@@ -238,7 +238,7 @@ def lines_with_violated(
 def _moving_lines(
     problem: Problem, discs: MovingDiscs, path_m: Floats, needed: Mask | None = None
 ) -> SeparatingLines:
-    """Return separating lines for the moving discs nearest to a path, and for required ones."""
+    """Return separating lines for the moving discs nearest to a path and for those in `needed`."""
     reach = LINE_REACH_STEPS * problem.step_length_m
     # The pad covers the robot's uncertain position within a step.
     pad_m = problem.robots[0].dynamics.timed_pad_m(problem.planner.step_s)
@@ -247,7 +247,7 @@ def _moving_lines(
 
 
 def _discs_met(discs: MovingDiscs, chosen: NDArray[np.int64], path_m: Floats) -> Mask:
-    """Return a mask (m, N) of discs that a path collides with in steps without their line."""
+    """Return a mask (m, N) of the discs and steps where a path collides without a line."""
     if not len(discs):
         return np.zeros((0, len(path_m) - 1), dtype=np.bool_)
     apart = discs.apart_m[:, : len(path_m) - 1]

@@ -394,7 +394,7 @@ class _Climb:
         return nlp_point(self._horizon, x, *multipliers, termination, iterations)
 
     def _share(self, merit: float, value: float, rows: Floats, predicted: float) -> float:
-        """Return the achieved share of the merit function's predicted decrease."""
+        """Return the decrease of the merit function as a fraction of the predicted decrease."""
         gained = merit - self._merit(value, rows)
         return gained / predicted if np.isfinite(gained) else -np.inf
 
@@ -417,7 +417,7 @@ class _Climb:
         return -slope + self._penalty * float(before - after)
 
     def _model(self, x: Floats, rows: Floats, multipliers: Floats, region: float) -> Model:
-        """Return the convex model at x, with a trust region in longest steps."""
+        """Return the convex model at x; `region` is the trust region's width in longest steps."""
         curving = multipliers.copy()
         curving[self._cones.row] = 0.0
         widest = region * self._reach

@@ -389,7 +389,7 @@ def _hull_rows(
     line: Any,
     segment: int,
 ) -> None:
-    """Append the rows that keep one curve in the workspace and beyond its separating lines."""
+    """Append the rows that keep one step's curve in the workspace and clear of obstacles."""
     for number, (x, y) in enumerate(points, start=1):
         share = number / (len(points) + 1)
         for j in range(shape.lines):

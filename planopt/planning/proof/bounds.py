@@ -65,9 +65,9 @@ def verified_bound(
 
 
 def stages_of(problem: Problem, at: TermContext, plan: Plan) -> StageProblem | str:
-    """Return the first robot's sum of terms as a stage problem, or why it has no bound.
+    """Return the first robot's sum of terms as a stage problem, or the reason for no bound.
 
-    Every verified plan keeps p_min at the steps at which this one does.
+    A step that satisfies p_min in `plan` satisfies p_min in every verified plan.
     """
     terms, path = summed_terms(problem, at), plan.positions_m[1:]
     if terms.reason:

@@ -45,7 +45,7 @@ class EachStep(Rule):
 
     @classmethod
     def of(cls, problem: Problem, legs_m: Floats) -> EachStep:
-        """Return the rule for the steps that end at the times stated in the problem."""
+        """Return the rule for those steps that end at the problem's ``connected_times_s``."""
         times_s = np.array(problem.constraints.rule.connected_times_s)
         return cls(tuple(np.rint(times_s / problem.planner.step_s).astype(int).tolist()))
 
@@ -85,11 +85,11 @@ class EachStep(Rule):
         raise AssertionError("a rule on single steps")
 
     def run_metrics(self, problem: Problem, connected: Sequence[Mask]) -> dict[str, float]:
-        """Return the fraction of stated times with connection, as a metric, if times are stated."""
+        """Return the connected fraction of the stated times as a metric; none without times."""
         return super().run_metrics(problem, connected) if self.stated else {}
 
     def over_run(self, problem: Problem, connected: Mask) -> float:
-        """Return the fraction of the stated times reached so far with connection."""
+        """Return the fraction of stated times, among those reached so far, with a connection."""
         stated = np.unique(np.array(self.stated))
         return super().over_run(problem, connected[stated[stated <= len(connected)] - 1])
 
@@ -250,7 +250,7 @@ class Outage(Rule):
         return -self.limit
 
     def held(self, keeps: Mask, history: History) -> Mask:
-        """Return a mask of few, late steps whose connection keeps every outage short enough."""
+        """Return a mask of few steps, as late as possible, whose connection limits every outage."""
         held = np.zeros(len(keeps), dtype=np.bool_)
         run, last = self._begun(history), -1
         for step, size in enumerate(self.sizes.tolist()):
@@ -310,7 +310,7 @@ class Data(Rule):
         return probability @ data_of_steps_mbit(self.problem, history.steps, probability.shape[-1])
 
     def required(self, p_min: float, history: History, count: int) -> float:
-        """Return the expected data that a plan must deliver, by Markov's inequality for a p_min."""
+        """Return the expected data that a plan must deliver, from Markov's inequality for p_min."""
         needed = data_pace_mbit(self.problem, history, count)
         most = float(data_of_steps_mbit(self.problem, history.steps, count).sum())
         return needed if p_min == 0.0 or needed == 0.0 else most - (1.0 - p_min) * (most - needed)

@@ -135,7 +135,7 @@ class VerifierContext:
     def best_margins(
         self, steps: tuple[int, ...], search: Callable[[], tuple[float, ...]]
     ) -> tuple[float, ...]:
-        """Return the best reachable margins at some steps, cached for all candidates."""
+        """Return the best reachable margins at `steps` from `search`, cached for all candidates."""
         if steps not in self._best_margins:
             self._best_margins[steps] = search()
         return self._best_margins[steps]
@@ -160,14 +160,14 @@ def verifier_context(
 
 
 def steps_ahead(problem: Problem) -> int:
-    """Return the number of steps to predict obstacles: the horizon plus the longest braking."""
+    """Return for how many steps obstacles are predicted: horizon plus longest braking."""
     settings = problem.planner
     braking = [robot.dynamics.longest_stop_steps(settings.step_s) for robot in problem.robots]
     return settings.horizon + max(braking)
 
 
 def obstacles_ahead(problem: Problem, driven: int) -> MovingDiscs:
-    """Return the predicted moving obstacles over the steps ahead, after `driven` steps of a run."""
+    """Return the moving obstacles predicted for the next steps, after `driven` steps of a run."""
     # Predictions are renewed at every step; their uncertainty grows over the steps ahead.
     if not problem.workspace.moving:
         return NOTHING_MOVES

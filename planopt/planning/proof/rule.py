@@ -185,7 +185,7 @@ def rule_of(problem: Problem, legs_m: Floats | None = None) -> Rule:
 
 
 def whole_plan_result(case: PathCase) -> RuleResult:
-    """Return the result of a rule over all steps of a path, with the required slack."""
+    """Return a rule's result for a whole path, with the smallest slack that satisfies the rule."""
     # The slack is the smallest threshold reduction for which the rule holds, or zero if no
     # reduction up to `slack_max_db` suffices.
     result_at = case.rule.by_slack(case)

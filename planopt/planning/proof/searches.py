@@ -41,7 +41,7 @@ def grid_of(
     spacing_m: float,
     radius_m: float = np.inf,
 ) -> Floats:
-    """Return grid nodes (rows, columns, 2) within a radius of an anchor, which is one of them."""
+    """Return the nodes (rows, columns, 2) of a grid around an anchor, which is a node itself."""
     low = np.maximum(np.array(bounds_m[:2]) - anchor_m, -radius_m)
     high = np.minimum(np.array(bounds_m[2:]) - anchor_m, radius_m)
     columns = _steps_within(float(low[0]), float(high[0]), spacing_m)
@@ -67,7 +67,7 @@ def parts_of(passable: Mask) -> NDArray[np.int32]:
 
 
 def may_reach_from(problem: Problem, state: Floats) -> MayReach | None:
-    """Return a test of positions reachable from `state`; None for a single integrator (a disc)."""
+    """Return a test whether positions are reachable from `state`; None for a single integrator."""
     if problem.robots[0].moves_freely:
         return None
     dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
@@ -99,7 +99,7 @@ def best_by_paths(
     looked: list[Places],
     spacing_m: float,
 ) -> tuple[float, ...]:
-    """Return the best margin (dB) of the positions reachable within each of k path lengths."""
+    """Return the best margin in dB of the positions within each path length of `reach_m` (k,)."""
     # Negative margins are compared by straight distance, so a negative result is an upper bound.
     paths = shortest_paths(index, bounds_m, start_m, clearance, float(reach_m[-1]), inner=True)
     places = np.concatenate([at for at, _ in looked])
@@ -128,7 +128,7 @@ def _about(
     clearance: float,
     spacing_m: float,
 ) -> Floats:
-    """Return collision-free positions (m, 2) within half a spacing of nodes (n, 2)."""
+    """Return collision-free positions (m, 2) around nodes, up to half a spacing away per axis."""
     fractions = np.linspace(-0.5, 0.5, 9)
     around = np.stack(np.meshgrid(fractions, fractions), axis=-1).reshape(1, -1, 2)
     places = (nodes_m[:, None] + spacing_m * around).reshape(-1, 2)
@@ -140,7 +140,7 @@ def _about(
 def _best_reached(
     paths: ShortestPaths, reach_m: Floats, places_m: Floats, margins_db: Floats, bound_db: Floats
 ) -> tuple[float, ...]:
-    """Return the largest margin of positions, sorted best first, within each of k path lengths."""
+    """Return the best of `margins_db`, sorted in descending order, within each path length (k,)."""
     # If no position is within a path length, return the upper bound `bound_db` (k,) of all others.
     by_air = np.linalg.norm(places_m - paths.start_m, axis=1)
     length = np.full(len(places_m), np.nan)
@@ -228,7 +228,7 @@ def best_margins_by_step(
 def _reached(
     start_m: Floats, radius_m: float, step: int, may_reach: MayReach | None
 ) -> Callable[[Floats], Mask]:
-    """Return a function that tests which positions (n, 2) are reachable by a step."""
+    """Return a function that tests which positions (n, 2) a robot can reach by step `step`."""
 
     def reached(places_m: Floats) -> Mask:
         near = np.linalg.norm(places_m - start_m, axis=1) <= radius_m
@@ -351,7 +351,7 @@ def build_goal_grid(problem: Problem, index: ObstacleIndex) -> GoalGrid:
 
 
 def _coarser(grid: Floats, is_open: Mask) -> tuple[Floats, Indices, Floats]:
-    """Return positions of a coarse grid around open nodes, and how nodes are interpolated."""
+    """Return coarse grid positions around open nodes, with indices and weights to interpolate."""
     rows, columns = np.nonzero(is_open)
     last = (np.array(is_open.shape) - 1) // COARSE
     corners: list[Indices] = []

@@ -131,7 +131,7 @@ def verify_single_steps(
 
 
 def _result(problem: Problem, asked: Mask, relaxation_db: tuple[float, ...]) -> RuleResult | None:
-    """Return the result: the number of steps that satisfy p_min; None for the default rule."""
+    """Return the number of steps that satisfy p_min as a rule result; None for the default rule."""
     rule = problem.constraints.rule
     if rule.is_plain:
         return None

@@ -222,7 +222,7 @@ Commands = tuple[Floats, Floats]
 def commands_via(
     start_m: Floats, place_m: Floats, horizon: int, longest_m: float
 ) -> Commands | None:
-    """Return commands that lead to a position, straight or in an arc, and then onward or wait."""
+    """Return commands to reach a position straight or in arcs, and then to move on or wait."""
     # None if the position is not reachable within the horizon.
     # Shapes: start_m, place_m (2,).
     offset = (place_m - start_m) / longest_m
@@ -239,7 +239,7 @@ def commands_via(
 
 
 def arc_turn(chord: float, steps: int) -> float:
-    """Return the turn per step in rad with which `steps` unit steps end at distance `chord`."""
+    """Return the turn per step in rad of an arc of `steps` unit steps with length `chord`."""
     # For a turn a, `chord = sin(steps a / 2) / sin(a / 2)` decreases from `steps` to 0 for a in (0,
     # 2 pi / steps).
     low, high = 0.0, 2.0 * math.pi / steps
@@ -251,7 +251,7 @@ def arc_turn(chord: float, steps: int) -> float:
 
 
 def _onward(heading: float, bend: float, speed: float, steps: int, horizon: int) -> Commands:
-    """Return commands of an arc of `steps` steps, followed by steps onward or by waiting."""
+    """Return commands for an arc of `steps` steps, and then for all directions or for waiting."""
     paths = ONWARD + 1 if steps < horizon else 1
     turn, speeds = np.zeros((horizon, paths)), np.ones((horizon, paths))
     turn[0] = heading - 0.5 * bend * (steps - 1)
@@ -332,7 +332,7 @@ def _nudged(
 
 
 def _bends(horizon: int, count: int, width_rad: float, generator: np.random.Generator) -> Floats:
-    """Return random turns (N, c): at the first step, equal at all steps, and at a random step."""
+    """Return random turns (N, c): at the first step, spread evenly, and at one random step."""
     turn = np.zeros((horizon, count))
     turn[0] = FIRST_SHARE * width_rad * generator.normal(size=count)
     if horizon > 1:
@@ -398,7 +398,7 @@ class FanGuesses:
         return list(found)
 
     def _if_apart(self, context: StepContext, paths_m: Floats, values: Floats) -> Floats:
-        """Return the values of paths (c, N, 2), -inf for those too close to moving obstacles."""
+        """Return `values` of paths (c, N, 2), or -inf for paths too close to moving obstacles."""
         begin = np.broadcast_to(context.position_m, (len(paths_m), 1, 2))
         whole = np.concatenate([begin, paths_m], axis=1)
         is_apart = paths_gap_m(context.moving, whole) >= -CLEARANCE_TOLERANCE_M

@@ -149,7 +149,7 @@ class GlobalSearch:
     def refuge_course(
         self, position_m: Floats, start: GlobalStart, others_m: Floats, steps: int
     ) -> tuple[GlobalStart, Floats, TimedPath] | None:
-        """Return a timed path to a refuge away from others (k, 2); as :meth:`clear_course`."""
+        """Return a timed path to a refuge away from `others_m` (k, 2); None if there is none."""
         problem, scene = self._problem, self._scene
         found = search_room(
             scene.road_map,
@@ -163,7 +163,7 @@ class GlobalSearch:
     def _given(
         self, position_m: Floats, start: GlobalStart, found: TimedPath, steps: int
     ) -> tuple[GlobalStart, Floats, TimedPath]:
-        """Return a timed path as an initial guess, as positions after all steps, and unchanged."""
+        """Return a timed path in three forms: initial guess, positions after all steps, itself."""
         problem, places = self._problem, self._scene.road_map.nodes_m
         horizon = problem.planner.horizon
         first = found.nodes[:horizon]
@@ -192,7 +192,7 @@ class GlobalSearch:
         return history.has_circled or history.steps * self._problem.step_length_m > allowed
 
     def _cost_to_go_from(self, position_m: Floats) -> CostToGo:
-        """Return the cost-to-go to the goal near the robot and near the end of its plan."""
+        """Return the cost-to-go of nodes whose cost is not far above that at the robot."""
         # The search radius follows from the cost-to-go one step ago. If it is too small, the search
         # covers all nodes.
         scene, metre_cost = self._scene, self._metre_cost()
@@ -333,7 +333,7 @@ class GlobalSearch:
         return nodes
 
     def _penalty_s(self, guide: Guide) -> Floats:
-        """Return penalties (N, n) in seconds of ending steps at nodes, according to a guide."""
+        """Return a guide's penalties (N, n) in seconds for ending each step at each node."""
         margins, threshold = self.margins, self._problem.stations[0].threshold_dbm
         penalty = np.zeros((len(guide.bounded), len(margins.mean_db)))
         if guide.bounded.any():

@@ -279,7 +279,7 @@ class GuessSearch:
         return [] if path is None else [self._field.places_m(path)]
 
     def _loses(self, rewards: StageRewards, path: Indices, guide: Guide) -> bool:
-        """Return whether a more accurate prediction at its nodes lowers the value of a path."""
+        """Correct the predictions at a path's nodes; return whether the path's value decreases."""
         if not (guide.bounded.any() or guide.credit.any()):
             return False
         before = float(rewards.along(path).sum())

@@ -97,7 +97,7 @@ def first_steps_apart(discs: MovingDiscs, position_m: Floats, ends_m: Floats) ->
 
 
 def steps_apart(discs: MovingDiscs, step: int, starts_m: Floats, ends_m: Floats) -> Mask:
-    """Return a mask of straight motions (..., 2) in `step` (0-based) that avoid collisions."""
+    """Return a mask of straight motions (..., 2) that avoid moving discs in `step` (0-based)."""
     # A first step that begins too close to a disc is allowed if it moves away.
     if not len(discs):
         return np.ones(starts_m.shape[:-1], dtype=np.bool_)
@@ -120,7 +120,7 @@ class MovingMoves:
         self._discs = discs
 
     def hindered(self, step: int, rows: slice, columns: slice) -> tuple[Indices, Indices, Mask]:
-        """Return the nodes of a window that some moves cannot enter, with a mask of the moves."""
+        """Return the nodes of a window where discs block moves, and a mask of the blocked moves."""
         nodes: list[Indices] = []
         moves: list[Mask] = []
         for number in range(len(self._discs)):
@@ -208,7 +208,7 @@ STANDING = 0
 
 @dataclass(frozen=True, eq=False)
 class MoveValues:
-    """Values and surcharges of the moves of a search, and the moves that are not blocked."""
+    """Values and surcharges of lattice moves in a search, and the moves that are not blocked."""
 
     table: MoveTable  # Open moves
     value: Floats  # (21,)
@@ -267,7 +267,7 @@ class StageFrame:
         self._value.fill(-np.inf)
 
     def put(self, window: Window, value: Floats) -> None:
-        """Set the previous stage's values."""
+        """Set the values of the previous stage in a window."""
         self._value[self._at(window)] = value
 
     def arriving(self, stage: int) -> Floats:
@@ -300,7 +300,7 @@ class StageFrame:
         return best
 
     def _pass_by(self, moving: MovingMoves, stage: int, best: Floats) -> None:
-        """Correct the values of nodes with moves that a moving disc blocks."""
+        """Recompute the values of nodes that a moving disc blocks for some moves."""
         window = self._windows[stage]
         rows, columns, blocked = moving.hindered(stage, *without_margin(window))
         rows, columns = rows + REACH, columns + REACH
@@ -328,7 +328,7 @@ class StageFrame:
         self._sources = self._sources_of(rows, columns)
 
     def _sources_of(self, rows: Indices, columns: Indices) -> Indices:
-        """Return the frame's index (21, n) of the node at which each move to nodes (n,) begins."""
+        """Return flat indices (21, n) of the nodes from which the moves reach nodes (n,)."""
         width = self._value.shape[1]
         end = (rows - self._top) * width + columns - self._left
         return end - (MOVES[:, 1:] * width + MOVES[:, :1])
@@ -378,7 +378,7 @@ class LatticeValues:
     surcharge: Callable[[int, int], list[float]]
 
     def best_path(self, cost: Floats | float = 0.0) -> Indices | None:
-        """Return the nodes (N, 2) of the best path, for a terminal `cost`; None without a path."""
+        """Return the nodes (N, 2) of the path of best value minus `cost`; None without a path."""
         total = self.values[-1] - cost
         row, column = (int(i) for i in np.unravel_index(int(np.argmax(total)), total.shape))
         if not np.isfinite(total[row, column]):
@@ -455,7 +455,7 @@ def search_cheapest(
     surcharge_s_m: Floats | None = None,  # (n + 1,) per metre at nodes and robot
     moving: MovingDiscs | None = None,
 ) -> Indices | None:
-    """Return the nodes (N,) of the cheapest path, None without one; rest at the goal is free."""
+    """Return the nodes (N,) of the cheapest path, or None; waiting at the goal costs nothing."""
     if first_nodes.size == 0:
         return None
     rows, columns, number = road_map.rows, road_map.columns, road_map.number

@@ -81,7 +81,7 @@ class LocalRanking:
         self._stations = self._expected if same else [near(each) for each in context.law.posteriors]
 
     def _grid(self, channel: LocalChannel, about_m: Floats) -> LocalGrid | None:
-        """Return the part of the map that paths near `about_m` (a, 2) can change, if needed."""
+        """Return the map grid that paths near `about_m` (a, 2) can change; None if not needed."""
         at = self._context
         if not _averages_map(at.problem):
             return None

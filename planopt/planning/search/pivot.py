@@ -45,7 +45,7 @@ class Ahead:
         self._pivots: dict[bytes, Pivot] = {}
 
     def __call__(self, end_m: Floats) -> Pivot:
-        """Return the pivot if visible from `end_m` (2,) and cheapest, else a node nearby."""
+        """Return the pivot if it is visible from `end_m` (2,) and cheapest, else a nearby node."""
         key = end_m.tobytes()
         if key not in self._pivots:
             self._pivots[key] = self._cheaper(end_m)
@@ -76,7 +76,7 @@ class Ahead:
         return self.pivot if joined is None else self._seen_from(joined[0], end_m)
 
     def _joined(self, end_m: Floats) -> tuple[int, float, float] | None:
-        """Return the cheapest node within a step, its total cost, and the cost per metre."""
+        """Return the cheapest node within a step of `end_m`, its total cost, and the metre cost."""
         key = end_m.tobytes()
         if key not in self._joins:
             self._joins[key] = self._join(end_m)
@@ -120,7 +120,7 @@ def find_pivot(
     clearance: float,
     origin_m: Floats | None = None,  # (2,)
 ) -> Pivot:
-    """Return the farthest route point visible from the guess's end, or one beyond its reach."""
+    """Return the farthest visible route point or, if the path can reach that, a farther one."""
     end = int(start.nodes[-1])
     route = route_from(scene.road_map, start.cost_to_go, end, LOOKAHEAD_STEPS * step_length_m)
     places = scene.road_map.nodes_m[route]

@@ -92,7 +92,7 @@ class ProbedPlaces:
         return [paths[i] for i in self._best(context, paths, guessed, probed)]
 
     def _best(self, context: StepContext, paths: Floats, chance: Floats, count: int) -> Indices:
-        """Return indices of the best paths (c, N, 2), for connection probabilities (c, N)."""
+        """Return indices of the best of `paths` (c, N, 2), for probabilities `chance` (c, N)."""
         value = np.zeros(len(paths))
         for number, term in enumerate(context.problem.terms):
             if term.probes_end:
@@ -149,7 +149,7 @@ class ProbedPlaces:
         return np.where((share >= 1.0)[..., None], places_m[:, None], routes)
 
     def _round(self, context: StepContext, hidden_m: Floats) -> list[Floats]:
-        """Return paths around obstacles to those of `hidden_m` (n, 2) nearest to the target."""
+        """Return paths around obstacles to the positions `hidden_m` (n, 2) nearest the target."""
         target, horizon = context.aim.target_m, self._problem.planner.horizon
         if not len(hidden_m) or target is None:
             return []
@@ -285,7 +285,7 @@ def _reached(
 
 
 def _promise(margins_db: Floats, length_m: Floats) -> Indices:
-    """Return the order of positions: those that satisfy p_min by path length, then by margin."""
+    """Return an order of positions: those that satisfy p_min by length, then others by margin."""
     meets = margins_db >= MARGIN_PAD_DB
     return np.lexsort((np.where(meets, length_m, -margins_db), ~meets))
 
@@ -320,7 +320,7 @@ def _in_fewest_steps(scorer: Scorer, turns_m: Floats, length_m: float) -> Floats
 
 
 def _crossings(route_m: Floats, driven_m: Floats, length_m: float) -> tuple[Floats, Floats]:
-    """Return crossings of legs with backward extensions of later legs, and path lengths there."""
+    """Return where extended legs meet later legs extended backwards, and the path lengths there."""
     legs = np.diff(route_m, axis=0)
     places, along = [np.zeros((0, 2))], [np.zeros(0)]
     for one in range(len(legs)):

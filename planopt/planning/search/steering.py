@@ -81,7 +81,7 @@ class Steering:
         return self.path_to_best(counted, context.position_m)
 
     def path_to_best(self, above_db2: Floats, position_m: Floats) -> SteeringPath | None:
-        """Return the path to the cell with the largest J_CH, for excess variances of the cells."""
+        """Return the path to the cell with the largest product of excess variance and closeness."""
         paths = PathsFrom(self._problem, self._ground, position_m)
         distance = paths.length_m[self._nearest] + self._away_m
         reachable = np.isfinite(distance)

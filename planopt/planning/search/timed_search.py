@@ -148,7 +148,7 @@ def _search_within(
     least_stages: int,
     limit_s: float,
 ) -> TimedPath | None:
-    """Return the best path up to a cost limit, from nodes (m,) at which the first step may end."""
+    """Return the best path within a cost limit, whose first step ends at one of `nodes` (m,)."""
     # Once all other robots have stopped, a static search completes the search in space and time.
     to_go = costs.rate_s_m * costs.cost_to_go.cost_m
     stages: list[tuple[Indices, Indices]] = [(nodes, np.zeros(len(nodes), dtype=np.intp))]
@@ -182,14 +182,14 @@ def _search_within(
 
 
 def _is_free(costs: TimedCosts, discs: MovingDiscs, step: int, route: Indices) -> bool:
-    """Return whether a route (r,), driven at full speed after `step` steps, avoids the discs."""
+    """Return whether driving nodes `route` (r,) at full speed after `step` steps avoids discs."""
     route_m = costs.road_map.nodes_m[route]
     on = timed_places(route_m[:1], route_m[1:], costs.step_m, discs.steps - step)
     return is_apart(discs, on, step)
 
 
 def _cost_to_go_past_standing(costs: TimedCosts, discs: MovingDiscs) -> CostToGo:
-    """Return the cost-to-go around the other robots' last positions, where they rest."""
+    """Return the cost-to-go on paths that avoid the final positions of the other robots."""
     # Nodes near a disc are blocked, so that no move between other nodes violates the separation.
     road_map = costs.road_map
     factor = 1.0 + costs.surcharge_s_m[:-1] / costs.rate_s_m

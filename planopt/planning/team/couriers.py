@@ -102,7 +102,7 @@ class Couriers:
         return max((plans, instead), key=lambda made: self._rank(made, must_move))
 
     def _rank(self, plans: Sequence[Plan], must_move: bool) -> tuple[bool, int, int]:
-        """Return a rank: whether separated, number of moving plans if required, verified plans."""
+        """Return a rank of plans: separation, moving plans if required, verified plans."""
         # If moving plans were not counted, two robots could block each other forever: waiting is
         # verified, whereas giving way may violate the chance constraint.
         leading = sum(plan.rung not in STAYING for plan in plans) if must_move else 0
@@ -232,7 +232,7 @@ def _discs(problem: Problem, courses: Mapping[int, Course], steps: int) -> Movin
 
 
 def _lasting(discs: MovingDiscs, steps: int) -> MovingDiscs:
-    """Return the discs extended to more steps, in which they are disabled."""
+    """Return the discs extended to `steps` steps; they are disabled in the added steps."""
     more = steps - discs.steps
     if not len(discs) or more <= 0:
         return discs
@@ -252,7 +252,7 @@ def planning(
     seeds: TeamSeeds,
     foreseen_m: Sequence[Floats] | None = None,  # (T, 2)
 ) -> Planning:
-    """Return a function that creates planners of steps, to goals or for a sum of terms."""
+    """Return a function that creates the step planner of a team, for goals or a sum of terms."""
     # The scenes belong to the initial obstacles and are rebuilt if obstacles change.
 
     def made(now: Problem, states: Sequence[Floats]) -> PlanStep:

@@ -147,7 +147,7 @@ def build_team(
     seeds: TeamSeeds,
     foreseen_m: Sequence[Floats] | None = None,  # (T, 2) of each robot
 ) -> tuple[Member, ...]:
-    """Return the team of a problem; with `foreseen_m`, robots follow these paths."""
+    """Return the team of a problem; its robots follow the paths `foreseen_m` if supplied."""
     region = workspace_region(problem)
     team: list[Member] = []
     for number, generator in enumerate(seeds.planners):
@@ -196,7 +196,7 @@ def _in_order(
     order: Sequence[int],
     kept: Mapping[int, TimedMotion],
 ) -> tuple[list[Plan], list[Aim]]:
-    """Return plans in `order`, which avoid earlier and reserved motions, and external inputs."""
+    """Return plans made in `order` that avoid earlier and reserved motions; and external inputs."""
     aims: dict[int, Aim] = {}
 
     def plan_one(
@@ -217,7 +217,7 @@ def _planned(
     reserved_m: Floats,
     made: Mapping[int, Plan],
 ) -> tuple[Plan, Aim]:
-    """Return one robot's plan for the others' planned measurements, and its external inputs."""
+    """Return one robot's plan, given the others' planned measurements, and its external inputs."""
     pending = NOTHING_PENDING
     if counts_others(team[number].problem):
         planned = tuple(made[other].positions_m[1:] for other in sorted(made) if other != number)

@@ -41,7 +41,7 @@ ones hardly affect reachable positions."""
 def anticipated(
     posteriors: Sequence[ChannelPosterior], pending: Pending, position_m: Floats, spacing_m: float
 ) -> tuple[ChannelPosterior, ...]:
-    """Return each station's channel posterior, updated with the others' measurements."""
+    """Return each station's posterior after the other robots' past and planned measurements."""
     # Shapes: position_m (2,), position of the robot.
     away = np.linalg.norm(pending.driven_m - position_m, axis=1)
     near = np.sort(np.argsort(away, kind="stable")[:MOST_DRIVEN])
@@ -73,7 +73,7 @@ def shares_places(problem: Problem) -> bool:
 
 
 def structure_of(problem: Problem) -> Structure:
-    """Return the Hessian sparsity of the objective, by its coupling of a path's positions."""
+    """Return the sparsity of the objective's Hessian: ``stagewise``, ``chain`` or ``full``."""
     found = {term.structure for term in problem.terms}
     if "full" in found:
         return "full"
@@ -251,7 +251,7 @@ class StepContext(VerifierContext):
         return self.position_m[None] if arrived else np.zeros((0, 2))
 
     def chance(self, place_m: Floats) -> float:
-        """Return the connection probability at one position (2,), predicted on its own."""
+        """Return the probability of connection at one position (2,), from a separate prediction."""
         power = search_prediction(self.law, place_m[None])
         threshold = self.problem.stations[0].threshold_dbm
         return float(connection_probability(power.mean_db, power.deviation_db, threshold)[0])

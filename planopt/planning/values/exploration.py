@@ -87,7 +87,7 @@ def region_near(problem: Problem, whole: Region, position_m: Floats) -> Region:
 
 
 def region_along(problem: Problem, region: Region, path_m: Floats) -> Region:
-    """Return the positions of `region` at which paths near `path_m` (N, 2) can change the map."""
+    """Return the part of the map `region` that measurements near `path_m` (N, 2) can change."""
     away = np.linalg.norm(region.grid_m[:, None] - path_m, axis=2).min(axis=1)
     near = away <= ROOM_STEPS * problem.step_length_m
     return Region(region.grid_m[near], region.weight[near]) if near.any() else region
@@ -99,7 +99,7 @@ def _coarse_m(problem: Problem) -> float:
 
 
 def _centres(bounds_m: tuple[float, float, float, float], cell_m: float) -> Floats:
-    """Return the centres of cells of about size `cell_m` in bounds, row by row; (n, 2)."""
+    """Return the centres (n, 2) of cells about `cell_m` wide that fill the bounds, row by row."""
     x_min, y_min, x_max, y_max = bounds_m
     x, y = (
         low + (high - low) * (np.arange(count) + 0.5) / count

@@ -109,7 +109,7 @@ def _total(chance: Derivatives, weight: Floats) -> PathValue:
 def _joint_channels(
     context: StepContext, posteriors: Sequence[ChannelPosterior], path_m: Floats
 ) -> list[tuple[LocalChannel, LocalGrid | None]]:
-    """Return local channel and map of each station if terms couple positions; otherwise none."""
+    """Return each station's local channel and map; an empty list if no term needs them."""
     problem = context.problem
     if not shares_places(problem):
         return []

@@ -44,7 +44,7 @@ class ObjectiveValue:
         return tuple(self._contributed(number, path_m) for number in range(len(self._terms)))
 
     def of_each(self, paths_m: Sequence[Floats]) -> list[float]:
-        """Return the objective values of several paths, with joint predictions."""
+        """Return the objective values of several paths, whose powers are predicted together."""
         for path in paths_m:
             self.context.soon(path)
         total = np.zeros(len(paths_m))
@@ -231,12 +231,12 @@ class ReachCost:
         return outage_share(chance, self._is_below(power), self._everywhere)
 
     def metre_costs(self, path_m: Floats) -> Floats:
-        """Return the cost per metre at the robot and along a path (N, 2); (N + 1,)."""
+        """Return the costs per metre (N + 1,) at the robot and along a path (N, 2)."""
         places = np.vstack([self.position_m, path_m])
         return 1.0 + self.outage_price * self._outage_share(places)
 
     def outage_charges(self, path_m: Floats) -> tuple[float, Floats]:
-        """Return the penalised fraction of a metre at the robot, and along a path (N, 2)."""
+        """Return the penalised share of a metre at the robot, and its maximum along a path."""
         # The second value, (N,), is the fraction if connection were impossible.
         below = self._is_below(self.power(path_m))
         certain = outage_share(np.zeros(len(path_m)), below, self._everywhere)

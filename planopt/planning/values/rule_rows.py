@@ -58,7 +58,7 @@ class RuleRows:
         return self.margins_db(power) if self.weight is None else np.array([self.sum_of(power)])
 
     def per_db(self, power: Prediction) -> float:
-        """Return a row's derivative w.r.t. a threshold reduction in dB: 1 for margins, never 0."""
+        """Return the derivative of the rows w.r.t. a threshold reduction in dB; always positive."""
         if self.weight is None:
             return 1.0
         score = (power.mean_db - self.threshold_dbm) / power.deviation_db
@@ -142,7 +142,7 @@ def rows_again(
     earlier: list[tuple[float, RuleResult]],
     result: RuleResult,
 ) -> RuleRows | None:
-    """Return constraint rows corrected by a path's verified result; None without risk budget."""
+    """Return rows corrected by the verified result of a path; None if no correction applies."""
     # The correction is the secant between the last feasible and the last infeasible path, or half
     # of it if two successive paths are on the same side. The path is appended to `earlier`.
     rule, history = rule_of(context.problem), context.history
@@ -171,7 +171,7 @@ def rows_again(
 
 
 def step_rows(context: StepContext, path_m: Floats) -> RuleRows:
-    """Return constraint rows for single steps, whatever the rule, near a path (N, 2)."""
+    """Return constraint rows on single steps that approximate the rule near a path (N, 2)."""
     # A constraint on a sum becomes one per step; the path's surplus or deficit is spread evenly.
     rows = rule_rows(context, path_m)
     if rows.weight is None:
@@ -256,7 +256,7 @@ def common_level(rule: Rule, p_min: float, history: History, count: int) -> floa
 
 
 def _held_patterns(rule: Rule, context: StepContext, count: int) -> list[Mask]:
-    """Return masks (N,) of steps whose connection satisfies the rule: late, earlier, and all."""
+    """Return masks (N,) of steps whose connection satisfies the rule: latest, earlier, and all."""
     history, asks = context.history, context.problem.constraints.requires_connection
     every = np.ones(count, dtype=np.bool_)
     latest = rule.held(every, history)
@@ -272,7 +272,7 @@ def _held_patterns(rule: Rule, context: StepContext, count: int) -> list[Mask]:
 
 
 def missing(at: StepContext, legs_m: Floats, power: Prediction) -> Floats:
-    """Return the shortfall (c,) of each path, 0 if it satisfies the rule."""
+    """Return each path's shortfall (c,) from the connectivity rule; 0 if the rule is satisfied."""
     # For rules on each step, the unit is dB, summed over steps; otherwise it is the number of
     # missing connected steps.
     # Shapes: legs_m (c, N).
@@ -290,14 +290,14 @@ def missing(at: StepContext, legs_m: Floats, power: Prediction) -> Floats:
 
 
 def _value_of_step(rule: Rule, at: StepContext, shape: tuple[int, ...]) -> Floats:
-    """Return the mean increase (c,) of the rule's value per connected step of paths (c, N)."""
+    """Return each path's mean increase (c,) of the rule's value per connected step."""
     history = at.history
     gained = rule.valued(np.ones(shape), history) - rule.valued(np.zeros(shape), history)
     return np.maximum(gained / shape[1], 1e-9)
 
 
 def missing_slope(at: StepContext, batch: LocalPaths) -> Pull:
-    """Return the shortfall's derivatives w.r.t. powers; zero for a limit of outage."""
+    """Return derivatives of the rule's shortfall w.r.t. powers; zero for a rule on outages."""
     problem, history, power = at.problem, at.history, batch.power
     rule, threshold = rule_of(problem), problem.stations[0].threshold_dbm
     if rule.by_step:

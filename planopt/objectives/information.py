@@ -102,7 +102,7 @@ class Information:
 
 @dataclass(frozen=True, eq=False)
 class VarianceRemoved:
-    """Variance reduction of a map, or trace of the information on theta: tr(Y' C^-1 Y)."""
+    """Gain tr(Y' C^-1 Y), C the covariance: map variance removed, or path-loss information."""
 
     # Y is B times `loading`, or holds the covariances with the map positions.
 
@@ -110,7 +110,7 @@ class VarianceRemoved:
     universal: bool = True  # C is S + B M B' if true, else S
 
     def value(self, moments: Moments) -> Floats:
-        """Return tr(Y' C^-1 Y) for each path."""
+        """Return the trace tr(Y' C^-1 Y) of each path, with C and Y from :meth:`_parts`."""
         # tr(C^-1 Y Y') needs only the small Y Y'; solving for the wide Y costs several times more.
         covariance, rows = self._parts(moments)
         gathered = rows @ rows.swapaxes(-1, -2)
@@ -135,7 +135,7 @@ class VarianceRemoved:
         return found.plus(Pull(by_trend=x @ self.loading.T), 2.0)
 
     def derivatives(self, path: LocalPath) -> PathDerivatives:
-        """Return tr(Y' C^-1 Y) for one path with derivatives."""
+        """Return the trace of :meth:`value` for one path, with derivatives."""
         # Let X = C^-1 Y. For coordinate p of position i, dY = e_i y_p', dC = e_i d_p' + d_p e_i'
         # and u_p = y_p - X' d_p. With R_p = dY - dC X = e_i u_p' - d_p x_i':
         #     gradient_p = 2 x_i' u_p,
@@ -165,7 +165,7 @@ value of a step by at most 3/16 of that width."""
 
 @dataclass(frozen=True)
 class PathUncertainty:
-    """Sum of excess variances, max{0, L_ii^2 - sigma_TH^2} psi(l_i), in dB^2 (equation 4.4)."""
+    """Sum of variances above a threshold, weighted by closeness, in dB^2 (equation 4.4)."""
 
     # L_ii^2 is the variance at q_i given measurements at the earlier positions of the path, l_i is
     # the path length up to q_i, and psi(l) = exp(-zeta l).
@@ -180,7 +180,7 @@ class PathUncertainty:
         return (excess * near).sum(axis=-1)
 
     def _parts(self, moments: Moments) -> tuple[Floats, Floats]:
-        """Return excesses of variances L_ii^2 over the threshold, and weights; (..., N) each."""
+        """Return the excess of each variance over the threshold, and its weight; both (..., N)."""
         places = moments.positions_m
         start = np.broadcast_to(self.start_m, (*places.shape[:-2], 1, 2))
         legs = np.linalg.norm(np.diff(np.concatenate([start, places], axis=-2), axis=-2), axis=-1)
@@ -193,7 +193,7 @@ class PathUncertainty:
         return np.maximum(variance - moments.blind_db2 - gate**2 * fall, 0.0), near
 
     def pull(self, moments: Moments) -> Pull:
-        """Return the sum's adjoints, from d L_ii^2 = L_ii^2 n_i' dC n_i with n_i row i of L^-1."""
+        """Return the adjoints of the sum w.r.t. the moments, from the inverse Cholesky factor."""
         excess, near = self._parts(moments)
         rows = np.asarray(np.linalg.inv(moments.factor), dtype=np.float64)
         counts = np.where(excess > 0.0, near, 0.0)
@@ -251,7 +251,7 @@ class PathUncertainty:
 
 
 def map_criterion(posterior: ChannelPosterior, region: Region) -> Floats:
-    """Return G (2, 2) such that tr(G M) is the map variance due to path-loss uncertainty M."""
+    """Return G (2, 2); tr(G M) is the map variance due to the path-loss covariance M."""
     # G = sum_g w_g varphi(g) varphi(g)', with varphi(g) from the posterior before the path.
     trend = kriging_terms(posterior, region.grid_m).trend
     return trend.T @ (region.weight[:, None] * trend)
@@ -274,7 +274,7 @@ def square_root(matrix: Floats) -> Floats:
 
 
 def _by_universal(moments: Moments, by_universal: Floats) -> Pull:
-    """Return the adjoints of S and B from symmetric adjoints of S + B M B' (..., N, N)."""
+    """Return adjoints of S and B from those of S + B M B', with M the path-loss covariance."""
     by_trend = 2.0 * (by_universal @ (moments.trend @ moments.theta_covariance))
     return Pull(by_covariance=by_universal, by_trend=by_trend)
 
@@ -292,7 +292,7 @@ def _half_log_determinant(batch: CovarianceDerivatives) -> PathDerivatives:
 
 
 def _half_log_noise(path: LocalPath) -> PathDerivatives:
-    """Return 1/2 log det of the noise, whose variances are kappa + g^2 (omega^2 - kappa)."""
+    """Return half the log determinant of the noise of gated measurements, with derivatives."""
     noise, gates = path.channel.parameters.multipath_std_db**2, path.gates
     if gates is None:
         count = 2 * path.steps
@@ -310,7 +310,7 @@ def _half_log_noise(path: LocalPath) -> PathDerivatives:
 def _bent_variances(
     batch: CovarianceDerivatives, left: Floats, along: Floats, weight: Floats
 ) -> Floats:
-    """Return the Hessian sum_i w_i / L_ii^2 d^2 L_ii^2 of Cholesky pivots; ``(2 h, 2 h)``."""
+    """Return the weighted relative second derivatives of squared pivots; ``(2 h, 2 h)``."""
     # L_ii^2 is the minimum of y' S y over y with y_i = 1 and y_k = 0 for k > i. The minimiser is
     # L_ii n_i, with n_i row i of N = L^-1 = `left`. The first derivative is L_ii^2 n_i' dS n_i, the
     # second L_ii^2 (n_i' d^2 S n_i - 2 sum_{k<i} (N dS n_i)_k (N dS' n_i)_k). For coordinate p of

@@ -171,7 +171,7 @@ class Gates:
         return self.value[..., None] * self._log_slopes()
 
     def curvature(self, by_gate: Floats) -> Floats:
-        """Return ``sum_i by_gate_i d^2 gate_i`` for `by_gate` (N,) of one path; ``(2 N, 2 N)``."""
+        """Return the Hessian of one path's gates, weighted by `by_gate` (N,); ``(2 N, 2 N)``."""
         steps = len(by_gate)
         by_log = by_gate * self.value[0]
         slopes = self._log_slopes()[0]

@@ -89,12 +89,12 @@ class Moments:
 
     @cached_property
     def gated_part(self) -> Floats:
-        """Matrix S - kappa I, which is multiplied by the gates on both sides; ``(..., N, N)``."""
+        """Matrix S - kappa I to multiply by gates, with kappa = `blind_db2`; ``(..., N, N)``."""
         return self.whole_covariance - self.blind_db2 * np.eye(self.whole_covariance.shape[-1])
 
     @cached_property
     def covariance(self) -> Floats:
-        """Covariance S_g of gated measurements for known path loss theta; ``(..., N, N)``."""
+        """Covariance of gated measurements for known path loss; ``(..., N, N)``."""
         if self.gate is None:
             return self.whole_covariance
         both = self.gate[..., :, None] * self.gate[..., None, :]
@@ -102,17 +102,17 @@ class Moments:
 
     @cached_property
     def trend(self) -> Floats:
-        """Path-loss regressors B_g of gated measurements; ``(..., N, 2)``."""
+        """Path-loss regressors of gated measurements; ``(..., N, 2)``."""
         return self.whole_trend if self.gate is None else self.gate[..., None] * self.whole_trend
 
     @cached_property
     def universal(self) -> Floats:
-        """Covariance S_g + B_g M B_g' of measurements for uncertain theta; ``(..., N, N)``."""
+        """Covariance of gated measurements for uncertain path loss; ``(..., N, N)``."""
         return self.covariance + self.trend @ self.theta_covariance @ self.trend.swapaxes(-1, -2)
 
     @cached_property
     def factor(self) -> Floats:
-        """Cholesky factors of :attr:`universal`; L_ii^2 is variance i given q_1 .. q_i-1."""
+        """Cholesky factors of :attr:`universal`; squared pivots are conditional variances."""
         return covariance_factor(self.universal)
 
     @cached_property
@@ -184,7 +184,7 @@ class KnownPlaces:
 
 
 def known_places(posterior: ChannelPosterior, grid_m: Floats) -> KnownPlaces:
-    """Return precomputed terms of map positions `grid_m` (g, 2) for a posterior; O(kappa g)."""
+    """Return precomputed terms of map positions `grid_m` (g, 2) for a channel posterior."""
     parameters = posterior.parameters
     phi = posterior.covariance_with_db2(grid_m)
     solved = unwhiten(posterior.factor, posterior.whitened_regressors)
@@ -212,7 +212,7 @@ def posterior_moments(
     region: Region | None = None,  # Region of the averaged map
     known: KnownPlaces | None = None,  # Precomputed terms of the region for this posterior
 ) -> Moments:
-    """Return the moments of measurements along a path by the exact posterior; O(kappa^2 N)."""
+    """Return the moments of measurements along a path according to the exact posterior."""
     places = require_places(path_m)
     near = factored_near(posterior, places)
     terms = joint_terms(near, places)
@@ -342,7 +342,7 @@ class LocalPaths:
 
     @cached_property
     def _across(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
-        """Distances to map positions, kernel values ``(c N, g)``, covariances ``(c, N, g)``."""
+        """Distances and kernel values ``(c N, g)`` to map positions; covariances ``(c, N, g)``."""
         # The weighted covariance c of equation 4.6 is for uncertain theta.
         channel, grid = self.channel, self._map
         distance, kernel = _single_kernel(
@@ -369,7 +369,7 @@ class LocalPaths:
         )
 
     def slopes(self, pull: Pull, gates: Gates | None = None) -> Floats:
-        """Return the gradient w.r.t. positions, ``(c, N, 2)``; `pull.by_gate` refers to `gates`."""
+        """Return the gradient ``(c, N, 2)`` w.r.t. positions from adjoints of moments and gates."""
         channel = self.channel
         found, by_phi = np.zeros((*self.shape, 2)), np.zeros_like(self._solved)
         by_trend = pull.by_trend
@@ -405,7 +405,7 @@ class LocalPaths:
         distance_m: NDArray[np.float32],
         kernel: NDArray[np.float32],
     ) -> Floats:
-        """Return the gradient via covariances (c N, m) with positions `others_m`; ``(c, N, 2)``."""
+        """Return the gradient ``(c, N, 2)`` through covariances with positions `others_m`."""
         # d k = -k / (beta r) (q - other), with r at least the cusp rounding. Overwrites
         # `by_kernel`.
         beta = self.channel.parameters.decorrelation_m
@@ -417,7 +417,7 @@ class LocalPaths:
         return (pulled[:, :, :2] - pulled[:, :, 2:] * (self.paths_m - middle)) / beta
 
     def _between(self, by_covariance: Floats) -> Floats:
-        """Return the gradient via the prior covariances between positions of one path."""
+        """Return the gradient through prior covariances between positions of the same path."""
         parameters = self.channel.parameters
         beta = parameters.decorrelation_m
         offset = self.paths_m[:, :, None] - self.paths_m[:, None]
@@ -430,7 +430,7 @@ class LocalPaths:
 def _single_kernel(
     a: Floats, b: Floats, parameters: ChannelParameters, added_m2: Floats | None = None
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return distances and shadowing covariances of positions `a` and `b`; both ``(n, m)``."""
+    """Return distances and shadowing covariances between positions `a` and `b`; ``(n, m)``."""
     # Shapes: a (n, 2); b (m, 2); added_m2 (m,), added to the squared distances.
     # Offsets from the mean of `a` are rounded to float32, so coordinates near 3e6 keep their
     # digits.

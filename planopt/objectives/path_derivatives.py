@@ -29,7 +29,7 @@ from planopt.targets.rounding import Derivatives
 
 @dataclass(frozen=True, eq=False)
 class PathDerivatives:
-    """Objective value of a path of h positions with derivatives w.r.t. 2 h coordinates."""
+    """Objective value of a path, with derivatives w.r.t. the 2 h coordinates of h positions."""
 
     value: float  # Objective value
     gradient: Floats  # (2 h,) w.r.t. x_1, y_1, x_2, ...
@@ -91,7 +91,7 @@ class CovarianceDerivatives:
         return np.repeat(np.arange(steps), count // steps)
 
     def curvature(self, gradient_by_s: Floats) -> Floats:
-        """Return sum_ij G_ij d^2 S_ij for symmetric G = `gradient_by_s` (h, h); ``(2 h, 2 h)``."""
+        """Return the Hessian ``(2 h, 2 h)`` of sum_ij G_ij S_ij for G = `gradient_by_s`."""
         width = len(self.first) // len(self.value)
         wide = np.repeat(np.repeat(gradient_by_s, width, axis=0), width, axis=1)
         found = 2.0 * wide * self.mixed
@@ -156,7 +156,7 @@ class LocalPath:
 
     @cached_property
     def plain_trend(self) -> Rows:
-        """Path-loss regressors B of ungated measurements."""
+        """Path-loss regressors of ungated measurements."""
         parameters, phi = self.channel.parameters, self._phi
         loss = rounded_log_distance(self.path_m, parameters.station)
         # b = (1, gamma) - trend' phi.
@@ -168,7 +168,7 @@ class LocalPath:
 
     @cached_property
     def _known(self) -> CovarianceDerivatives:
-        """Covariance S of ungated measurements, for known theta."""
+        """Covariance of ungated measurements for known path loss."""
         channel, steps, phi = self.channel, self.steps, self._phi
         parameters, own = channel.parameters, np.arange(self.steps)
         solved = phi[:, :3].reshape(3 * steps, -1) @ channel.precision
@@ -190,7 +190,7 @@ class LocalPath:
 
     @cached_property
     def plain_universal(self) -> CovarianceDerivatives:
-        """Covariance S + B M B' of ungated measurements, for uncertain theta."""
+        """Covariance of ungated measurements for uncertain path loss."""
         known, trend, spread = self._known, self.plain_trend, self.channel.theta_covariance
         pulled = spread @ trend.value.T
         mixed = known.mixed + trend.first @ spread @ trend.first.T
@@ -203,17 +203,17 @@ class LocalPath:
 
     @cached_property
     def covariance(self) -> CovarianceDerivatives:
-        """Covariance S_g of gated measurements, for known path loss theta."""
+        """Covariance of gated measurements for known path loss."""
         return self._known.gated(self.gates, self.blind_db2)
 
     @cached_property
     def universal(self) -> CovarianceDerivatives:
-        """Covariance S_g + B_g M B_g' of gated measurements, for uncertain theta."""
+        """Covariance of gated measurements for uncertain path loss."""
         return self.plain_universal.gated(self.gates, self.blind_db2)
 
     @cached_property
     def trend(self) -> Rows:
-        """Path-loss regressors B_g of gated measurements."""
+        """Path-loss regressors of gated measurements."""
         return self.plain_trend.gated(self.gates)
 
     @cached_property
@@ -253,7 +253,7 @@ OWN_BLOCKS = {
 
 
 def add_own_blocks(hessian: Floats, own: Floats) -> None:
-    """Add second derivatives `own` (h, 3), xx, xy, yy, to the diagonal blocks of `hessian`."""
+    """Add second derivatives `own` (xx, xy, yy per position) to the diagonal of `hessian`."""
     # With gates `own` is ``(h, 6)``, as in `Rows`.
     first = np.arange(0, len(hessian), len(hessian) // len(own))
     for column, a, b in OWN_BLOCKS[int(own.shape[1])]:
@@ -283,7 +283,7 @@ def by_positions(found: PathDerivatives, gates: Gates | None) -> PathDerivatives
 def by_stages(
     value: float, gradient: Floats, hessian: Floats, inputs: Sequence[Derivatives]
 ) -> PathDerivatives:
-    """Return derivatives w.r.t. positions of a value that depends on c inputs per stage."""
+    """Return a value's derivatives w.r.t. positions, by the chain rule through stage inputs."""
     # Shapes: gradient (h, c); hessian (h, c, h, c).
     steps = len(gradient)
     slopes = np.stack([each.gradient for each in inputs], axis=1)

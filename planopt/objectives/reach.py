@@ -43,7 +43,7 @@ def outage_share(probability: Floats, is_below: Mask, everywhere: bool = False) 
 
 
 def charged_length_m(lengths_m: Floats, share: Floats) -> float:
-    """Return the length out of contact of a path with n + 1 positions."""
+    """Return a path's length out of contact, from its step lengths and outage shares."""
     # Shapes: lengths_m (n,); share (n + 1,).
     return float(0.5 * lengths_m @ (share[:-1] + share[1:]))
 

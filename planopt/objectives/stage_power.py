@@ -41,7 +41,7 @@ def rounded_kernel(
     parameters: ChannelParameters,
     added_m2: Floats | float = 0.0,  # (...) added to the squared distances
 ) -> Derivatives:
-    """Return xi^2 exp(-r / beta), r = sqrt(|offset|^2 + added + eps^2), and derivatives."""
+    """Return the shadowing covariance at offsets, smoothed near zero, with derivatives."""
     rows = np.empty((6, *offset_m.shape[:-1]))
     soft_m2 = softened_m2(added_m2, parameters)
     fill_rounded_kernel(rows, offset_m[..., 0], offset_m[..., 1], parameters, soft_m2)
@@ -211,7 +211,7 @@ def serving_derivatives(
 
 
 def scores_of(mean: Derivatives, deviation: Derivatives, threshold_dbm: float) -> Derivatives:
-    """Return the scores z = (mu - Upsilon_TH) / sigma of all stages with gradient and Hessian."""
+    """Return each stage's score (mean - threshold) / deviation, with gradient and Hessian."""
     by_sigma = 1.0 / np.maximum(deviation.value, LEAST_DEVIATION_DB)
     z = (mean.value - threshold_dbm) * by_sigma
     rows = mean.rows - z[:, None] * deviation.rows
@@ -224,7 +224,7 @@ def scores_of(mean: Derivatives, deviation: Derivatives, threshold_dbm: float) -
 def connectivity_derivatives(
     mean_db: Derivatives, deviation_db: Derivatives, threshold_dbm: float
 ) -> Derivatives:
-    """Return P(connected) = Q((Upsilon_TH - mu) / sigma) with gradient and Hessian."""
+    """Return each stage's probability of connection, with gradient and Hessian."""
     # dP = n(z) dz and d2P = n(z) (d2z - z dz dz'), n the standard normal density.
     rows = scores_of(mean_db, deviation_db, threshold_dbm).rows
     z = rows[:, 0].copy()

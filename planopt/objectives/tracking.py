@@ -61,7 +61,7 @@ class Tracking:
 
 @dataclass(frozen=True, eq=False)
 class Held:
-    """Measurements of the target by one robot in the last M steps, which the station lacks."""
+    """Target measurements of one robot in the last M steps that the station lacks."""
 
     # (4, 4) J of the station M steps ago, before the first unsent measurement
     information: Floats
@@ -106,7 +106,7 @@ class FilteredTracking:
 
 
 def left(received: Floats, settings: FilteredTracking) -> Floats:
-    """Return the criterion of the target's position covariance, as a weighted sum over steps."""
+    """Return the weighted sum over steps of a criterion of the target's position covariance."""
     # The filter runs in place, because searches evaluate hundreds of paths over all steps.
     # Shapes: received (..., k), information of the packets per axis in 1 / m^2.
     weight, steps = settings.tracking.weight, Axis.of(settings)
@@ -137,7 +137,7 @@ class Axis:
 
     @classmethod
     def of(cls, settings: FilteredTracking) -> Axis:
-        """Return the filter whose covariance and process noise are the station's axis means."""
+        """Return the filter with the station's covariance and process noise, averaged over axes."""
         model = settings.model
         start = _axis(covariance_of(settings.information))
         return cls(start, model.step_s, _axis(model.process_covariance))
@@ -157,7 +157,7 @@ class Axis:
 
 
 def _axis(covariance: Floats) -> Floats:
-    """Return (3,) entries of the covariance of one axis, averaged from a covariance (4, 4)."""
+    """Return entries (3,) of a one-axis covariance: the average over the axes of `covariance`."""
     blocks = covariance.reshape(2, 2, 2, 2).trace(axis1=1, axis2=3) / 2.0
     return np.array([blocks[0, 0], blocks[0, 1], blocks[1, 1]])
 
@@ -192,7 +192,7 @@ class Retreats:
     connected: int  # Number of known connected retreats; they come first
 
     def nearest_connected(self, stops_m: Floats) -> tuple[Floats, Floats]:
-        """Return the known connected positions (c, 2) nearest to stops, and distances in steps."""
+        """Return the connected positions (c, 2) nearest to stops, and distances in steps."""
         # A stop itself does not count. If there is none, return the stop at infinite distance.
         if not self.connected:
             return stops_m, np.full(len(stops_m), np.inf)
@@ -204,7 +204,7 @@ class Retreats:
         return np.where(np.isfinite(steps)[:, None], places[nearest], stops_m), steps
 
     def best(self, stops_m: Floats, arrivals: Indices) -> Floats:
-        """Return the largest packet information of the positions reachable by each step; (c, k)."""
+        """Return the largest packet information (c, k) among retreats reachable by each step."""
         # Shapes: stops_m (c, 2); arrivals (c,).
         found = np.zeros((len(stops_m), self.information.shape[1]))
         away = np.linalg.norm(stops_m[:, None] - self.places_m, axis=2)
@@ -335,7 +335,7 @@ def delayed_costs(
 
 
 def arrival_chance(chance: Floats, held: int) -> Floats:
-    """Return P(the station has the measurement of step s by step k); (N, M + N, c)."""
+    """Return probabilities (N, M + N, c) that the station has each measurement by each step."""
     # Correlated shadowing makes packets arrive or fail together. The result is therefore the
     # largest probability of the packets sent from step s to k; it is zero for s > k.
     # Shapes: chance (c, N).
@@ -377,7 +377,7 @@ def _variance_on_path(
 def _return_paths(
     stops_m: Floats, leaving: Indices, retreats: Retreats, total: int
 ) -> tuple[Floats, Floats]:
-    """Return straight paths to the nearest connected position ``(c, k, 2)`` and arrival steps."""
+    """Return straight paths ``(c, k, 2)`` to the nearest connected positions, and arrival steps."""
     # Each robot stays at its stop until step `leaving` (c,) ends. The arrival step is infinite if
     # no connected position is known.
     home_m, steps = retreats.nearest_connected(stops_m)

@@ -88,7 +88,7 @@ Makers = Mapping[Quantity, Callable[[Discs], UpperBounds]]
 
 @dataclass(frozen=True, eq=False)
 class Field:
-    """Bounds of predicted quantities over discs, computed once where they are used."""
+    """Bounds of predicted quantities over discs; each bound is computed on first use."""
 
     discs: Discs
     makers: Makers
@@ -113,14 +113,14 @@ class Field:
 
 @dataclass(frozen=True, eq=False)
 class PairedInformation:
-    """Information that a measurement loses because the previous position was measured."""
+    """Information that a measurement loses because the preceding position is measured too."""
 
     posterior: ChannelPosterior
     weight: float = 1.0
     given_nats: float = 0.0  # Information of what the posterior is assumed to know of the path loss
 
     def informed(self, path_m: Floats | None) -> PairedInformation:
-        """Return the bound that assumes to know more of the path loss than a path tells of it."""
+        """Return the bound for a posterior that knows more of the path loss than a path tells."""
         if path_m is None:
             return self
         moments, spread = posterior_moments(self.posterior, path_m), self.posterior.theta_covariance
@@ -132,7 +132,7 @@ class PairedInformation:
         return replace(self, posterior=posterior, given_nats=0.5 * np.linalg.slogdet(gain)[1])
 
     def nearest_m(self, discs: Discs) -> Floats:
-        """Return the least distances of discs from the station; (n,)."""
+        """Return the distances (n,) of the discs' nearest points from the station."""
         station = self.posterior.parameters.station
         across = np.hypot(*(discs.centre_m - np.asarray(station.position_m)).T) - discs.radius_m
         return np.maximum(np.hypot(np.maximum(across, 0.0), station.height_m), MIN_DISTANCE_M)
@@ -140,7 +140,7 @@ class PairedInformation:
     def lost(
         self, before_db2: Floats, after_db2: Floats, distance_m: float, nearest_m: Floats
     ) -> Floats:
-        """Return a lower bound of the loss in nats at most `distance_m` apart (equation 9.13).
+        """Return least losses in nats of positions at most `distance_m` apart (equation 9.13).
 
         `before_db2` bounds the earlier variance from below, `after_db2` the later from above.
         """
@@ -181,14 +181,14 @@ def constant_bounds(discs: Discs, value: float) -> UpperBounds:
 
 
 def information_bounds(variance: UpperBounds, noise_db2: float) -> UpperBounds:
-    """Return upper bounds of the information of one measurement in nats, ``log(v / noise) / 2``."""
+    """Return upper bounds of a measurement's information, ``log(variance / noise) / 2`` nats."""
     value = 0.5 * np.log(variance.value / noise_db2)
     slope = variance.slope / (2.0 * variance.value)[:, None]
     return UpperBounds(value, slope, 0.5 * np.log(variance.most / noise_db2), variance.radius_m)
 
 
 def closeness_bounds(decay_per_m: float, here_m: Floats, discs: Discs) -> UpperBounds:
-    """Return upper bounds of exp(-zeta |q - here|) over discs (equation 9.7)."""
+    """Return upper bounds over discs of the closeness exp(-zeta |q - here|) (equation 9.7)."""
     offset = discs.centre_m - here_m
     distance = np.hypot(*offset.T)
     value = np.exp(-decay_per_m * distance)
@@ -199,7 +199,7 @@ def closeness_bounds(decay_per_m: float, here_m: Floats, discs: Discs) -> UpperB
 
 
 def sensing_bounds(sensor: Sensor, target_m: Floats, discs: Discs) -> UpperBounds:
-    """Return upper bounds of a packet's information 1 / g(|q - p|) over discs (equation 9.3)."""
+    """Return upper bounds over discs of a packet's information on the target (equation 9.3)."""
     growth, floor, radius = sensor.growth, sensor.least_noise_m2, discs.radius_m
     offset = discs.centre_m - target_m
     distance = np.hypot(*offset.T)

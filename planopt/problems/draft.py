@@ -346,7 +346,7 @@ def _readings(table: LogTable, log_format: LogFormat, column: str | None, label:
 
 
 def _with_details(log_format: LogFormat, logs: Sequence[PowerLog], notes: _Notes) -> LogFormat:
-    """Return the format with floor and rounding step, if the powers reveal them."""
+    """Return the format completed by receiver floor and rounding step, if powers reveal them."""
     power = np.concatenate([each.measurements.power_dbm for each in logs])
     if logs[0].power_unit != "dBm":
         notes.assume(f"powers are in {logs[0].power_unit}")

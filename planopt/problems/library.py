@@ -134,7 +134,7 @@ def list_problems() -> tuple[LibraryEntry, ...]:
 
 
 def classifications() -> dict[str, Classification]:
-    """Return the classification of the library's problems by name."""
+    """Return the test-set classification of each library problem, by name of the problem."""
     file = library_folder() / FAMILIES
     if not file.is_file():
         return {}

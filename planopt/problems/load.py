@@ -294,7 +294,7 @@ def _of_change(error: InputError, given: str) -> InputError:
 
 
 def _places(tables: dict[str, Any], key: str) -> list[tuple[Any, str | int]]:
-    """Return the container and the last key or index of each value at a dotted key."""
+    """Return the container of each value that a dotted key selects, and its key or index there."""
     found: list[tuple[Any, str | int]] = [({"": tables}, "")]
     for part in key.split("."):
         match = _PART.fullmatch(part)
@@ -339,7 +339,7 @@ def _entered(table: Any, name: str | int, key: str) -> dict[str, Any]:
 
 
 def _entries(table: Any, name: str | int, key: str) -> list[Any]:
-    """Return the list at a name or index of a table or list."""
+    """Return the list that a table or list contains under a name or index."""
     value: Any = table.get(name) if isinstance(name, str) else table[name]
     if not isinstance(value, list):
         raise InputError(

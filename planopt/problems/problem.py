@@ -309,7 +309,7 @@ def problem_from_tables(data: object, *, folder: Path, file: Path | None) -> Pro
 
 
 def problem_at(problem: Problem, steps: int) -> Problem:
-    """Return `problem` with the obstacles known after some steps; itself if all of them are."""
+    """Return `problem` with the obstacles known after some steps; unchanged if all are known."""
     workspace = problem.workspace
     if not workspace.timed:
         return problem

@@ -92,7 +92,7 @@ class TaskProblem:
         return (f"{self.name}: {self.description}", f"  task        {self.task}")
 
     def with_planner(self, horizon: int | None = None, planner: str | None = None) -> Self:
-        """Return the problem with a changed planner, and horizon 1 unless it looks ahead."""
+        """Return the problem with another planner; its horizon is 1 unless it looks ahead."""
         now = self.given.planner
         model = cast("Any", type(now))
         changes = {"horizon": horizon, "name": planner}

@@ -74,7 +74,7 @@ LIMITATIONS = (
 
 
 def bench_page(rows: Sequence[Row], known: References, manifest: Manifest) -> Page:
-    """Return the page of a run: scores by start, families and questions, with charts."""
+    """Return the page of a suite run: scores by kind of start, family and question, with charts."""
     best, bounds = best_known(known, rows), bounds_known(known, rows)
     kinds = {kind: [row for row in rows if row.kind == kind] for kind in KINDS}
     kinds = {kind: own for kind, own in kinds.items() if own}
@@ -117,7 +117,7 @@ def bench_page(rows: Sequence[Row], known: References, manifest: Manifest) -> Pa
 
 
 def page_markdown(page: Page, *, whole: bool = True) -> str:
-    """Return title, tables and words of a page as Markdown; if not whole, without details."""
+    """Return a page's title, tables and notes as Markdown; omit details unless `whole`."""
     parts = [f"# {page.title}", page.description]
     for table in page.tables if whole else page.tables[:-1]:
         lines = [table.header, *table.rows]

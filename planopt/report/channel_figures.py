@@ -241,7 +241,7 @@ def _draw_covariance(
     fit: ChannelFit,
     station: Station,
 ) -> None:
-    """Draw products of uncensored residuals over lag, the fitted covariance, and pairs."""
+    """Draw residual products and fitted covariance over lag, and the number of pairs per lag."""
     parameters = fit.parameters
     exact = ~measurements.censored
     positions = measurements.positions_m[exact]

@@ -153,7 +153,7 @@ def draw_step_times(agents: Sequence[int], times_s: Mapping[str, Sequence[float]
 
 
 def animate_network(picture: NetworkPicture, path: Path) -> None:
-    """Write a GIF of a run: agents, their cells, radio links, events, responders; cost, messages.
+    """Write a GIF of a run: agents, cells, links, events, responders, and curves over time.
 
     The curves beside the map show the coverage cost, messages in a step and responding agents.
     """

@@ -98,7 +98,7 @@ def cell_centres(bounds_m: Bounds) -> tuple[NDArray[np.float64], NDArray[np.floa
 def drawn_cells(
     workspace: Workspace, x_m: NDArray[np.float64], y_m: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
-    """Return a mask (ny, nx) of cells with a free centre and their neighbours, below outlines."""
+    """Return a mask (ny, nx) of the cells with a free centre, and of their neighbours."""
     centres = np.stack(np.meshgrid(x_m, y_m), axis=-1)
     places = centres.reshape(-1, 2)
     free = inside_bounds(workspace, places)
@@ -387,7 +387,7 @@ def _is_small(problem: Problem, window: Bounds) -> bool:
 def show_window(
     panel: Panel, problem: Problem, positions_m: NDArray[np.float64], window: Bounds
 ) -> None:
-    """Limit a panel to a window; a small one gets an inset of the workspace, clear of positions."""
+    """Limit a panel to a window; in a small window, draw an inset of the whole workspace."""
     show_bounds(panel, window)
     if not _is_small(problem, window):
         return

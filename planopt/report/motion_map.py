@@ -124,7 +124,7 @@ def draw_true_power(figure: Figure, panel: Panel, run: Run) -> None:
 def path_curve(
     problem: Problem, positions_m: NDArray[np.float64], drive: Drive | None, first: int = 0
 ) -> tuple[NDArray[np.float64], list[int]]:
-    """Return points (k, 2) on the path through positions (n + 1, 2), and the positions' indices."""
+    """Return points (k, 2) on a path, and the indices of the step positions among the points."""
     if drive is None or len(drive.inputs) <= first:
         return positions_m[first:], list(range(len(positions_m) - first))
     dynamics, step_s = drive.dynamics, problem.planner.step_s

@@ -302,7 +302,7 @@ def metrics(problem: CoverageProblem, run: NetworkRun) -> dict[str, Any]:
 
 
 def event_results(problem: CoverageProblem, run: NetworkRun) -> list[dict[str, Any]]:
-    """Return the times of detection, service and end of each event, and its estimation error."""
+    """Return each event's times of detection, service and end, and its estimation error."""
     results = list[dict[str, Any]]()
     times_s = run.times_s[:-1]
     near_m = problem.scene.settled_m + ON_TARGET_M
@@ -383,7 +383,7 @@ def tables_of(problem: CoverageProblem, run: NetworkRun) -> dict[str, Data]:
     states = np.array([words[state] for state in run.states.ravel().tolist()], dtype=np.str_)
 
     def by_agent(values: NDArray[Any], end: Any = np.nan) -> NDArray[Any]:
-        """Return values (T + 1, n) or (T, n) agent by agent; `end` fills a missing last row."""
+        """Flatten values of steps and agents by agent; `end` fills a missing last step."""
         missing = np.full((steps + 1 - len(values), agents), end, dtype=values.dtype)
         return np.concatenate((values, missing)).T.ravel()
 

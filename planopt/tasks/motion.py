@@ -275,7 +275,7 @@ class MotionTask(Task):
         return load_motion_result(file, data)
 
     def no_plan(self, action: Action, problem: Problem, seed: int, error: NoPlanError) -> NoPlan:
-        """Return a result without a plan; for ``solve``, with changes that would give one."""
+        """Return a result without a plan; for ``solve``, list changes that would give a plan."""
         from planopt.planning.explain.explain import explain_no_plan
         from planopt.planning.files.result_json import no_plan_json, no_run_json
 
@@ -304,7 +304,7 @@ def _allows(problem: Problem, planner: str) -> bool:
 
 
 def _run_answer(problem: Problem, seed: int, shared: Any, recorded: States) -> dict[str, Any]:
-    """Return the row of the first steps of a run, which start from `recorded` states if any."""
+    """Return the regression suite's row for a run's first steps, from `recorded` states if any."""
     from planopt.planning.free_space import with_drawn_starts
     from planopt.planning.initial_data import team_seeds
     from planopt.planning.loop.drive import first_steps, true_world

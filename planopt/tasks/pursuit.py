@@ -123,7 +123,7 @@ def _missed_guarantee(problem: PursuitProblem) -> Inequality | None:
 
 
 def _stage_shares(problem: PursuitProblem, pursuit: Pursuit) -> Iterator[tuple[Theorem, float]]:
-    """Yield each chase's largest ratio of a stage's bound W to the limit of a valid theorem."""
+    """Yield a theorem and the largest ratio of a stage's distance bound to the theorem's limit."""
     if problem.given.planner.name != "drive":
         return
     for pursuer in range(len(pursuit.scene.pursuers)):
@@ -139,7 +139,7 @@ def _stage_shares(problem: PursuitProblem, pursuit: Pursuit) -> Iterator[tuple[T
 def _guarantee_json(
     problem: PursuitProblem, pursuit: Pursuit, shares: Sequence[tuple[Theorem, float]]
 ) -> dict[str, Any]:
-    """Return the guarantee for the first pursuer and evader, with the largest ratio to it."""
+    """Return the first pair's guarantee as JSON data, with the largest ratio of bound to limit."""
     radius_m, uses = problem.given.pursuit.capture_radius_m, pursuit.uses
     alone = len(problem.given.pursuers) == len(problem.given.evaders) == 1
     theorems: dict[str, Any] = {}
@@ -191,7 +191,7 @@ def _faults(result: TaskResult) -> list[str]:
 
 
 def claims(result: TaskResult) -> tuple[Claim, ...]:
-    """Return the guarantees of a result for the verifier."""
+    """Return the guarantees of a result as claims for the verifier to check."""
     return tuple(
         Claim(
             Theorem(name),

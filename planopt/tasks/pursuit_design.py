@@ -177,7 +177,7 @@ class DesignProblem(TaskProblem):
         return self.method.solver(self.theorem)
 
     def objective(self, design: Design) -> float:
-        """Return the minimised quantity: J per capture, or W."""
+        """Return the minimised quantity of a design: J per capture, or W."""
         return design.energy_per_capture_j if self.method.of_energy else design.cost_w
 
     def words(self) -> Sequence[str]:
@@ -361,7 +361,7 @@ def _design_json(
 
 
 def _relaxed_cost_w(problem: DesignProblem) -> float | None:
-    """Return the least power with continuous compression; None if there is no such programme."""
+    """Return the least power for continuous compression; None if the method lacks it."""
     rated = problem.method is METHODS["least_power_rated"]
     if not rated and problem.method is not METHODS["least_power"]:
         return None

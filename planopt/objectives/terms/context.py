@@ -77,7 +77,7 @@ class SteeringPath:
         return found
 
     def _ends_of_legs(self, places_m: Floats) -> Indices:
-        """Return the index of the turn at which the leg nearest to each position ends."""
+        """Return, for each position, the index of the turn that ends the nearest leg."""
         starts, legs = self.turns_m[:-1], np.diff(self.turns_m, axis=0)
         offset = places_m[:, None] - starts
         length2 = np.maximum((legs**2).sum(axis=1), np.finfo(float).tiny)
@@ -230,7 +230,7 @@ class TermContext(Protocol):
         ...
 
     def chance(self, place_m: Floats) -> float:
-        """Return the probability of connection at a position (2,), including known links."""
+        """Return the probability of connection at a position (2,); measured power counts."""
         ...
 
     def probed(self, places_m: Floats, predicted: Floats) -> Floats:

@@ -108,14 +108,14 @@ class MotionEnergyTerm(Term):
         return -self._spent_j(paths.legs_m, paths.at.standstill_m, paths.at.step_s).sum(axis=1)
 
     def derivatives(self, path: NearPath) -> PathDerivatives:
-        """Return minus the energy of motion per metre, with derivatives."""
+        """Return minus the length-dependent energy of one path, with derivatives."""
         offsets = np.diff(np.vstack([path.at.position_m, path.places_m]), axis=0)
         lengths = rounded_length(offsets, path.rounding_m)
         each = np.full(len(offsets), -self.per_metre_j_m)
         return PathDerivatives(float(each @ lengths.value), *by_lengths(lengths, each))
 
     def slope(self, paths: Paths, number: int) -> Pull:
-        """Return the adjoints of minus the energy per metre w.r.t. positions."""
+        """Return the adjoints of minus the length-dependent energy w.r.t. positions."""
         by_length = np.full(paths.shape, -self.per_metre_j_m)
         return pull_of_lengths(paths.at.position_m, paths.paths_m, by_length)
 

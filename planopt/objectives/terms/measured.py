@@ -181,7 +181,7 @@ class LearningTerm(MeasuredTerm):
         return StageBounds(lambda stage, field: field["trend"].positive_part(), most_steps=1)
 
     def node_gain(self, station: NodeChannel, posterior: ChannelPosterior) -> Floats:
-        """Return each node's gain: for criterion T the trace, otherwise the gain of D in nats."""
+        """Return each node's gain: the trace for criterion T, else information in nats."""
         trend, covariance = station.trend, posterior.theta_covariance
         spread = np.einsum("yxi,ij,yxj->yx", trend, covariance, trend)
         latent = np.maximum(station.deviation_db**2 - spread, 1e-12)
@@ -240,7 +240,7 @@ class MappingTerm(MeasuredTerm):
         return frozenset() if self.form in FORMS_WITH_KEYS else frozenset(FORM_KEYS)
 
     def planned(self, setting: TermSetting) -> Term:
-        """Return the term of the form: the two-layer form rewards progress, not measurements."""
+        """Return the term used in planning: for the two-layer form, one that rewards progress."""
         if self.form != "two_layer" or isinstance(self, TwoLayerTerm):
             return self
         return TwoLayerTerm(**{each.name: getattr(self, each.name) for each in fields(self)})
@@ -302,7 +302,7 @@ class MappingTerm(MeasuredTerm):
         return StageBounds(reward)
 
     def node_gain(self, station: NodeChannel, posterior: ChannelPosterior) -> Floats:
-        """Return the form's gain of one measurement at each node; for ``average``, the variance."""
+        """Return the gain of one measurement at each node; the variance for form ``average``."""
         variance = station.deviation_db**2
         match self.form:
             case "path":

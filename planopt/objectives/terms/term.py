@@ -84,7 +84,7 @@ class Term:
 
     @classmethod
     def table_fault(cls, given: frozenset[str], term: Term) -> str | None:
-        """Return the conflict of the keys `given` with other keys as text; None if none."""
+        """Return text on a conflict of the keys `given` with others; None without conflict."""
         return None
 
     @property
@@ -196,7 +196,7 @@ class Term:
         return 0.0
 
     def stage_bounds(self, at: TermContext) -> StageBounds | str:
-        """Return upper bounds of a sum over stages, or the reason why there are none."""
+        """Return upper bounds of the term's stage rewards, or the reason why there are none."""
         return "without a proven bound"
 
     def move_reward(self, lengths_m: Floats, step_s: float) -> Floats:

@@ -202,7 +202,7 @@ class TrackingTerm(Term):
         return own, retreats, others, float(left(0.5 * others, own))
 
     def _filtered(self, at: TermContext) -> FilteredTracking:
-        """Return the tracking problem and the station's filter, beyond the horizon as well."""
+        """Return the tracking problem, extended beyond the horizon, with the station's filter."""
         if at.aim.information is None:
             raise AssertionError("this form of tracking needs the station's filter")
         settings = self.settings(at)
@@ -226,7 +226,7 @@ class TrackingTerm(Term):
         return (paths.chance * sensing) @ settings.weight[:steps]
 
     def derivatives(self, path: NearPath) -> Derivatives:
-        """Return the additive value per stage with derivatives; it also refines probing paths."""
+        """Return the additive value per stage with derivatives, also for forms with probes."""
         settings = self.settings(path.at)
         chance = connectivity_derivatives(*path.stage_power, settings.threshold_dbm)
         sensing = sensing_derivatives(settings.sensor, path.places_m, settings.target_m)

@@ -74,7 +74,7 @@ def charged_distance_m(
     settings: Search,
     probed: Mask | None = None,  # (h,) True where the robot probes; None: all
 ) -> float:
-    """Return E[D] + beyond_m P(never connected) of a path, D the distance until connected."""
+    """Return the expected distance until connected, plus its penalty if never connected."""
     # E[D] alone favours a stationary robot, so leg lengths are those of `counted_legs_m`.
     # Stations are independent, so their outage probabilities multiply.
     places = require_places(path_m)
@@ -131,7 +131,7 @@ def filtered_failing(above_db: Floats, covariance_db2: Floats) -> Floats:
 
 
 def search_length_m(distance_m: Floats, chance: Floats, decorrelation_m: float) -> Floats:
-    """Return expected search lengths R = D + L (1 - P) / P for alternative first probes."""
+    """Return the expected search lengths (k,) for first probes at k alternative positions."""
     # The first probe costs the path length D to its position. Each further probe is nearby, equally
     # likely to succeed, and costs L, `PROBE_SHARE` of the decorrelation distance.
     # Shapes: distance_m, chance (k,).
@@ -244,7 +244,7 @@ def charged_distance_derivatives(
 
 
 def _jacobians(station: LocalPath) -> list[Floats]:
-    """Return the Jacobians of mean (h, 2 h) and covariance (h h, 2 h) of one station."""
+    """Return Jacobians of one station's mean (h, 2 h) and covariance (h h, 2 h) of power."""
     steps = station.steps
     k = np.arange(steps)
     by_mean = np.zeros((steps, steps, 2))
@@ -311,7 +311,7 @@ class UntilConnectedTerm(Term):
         return search_length_m(length_m, chance, decorrelation_m)
 
     def charged_beyond_m(self, at: TermContext, ends_m: Floats) -> Floats:
-        """Return the cost-to-go of plans that end at `ends_m` (n, 2) without connection; (n,)."""
+        """Return the cost-to-go (n,) of plans that end unconnected at `ends_m` (n, 2)."""
         after = np.full(len(ends_m), self.search(at).beyond_m)
         return after if at.steering is None else after + at.steering.distance_m(ends_m)
 

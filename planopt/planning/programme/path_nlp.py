@@ -195,7 +195,7 @@ reachable terminal waypoint in 14 of 180 straight tasks; without them, in none."
 
 
 def near_start(shape: PathShape, *, until_settled: bool = False) -> dict[str, Any]:
-    """Return the options for refining a guess near the optimum."""
+    """Return the solver options for refining a guess that is near the optimum."""
     # With `until_settled`, a solve ends once iterations gain little, possibly before a KKT point.
     settled = SETTLED if shape.motion is None else DRIVEN_SETTLED
     driven = {} if shape.motion is None else DRIVEN

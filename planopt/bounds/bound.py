@@ -18,7 +18,7 @@ GAP_TOLERANCE = 1e-6
 
 
 def relative_gap(cost: float, bound: float, sense: Sense) -> float:
-    """Return by how much a bound is better than a cost, relative to it; negative if it is worse."""
+    """Return the gap of a cost to its bound, relative to the cost; negative for a better cost."""
     better = cost - bound if sense == "min" else bound - cost
     return better / max(abs(cost), 1e-12)
 

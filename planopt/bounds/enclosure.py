@@ -2,9 +2,9 @@
 
 Let phi be the covariances of a position with the measurements. The mean is ``f' theta + phi' w``,
 the variance ``omega^2 + xi^2 - phi' U^-1 phi + r' M r``, r = f - A' phi (equation 1.8). Over a
-disc of radius rho about c, each phi_l is enclosed by its Taylor polynomial of degree two and a
-remainder (equation 6.16); near the measured position, where distance has a kink, by its tangent or
-range. Sums keep the quadratic terms, as the curvatures of many measurements cancel.
+disc of radius rho about c, a Taylor polynomial of degree two and a remainder enclose each phi_l
+(equation 6.16). Near the measured position, a tangent is tighter. If the disc holds that position,
+where phi_l has a kink, a range encloses phi_l. Sums keep quadratic terms, many of which cancel.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class PowerModel:
     least_variance: float
 
     def probability_above(self, threshold_dbm: float, corners_m: Array) -> Array:
-        """Return corner values (n, k) of polygons above P(connected) (equation 6.17)."""
+        """Return corner values (n, k) whose interpolation bounds P(connected) (equation 6.17)."""
         value, slope, form, most = self._taylor(threshold_dbm)
         # A concave form is at most zero, a convex one at most its interpolation.
         at = np.moveaxis(corners_m, 2, 0)
@@ -70,7 +70,7 @@ class PowerModel:
         return np.where((bound.mean(axis=1) <= most)[:, None], bound, most[:, None])
 
     def probability_bounds(self, threshold_dbm: float) -> tuple[Array, Array, Array]:
-        """Return upper bounds of P(connected) over discs: affine (n,), (n, 2); constant (n,)."""
+        """Return an affine and a constant upper bound of P(connected) over each disc."""
         value, slope, form, most = self._taylor(threshold_dbm)
         return value + _range_of_form(form, self.radius_m)[1], slope.T, most
 
@@ -111,7 +111,7 @@ class PowerModel:
         return value, density * slope, whole, most
 
     def variance_bounds(self) -> tuple[Array, Array, Array]:
-        """Return upper bounds of the variance over each disc: centre value, slope and constant."""
+        """Return an affine and a constant upper bound of the variance over each disc."""
         bent = _range_of_form(self.variance_form, self.radius_m)[1]
         value, slope = self.variance_db2 + self.variance_high + bent, self.variance_slope
         return value, slope.T, value + np.hypot(*slope) * self.radius_m
@@ -124,7 +124,7 @@ class PowerModel:
         return -value, -slope.T, -least
 
     def precision_bounds(self) -> tuple[Array, Array, Array]:
-        """Return upper bounds of 1 / variance: centre value, slope and constant (equation 9.5)."""
+        """Return an affine and a constant upper bound of 1 / variance (equation 9.5)."""
         variance, slope = self.variance_db2, self.variance_slope
         step = np.hypot(*slope) * self.radius_m
         low, high = _range_of_form(self.variance_form, self.radius_m)
@@ -135,11 +135,11 @@ class PowerModel:
         return value, (-slope / variance**2).T, 1.0 / least
 
     def probability(self, threshold_dbm: float) -> Array:
-        """Return P(power >= threshold) at the centres; (n,)."""
+        """Return P(power >= threshold) at the centre of each disc; (n,)."""
         return ndtr((self.mean_db - threshold_dbm) / np.sqrt(self.variance_db2))
 
     def _largest_probability(self, threshold_dbm: float) -> Array:
-        """Return the largest P(power >= threshold) over each disc by interval arithmetic; (n,)."""
+        """Return the largest P(power >= threshold) over each disc by interval arithmetic."""
         low, high = _range_of_form(self.variance_form, self.radius_m)
         step = np.hypot(*self.variance_slope) * self.radius_m
         over = self.mean_db - threshold_dbm + np.hypot(*self.mean_slope) * self.radius_m
@@ -152,7 +152,7 @@ class PowerModel:
 
 
 def _product(one: Array, other: Array) -> Array:
-    """Return the quadratic forms (3, n) of products of linear functions with slopes (2, n)."""
+    """Return the products of linear functions with slopes (2, n) as quadratic forms (3, n)."""
     return np.array([one[0] * other[0], one[0] * other[1] + one[1] * other[0], one[1] * other[1]])
 
 
@@ -177,7 +177,7 @@ def _convex_part(form: Array) -> Array:
 
 
 def _largest_form(form: Array, radius: Array) -> Array:
-    """Return the largest absolute values of quadratic forms (3, n) over discs; (n,)."""
+    """Return the largest absolute value (n,) of each quadratic form over a disc."""
     low, high = _range_of_form(form, radius)
     return np.maximum(-low, high)
 
@@ -196,7 +196,7 @@ class PowerEnclosure:
         self._sides = self._root @ solved[:, 1:].T  # (2, kappa)
 
     def over(self, centre_m: Array, radius_m: Array) -> PowerModel:
-        """Return ranges of mean and variance over discs about centres (n, 2) with radii (n,)."""
+        """Return ranges of the power's mean and variance over discs with centres (n, 2)."""
         parts = [
             self._block(centre_m[k : k + DISCS_AT_ONCE], radius_m[k : k + DISCS_AT_ONCE])
             for k in range(0, len(centre_m), DISCS_AT_ONCE)
@@ -299,7 +299,7 @@ class PowerEnclosure:
 def _trend(
     posterior: ChannelPosterior, centre: Array, radius: Array
 ) -> tuple[Array, Array, tuple[Array, Array]]:
-    """Return gradients, quadratic forms and remainders of -10 log10 of the station's distance."""
+    """Return gradients, quadratic forms and remainders of -10 log10 of the station distance."""
     station = posterior.parameters.station
     scale = 10.0 / np.log(10.0)
     offset = (centre - np.asarray(station.position_m)).T
@@ -346,7 +346,7 @@ def _square_of_change(
     radius: Array,
     noise: float,
 ) -> tuple[Array, Array]:
-    """Return the square of phi's change, delta' U^-1 delta, as forms (3, n) and remainders (n,)."""
+    """Return the squared, whitened change of covariances as forms (3, n) and remainders (n,)."""
     # The triangle inequality in the norm of U^-1 bounds the remainder; U's eigenvalues are >=
     # omega^2.
     x, y = slope

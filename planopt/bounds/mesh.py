@@ -46,7 +46,7 @@ class Mesh:
     )
 
     def triangles(self) -> NDArray[np.intp]:
-        """Return triangles (t, 3) as ascending node numbers, after splitting borders into sides."""
+        """Halve borders until they are sides; return triangles (t, 3) as ascending node numbers."""
         corners = np.empty((0, 3), dtype=np.intp)
         for _ in range(MAX_SPLITS):
             corners = np.sort(np.asarray(Delaunay(self.nodes_m).simplices, dtype=np.intp), axis=1)

@@ -39,7 +39,7 @@ AT_P_MIN = 0.02
 
 
 def stage_rewards(problem: StageProblem, path_m: Array) -> tuple[Array, Array, Field]:
-    """Return rewards (N,) and gradients (N, 2) of a path, and its predicted quantities."""
+    """Return rewards (N,) of a path's stages, their gradients (N, 2), and predicted quantities."""
     field = Field(Discs(path_m, 0.0), problem.makers)
     each = [problem.reward(k, field.at(np.array([k]))) for k in range(problem.steps)]
     values = np.concatenate([reward.value for reward in each])
@@ -47,7 +47,7 @@ def stage_rewards(problem: StageProblem, path_m: Array) -> tuple[Array, Array, F
 
 
 def local_optimum(problem: StageProblem, path_m: Array, surplus: float = 0.0) -> Array:
-    """Return a nearly optimal path (N, 2) without obstacles, with P >= p_min + `surplus`."""
+    """Return a nearly optimal path (N, 2) that ignores obstacles; `surplus` is added to p_min."""
     shape, scale = path_m.shape, 1.0 / problem.step_m**2
     stage = np.arange(problem.steps)
     least = np.zeros(problem.steps) if problem.p_min is None else problem.p_min
@@ -99,7 +99,7 @@ def local_optimum(problem: StageProblem, path_m: Array, surplus: float = 0.0) ->
 def tilts_near(
     problem: StageProblem, paths_m: Sequence[Array], kinks_m: Array
 ) -> list[tuple[Array, Array]]:
-    """Return multipliers for paths (N, 2); gradients jump at `kinks_m` (k, 2), the measurements."""
+    """Return multipliers for each path; stages at obstacles or at `kinks_m` have little weight."""
     found: list[tuple[Array, Array]] = []
     for path in paths_m:
         is_free = np.ones(len(path), dtype=np.bool_)
@@ -114,7 +114,7 @@ def tilts_near(
 def multipliers_of(
     problem: StageProblem, path_m: Array, is_free: NDArray[np.bool_]
 ) -> tuple[Array, Array]:
-    """Return multipliers of steps (N, 2) and of p_min (N,), from stages with `is_free` (N,)."""
+    """Return multipliers of the steps (N, 2) and of p_min (N,), from stages with `is_free`."""
     steps = problem.steps
     _, gradient, field = stage_rewards(problem, path_m)
     moves = np.diff(np.vstack([problem.start_m, path_m]), axis=0)

@@ -50,7 +50,7 @@ class BestPlace:
 
 
 def best_place(problem: StageProblem, seconds: float) -> BestPlace:
-    """Return the best position within one step, and an upper bound of its value, looser if late."""
+    """Return the best position within one step, and an upper bound proven in about `seconds`."""
     begun, bound, levels = monotonic(), np.inf, 0
     place, value = problem.start_m, -np.inf
     near = problem.sure_m[np.hypot(*(problem.sure_m - problem.start_m).T) <= problem.step_m]
@@ -83,7 +83,7 @@ def best_place(problem: StageProblem, seconds: float) -> BestPlace:
 
 
 def best_of(problem: StageProblem, places_m: Array, makers: Makers) -> tuple[Array, float]:
-    """Return the best of positions (n, 2), moved within reach, and its value, perhaps -inf."""
+    """Return the best of positions (n, 2), moved within reach, and its value; -inf without any."""
     moves = places_m - problem.start_m
     longest = np.maximum(np.hypot(*moves.T), problem.step_m)
     places = problem.start_m + moves * (problem.step_m / longest)[:, None]

@@ -167,7 +167,7 @@ def route_bounds(problem: RouteProblem, seconds: float) -> Iterator[RouteBound]:
 def _refined(
     corners: NDArray[np.intp], gain: Array, loose: Array, count: int, nodes: int
 ) -> NDArray[np.intp]:
-    """Return about `count` triangles to refine: first by largest gain, then loose ones nearby."""
+    """Return about `count` triangles to refine: those of large gain, then loose ones nearby."""
     order = np.argsort(-gain)
     reached = np.cumsum(gain[order]) < SCORE_SHARE * float(gain.sum())
     enough = int(np.count_nonzero(reached)) + 1
@@ -262,7 +262,7 @@ def _touches_goal(
 def _largest(
     area: Array, corners: NDArray[np.intp], chosen: NDArray[np.bool_], room: int
 ) -> NDArray[np.intp]:
-    """Return the largest chosen triangles (k, 3) whose refinement adds at most `room` triangles."""
+    """Return the largest chosen triangles, so few that refinement adds at most `room` triangles."""
     order = np.argsort(np.where(chosen, -area, 0.0))
     return corners[order[: min(int(chosen.sum()), max(1, room // 3))]]
 
@@ -274,7 +274,7 @@ def _known_costs(
     mesh: Mesh,
     corners: NDArray[np.intp],
 ) -> tuple[NDArray[np.bool_], Array, Array]:
-    """Return a mask of open triangles (t, 3), and their :func:`metre_costs` from a cache."""
+    """Return a mask (t,) of the open triangles, and their :func:`metre_costs`, by a cache."""
     keys = [tuple(row) for row in corners.tolist()]
     new = np.array([k for k, key in enumerate(keys) if key not in mesh.known], dtype=np.intp)
     if len(new):
@@ -293,7 +293,7 @@ def _known_costs(
 def metre_costs(
     problem: RouteProblem, powers: Sequence[PowerEnclosure], corners_m: Array
 ) -> tuple[Array, Array]:
-    """Return lower bounds of the cost per metre at corners (t, 3), and costs at centres."""
+    """Return lower bounds (t, 3) of the cost per metre at corners, and costs (t,) at centres."""
     count = len(corners_m)
     if problem.price == 0.0:
         return np.ones((count, 3)), np.ones(count)

@@ -89,7 +89,7 @@ def stage_problem(
     kept: NDArray[np.bool_],
     path_m: Array | None = None,
 ) -> StageProblem:
-    """Return the stage problem of the first robot; p_min applies to the steps in `kept` (N,).
+    """Return the first robot's stage problem; p_min applies to steps in the mask `kept` (N,).
 
     A path (N, 2) that measures makes the bound of mapped information tighter (equation 9.14).
     """
@@ -133,7 +133,7 @@ def quantity_makers(
     thresholds_dbm: Sequence[float],
     measured: ChannelPosterior,
 ) -> Makers:
-    """Return functions that bound connection to any station, and quantities of `measured`."""
+    """Return, by name, functions that bound the predicted quantities over discs."""
     shared = replace(measured, theta_covariance=np.zeros((2, 2)))
     trended = replace(measured, theta_covariance=np.eye(2))
     enclosures: dict[int, PowerEnclosure] = {}
@@ -173,12 +173,12 @@ def quantity_makers(
 
 
 def or_nothing(make: Callable[[Discs], UpperBounds], discs: Discs) -> UpperBounds:
-    """Return upper bounds over discs, whose number may be zero."""
+    """Return the upper bounds of `make` over discs, also if there are no discs."""
     return make(discs) if len(discs.centre_m) else constant_bounds(discs, 0.0)
 
 
 def either(one: UpperBounds, other: UpperBounds) -> UpperBounds:
-    """Return upper bounds of P(one of two independent connections) (equation 9.4)."""
+    """Return upper bounds of P(at least one of two independent connections) (equation 9.4)."""
     radius = one.radius_m
     steep, other_steep = np.hypot(*one.slope.T), np.hypot(*other.slope.T)
     fits = (one.value + radius * steep <= 1.0) & (other.value + radius * other_steep <= 1.0)

@@ -146,7 +146,7 @@ def tube_bounds(
 
 
 def proves(problem: StageProblem, tilts: Tilts) -> bool:
-    """Return whether the stored multipliers prove a certificate's value; none is recomputed."""
+    """Return whether the stored multipliers prove the value of a certificate."""
     of_steps, of_p_min, steps = tilts.of_steps, tilts.of_p_min, problem.steps
     if of_steps.shape[1:] != (steps, 2) or of_p_min.shape != of_steps.shape[:2]:
         return False
@@ -192,7 +192,7 @@ def first_cells(problem: StageProblem) -> list[Cells]:
 
 
 def divided(problem: StageProblem, cells: Cells, side: float, stage: int) -> Cells:
-    """Return the quarters (4 n, 2) of cells, with sides of `side`, that a path may contain."""
+    """Return those quarters of `cells`, with sides of length `side`, that a path may contain."""
     quarters = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
     return open_cells(problem, (2 * cells[:, None] + quarters).reshape(-1, 2), side, stage)
 
@@ -215,13 +215,13 @@ def open_cells(problem: StageProblem, cells: Cells, side: float, stage: int) -> 
 
 
 def squares(corner: Array, side: float) -> NDArray[np.object_]:
-    """Return squares with lower left corners (n, 2) as geometries; (n,)."""
+    """Return the squares with lower left corners (n, 2) as an array of geometries (n,)."""
     (x0, y0), (x1, y1) = corner.T, corner.T + side
     return np.asarray(shapely.box(x0, y0, x1, y1), dtype=np.object_)
 
 
 def evaluated(problem: StageProblem, side: float, active: Sequence[Cells]) -> Level:
-    """Return a level of active cells with bounds of all their rewards."""
+    """Return a level of the active cells, with bounds of the reward of each cell."""
     radius = side * np.sqrt(0.5) * (1.0 + 1e-12)
     cells, place = np.unique(np.vstack(active), axis=0, return_inverse=True)
     centres = problem.start_m + (cells + 0.5) * side
@@ -247,7 +247,7 @@ def evaluated(problem: StageProblem, side: float, active: Sequence[Cells]) -> Le
 def cut_corners(
     problem: StageProblem, centres: Array, side: float
 ) -> tuple[NDArray[np.intp], Array]:
-    """Return the cells (v,) that blocked areas cut, and corners (v, 2) of their free parts."""
+    """Return cells (v,) cut by blocked areas, and corners (v, 2) of the cells' free parts."""
     nothing = np.zeros(0, dtype=np.intp), np.zeros((0, 2))
     if not problem.blocked:
         return nothing
@@ -267,7 +267,7 @@ def cut_corners(
 def joined(
     rows: NDArray[np.intp], owner: NDArray[np.intp], corner: Array
 ) -> tuple[NDArray[np.intp], Array]:
-    """Return indices into `rows` (n,) and corners (v, 2): all corners of the cells `rows`."""
+    """Return indices (v,) into `rows`, and corners (v, 2): all corners of the cells `rows`."""
     first = np.searchsorted(owner, rows, side="left")
     count = np.searchsorted(owner, rows, side="right") - first
     which = np.repeat(np.arange(len(rows)), count)
@@ -279,7 +279,7 @@ def joined(
 def sure_rewards(
     problem: StageProblem, stage: int, cells: Cells, side: float
 ) -> tuple[Cells, Array]:
-    """Return pairs (s, 2) of a cell and a surely connected position in it, and rewards (s,)."""
+    """Return pairs of a cell and a surely connected position in the cell, and rewards (s,)."""
     places = problem.sure_m
     if not len(places) or not len(cells):
         return np.zeros((0, 2), dtype=np.intp), np.zeros(0)
@@ -347,7 +347,7 @@ def paired_bounds(level: Level, paired: PairedInformation) -> list[Array]:
 
 
 def tilted(level: Level, stage: int, of_steps: Array, of_p_min: Array) -> Array:
-    """Return bounds of a stage's rewards minus its tilt over each active cell; (n,)."""
+    """Return bounds (n,) of a stage's reward minus the tilt, over each active cell."""
     reward, half = level.rewards[stage], 0.5 * level.side_m
     (pairs, certain), problem = level.sure[stage], level.problem
     tilt = of_steps[stage] - (of_steps[stage + 1] if stage + 1 < problem.steps else 0.0)
@@ -382,7 +382,7 @@ def tilted(level: Level, stage: int, of_steps: Array, of_p_min: Array) -> Array:
 
 
 def first_moves(level: Level, multiplier: Array) -> Array:
-    """Return bounds of the first step, from the start to each active cell (equation 9.10); (n,)."""
+    """Return bounds (n,) of the step from the start to each active cell (equation 9.10)."""
     problem, centres, half = level.problem, level.offsets_m(0), 0.5 * level.side_m
     away = np.hypot(*np.maximum(np.abs(centres) - half, 0.0).T)
     found = move_bounds(problem, multiplier, centres, half, away)
@@ -391,7 +391,7 @@ def first_moves(level: Level, multiplier: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Step:
-    """Pairs of active cells of two successive stages within one step."""
+    """Pairs of active cells, of two successive stages, that are at most one step apart."""
 
     cells: tuple[Cells, Cells]  # (n, 2) of the earlier and (m, 2) of the later stage
     low: Cells  # (2,) least offset from an earlier to a later cell
@@ -429,12 +429,12 @@ class Step:
         return cls((before, after), low, offsets, away[near], (rows, columns), places)
 
     def moves(self, level: Level, multiplier: Array) -> Array:
-        """Return upper bounds of the move terms of all offsets (equation 9.10); (o,)."""
+        """Return an upper bound (o,) of the move term for each offset (equation 9.10)."""
         offset = level.side_m * (self.offsets + self.low).astype(np.float64)
         return move_bounds(level.problem, multiplier, offset, level.side_m, self.away_m)
 
     def best(self, moves: Array, values: Array, *, ahead: bool) -> Array:
-        """Return the best sum of a move and the value at its other end; `ahead`: the earlier."""
+        """Return the best sum of a move and its other end's value; `ahead`: the earlier end."""
         before, after = self.cells
         known, wanted = (before, after) if ahead else (after, before)
         if not len(known) or not len(wanted):
@@ -462,7 +462,7 @@ class Step:
 def move_bounds(
     problem: StageProblem, multiplier: Array, offset: Array, half: float, away: Array
 ) -> Array:
-    """Return upper bounds of m . x - cost(|x|) over boxes of moves x, at most one step long."""
+    """Return upper bounds of the tilted move term over boxes of moves of at most one step."""
     size, price = float(np.hypot(*multiplier)), problem.per_metre
     length = np.hypot(*offset.T)
     along = offset @ multiplier

@@ -122,7 +122,7 @@ class TileMap:
         return trend.reshape(*self.mean_db.shape, 2)
 
     def _mark(self, posterior: ChannelPosterior, wanted: Mask) -> tuple[Indices, Indices]:
-        """Return the tiles that a single new measurement affects, and that measurement's index."""
+        """Return the tiles that one new measurement affects, with its index for each tile."""
         # All other affected tiles are marked dirty.
         measured, last = posterior.measurements, self._last
         before = 0 if last is None else len(last.measurements)

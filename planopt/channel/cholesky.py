@@ -91,7 +91,7 @@ def lower_inverse(lower: Floats) -> Floats:
 
 
 def factor_and_inverse(matrix: Floats) -> tuple[Floats, Floats]:
-    """Return the diagonal of the Cholesky factor L and L^-1 (n, n); fast for a few hundred rows."""
+    """Return the diagonal (n,) of the Cholesky factor L of `matrix`, and inverse L^-1 (n, n)."""
     lower, info = FACTOR(matrix.T, lower=True, clean=True)
     if info != 0:
         raise AssertionError("a covariance with a nugget is positive definite")

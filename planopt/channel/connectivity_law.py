@@ -206,7 +206,7 @@ class KnownPower:
     most_dbm: NDArray[np.float64]
 
     def replace_in(self, power: Prediction) -> Prediction:
-        """Return `power`, clipped to the known bounds and without deviation where known."""
+        """Return `power` with known rows clipped to their bounds and given zero deviation."""
         if not len(self.rows):
             return power
         mean, deviation = power.mean_db.copy(), power.deviation_db.copy()
@@ -218,7 +218,7 @@ class KnownPower:
 def known_power(
     station: ChannelPosterior, positions_m: NDArray[np.float64], threshold_dbm: float
 ) -> KnownPower:
-    """Return the power bounds at those positions where readings decide the connection."""
+    """Return power bounds at those of positions (n, 2) where readings agree (equation 3.12)."""
     places, read = station.index.within(positions_m, SAME_PLACE_M)
     least, most = _power_bounds_dbm(station, read)
     rows, first = np.unique(places, return_index=True)
@@ -262,7 +262,7 @@ class ConnectivityLaw:
         return serving_prediction(powers, self.thresholds_dbm, self.p_min)
 
     def known(self, positions_m: NDArray[np.float64]) -> list[KnownPower]:
-        """Return each station's known power at those positions (n, 2) that have readings."""
+        """Return, for each station, the power that readings determine at positions (n, 2)."""
         return [
             known_power(station, positions_m, threshold)
             for station, threshold in zip(self.posteriors, self.thresholds_dbm, strict=True)

@@ -188,7 +188,7 @@ def first_sites(
     width_db: Floats,  # (m,)
     noise_variance_db2: float,
 ) -> tuple[Floats, Floats]:
-    """Return initial precisions (m,) and shifts (m,): the interval midpoints, or the limits."""
+    """Return initial precisions (m,) and shifts (m,) of sites, both zero for one-sided limits."""
     precision = 1.0 / (noise_variance_db2 + rounded_variance_db2(width_db))
     return precision, precision * (limit_db - 0.5 * np.where(np.isinf(width_db), 0.0, width_db))
 

@@ -273,7 +273,7 @@ class Readings:
         return PlaceTree(self.measured.positions_m)
 
     def nearest(self, places_m: Floats) -> tuple[Indices, Mask]:
-        """Return the reading nearest to each position (n, 2), and whether it is in reach."""
+        """Return the row of the reading nearest to each place (n, 2), and if it is in reach."""
         rows, away_m = self._tree.nearest(places_m, 1)
         return rows[:, 0], away_m[:, 0] <= self.within_m
 

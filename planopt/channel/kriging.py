@@ -203,7 +203,7 @@ class LocalChannel:
 
     @cached_property
     def inverse(self) -> Floats:
-        """Inverse covariance (..., m, m) with uncertain receiver offsets, before ageing."""
+        """Inverse covariance (..., m, m) with uncertain receiver offsets, without age factors."""
         # The result is P - P Z V Z' P, P the inverse for known offsets, V their covariance.
         if self.covariance_db2.ndim == 2:
             found = inverse(lower_factor(self.covariance_db2))
@@ -285,7 +285,7 @@ class LocalChannel:
 
 
 def nearest_to_path(posterior: ChannelPosterior, path_m: Floats, count: int) -> Indices:
-    """Return indices of the `count` measurements nearest to a path (h, 2), or of all."""
+    """Return indices of the `count` measurements nearest to a path (h, 2), or all indices."""
     # Indices are the nearest to each position, then the second nearest, and so on, so that every
     # position is represented.
     places = require_places(path_m)

@@ -71,7 +71,7 @@ class VecchiaInformation:
     products: Floats
 
     def path_loss_products(self) -> Floats:
-        """Return whitened products (3, 3) of power and regressors without offsets."""
+        """Return products (3, 3) of whitened powers and regressors, offsets integrated out."""
         crossed = self.products[:3, 3:]
         return self.products[:3, :3] - crossed @ self.offset_covariance_db2() @ crossed.T
 
@@ -88,7 +88,7 @@ def vecchia_information(
     noise_variance_db2: Floats,  # (n,) with sites for intervals
     before: tuple[VecchiaInformation, PlaceIndex] | None = None,  # Sums over the first ones
 ) -> VecchiaInformation:
-    """Return the information from `measurements`, reusing that `before` the last ones."""
+    """Return the information from all `measurements`; `before` has sums over the first rows."""
     places = measurements.positions_m
     if before is None:
         windows = earlier_windows(places, place_blocks(places, BLOCK), BLOCK_NEIGHBOURS)
@@ -315,7 +315,7 @@ def _cavities(
     own: int,
     rows: Indices,
 ) -> tuple[Floats, Floats]:
-    """Return leave-one-out means and variances of those block members with the given `rows`."""
+    """Return leave-one-out means and variances of the rows `rows` of a block."""
     lower, whitened = factor_and_whitened(covariance, centred_db)
     near = len(lower) - own
     inverse = lower_inverse(np.tril(lower[near:, near:]))

@@ -439,7 +439,7 @@ def ageing(one_s: Floats | float, other_s: Floats | float, parameters: ChannelPa
 
 
 def _blur_m2(first: Origins, second: Origins) -> Floats | None:
-    """Return the increase (..., n, m) of squared distances due to position errors, or None."""
+    """Return the increase of squared distances due to position errors, broadcast to (..., n, m)."""
     if first.blur_m2 is None:
         return None if second.blur_m2 is None else second.blur_m2[..., None, :]
     if second.blur_m2 is None:

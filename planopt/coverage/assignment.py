@@ -35,7 +35,7 @@ NONE = -1
 
 
 def demanded(demand: Demand, agents: int) -> int:
-    """Return a demand's value for a number of agents; raise `InputError` if it is invalid."""
+    """Evaluate a demand for a number of agents; raise `InputError` for an invalid value."""
     wanted = demand(agents)
     if wanted != int(wanted) or not 0 <= wanted <= agents:
         raise InputError(
@@ -75,7 +75,7 @@ def accuracy_demand(
 def trade_off_demand(
     area_m2: float, localisation_m2: float, coverage_weight: float, localisation_weight: float
 ) -> Demand:
-    """Return the demand that trades coverage cost against localisation error."""
+    """Return the demand that minimises weighted coverage cost plus localisation error."""
     # The demand minimises ``w_c c |A|^2 / (n - P) + w_s kappa / P`` over integers P, c the second
     # moment of a hexagon of area 1.
     coverage = HEXAGON * area_m2**2 * coverage_weight
@@ -175,7 +175,7 @@ class Assignment:
 
 
 def fair_shares(demands: Indices, agents: int) -> Indices:
-    """Return the number of agents per event: the demands (k,), cut if they exceed `agents`."""
+    """Return the number of agents for each event: its demand, cut if demands exceed `agents`."""
     # Agents go one by one to the event with the smallest fulfilled share of its demand (max-min
     # fairness in lexicographic order). Ties go to the smaller demand, then to the smaller event
     # number.
@@ -188,7 +188,7 @@ def fair_shares(demands: Indices, agents: int) -> Indices:
 
 
 def deferred_acceptance(distances_m: Floats, demands: Indices) -> Assignment:
-    """Return a stable assignment by deferred acceptance, which can run distributed on agents."""
+    """Return a stable assignment by deferred acceptance, which agents can run distributed."""
     # Shapes: distances_m (n, k); demands (k,).
     _check(distances_m, demands)
     return accepted(distances_m, demands)
@@ -226,7 +226,7 @@ def accepted(distances_m: Floats, demands: Indices) -> Assignment:
 
 
 def optimal_assignment(distances_m: Floats, demands: Indices) -> Assignment:
-    """Return the assignment of agents to events with minimum total distance; distances (n, k)."""
+    """Return the assignment of minimum total distance, from distances (n, k) to events."""
     # The linear programme ``min sum c x, sum_k x_ik <= 1, sum_i x_ik = P_k, x >= 0`` has the same
     # optimum because its matrix is totally unimodular.
     _check(distances_m, demands)
@@ -238,7 +238,7 @@ def optimal_assignment(distances_m: Floats, demands: Indices) -> Assignment:
 
 
 def _total_m(event_of: Indices, distances_m: Floats) -> float:
-    """Return the sum of distances (n, k) between agents and their events (n,)."""
+    """Return the sum of the distances between agents and the events assigned to them."""
     sent = np.flatnonzero(event_of != NONE)
     return float(distances_m[sent, event_of[sent]].sum())
 

@@ -92,7 +92,7 @@ class Estimate:
 
     @property
     def std_m(self) -> float:
-        """Return the root of the trace of the position covariance."""
+        """Return the root of the trace of the estimate's position covariance."""
         # The distance to the farthest rival maximum is added in quadrature.
         rivals_m = np.linalg.norm(self.value.rivals_m - self.value.position_m, axis=1)
         spread_m = float(rivals_m.max(initial=0.0))
@@ -130,21 +130,21 @@ class Belief:
 
     @property
     def excluded(self) -> Mask:
-        """Return which sensors (columns) each agent excludes as faulty; (n, n)."""
+        """Return a mask (n, n) of the sensors (columns) that each agent excludes as faulty."""
         return self.doubts >= CONTRADICTIONS
 
     @property
     def known(self) -> Mask:
-        """Return a mask of the agents that consider the event active; (n,)."""
+        """Return a mask (n,) of the agents that consider the event active."""
         return self.chosen != NONE
 
     @property
     def best(self) -> int:
-        """Return the number of the estimate of highest rank; `NONE` if no agent has one."""
+        """Return the number of the estimate of highest rank; `NONE` without any estimate."""
         return int(self.chosen.max(initial=NONE))
 
     def groups(self, agents: Mask) -> list[tuple[Estimate, Indices]]:
-        """Return each estimate that some agents of a mask (n,) have, and these agents."""
+        """Return each estimate that agents of a mask (n,) hold, with these agents' numbers."""
         found = [
             (estimate, np.flatnonzero(agents & (self.chosen == number)))
             for number, estimate in enumerate(self.estimates)
@@ -153,23 +153,23 @@ class Belief:
 
     @property
     def places_m(self) -> Floats:
-        """Return each agent's estimate of the event's position; (n, 2), NaN without an estimate."""
+        """Return each agent's estimate (n, 2) of the event's position, NaN without one."""
         each = [estimate.value.position_m for estimate in self.estimates]
         return np.array([*each, np.full(2, math.nan)])[self.chosen]
 
     @property
     def velocities_m_s(self) -> Floats:
-        """Return each agent's estimate of the event's velocity in m/s; (n, 2)."""
+        """Return each agent's estimate (n, 2) of the event's velocity in m/s."""
         each = [estimate.value.velocity_m_s for estimate in self.estimates]
         return np.array([*each, np.zeros(2)])[self.chosen]
 
     @property
     def stds_m(self) -> Floats:
-        """Return the standard deviation of each agent's estimate; (n,), NaN without an estimate."""
+        """Return the standard deviation (n,) of each agent's estimate, NaN without one."""
         return np.array([*(each.std_m for each in self.estimates), math.nan])[self.chosen]
 
     def explains(self, sensing: Sensing, agents_m: Floats, signal: Floats) -> Mask:
-        """Return whether each agent's reading agrees with its estimate; (n,), False without."""
+        """Return a mask (n,) of the agents whose reading agrees with their own estimate."""
         strengths = np.array([*(each.value.strength for each in self.estimates), math.nan])
         away_m = np.linalg.norm(agents_m - self.places_m, axis=1)
         off = signal - strengths[self.chosen] * sensing.sensor.profile(away_m)
@@ -208,7 +208,7 @@ def share_readings(
     work = np.concatenate((now, belief.held[:, partly]), axis=1)
 
     def merge(senders: Indices, receivers: Indices) -> Mask:
-        """Add the senders' readings, and the receiver's new reading, to those of each receiver."""
+        """Add to each receiver's readings its new reading and the readings of its senders."""
         changed, order = np.zeros(count, dtype=np.bool_), np.argsort(receivers, kind="stable")
         first = np.flatnonzero(np.diff(receivers[order], prepend=NONE))
         if len(first):
@@ -253,8 +253,8 @@ def doubt_sensors(
 ) -> Belief:
     """Test the readings of a step by all asking agents, and drop knowledge that they refute.
 
-    Refuted are the readings of excluded sensors, and estimates with all readings they were made of.
-    Where readings age, estimates correct themselves.
+    The test refutes the readings of excluded sensors, and estimates together with their readings.
+    Estimates are never refuted if readings age, because such estimates correct themselves.
     """
     doubts, since = belief.doubts.copy(), belief.since.copy()
     now = belief.held & (belief.steps == step)
@@ -289,7 +289,7 @@ def doubt_sensors(
 
 
 def _groups(held: Mask, agents: Mask) -> list[tuple[Mask, list[int]]]:
-    """Return the different rows of a mask (n, r) among agents, each with its agents."""
+    """Return the distinct rows of the mask `held` (n, r), each with the agents that have it."""
     groups: dict[bytes, list[int]] = {}
     for agent in np.flatnonzero(agents).tolist():
         groups.setdefault(held[agent].tobytes(), []).append(agent)
@@ -365,7 +365,7 @@ def share_estimates(
     known = np.column_stack((belief.chosen, belief.heard, belief.since, belief.doubts[:, doubted]))
 
     def merge(senders: Indices, receivers: Indices) -> Mask:
-        """Adopt estimates of higher rank, later detections and refutations, and larger doubts."""
+        """Keep, of each receiver and its senders, the highest rank, latest times, most doubts."""
         before = known.copy()
         np.maximum.at(known, receivers, before[senders])
         return np.asarray((known != before).any(axis=1), dtype=np.bool_)

@@ -131,7 +131,7 @@ def cost_bound(ground: Ground, places_m: Floats, effort_s: float = EFFORT_S) -> 
 
 
 def _moment_bound(ground: Ground, count: int) -> float:
-    """Return the bound by cells of equal area for the uniform density; 0 for others."""
+    """Return the lower bound by cells of equal area, or 0 if the density is not uniform."""
     if isinstance(ground, GeodesicGround) or not isinstance(ground.density, UniformDensity):
         return 0.0
     # Every cell costs at least as much as a disc of equal area, and the sum is least for equal
@@ -154,7 +154,7 @@ def certified(
     prices_m2: Floats,  # (m,) at most the square of the sensing range
     count: int,
 ) -> float:
-    """Return the lower bound that prices of cells prove, valid for any prices; at least 0."""
+    """Return the lower bound, at least 0, that the cells' prices prove, whatever the prices."""
     half, settled = 0.5 * sides_m, 0.0
     gains = _largest_gains(middles_m, half, cells, prices_m2)
     for _ in range(SPLITS):
@@ -172,7 +172,7 @@ def certified(
 
 
 def _sums(numbers: Indices, values: Floats | Mask, count: int) -> Floats:
-    """Return the sums (count,) of values with the same number."""
+    """Return the sum of `values` for each number below `count`."""
     return np.asarray(np.bincount(numbers, values, count), dtype=np.float64)
 
 
@@ -188,7 +188,7 @@ def _first_prices(ground: Ground, places_m: Floats) -> Prices:
 
 
 def _leaves(ground: Ground, prices: Prices, most_m2: float, parts: float) -> tuple[Floats, Floats]:
-    """Return middles (b, 2) and sides (b,) of squares of about root price over `parts`."""
+    """Return centres (b, 2) and sides (b,) of squares that are smaller where prices are lower."""
     low, high = np.asarray(ground.free.bounds).reshape(2, 2)
     side = float((high - low).max())
     middles, found = low[None] + 0.5 * side, list[tuple[Floats, Floats]]()
@@ -212,7 +212,7 @@ def _squares(middles_m: Floats, sides_m: Floats) -> NDArray[np.object_]:
 
 
 def _touches(ground: Ground, middles_m: Floats, sides_m: Floats) -> Mask:
-    """Return a mask (b,) of the squares that contain a position of the free area."""
+    """Return a mask (b,) of the squares that contain some position of the free area."""
     free = ground.free
     shapely.prepare(free)
     return np.asarray(shapely.intersects(free, _squares(middles_m, sides_m)), dtype=np.bool_)
@@ -260,7 +260,7 @@ def _cells_of_nodes(ground: GeodesicGround, middles_m: Floats, sides_m: Floats) 
 def _pairs(
     middles_m: Floats, half_m: Floats, cells: Cells, prices_m2: Floats
 ) -> Iterator[tuple[Indices, Indices]]:
-    """Yield index pairs (box, cell), including all closer than the root of the cell's price."""
+    """Yield pairs (box, cell) that include each cell closer to a box than the root of its price."""
     # The price in m^2 is the squared distance up to which an agent gains from the cell.
     radius, middle = np.sqrt(prices_m2), 0.5 * (cells.low_m + cells.high_m)
     extent = 0.5 * np.linalg.norm(cells.high_m - cells.low_m, axis=1)
@@ -281,7 +281,7 @@ def _pairs(
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """Pairs of positions of agents and cells that may contribute to their gains."""
+    """Pairs of an agent's position and a cell that may contribute to the position's gain."""
 
     count: int  # Number of positions
     box: Indices  # (e,) position
@@ -290,7 +290,7 @@ class Candidates:
 
 
 def _candidates(cells: Cells, places_m: Floats, most_m2: Floats) -> Candidates:
-    """Return pairs of positions (b, 2) and cells within the cells' squared distances (m,)."""
+    """Return pairs of a position and a cell, with mean squared distance below `most_m2` (m,)."""
     found = list(_pairs(places_m, np.zeros(len(places_m)), cells, most_m2))
     box, cell = (np.concatenate([pair[side] for pair in found]) for side in (0, 1))
     offsets = cells.centroids_m[cell] - places_m[box]
@@ -302,7 +302,7 @@ def _candidates(cells: Cells, places_m: Floats, most_m2: Floats) -> Candidates:
 def _soft_loss(
     logarithms: Floats, cells: Cells, at: Candidates, count: int, heat: float
 ) -> tuple[float, Floats]:
-    """Return the negative soft bound relative to the mass, and its gradient (m,)."""
+    """Return the negative of a smoothed bound, relative to the mass, and its gradient (m,)."""
     prices, mass = np.exp(logarithms), cells.mass[at.cell]
     room = np.maximum(prices[at.cell] - at.away_m2, 0.0)
     gains = _sums(at.box, mass * room, at.count)

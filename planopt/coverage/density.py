@@ -36,11 +36,11 @@ class UniformDensity:
     weight_per_m2: float = 1.0
 
     def at(self, places_m: Floats) -> Floats:
-        """Return the density at positions ``(m, 2)``; (m,)."""
+        """Return the density (m,) at positions (m, 2)."""
         return np.full(len(places_m), self.weight_per_m2)
 
     def moments(self, boundary: Boundary) -> Moments:
-        """Return the moments of cells as sums over triangles and sectors."""
+        """Return the moments of cells, each a sum over triangles and circular sectors."""
         u, v, angle = boundary.start_m, boundary.end_m, boundary.angle
         cross = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
         total = u + v
@@ -71,7 +71,7 @@ class CallableDensity:
     resolution_m: float  # Length over which a polynomial of degree 10 approximates the density well
 
     def at(self, places_m: Floats) -> Floats:
-        """Return the density at positions ``(m, 2)``; (m,)."""
+        """Return the density (m,) at positions (m, 2)."""
         values = np.asarray(self.density(places_m), dtype=np.float64)
         shape = (len(places_m),)
         if values.shape != shape or not (np.isfinite(values) & (values >= 0.0)).all():
@@ -84,7 +84,7 @@ class CallableDensity:
         return values
 
     def moments(self, boundary: Boundary) -> Moments:
-        """Return moments integrated over patches between cell centres and boundaries."""
+        """Return the moments of cells by quadrature over patches from centre to boundary."""
         return fan_moments(self.at, boundary, self.resolution_m)
 
 
@@ -102,7 +102,7 @@ class GaussianMixture:
             raise InputError("has only zeros", key="density.weights")
 
     def at(self, places_m: Floats) -> Floats:
-        """Return the density at positions ``(m, 2)``; (m,)."""
+        """Return the density (m,) at positions (m, 2)."""
         values = np.full(len(places_m), self.floor_per_m2)
         for weight, mean, std in zip(self.weights, self.means_m, self.stds_m, strict=True):
             offset = (places_m - mean) / std
@@ -111,7 +111,7 @@ class GaussianMixture:
         return values
 
     def moments(self, boundary: Boundary) -> Moments:
-        """Return moments from contour integrals; their relative error is below 1e-9."""
+        """Return the moments of cells from contour integrals, with errors below 1e-9."""
         patch_m = float(self.stds_m.min())
         length = np.linalg.norm(boundary.end_m - boundary.start_m, axis=1)
         arc = np.hypot(boundary.start_m[:, 0], boundary.start_m[:, 1]) * boundary.angle
@@ -204,7 +204,7 @@ def fan_moments(density: Callable[[Floats], Floats], boundary: Boundary, patch_m
 
 
 def _rays(u: Floats, v: Floats, angle: Floats, t: Floats) -> tuple[Floats, Floats]:
-    """Return points (p, k, 2) on boundary pieces at parameters (p, k), and Jacobians (p,)."""
+    """Return points (p, k, 2) on boundary pieces at given parameters, and Jacobians (p,)."""
     rays = u[:, None] + t[..., None] * (v - u)[:, None]
     stretch = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
     arcs = np.flatnonzero(angle)
@@ -216,7 +216,7 @@ def _rays(u: Floats, v: Floats, angle: Floats, t: Floats) -> tuple[Floats, Float
 
 
 def _summed(boundary: Boundary, *values: Floats) -> list[Floats]:
-    """Return the sums of values (e,) of boundary pieces over each cell; (g,) each."""
+    """Return the sums (g,) over each cell of several values (e,) of the boundary pieces."""
     count = len(boundary.centres_m)
     sums = (np.bincount(boundary.cell, value, minlength=count) for value in values)
     return [np.asarray(one, dtype=np.float64) for one in sums]
@@ -264,12 +264,12 @@ class RasterDensity:
 
     @property
     def _middle_m(self) -> Floats:
-        """Return the centre (2,) of the raster; coordinates relative to it keep full precision."""
+        """Return the centre (2,) of the raster, the origin of the computations."""
         x, y = self.raster.x_m, self.raster.y_m
         return 0.5 * np.array([x[0] + x[-1], y[0] + y[-1]])
 
     def at(self, places_m: Floats) -> Floats:
-        """Return the density at positions ``(m, 2)``; (m,)."""
+        """Return the density (m,) at positions (m, 2)."""
         ix, iy = self._cells(places_m - self._middle_m)
         inside = (ix >= 0) & (iy >= 0) & (ix < len(self.raster.x_m)) & (iy < len(self.raster.y_m))
         values = np.zeros(len(places_m))
@@ -317,7 +317,7 @@ class RasterDensity:
         return self._summed(piece, places, rise, len(start))
 
     def _along_arcs(self, centre: Floats, start: Floats, angle: Floats) -> Floats:
-        """Return the contour integrals (5, e) of arcs about centres (e, 2) from offsets (e, 2)."""
+        """Return the contour integrals (5, e) of arcs that begin at offsets `start` (e, 2)."""
         radius = np.hypot(start[:, 0], start[:, 1])
         begin = np.arctan2(start[:, 1], start[:, 0])
         even = np.ceil(angle / ARC_TURN)
@@ -341,7 +341,7 @@ class RasterDensity:
         return self._summed(piece, centre[piece, None] + ray, rise, len(angle))
 
     def _summed(self, piece: Indices, places: Floats, rise: Floats, count: int) -> Floats:
-        """Return integrals of F dy by Gauss points (p, k, 2) of each boundary piece; (5, count)."""
+        """Return the contour integral (5, count) of each piece by Gauss points on its parts."""
         # All points of a part are in the raster cell of its midpoint.
         ix, iy = self._cells(places.mean(axis=1))
         rows, columns = self.raster.values.shape
@@ -366,7 +366,7 @@ class RasterDensity:
         return sums
 
     def _cells(self, places: Floats) -> tuple[Indices, Indices]:
-        """Return columns and rows of positions (m, 2); indices are out of range beyond the grid."""
+        """Return columns and rows of positions (m, 2), out of range for positions off the grid."""
         x, y = self._edges
         ix = np.searchsorted(x, places[:, 0], side="right") - 1
         iy = np.searchsorted(y, places[:, 1], side="right") - 1
@@ -384,7 +384,7 @@ def _gauss(nodes: int) -> tuple[Floats, Floats]:
 
 
 def _between(edges: Floats, start: Floats, end: Floats) -> tuple[Indices, Indices]:
-    """Return interval and line numbers (l,) of all grid lines strictly inside intervals (e,)."""
+    """Return pairs of an interval and of a grid line that lies strictly inside the interval."""
     low, high = np.minimum(start, end), np.maximum(start, end)
     begin = np.searchsorted(edges, low, side="right")
     counts = np.maximum(np.searchsorted(edges, high, side="left") - begin, 0)

@@ -28,7 +28,7 @@ LOOSE = 0.02
 
 
 def ring_angles(count: int) -> Floats:
-    """Return the most informative bearings ``(count,)`` in rad of agents around an event."""
+    """Return the most informative bearings (count,) in rad of agents around an event."""
     # Equal angles give equal information in all directions. Two agents are 90 degrees apart, since
     # opposite agents would measure along one direction only.
     turn = 0.5 * np.pi if count == 2 else 2.0 * np.pi / count
@@ -88,19 +88,19 @@ def free_ring_places(
 
 
 def _errors(information: Floats) -> Floats:
-    """Return traces (...) of the position covariance for information matrices (..., d, d)."""
+    """Return the trace (...) of the position covariance for each information matrix (..., d, d)."""
     covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
     return np.asarray(covariance[..., 0, 0] + covariance[..., 1, 1], dtype=np.float64)
 
 
 def _nearest_slots(agents_m: Floats, places_m: Floats) -> Floats:
-    """Return positions (k, 2) matched to agents by minimum sum of squared distances."""
+    """Return the positions (k, 2), ordered by the agents to which they are matched."""
     squares = ((agents_m[:, None] - places_m) ** 2).sum(axis=2)
     return places_m[cast("Indices", linear_sum_assignment(squares)[1])]
 
 
 def packed_places(agents_m: Floats, event_m: Floats, body_radius_m: float) -> Floats:
-    """Return densely packed positions around an event, one for each agent (k, 2)."""
+    """Return densely packed positions (k, 2) around an event, one for each agent."""
     # Positions are the nodes of a hexagonal lattice nearest to the event. The event is at a node or
     # midway between two or three nodes, whichever minimises the largest distance. The assignment
     # minimises the sum of squared distances, so agents that block each other swap positions.
@@ -126,7 +126,7 @@ def event_places(
     ground: Ground,
     strength_known: bool,
 ) -> Floats:
-    """Return target positions of agents ``(k, 2)`` that respond to an event."""
+    """Return target positions (k, 2) of the agents that respond to an event."""
     if stand_off_m is not None:
         return free_ring_places(agents_m, event_m, stand_off_m, ground, strength_known)
     if body_radius_m > 0.0:

@@ -65,7 +65,7 @@ class GeodesicGround:
         return float(self.free.area)
 
     def allows(self, places_m: Floats) -> Mask:
-        """Return whether positions ``(k, 2)`` keep the clearance; (k,)."""
+        """Return a mask (k,) of the positions (k, 2) that keep the clearance."""
         return self.area.allows(places_m)
 
     def nearest(self, places_m: Floats) -> Floats:
@@ -80,7 +80,7 @@ class GeodesicGround:
         return Cover(cells.cost, geodesic_targets(self, agents, cells), cells.mass)
 
     def two_nearest(self, agents_m: Floats) -> TwoNearest:
-        """Return the nodes with their two nearest agents; the second is approximate."""
+        """Return the nodes, their nearest agents and, approximately, the second nearest."""
         agents = self.nearest(agents_m)
         cells = geodesic_cells(self, agents)
         area, nodes, owner = self.area, self.ends_m, cells.owner
@@ -133,11 +133,11 @@ class GeodesicGround:
         return np.asarray(shapely.get_coordinates(inside), dtype=np.float64).reshape(-1, 2, 2)
 
     def distances_m(self, agents_m: Floats, places_m: Floats) -> Floats:
-        """Return the lengths ``(n, k)`` of shortest paths from agents to positions."""
+        """Return the lengths (n, k) of shortest paths from agents to positions."""
         return self.area.distances_m(self.nearest(agents_m), self.nearest(places_m))
 
     def steered(self, agents_m: Floats, places_m: Floats, share: float) -> Floats:
-        """Return targets ``(n, 2)`` on the first legs of the shortest paths to positions (n, 2)."""
+        """Return targets (n, 2) on the first leg of each agent's shortest path to its position."""
         starts = self.nearest(agents_m)
         turn, length = self.area.first_turns_m(starts, self.nearest(places_m))
         leg = turn - starts
@@ -177,7 +177,7 @@ def _room_m(area: FreeArea, places_m: Floats) -> Floats:
 def _seen(
     ground: GeodesicGround, agents_m: Floats, room_m: Floats, nodes: Indices, straight_m: Floats
 ) -> Mask:
-    """Return a mask of the nodes (k,) that agents (k, 2) see along lines of length (k,)."""
+    """Return a mask (k,) of the nodes that agents see along lines of lengths `straight_m`."""
     # A line shorter than the distance of one end from the border does not meet the border.
     seen = straight_m < np.maximum(ground.room_m[nodes], room_m)
     rest = np.flatnonzero(~seen)
@@ -230,7 +230,7 @@ def _parts(area: shapely.Geometry) -> list[shapely.Polygon]:
 def _nodes(
     free: shapely.Polygon, spacing_m: float, density: Density
 ) -> tuple[Floats, Floats, float]:
-    """Return nodes (m, 2), masses (m,) and the coverage cost if every node had an agent."""
+    """Return nodes (m, 2), masses (m,), and the coverage cost of an agent at every node."""
     x_min, y_min, x_max, y_max = free.bounds
     columns = math.ceil((x_max - x_min) / spacing_m)
     rows = math.ceil((y_max - y_min) / spacing_m)
@@ -264,7 +264,7 @@ def _nodes(
 
 
 def polygon_boundaries(pieces: NDArray[np.object_], nodes_m: Floats) -> Boundary:
-    """Return the boundaries of polygons (m,) relative to nodes (m, 2); holes count negative."""
+    """Return the boundaries of polygons relative to `nodes_m` (m, 2); holes count negative."""
     rings, piece = shapely.get_rings(shapely.orient_polygons(pieces), return_index=True)
     corners, ring = shapely.get_coordinates(rings, return_index=True)
     cell = piece[ring]
@@ -364,7 +364,7 @@ def _nearest(tree: KDTree, places: Floats, count: int) -> Indices:
 
 
 def _own_cost(ground: GeodesicGround, agents: Floats, owner: Indices, wanted: Indices) -> Floats:
-    """Return the coverage cost (n,) of each agent's cell; 0 for unselected agents."""
+    """Return the coverage cost (n,) of each agent's cell, or 0 for agents that are not wanted."""
     chosen = np.zeros(len(agents), dtype=np.bool_)
     chosen[wanted] = True
     nodes = np.flatnonzero(chosen[owner])
@@ -375,7 +375,7 @@ def _own_cost(ground: GeodesicGround, agents: Floats, owner: Indices, wanted: In
 
 
 def _path_lengths_m(ground: GeodesicGround, agents: Floats, who: Indices, nodes: Indices) -> Floats:
-    """Return the lengths (k,) of shortest paths between agents and nodes with numbers (k,)."""
+    """Return the lengths (k,) of shortest paths from the agents `who` to the nodes `nodes`."""
     ends = ground.ends_m[nodes]
     distance = np.linalg.norm(ends - agents[who], axis=1)
     room_m = np.zeros(len(agents))

@@ -119,7 +119,7 @@ class ConvexGround:
         return self.region.area_m2
 
     def allows(self, places_m: Floats) -> Mask:
-        """Return whether positions ``(k, 2)`` are allowed for agents; (k,)."""
+        """Return a mask (k,) of the positions (k, 2) that are allowed for agents."""
         return self.region.contains(places_m)
 
     def nearest(self, places_m: Floats) -> Floats:
@@ -148,23 +148,23 @@ class ConvexGround:
         return TwoNearest(samples, share_m2 * self.density.at(samples), agents[:, 0], first, second)
 
     def borders(self, agents_m: Floats) -> Floats:
-        """Return the cell boundaries as line segments ``(e, 2, 2)`` for figures."""
+        """Return the cell boundaries as line segments (e, 2, 2) for figures."""
         cells = voronoi_cells(self.region, agents_m).inside
         return np.stack((cells.corners_m, cells.corners_m[cells.following]), axis=1)
 
     def distances_m(self, agents_m: Floats, places_m: Floats) -> Floats:
-        """Return the lengths ``(n, k)`` of shortest paths from agents to positions."""
+        """Return the lengths (n, k) of shortest paths from agents to positions."""
         return np.linalg.norm(agents_m[:, None] - places_m, axis=2)
 
     def steered(self, agents_m: Floats, places_m: Floats, share: float) -> Floats:
-        """Return targets (n, 2) on the shortest paths of agents to positions (n, 2)."""
+        """Return targets (n, 2) on each agent's shortest path to its position."""
         # A target is in the direction of the path's first leg, at a distance equal to the path
         # length but limited such that `share` of it stays on the first leg.
         return places_m
 
 
 def neighbour_network(hull: ConvexRegion, agents_m: Floats) -> Network:
-    """Return the Voronoi neighbour graph of agents in a convex region, which is connected."""
+    """Return the Voronoi neighbour graph, which is connected, of agents in a convex region."""
     # Merge nearly coincident agents, whose bisectors would be rounding error.
     places, group = merge_coincident(agents_m, TOUCHING * hull.radius_m)
     cells = voronoi_cells(hull, places[group])

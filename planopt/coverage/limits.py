@@ -30,7 +30,7 @@ class StationMap:
     failures: Floats
 
     def near(self, starts_m: Floats, ends_m: Floats) -> Floats:
-        """Return the largest failure probabilities (n, s) near lines from starts to ends (n, 2)."""
+        """Return the largest failure probability (n, s) of each base station near each line."""
         worst = np.ones((len(starts_m), len(self.posteriors)))
         for row, start, end in zip(worst, starts_m, ends_m, strict=True):
             met = line_distances_m(self.nodes_m, start, end)[1] <= self.radius_m
@@ -39,7 +39,7 @@ class StationMap:
 
 
 def line_distances_m(places_m: Floats, start_m: Floats, end_m: Floats) -> tuple[Floats, Floats]:
-    """Return the points ``(m, 2)`` of a line segment nearest to m positions, and the distances."""
+    """Return the point of a segment nearest to each position (m, 2), and its distance (m,)."""
     along, offset = end_m - start_m, places_m - start_m
     square = float(along @ along)
     share = np.clip(offset @ along / (square if square > 0.0 else 1.0), 0.0, 1.0)
@@ -108,7 +108,7 @@ class MoveLimits:
 
     @property
     def longest_stop_m(self) -> float:
-        """Return the braking distance from the largest speed, with a whole number of steps."""
+        """Return the braking distance from full speed, over a whole number of steps."""
         if self.acceleration_m_s2 is None:
             return 0.0
         steps = math.ceil(self.speed_m_s / (self.acceleration_m_s2 * self.time_step_s) - 1e-9)
@@ -132,7 +132,7 @@ class Motion:
 
 
 def packing_reach_m(agents: int, body_radius_m: float) -> float:
-    """Return the largest distance between an event and bodies packed around it; 0 for points."""
+    """Return the largest distance of bodies packed around an event; 0 for bodies of radius 0."""
     # In the hexagonal packing, ``m`` shells about a central body hold ``1 + 3 m (m + 1)`` bodies,
     # the outermost at ``2 m`` radii. One more shell is allowed because bodies that arrive one by
     # one leave gaps.

@@ -54,7 +54,7 @@ class EventSensor:
 
     @property
     def best_distance_m(self) -> float:
-        """Return the distance at which a measurement is most informative about the position."""
+        """Return the distance at which a reading says most about an event's position."""
         return self.scale_m / math.sqrt(3.0)
 
 
@@ -76,7 +76,7 @@ def fisher_information(
     event_m: Floats,  # (2,) position of the event
     counts: Floats | None = None,  # (k,) number of measurements at each position; one if None
 ) -> Floats:
-    """Return the Fisher information ``sum g^2 u u' / sigma^2`` for a known strength; (2, 2)."""
+    """Return the Fisher information (2, 2) of an event's position for a known strength."""
     offset = positions_m - event_m
     distance = np.linalg.norm(offset, axis=1)
     unit = offset / np.where(distance > 0.0, distance, 1.0)[:, None]
@@ -86,7 +86,7 @@ def fisher_information(
 
 
 def cramer_rao_m2(information: Floats) -> float:
-    """Return the Cramer-Rao bound on the mean squared position error: the trace of the inverse."""
+    """Return the Cramer-Rao bound on the mean squared position error, from `information`."""
     # The bound is infinite if the information ``(2, 2)`` is singular.
     determinant = float(np.linalg.det(information))
     trace = float(np.trace(information))
@@ -180,7 +180,7 @@ def locate_event(
 
 
 def _grid(region: ConvexRegion) -> Floats:
-    """Return the positions (g, 2) of a regular grid in the region and the region's corners."""
+    """Return the positions (g, 2) of a regular grid in the region, and of the region's corners."""
     low, high = region.corners_m.min(axis=0), region.corners_m.max(axis=0)
     side = float((high - low).max()) / GRID
     x, y = (np.arange(low[k] + 0.5 * side, high[k], side) for k in range(2))
@@ -212,7 +212,7 @@ def _starts(sensor: EventSensor, readings: Readings, grid: Floats, strength_know
 def _linearised(
     sensor: EventSensor, readings: Readings, drift: Drift | None, values: Floats
 ) -> tuple[Floats, Floats]:
-    """Return residuals (b, r) divided by the noise, and derivatives (b, r, 5) of predictions."""
+    """Return residuals (b, r) divided by the noise, and derivatives (b, r, 5) of the signals."""
     # Rows of `values` (b, 5) hold position, velocity and strength of an event. The prior of the
     # velocity adds two residuals.
     place, velocity, strength = values[:, None, :2], values[:, None, 2:4], values[:, 4:]
@@ -292,7 +292,7 @@ def _covariance(information: Floats) -> Floats:
 
 
 def _rivals(places: Floats, misfits: Floats, covariance: Floats, region: ConvexRegion) -> Floats:
-    """Return other maxima (r, 2) that are nearly as likely and outside the best's uncertainty."""
+    """Return other maxima (r, 2), nearly as likely as the best one but far from it."""
     width = 4.0 * float(np.sqrt(np.diag(covariance).max()))
     width = max(width if np.isfinite(width) else 0.0, 1e-6 * region.radius_m)
     found = [places[0]]

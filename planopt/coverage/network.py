@@ -40,18 +40,18 @@ class Network:
 
     @property
     def directed(self) -> tuple[Indices, Indices]:
-        """Return sender and receiver of every link in both directions; (2 e,) each."""
+        """Return senders (2 e,) and receivers (2 e,) of all links in both directions."""
         first, second = self.links[:, 0], self.links[:, 1]
         return np.concatenate((first, second)), np.concatenate((second, first))
 
     @property
     def degrees(self) -> Indices:
-        """Return the number of neighbours of each agent; (n,)."""
+        """Return the number (n,) of neighbours of each agent."""
         return np.bincount(self.links.ravel(), minlength=self.count)
 
 
 def gets_through(messages: int, loss: Loss, generator: np.random.Generator | None) -> Mask:
-    """Draw a mask of the messages that arrive; (messages,)."""
+    """Draw a mask (messages,) of the messages that arrive."""
     if not np.any(loss):
         return np.ones(messages, dtype=np.bool_)
     assert generator is not None  # Losses are random
@@ -105,7 +105,7 @@ class LinkModel(Part):
     """Received power in dBm below which a message is lost."""
 
     def loss(self, distance_m: Floats) -> Floats:
-        """Return the probability of losing a message over distances, in their shape."""
+        """Return the probability of losing a message at each distance, in the same shape."""
         mean_dbm = self.k_pl_db - 10.0 * self.n_pl * np.log10(np.maximum(distance_m, 1.0))
         return np.asarray(ndtr((self.threshold_dbm - mean_dbm) / self.fading_std_db))
 
@@ -150,7 +150,7 @@ def elect_leader(network: Network, identities: Indices) -> tuple[int, int]:
 
 
 def link_weights(network: Network) -> Floats:
-    """Return the Metropolis weight of each link, ``1 / (1 + max(deg_i, deg_j))``; (e,)."""
+    """Return the Metropolis weight (e,) ``1 / (1 + max(deg_i, deg_j))`` of each link (i, j)."""
     return 1.0 / (1.0 + network.degrees[network.links].max(axis=1, initial=0))
 
 
@@ -173,7 +173,7 @@ def average_round(
 
 
 def inverted(values: Floats) -> Floats:
-    """Return the reciprocals of values near 1 / n; infinite for non-positive values; (n,)."""
+    """Return the reciprocals (n,) of values near 1 / n; infinite for non-positive values."""
     counts = np.full(values.shape, np.inf)
     heard = values > 0.0
     counts[heard] = 1.0 / values[heard]
@@ -188,7 +188,7 @@ def running_round(
     loss: Loss = 0.0,
     generator: np.random.Generator | None = None,
 ) -> Floats:
-    """Return the agents' values after one round of the running count."""
+    """Return the agents' values after one round of the counting method `running`."""
     after = average_round(values, network, loss, generator) + innovation
     after[leader] -= innovation * values[leader]
     return after
@@ -200,7 +200,7 @@ def minima_round(
     loss: Loss = 0.0,
     generator: np.random.Generator | None = None,
 ) -> Floats:
-    """Return the agents' minima (n, m) after one round of exchange with their neighbours."""
+    """Return the agents' minima (n, m) after one exchange with their neighbours."""
     sender, receiver = network.directed
     heard = gets_through(len(sender), loss, generator)
     after = values.copy()
@@ -209,7 +209,7 @@ def minima_round(
 
 
 def minima_estimates(values: Floats) -> Floats:
-    """Return the unbiased estimates ``(m - 1) / sum of minima`` from minima (n, m); (n,)."""
+    """Return the unbiased estimates (n,) of the number of agents from minima (n, m)."""
     return (values.shape[1] - 1) / values.sum(axis=1)
 
 

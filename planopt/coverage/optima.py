@@ -110,7 +110,7 @@ def _candidates(
 
 
 def _relocated(ground: Ground, places: Floats, cost: float) -> tuple[Floats, float]:
-    """Relocate the least useful agents to cells that gain most, then settle."""
+    """Relocate the least useful agents to the cells that gain most from a second agent."""
     count = len(places)
     if count < 3:
         return places, cost

@@ -29,12 +29,12 @@ CONTRADICTIONS = 3
 
 
 def taken(readings: Readings, rows: Mask) -> Readings:
-    """Return the readings in a mask."""
+    """Return the readings that the mask `rows` selects."""
     return Readings(readings.positions_m[rows], readings.signal[rows], readings.counts[rows])
 
 
 def misfit_level(readings: Readings, sensing: Sensing, event: EventEstimate) -> float:
-    """Return the level at which the readings of one step refute an estimate."""
+    """Return the significance level at which the readings of one step refute an estimate."""
     away_m = np.linalg.norm(readings.positions_m - event.position_m, axis=1)
     expected = event.strength * sensing.sensor.profile(away_m)
     misfit = float((((readings.signal - expected) / sensing.sensor.noise_std) ** 2).sum())
@@ -78,7 +78,7 @@ def faulty_reading(readings: Readings, sensing: Sensing, hull: ConvexRegion) -> 
 
 
 def _misfit(readings: Readings, deviation: Floats, sensing: Sensing, hull: ConvexRegion) -> float:
-    """Return the least misfit of readings over all positions of an event, and without one."""
+    """Return the smaller misfit of readings: without an event, or with one at its best position."""
     silent = float((deviation**2).sum())
     if silent < OUTLIER:
         return silent

@@ -82,7 +82,7 @@ class Scene:
     body_radius_m: float = 0.0  # Radius of the bodies, which pack around an event; 0 for points
 
     def due(self, time_s: float) -> Mask:
-        """Return a mask of the agents scheduled as members at a time; (n,)."""
+        """Return a mask (n,) of the agents that are scheduled as members at a time."""
         return (self.joins_s <= time_s) & (time_s < self.leaves_s)
 
     def members(self, time_s: float, places_m: Floats, before: Mask) -> Mask:
@@ -305,7 +305,7 @@ class NetworkController:
         )  # fmt: skip
 
     def _aims(self, here_m: Floats, targets_m: Floats, responds: Mask, who: Indices) -> Aims:
-        """Return the targets of the members `who` over the horizon, from neighbours' plans."""
+        """Return the members' targets over the horizon, from their neighbours' plans."""
         scene, mover = self.scene, self._mover
         horizon = mover.horizon if isinstance(mover, RecedingMover) else 1
         if horizon == 1 or self._deployer is not None or responds.all():

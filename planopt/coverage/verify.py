@@ -107,7 +107,7 @@ def _border_faults(free: shapely.Polygon, swept: NDArray[np.object_], keep_m: fl
 def _contacts(
     swept: NDArray[np.object_], corners: Floats, least_m: float, timed: bool
 ) -> list[Fault]:
-    """Return contact faults of pairs within `least_m`, at equal times if `timed`, else at any."""
+    """Return faults of pairs of agents within `least_m`, at equal times if `timed` is true."""
     tree = shapely.STRtree(swept)
     pairs = tree.query(swept, predicate="dwithin", distance=least_m)
     found: list[Fault] = []
@@ -123,7 +123,7 @@ def _contacts(
 
 
 def _least_distance(corners: Floats) -> float:
-    """Return the distance from the origin to the parabola with control points (3, 2)."""
+    """Return the distance from the origin to a parabola with control points (3, 2)."""
     start, bend = corners[0], corners[0] - 2.0 * corners[1] + corners[2]
     slope = 2.0 * (corners[1] - corners[0])
     # |start + slope t + bend t^2|^2 is least at an end or at a root of its derivative.
@@ -143,7 +143,7 @@ def _least_distance(corners: Floats) -> float:
 
 
 def _failures(corners: Floats, radio: RadioLimits) -> Floats:
-    """Return upper bounds (n,) of the probability that an agent is disconnected during a step."""
+    """Return upper bounds (n,) of each agent's probability of disconnection during a step."""
     # Each link has the largest length between any positions of both ends. The bound of a path is
     # the sum of its link failures; the best path counts.
     count = len(corners)
@@ -184,7 +184,7 @@ def _below(predicted: Prediction, threshold_dbm: float) -> Floats:
 
 
 def _fails(law: LinkLaw, lengths_m: Floats, threshold_dbm: float) -> Floats:
-    """Return, for each length, the largest failure probability of links up to this length."""
+    """Return, for each length, the largest failure probability of links that are no longer."""
 
     def below(distance_m: Floats) -> Floats:
         slope = -10.0 * np.log10(distance_m)

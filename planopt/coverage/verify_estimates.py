@@ -55,7 +55,7 @@ def estimate_fault(
     moves, loud = model.speed_std_m_s is not None, not model.strength_known
 
     def residuals(values: Floats) -> Floats:
-        """Return residuals in standard deviations; values are position, velocity, strength."""
+        """Return scaled residuals for `values`: position, velocity and strength."""
         velocity = values[2:4] if moves else np.zeros(2)
         offset = positions_m - (values[:2] - ages_s[:, None] * velocity)
         strength = values[-1] if loud else model.strength

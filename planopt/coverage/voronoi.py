@@ -44,11 +44,11 @@ class ConvexRegion:
     area_m2: float  # Area in square metres
 
     def excess_m(self, places_m: Floats) -> Floats:
-        """Return the maximum of ``normals @ q - offsets_m`` for positions q ``(n, 2)``; (n,)."""
+        """Return how far positions (n, 2) are beyond any side; (n,), negative inside."""
         return (places_m @ self.normals.T - self.offsets_m).max(axis=1)
 
     def contains(self, places_m: Floats) -> Mask:
-        """Return whether positions ``(n, 2)`` are inside or on the boundary; (n,)."""
+        """Return a mask (n,) of the positions (n, 2) inside the region or on its boundary."""
         return self.excess_m(places_m) <= ON_BORDER * self.radius_m
 
 
@@ -126,12 +126,12 @@ class Polygons:
 
     @property
     def polygon_of(self) -> Indices:
-        """Return the polygon number of each corner; (v,)."""
+        """Return the polygon number (v,) of each corner."""
         return np.repeat(np.arange(len(self.first) - 1), np.diff(self.first))
 
     @property
     def following(self) -> Indices:
-        """Return the index of the next corner of the same polygon, cyclically; (v,)."""
+        """Return the index (v,) of each corner's successor in its polygon, cyclically."""
         after = np.arange(1, len(self.corners_m) + 1)
         begun = np.diff(self.first) > 0
         after[self.first[1:][begun] - 1] = self.first[:-1][begun]
@@ -240,7 +240,7 @@ def _diagram(places: Floats) -> Polygons:
 
 
 def _clipped(polygons: Polygons, normals: Floats, offsets: Floats) -> Polygons:
-    """Return all polygons clipped to the half-planes ``normals @ q <= offsets``."""
+    """Return all polygons, each clipped to its half-planes ``normals @ q <= offsets``."""
     # Every polygon keeps its number, even if it becomes empty.
     for normal, offset in zip(normals, offsets, strict=True):
         corners = polygons.corners_m
@@ -338,7 +338,7 @@ def _within_range(
 
 
 def _arc(start: Floats, end: Floats, range_m: float) -> tuple[Floats, Floats, Floats]:
-    """Project the ends (e, 2) of pieces onto the range circle; return new ends and angles."""
+    """Project the ends of boundary pieces onto the range circle; return these and the angles."""
     cross = start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]
     angle = np.arctan2(cross, (start * end).sum(axis=1))
     length = np.hypot(start[:, 0], start[:, 1]), np.hypot(end[:, 0], end[:, 1])

@@ -85,7 +85,7 @@ def differences(
     accepted: frozenset[str] = ACCEPTED,
     tolerances: Mapping[str, Tolerance] = TOLERANCES,
 ) -> Iterator[Difference]:
-    """Yield every leaf that differs, and keys that only one document has."""
+    """Yield every leaf that differs, and every key that only one of the two documents has."""
     if name in accepted:
         return
     if isinstance(saved, Mapping) and isinstance(found, Mapping):
@@ -113,7 +113,7 @@ def differences(
 
 
 def in_words(file: str, found: Iterable[Difference], source: str = "found") -> list[str]:
-    """Return a line per difference, but only a few for keys that differ only in an index."""
+    """Return a line per difference; of those that differ only in an index, return a few lines."""
     by_kind: dict[str, list[Difference]] = {}
     for one in found:
         by_kind.setdefault(_INDEX.sub("[]", one.key), []).append(one)

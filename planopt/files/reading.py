@@ -100,7 +100,7 @@ def csv_rows(path: Path) -> Iterator[tuple[int, list[str]]]:
 
 @contextlib.contextmanager
 def foreign_reader(path: Path, kind: str, key: str | None = None) -> Generator[None]:
-    """Convert exceptions of a reader library to an error about the file; suppress its warnings."""
+    """Convert a reader library's exceptions to an error about the file; suppress warnings."""
     # Errors in destructors and callbacks, which Python would print, are suppressed as well.
     hooks = sys.excepthook, sys.unraisablehook
     sys.excepthook = sys.unraisablehook = _ignore
@@ -119,7 +119,7 @@ def foreign_reader(path: Path, kind: str, key: str | None = None) -> Generator[N
 
 
 def _ignore(*_: object) -> None:
-    """Accept any arguments and do nothing."""
+    """Accept any arguments and do nothing with them."""
 
 
 def require_array_size(path: Path, key: str, *lengths: int) -> None:
@@ -152,7 +152,7 @@ def read_npz(path: Path, wanted: Collection[str] | None = None) -> dict[str, NDA
 
 
 def _members(path: Path) -> tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]:
-    """Return the archive and its members by array name."""
+    """Return the zip archive of an npz file, and the archive's members by array name."""
     content = read_bytes(path)
     if not content.startswith((b"PK\x03\x04", b"PK\x05\x06")):
         raise InputError("is not an npz archive", file=path)
@@ -166,7 +166,7 @@ def _members(path: Path) -> tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]:
 def _array(
     path: Path, archive: zipfile.ZipFile, name: str, member: zipfile.ZipInfo
 ) -> NDArray[Any]:
-    """Return one array after checking the size declared in its header, which NumPy allocates."""
+    """Return one array of an archive after checking the size that its header declares."""
     # Listing the library reads texts only.
     import numpy as np
     from numpy.lib import format as npy

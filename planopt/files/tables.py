@@ -62,7 +62,7 @@ def names_of(columns: Iterable[Column]) -> tuple[str, ...]:
 
 
 def table_of(columns: Iterable[Column], log: object, **values: NDArray[Any]) -> Data:
-    """Return the table of a log; columns in `values` override the log's own."""
+    """Return a log as a table; columns in `values` replace those of the log."""
     return {
         column.name: values[column.name]
         if column.name in values
@@ -129,7 +129,7 @@ def read_rows(path: Path, header: Sequence[str]) -> Iterable[tuple[int, list[str
 
 
 def _value(column: Column, cell: str) -> float | int | str:
-    """Return a cell's value; raise a ValueError that describes the fault."""
+    """Return the value of a cell; raise a ValueError that describes what is wrong with the cell."""
     if column.kind == "text":
         return cell
     if not cell and not column.required:

@@ -137,7 +137,7 @@ def _of_type(data: Any, kind: type[Any]) -> Any:
 
 
 def whole_number(file: Path, data: Mapping[str, object], key: str) -> int:
-    """Return a value of a saved JSON object that must be an integer."""
+    """Return the value at `key` of a saved JSON object, which must be an integer."""
     value = cast("object", data.get(key))
     if not isinstance(value, int) or isinstance(value, bool):
         raise InputError(

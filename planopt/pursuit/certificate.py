@@ -119,18 +119,18 @@ class Case:
 
     @property
     def moved(self) -> float:
-        """Return x: evader displacement during the age of a record, per metre of distance."""
+        """Return the evader displacement during the age of a record per metre of distance."""
         return self.age_s_m * self.evader_m_s
 
     @property
     def contraction(self) -> float:
-        """Return a: distance after a stage with fresh records, per metre of distance before it."""
+        """Return the distance after a stage with fresh records per metre of distance before."""
         ratio = self.evader_m_s / self.pursuer_m_s
         return ratio + self.error * (1.0 + ratio)
 
     @property
     def lag(self) -> float:
-        """Return y: evader displacement between rounds, per metre of distance."""
+        """Return the evader displacement between rounds per metre of distance."""
         return self.period_s_m * self.evader_m_s
 
     @property
@@ -144,11 +144,11 @@ class Case:
         )
 
     def start_m(self, distance_m: float) -> float:
-        """Return the distance bound W at the first record, from the evader's sampled distance."""
+        """Return the distance bound at the first record, from the evader's sampled distance."""
         return distance_m + self.evader_m_s * max(self.age_s_m * distance_m, self.least_age_s)
 
     def least_distance_m(self, bound_m: Floats) -> Floats:
-        """Return the smallest sampled distances that give bounds W; inverts :meth:`start_m`."""
+        """Return the smallest sampled distances for distance bounds; inverts :meth:`start_m`."""
         moved_m = self.evader_m_s * self.least_age_s
         return np.maximum(0.0, np.minimum(bound_m / (1.0 + self.moved), bound_m - moved_m))
 
@@ -177,7 +177,7 @@ def premises(theorem: Theorem, case: Case) -> list[Inequality]:
 
 
 def stages(theorem: Theorem, case: Case, before_m: Floats) -> list[tuple[Floats, Floats]]:
-    """Return the next bounds and durations of a driving and a waiting stage, from bounds (k,)."""
+    """Return the next bound (k,) and the duration (k,) of each kind of stage, from bounds (k,)."""
     # The bound is on W, for the Lemma on the sampled distance. All premises must hold. Snapshots
     # are bounded by level instead.
     age_m = np.maximum(case.moved * before_m, case.evader_m_s * case.least_age_s)
@@ -201,7 +201,7 @@ def stages(theorem: Theorem, case: Case, before_m: Floats) -> list[tuple[Floats,
 
 
 def next_bound_m(theorem: Theorem, case: Case, before_m: Floats) -> Floats:
-    """Return the largest bound after any stage, for bounds (k,) before it."""
+    """Return the largest distance bound (k,) after any stage, for the bounds before the stage."""
     if theorem is Theorem.SNAPSHOTS:
         return case.levels.next_bound_m(before_m)
     return np.max([after for after, _ in stages(theorem, case, before_m)], axis=0)
@@ -363,7 +363,7 @@ def verify_guarantees(
 def _stage_faults(
     data: PursuitData, log: PursuitLog, claim: Claim, detour: float
 ) -> Iterator[Violation]:
-    """Yield chases with a stage that starts above the bound implied by the previous stage."""
+    """Yield chases in which a stage starts above the bound implied by the previous stage."""
     # Path lengths are only known to lie between the chord and `detour` times the chord.
     reports = log.reports
     longest = detour if claim.distances is Distances.PATHS else 1.0
@@ -385,7 +385,7 @@ def _stage_faults(
 
 
 def _sampled_away_m(log: PursuitLog, rows: Indices | int) -> Floats:
-    """Return the distances (k,) from the pursuer to the positions where the evader was sampled."""
+    """Return the distances (k,) of the pursuer from the evader's sampled positions."""
     reports, found = log.reports, list[float]()
     for row in np.atleast_1d(rows).tolist():
         step = int(np.abs(log.times_s - reports.time_s[row]).argmin())

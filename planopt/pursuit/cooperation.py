@@ -52,7 +52,7 @@ class Hunt:
 def consistent_m(
     records: Sequence[Record], time_s: float, evader_speed_m_s: float, arena: Arena
 ) -> tuple[Floats, Floats]:
-    """Return the centre (2,) and positions (k, 2) of the set consistent with all records."""
+    """Return the centre (2,) of the set consistent with all records, and positions (k, 2) in it."""
     places_m = np.array([each.reported_m for each in records])
     ranges_m = np.array(
         [each.error_m + evader_speed_m_s * (time_s - each.sampled_s) for each in records]
@@ -90,7 +90,7 @@ def blocking_aim_m(hunt: Hunt, centre_m: Floats, places_m: Floats, horizon_s: fl
 
 
 def _candidates_m(hunt: Hunt, centre_m: Floats, ahead_s: float) -> Floats:
-    """Return candidate aims (k, 2): the centre, and rings around it."""
+    """Return candidate aims (k, 2): the centre of the set, and positions on rings around it."""
     turn = np.arange(BEARINGS) * (2.0 * np.pi / BEARINGS)
     ring = hunt.evader_speed_m_s * ahead_s * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     aims_m = hunt.arena.within(centre_m + np.concatenate([share * ring for share in RINGS]))
@@ -108,7 +108,7 @@ def _driven_m(arena: Arena, place_m: Floats, aims_m: Floats, range_m: float) -> 
 def _capture_s(
     hunt: Hunt, pursuers_m: Floats, speed_m_s: float, evaders_m: Floats, velocity: Floats
 ) -> Floats:
-    """Return the times (pursuers, places, flights) to capture evaders that run straight."""
+    """Return the times in which pursuers capture evaders that flee along straight lines."""
     # The root s of |apart + velocity s| = speed s + radius.
     apart = evaders_m - pursuers_m[:, None, None]
     radius_m = hunt.capture_radius_m

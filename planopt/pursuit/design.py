@@ -149,7 +149,7 @@ class MoteNetwork(Table):
         )
 
     def staleness_per_slot(self, evader_speed_m_s: float) -> float:
-        """Return staleness per slot width in 1/s: ``12 eta_s v_e`` / mote spacing, for r = 1."""
+        """Return the staleness per slot width in 1/s if every round takes place."""
         frames = 4.0 * HOPS_PER_ROUND * self.slots_per_frame
         return frames * evader_speed_m_s / self.mote_spacing_m
 
@@ -173,11 +173,11 @@ class DesignTask:
 
     @property
     def staleness_per_slot(self) -> float:
-        """Return staleness per slot width, x / s_w, in 1/s for r = 1."""
+        """Return the staleness per slot width in 1/s if every round takes place."""
         return self.network.staleness_per_slot(self.chase.evader_speed_m_s)
 
     def room(self, bits_per_axis: float) -> float:
-        """Return 1 - a - delta, the upper limit of the staleness x."""
+        """Return the upper limit of the staleness, given contraction and margin."""
         kappa = relative_error(bits_per_axis)
         return 1.0 - contraction(self.chase.speed_ratio, kappa) - self.margin
 
@@ -198,7 +198,7 @@ class Design:
 
     @property
     def capture_time_s(self) -> float:
-        """Return the maximum capture time by Lemma III.3 without floors; infinite if it fails."""
+        """Return the maximum capture time by Lemma III.3; infinite if the lemma fails."""
         x = 0.5 * (1 + self.rate_divisor) * self.slot_width_s * self.task.staleness_per_slot
         left = _left(self.task, self.bits_per_axis) - x
         return _driving_s(self.task, self.bits_per_axis) / left if left > 0.0 else math.inf
@@ -210,7 +210,7 @@ class Design:
 
 
 def cheapest_design(task: DesignTask) -> Design:
-    """Return the minimum-power design that satisfies Lemma III.3 with the margin."""
+    """Return the minimum-power design that satisfies Lemma III.3 with the required margin."""
     # For each c the widest slot is ``(1 - a - delta) / (12 eta_s v_e)``, and power decreases with
     # the slot width.
     return _scan(task, partial(_lemma_candidate, task))
@@ -286,7 +286,7 @@ class _Found:
 
 
 class _FailedError(Exception):
-    """A failed inequality, and the number of inequalities that hold before it."""
+    """Failed inequality, with the number of preceding inequalities that hold."""
 
     def __init__(self, inequality: Inequality, held: int) -> None:
         self.inequality = inequality
@@ -323,14 +323,14 @@ def _lemma_candidate(task: DesignTask, bits: int) -> _Found:
 
 
 def _rated_candidate(task: DesignTask, bits: int) -> _Found:
-    """Return the design with the largest r for which slots carry the payload."""
+    """Return the design with the largest rate divisor for which slots carry the payload."""
     widest_s = _widest_s(task, bits)
     divisor = math.floor(2.0 * widest_s / task.network.least_slot_s(bits) - 1.0)
     return _Found(2.0 * widest_s / (1 + divisor), divisor, ("lemma", "payload"))
 
 
 def _energy_candidate(task: DesignTask, bits: int) -> _Found:
-    """Return the feasible slot width of minimum energy per capture, ``(A / s + B) / (q - p s)``."""
+    """Return the feasible slot width of minimum energy per capture for a number of bits."""
     # A and B are the costs of transmission and idling, q = 1 - a and p s = x.
     widest_s = _widest_s(task, bits)
     network, per_slot = task.network, task.staleness_per_slot
@@ -375,7 +375,7 @@ def _sharp_candidate(task: DesignTask, theorem: Theorem, bits: int) -> _Found:
 def _bisected(
     failing: Callable[[float], tuple[str, Inequality] | None], low: float, high: float
 ) -> tuple[float, float]:
-    """Return the widest slot that meets all requirements, and one just too wide."""
+    """Return the widest slot that meets all requirements, and a slot that is just too wide."""
     while high - low > SLOT_SHARE * high:
         middle = 0.5 * (low + high)
         low, high = (middle, high) if failing(middle) is None else (low, middle)
@@ -413,12 +413,12 @@ def _widest_s(task: DesignTask, bits: int) -> float:
 
 
 def _left(task: DesignTask, bits: int) -> float:
-    """Return 1 - a, where a is the contraction per stage."""
+    """Return 1 minus the contraction per stage."""
     return task.room(bits) + task.margin
 
 
 def _driving_s(task: DesignTask, bits: int) -> float:
-    """Return ``(1 + kappa) d / (alpha v_e)``, the maximum duration of the first stage."""
+    """Return the maximum duration of the first stage."""
     first_m = (1.0 + relative_error(bits)) * _first_distance_m(task)
     return first_m / task.chase.pursuer_speed_m_s
 

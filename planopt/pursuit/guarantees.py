@@ -71,7 +71,7 @@ class Chase:
 
     @property
     def speed_ratio(self) -> float:
-        """Return alpha, the ratio of pursuer speed to evader speed."""
+        """Return the ratio of the pursuer's speed to the evader's speed."""
         return self.pursuer_speed_m_s / self.evader_speed_m_s
 
 
@@ -95,7 +95,7 @@ class Guarantee:
 
     @cached_property
     def floor_m(self) -> float:
-        """Return the largest distance bound W that may not decrease; infinite if premises fail."""
+        """Return the largest distance bound that may not decrease; infinite if premises fail."""
         if self.levels is not None:
             return self.levels.floor_m() if self.holds else math.inf
         floor_m = _floor_m(self.stages) if self.holds else math.inf
@@ -104,7 +104,7 @@ class Guarantee:
         return floor_m
 
     def next_bound_m(self, bound_m: Floats) -> Floats:
-        """Return the distance bounds W after a stage from those before it, in the same shape."""
+        """Return the distance bounds after a stage, for the distance bounds before the stage."""
         if self.levels is not None:
             return self.levels.next_bound_m(bound_m)
         return np.max([stage(bound_m)[0] for stage in self.stages], axis=0)
@@ -252,17 +252,17 @@ def guarantees_among_obstacles(
 
 
 def contraction(speed_ratio: float, relative_error: float) -> float:
-    """Return a = 1/alpha + kappa (1 + 1/alpha), the contraction per stage."""
+    """Return the contraction per stage, for the speed ratio and the relative error of records."""
     return 1.0 / speed_ratio + relative_error * (1.0 + 1.0 / speed_ratio)
 
 
 def staleness(chase: Chase, bounds: ServiceBounds) -> float:
-    """Return x = sigma v_e: evader displacement during the age of a record, per metre."""
+    """Return the evader displacement during the age of a record per metre of distance."""
     return bounds.age_s_m * chase.evader_speed_m_s
 
 
 def _follow(chase: Chase, bounds: ServiceBounds) -> Stage:
-    """Return a driving stage whose age and error are bounded by the sampled distance."""
+    """Return a driving stage with records whose age and error the sampled distance bounds."""
 
     def drive(bound_m: Floats) -> tuple[Floats, Floats]:
         sampled_m = _least_distance_m(chase, bounds, bound_m)
@@ -274,7 +274,7 @@ def _follow(chase: Chase, bounds: ServiceBounds) -> Stage:
 def _driven(
     chase: Chase, bound_m: Floats, sampled_m: Floats, error_m: Floats
 ) -> tuple[Floats, Floats]:
-    """Return the distance bound W after a driving stage, and the duration of the stage."""
+    """Return the distance bound after a driving stage, and the duration of the stage."""
     lasts_s = (sampled_m + error_m) / chase.pursuer_speed_m_s + chase.stage_delay_s
     return bound_m - sampled_m + error_m + chase.evader_speed_m_s * lasts_s, lasts_s
 
@@ -305,13 +305,13 @@ def _error_m(bounds: ServiceBounds, distance_m: Floats) -> Floats:
 
 
 def _start_m(chase: Chase, bounds: ServiceBounds, sampled_m: float) -> float:
-    """Return the distance bound W at the first record, from the evader's sampled distance."""
+    """Return the distance bound at the first record, from the evader's sampled distance."""
     age_s = max(bounds.age_s_m * sampled_m, bounds.age_floor_s)
     return sampled_m + chase.evader_speed_m_s * age_s
 
 
 def _least_distance_m(chase: Chase, bounds: ServiceBounds, bound_m: Floats) -> Floats:
-    """Return the smallest sampled distances for distance bounds W; inverts :func:`_start_m`."""
+    """Return the smallest sampled distances for distance bounds; inverts :func:`_start_m`."""
     moved_m = chase.evader_speed_m_s * bounds.age_floor_s
     return np.maximum(
         0.0, np.minimum(bound_m / (1.0 + staleness(chase, bounds)), bound_m - moved_m)
@@ -319,7 +319,7 @@ def _least_distance_m(chase: Chase, bounds: ServiceBounds, bound_m: Floats) -> F
 
 
 def _floor_m(stages: tuple[Stage, ...]) -> float:
-    """Return the floor: the largest distance bound W that a stage may increase."""
+    """Return the largest distance bound that a stage may increase."""
 
     def lifts(bounds_m: Floats) -> Mask:
         return np.any([stage(bounds_m)[0] > bounds_m for stage in stages], axis=0)

@@ -38,7 +38,7 @@ class LevelBounds:
 
     @property
     def lag(self) -> float:
-        """Return y: evader displacement between rounds, per half cell side; below 1."""
+        """Return the evader displacement between rounds per half cell side; below 1."""
         return 2.0 * self.evader_m_s * self.period_s / self.spacing_m
 
     @cached_property
@@ -48,7 +48,7 @@ class LevelBounds:
 
     @cached_property
     def _least_m(self) -> Floats:
-        """Return, by level, the least distance bound W at which the level is used; (levels,)."""
+        """Return the least distance bound (levels,) at which each level is used."""
         moved_m = self.evader_m_s * self.round_s * SIZES[:-1]
         return self._unseen_m + np.append(0.0, moved_m)
 
@@ -63,7 +63,7 @@ class LevelBounds:
 
     @cached_property
     def _waited(self) -> tuple[Floats, Floats]:
-        """Return, by level, the bound W after a wait (-inf without one) and the longest wait."""
+        """Return, by level, the distance bound after a wait and the longest wait."""
         # A record is older than the one in use only at levels whose cells are as small as errors.
         unseen_m = (1.0 - self.lag) * self._unseen_m
         level = np.searchsorted(unseen_m, self._error_m, side="right") - 1
@@ -73,23 +73,23 @@ class LevelBounds:
         return np.where(wait_s > 0.0, bound_m, -np.inf), np.maximum(wait_s, 0.0)
 
     def _level(self, bound_m: Floats) -> Indices:
-        """Return the coarsest level whose record a stage with initial bound W may use."""
+        """Return the coarsest level whose record a stage with this initial bound may use."""
         return np.searchsorted(self._least_m, bound_m, side="right") - 1
 
     def start_m(self, distance_m: float) -> float:
-        """Return the distance bound W at the first record, from the evader's sampled distance."""
+        """Return the distance bound at the first record, from the evader's sampled distance."""
         unseen_m = (1.0 - self.lag) * self._unseen_m
         level = int(np.searchsorted(unseen_m, distance_m, side="right")) - 1
         return distance_m + float(self._oldest_m[level])
 
     def next_bound_m(self, bound_m: Floats) -> Floats:
-        """Return the largest bound W after a stage of driving, and of waiting if it occurs."""
+        """Return the largest distance bound after a driving stage or a waiting stage."""
         level = self._level(bound_m)
         lasting = np.maximum.accumulate(self._waited[0])
         return np.maximum(self._driven_m(bound_m, level), lasting[level])
 
     def _driven_m(self, bound_m: Floats, level: Indices) -> Floats:
-        """Return the largest bound W after a drive with records of a level (equation 8.18)."""
+        """Return the largest distance bound after a drive with a level's record (equation 8.18)."""
         ratio = self.evader_m_s / self.pursuer_m_s
         # A record of the finer level is at least as old as its round; periods double per level.
         aged_m = bound_m - self._unseen_m[level] + self.evader_m_s * self.period_s * SIZES[level]
@@ -98,7 +98,7 @@ class LevelBounds:
         return left_m + self.evader_m_s * self.delay_s
 
     def floor_m(self) -> float:
-        """Return the largest distance bound W that a stage may not reduce."""
+        """Return the largest distance bound that a stage may not reduce."""
         # Below the age limit of a level W changes by a constant, above it W / alpha plus a constant
         # has one fixed point; the constant is negative if and only if this point is below the
         # limit.

@@ -116,7 +116,7 @@ class UnicycleMotion:
     def _after(
         self, states: Floats, speed_m_s: Floats, rate_rad_s: Floats, lasts_s: Floats
     ) -> Floats:
-        """Return the exact states after constant inputs over durations (...) in seconds."""
+        """Return the exact states after inputs that are constant over durations (...)."""
         moved = self.robot.step(
             (states[..., 0], states[..., 1], states[..., 2]),
             (speed_m_s * lasts_s, rate_rad_s * lasts_s),
@@ -150,7 +150,7 @@ class Driver(Protocol):
         ...
 
     def aim_m(self, view: PursuerView) -> Floats:
-        """Return the point (2,) to drive to."""
+        """Return the point (2,) to which the pursuer drives."""
         ...
 
 
@@ -173,7 +173,7 @@ class Policy(Protocol):
 
 
 def fresher(found: Record, held: Record | None) -> bool:
-    """Return True if the record found replaces the one that the pursuer follows (rule R)."""
+    """Return whether the record `found` replaces the record `held` by rule R."""
     # A record never replaces one with a later sample time; of equal ones the more exact is used.
     if held is None or found.sampled_s > held.sampled_s:
         return True

@@ -78,7 +78,7 @@ class SnapshotService:
 
     @property
     def motes_per_side(self) -> int:
-        """Return N = 2^L."""
+        """Return the number of motes along each side of the grid."""
         return 1 << self.levels
 
     @property
@@ -115,14 +115,14 @@ class SnapshotService:
         return self.rate_divisor * self.rounds_s
 
     def sample_numbers(self, time_s: float) -> NDArray[np.int64]:
-        """Return the numbers (L + 1,) of the last round of each level that ended by `time_s`."""
+        """Return, by level (L + 1,), the number of the last round that ended by `time_s`."""
         # Round k of a level samples at k periods. Numbers may be negative because the network has
         # always been running.
         ended = (time_s - self.rounds_s) / self.periods_s
         return np.floor(ended + ROUNDING).astype(np.int64)
 
     def cells(self, positions_m: Floats, level: int) -> NDArray[np.int64]:
-        """Return (column, row) of the cell of `level` that contains each position (..., 2)."""
+        """Return column and row of the cell of `level` that contains each position (..., 2)."""
         finest = np.floor(positions_m / self.mote_spacing_m).astype(np.int64)
         if not self.endless:
             # The far edges belong to the last motes.
@@ -130,19 +130,19 @@ class SnapshotService:
         return finest >> level
 
     def reported_m(self, positions_m: Floats, level: int) -> Floats:
-        """Return the centres of the sub-cells reported at level j for positions (..., 2)."""
+        """Return the centres of the sub-cells that level `level` reports for positions (..., 2)."""
         fine = max(0, level - self.bits_per_axis)
         side_m = self.mote_spacing_m * (1 << fine)
         return np.asarray((self.cells(positions_m, fine) + 0.5) * side_m, dtype=np.float64)
 
     def error_bound_m(self, level: int) -> float:
-        """Return half the diagonal of the sub-cell of a level-j report."""
+        """Return half the diagonal of the sub-cell that a report of `level` names."""
         fine = max(0, level - self.bits_per_axis)
         return math.sqrt(0.5) * self.mote_spacing_m * (1 << fine)
 
 
 def relative_error(bits_per_axis: float) -> float:
-    """Return kappa = sqrt 2 * 2^-c: the maximum error per metre of distance, above the floor."""
+    """Return the maximum error of a report per metre of distance, above the floor."""
     return math.sqrt(2.0) * 2.0**-bits_per_axis
 
 
@@ -172,11 +172,11 @@ class Snapshot:
 
     @property
     def ages_s(self) -> Floats:
-        """Return the age of each level's report, (L + 1,)."""
+        """Return the age (L + 1,) of the report of each level."""
         return self.time_s - self.sampled_s
 
     def shown_at(self, mote: NDArray[np.int64]) -> Mask:
-        """Return flags (L + 1,) of the levels that show the object to a mote (column, row)."""
+        """Return a mask (L + 1,) of the levels that show the object to a mote."""
         # A mote uses the report of the finest of them, which is never older than the others.
         own = mote >> np.arange(self.service.levels + 1)[:, None]
         return np.asarray((np.abs(own - self.cells) <= 1).all(axis=1), dtype=np.bool_)
@@ -219,7 +219,7 @@ def snapshot(service: SnapshotService, track: Track, time_s: float) -> Snapshot:
 
 
 def mote_centres_m(service: SnapshotService) -> Floats:
-    """Return the position of every mote, ``(n, n, 2)``; rows are y."""
+    """Return the position (n, n, 2) of every mote; rows are y."""
     along = (np.arange(service.motes_per_side) + 0.5) * service.mote_spacing_m
     return np.asarray(np.stack(np.meshgrid(along, along), axis=-1), dtype=np.float64)
 
@@ -429,7 +429,7 @@ class _Round:
     def _parts(
         self, load: NDArray[np.int64]
     ) -> Iterator[tuple[tuple[slice, ...], NDArray[np.int64]]]:
-        """Yield, for each of the nine cells around a head, its index and the load of its motes."""
+        """Yield the index of each of the nine cells around a head, and the load of its motes."""
         cell, count = self._cell, self._count
         motes = load.reshape(count, cell, count, cell).transpose(0, 2, 1, 3)
         ranges = [
@@ -446,7 +446,7 @@ class _Round:
 
 
 def _heard_next(sending: Mask) -> Mask:
-    """Return a mask of the motes that send or have a sending neighbour (last two axes)."""
+    """Return a mask of the motes that send or have a sending neighbour."""
     wide = sending.copy()
     wide[..., 1:] |= sending[..., :-1]
     wide[..., :-1] |= sending[..., 1:]

@@ -77,7 +77,7 @@ class Use:
 
     @property
     def distance_m(self) -> float:
-        """Return d: the pursuer's distance from the evader's position at the sample time."""
+        """Return the pursuer's distance from the evader's position at the sample time."""
         return float(np.linalg.norm(self.place_m - self.sampled_m))
 
 
@@ -103,13 +103,13 @@ class Pursuit:
     def bounds_m(
         self, pursuer: int, evader: int, distances: Distances = Distances.STRAIGHT
     ) -> Floats:
-        """Return the distance bound W (k,) at the start of each stage of a chase."""
+        """Return the distance bound (k,) at the start of each stage of a chase."""
         speed = self.scene.evaders[evader].speed_max_m_s
         own = [use for use in self.uses if (use.pursuer, use.evader) == (pursuer, evader)]
         return np.array([self.away_m(use, distances) + speed * use.age_s for use in own])
 
     def away_m(self, use: Use, distances: Distances) -> float:
-        """Return the distance d of a record, straight or along the shortest path."""
+        """Return the pursuer's distance from the sampled evader at the first use of a record."""
         if distances is Distances.STRAIGHT:
             return use.distance_m
         return float(self.scene.arena.distances_m(use.place_m, use.sampled_m[None])[0])
@@ -354,7 +354,7 @@ def _captured_after(
 
 
 def first_within(starts_m: Floats, ends_m: Floats, radius_m: float) -> Floats:
-    """Return the fractions (k,) of segments (k, 2) at which the origin comes within a radius."""
+    """Return the fraction (k,) of each segment at which it comes within a radius of the origin."""
     # A fraction is the smaller root t of ``|start + t move| = radius``, 0 if the segment starts
     # within the radius, and infinite if it never comes that close.
     moves_m = ends_m - starts_m

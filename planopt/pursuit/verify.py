@@ -100,7 +100,7 @@ class PursuitLog:
     reports: Reports
 
     def evader_at(self, evader: int, times_s: Floats) -> Floats:
-        """Return the evader's positions (k, 2) at times; its start for earlier times."""
+        """Return the evader's positions (k, 2) at times, its start before the first time."""
         return _interpolated(times_s, self.times_s, self.evaders_m[evader])
 
 
@@ -275,7 +275,7 @@ def _position_faults(data: PursuitData, robot: Robot, places_m: Floats) -> Itera
 
 
 def _report_faults(data: PursuitData, log: PursuitLog) -> Iterator[Violation]:
-    """Yield reports that no mote could have sent, and uses of reports that violate rule R."""
+    """Yield reports that no mote could have sent, and first uses that violate rule R."""
     service, reports = data.service, log.reports
     if not len(reports.time_s):
         return
@@ -315,7 +315,7 @@ def _report_faults(data: PursuitData, log: PursuitLog) -> Iterator[Violation]:
 
 
 def _mote(service: Service, places_m: Floats) -> NDArray[np.int64]:
-    """Return (column, row) of the mote whose square contains each position (..., 2)."""
+    """Return column and row of the mote whose square contains each position (..., 2)."""
     found = np.floor(places_m / service.mote_spacing_m).astype(np.int64)
     return found if service.endless else np.clip(found, 0, 2**service.levels - 1)
 
@@ -406,13 +406,13 @@ def _capture_faults(
 
 
 def _interpolated(at: Floats, knots: Floats, places_m: Floats) -> Floats:
-    """Return positions (m, 2), interpolated between those at knots (k,)."""
+    """Return the positions (m, 2) at `at`, interpolated between the positions at `knots` (k,)."""
     x, y = places_m[:, 0], places_m[:, 1]
     return np.stack([np.interp(at, knots, x), np.interp(at, knots, y)], axis=1)
 
 
 def _least_distances_m(drives: Drives, steps: slice, places_m: Floats) -> Floats:
-    """Return the minimum distance between pursuer and evader in each step; (n,)."""
+    """Return the minimum distance (n,) between pursuer and evader in each step."""
     shares, own_m = drives.shares[steps], drives.places_m[steps]
     if not len(shares):
         return np.zeros(0)
@@ -422,7 +422,7 @@ def _least_distances_m(drives: Drives, steps: slice, places_m: Floats) -> Floats
 
 
 def _segments_from_origin_m(starts: Floats, ends: Floats) -> Floats:
-    """Return distances (...,) of segments (..., 2) from the origin."""
+    """Return the distance (...,) of each segment from the origin."""
     along = ends - starts
     square = (along * along).sum(axis=-1)
     nearest = np.clip(-(starts * along).sum(axis=-1) / np.maximum(square, 1e-300), 0.0, 1.0)

@@ -152,16 +152,16 @@ class CasadiMap(Dynamics):
         return tuple((sample[0], sample[1]) for sample in samples[:-1])
 
     def hull_pad_m(self, step_s: float) -> float:
-        """Return half a substep's maximum path length, which bounds its distance from the hull."""
+        """Return half the longest path of a substep, which bounds the distance from the hull."""
         return 0.5 * self.speed_max_m_s * step_s / self.substeps
 
     def stop_rows(self, state: Components, step_s: float) -> Components:
-        """Return the change of the state under the rest input."""
+        """Return the change of the state in a step under the rest input."""
         after = self.step(state, self.rest_input, step_s)
         return tuple(there - here for there, here in zip(after, state, strict=True))
 
     def change_at_rest(self, state: Floats, step_s: float) -> Floats:
-        """Return the smallest state change (s,) by the rest input over all states at a position."""
+        """Return the least change (s,) that the rest input causes in any state at a position."""
         # Local searches over the other components start from `state` and from zeros. If the map is
         # not finite during a search, the change at its initial guess counts.
         low, high = np.array(self.state_bounds)[2:].T
@@ -228,7 +228,7 @@ class CasadiMap(Dynamics):
         """Return None, as a straight drive is unknown for a general map."""
 
     def curves(self, states: Floats, inputs: Floats, step_s: float) -> list[StepCurve]:
-        """Return each step as samples, with a bound on the robot's distance from their polyline."""
+        """Return the path of each step as a polyline, with a bound on the distance from it."""
         count = self.substeps * DENSER if self.continuous else 1
         before, control = tuple(states.T), tuple(inputs.T)
         samples = [before, *self._samples(before, control, step_s, count)]
@@ -256,7 +256,7 @@ class CasadiMap(Dynamics):
         return max(over)
 
     def unit_m(self, step_s: float) -> tuple[float, ...]:
-        """Return the displacement in metres per unit of each state component."""
+        """Return the displacement in metres per unit of each component of the state."""
         other = self.speed_max_m_s * step_s
         return (1.0, 1.0, *(other for _ in self.state_names[2:]))
 

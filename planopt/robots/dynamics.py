@@ -69,7 +69,7 @@ class Dynamics(Protocol):
         return 0.0
 
     def timed_pad_m(self, step_s: float) -> float:
-        """Return the largest distance of a step from its Bezier curve at equal times."""
+        """Return the largest distance of a robot from the step's Bezier curve at equal times."""
         return 0.0
 
     def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
@@ -109,11 +109,11 @@ class Dynamics(Protocol):
         ...
 
     def straight(self, state: Floats, end_m: Floats, step_s: float) -> Floats | None:
-        """Return inputs (k, m) straight from rest to rest at `end_m`; None if unknown."""
+        """Return inputs (k, m) for a straight drive to rest at `end_m`; None if unknown."""
         ...
 
     def may_reach(self, state: Floats, places_m: Floats, duration_s: float, slack_m: float) -> Mask:
-        """Return a mask of positions (n, 2) that may be within `slack_m` in free space."""
+        """Return a mask of positions (n, 2) that the robot may reach within `slack_m` in time."""
         return np.ones(len(places_m), dtype=np.bool_)
 
     def curves(self, states: Floats, inputs: Floats, step_s: float) -> list[StepCurve]:
@@ -143,7 +143,7 @@ class RestsByInput(Protocol):
     input_bounds: tuple[tuple[float, float], ...]
 
     def change_at_rest(self, state: Floats, step_s: float) -> Floats:
-        """Return the smallest state change (s,) by the rest input over all states at a position."""
+        """Return the least change (s,) that the rest input causes in any state at a position."""
         ...
 
 
@@ -235,7 +235,7 @@ def state_after(dynamics: Dynamics, state: Floats, control: Floats, step_s: floa
 
 
 def dynamics_defect_m(positions_m: Floats, start_m: Floats, step_length_m: float) -> float:
-    """Return in metres how far a path (n + 1, 2) misses its start or exceeds `step_length_m`."""
+    """Return how far a path misses `start_m` or a step exceeds `step_length_m`, in metres."""
     lengths = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
     jump = float(np.linalg.norm(positions_m[0] - start_m))
     # NumPy's maximum propagates NaN; Python's does not.
@@ -243,7 +243,7 @@ def dynamics_defect_m(positions_m: Floats, start_m: Floats, step_length_m: float
 
 
 def braked_motion(path_m: Floats, drive: Drive | None, step_s: float) -> TimedMotion:
-    """Return the motion of a plan (N + 1, 2) followed by braking, or straight without `drive`."""
+    """Return the motion along a plan (N + 1, 2), followed by braking if `drive` is given."""
     if drive is None:
         return TimedMotion(path_m)
     dynamics, last = drive.dynamics, drive.states[-1]

@@ -89,7 +89,7 @@ class SingleIntegrator(Dynamics):
         return [PointCurve(np.array(pair), 0.0) for pair in zip(states, ends, strict=True)]
 
     def excess_m(self, states: Floats, inputs: Floats, step_s: float) -> float:
-        """Return the largest excess over the speed limit, in metres per step; NaN if any is NaN."""
+        """Return the largest excess over the speed limit, in metres per step; NaN if undefined."""
         return float(np.max(step_s * (np.hypot(*inputs.T) - self.speed_max_m_s), initial=-np.inf))
 
     def unit_m(self, step_s: float) -> tuple[float, ...]:
@@ -222,7 +222,7 @@ class DoubleIntegrator(Dynamics):
         return inputs
 
     def straight(self, state: Floats, end_m: Floats, step_s: float) -> Floats:
-        """Return inputs of n accelerating and n braking steps, which cover a (n h)^2 metres."""
+        """Return inputs of a straight drive: n accelerating steps, then n braking steps."""
         offset = end_m - state[:2]
         length = float(np.hypot(*offset))
         by_speed = length / (self.speed_max_m_s * step_s)
@@ -232,7 +232,7 @@ class DoubleIntegrator(Dynamics):
         return np.repeat([control, -control], half, axis=0)
 
     def may_reach(self, state: Floats, places_m: Floats, duration_s: float, slack_m: float) -> Mask:
-        """Return a mask of positions within a_max t^2 / 2 of the position after coasting for t."""
+        """Return a mask of positions in acceleration range of the position after coasting."""
         offset = places_m - (state[:2] + duration_s * state[2:])
         radius = 0.5 * self.acceleration_max_m_s2 * duration_s**2
         return np.hypot(offset[:, 0], offset[:, 1]) <= radius + slack_m
@@ -246,7 +246,7 @@ class DoubleIntegrator(Dynamics):
         ]
 
     def excess_m(self, states: Floats, inputs: Floats, step_s: float) -> float:
-        """Return the largest excess over the motion limits, in metres per step, or NaN."""
+        """Return the largest excess over the limits, in metres per step; NaN if undefined."""
         acceleration = np.hypot(inputs[:, 0], inputs[:, 1]) - self.acceleration_max_m_s2
         speed = np.hypot(states[:, 2], states[:, 3]) - self.speed_max_m_s
         return float(np.max(np.concatenate([0.5 * step_s * step_s * acceleration, step_s * speed])))
@@ -305,7 +305,7 @@ class Unicycle(Dynamics):
     def control_points(
         self, state: Components, control: Components, step_s: float
     ) -> tuple[tuple[Any, Any], ...]:
-        """Return points of the hull: joints of the arc's pieces, and tangent intersections."""
+        """Return the joints of the arc's pieces and the intersections of their end tangents."""
         pieces = self._pieces(step_s)
         piece_s = step_s / pieces
         speed, rate = control
@@ -413,7 +413,7 @@ class Unicycle(Dynamics):
         ]
 
     def excess_m(self, states: Floats, inputs: Floats, step_s: float) -> float:
-        """Return the largest excess over speed and turn rate limits, in metres per step, or NaN."""
+        """Return the largest excess over the limits, in metres per step; NaN if undefined."""
         speed = np.maximum(inputs[:, 0] - self.speed_max_m_s, self.speed_min_m_s - inputs[:, 0])
         rate = np.abs(inputs[:, 1]) - self.turn_rate_max_rad_s
         sideways = 0.5 * step_s * step_s * self.speed_max_m_s * rate

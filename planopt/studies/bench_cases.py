@@ -231,7 +231,7 @@ class Row(Answer):
 
 
 def start_of(case: Case) -> Any:
-    """Return the data shared by all cases of a problem and seed, or the reason for no plan."""
+    """Return the data shared by all cases of a problem and seed, or the error without a plan."""
     return shared_data((problem_of(case), case.question.seed))
 
 
@@ -250,7 +250,7 @@ def key_of(case: Case) -> dict[str, Any]:
 
 @one_blas_thread()
 def answer(case: Case, shared: Any) -> Row:
-    """Return the row of a case, solved by its problem's task; every error becomes a row."""
+    """Return the result row of a case, solved by its problem's task; an error also gives a row."""
     problem, question = problem_of(case), case.question
     task = task_of(problem)
     no_path = "" if question.kind == RUN else Termination.NO_PATH.value
@@ -271,7 +271,7 @@ def answer(case: Case, shared: Any) -> Row:
 
 
 def within_bound(row: Row) -> Row:
-    """Return a row, rejected if its verified plan is better than its proven bound permits."""
+    """Return a row, marked as rejected if its plan is better than its proven bound permits."""
     if row.gap is None or row.gap >= -GAP_TOLERANCE or row.verdict != Verdict.VERIFIED.value:
         return row
     words = f"the plan is better than its proven bound {row.bound:.6g}: the gap is {row.gap:.2g}"

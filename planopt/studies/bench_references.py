@@ -118,7 +118,7 @@ def reference_of(row: Row, made_by: str) -> Reference:
 def frozen(
     known: References, rows: Iterable[Row], made_by: str
 ) -> tuple[dict[Case, Reference], list[str]]:
-    """Return references updated by rows, and a list of changes; failed rows are skipped."""
+    """Return the references, updated by the rows that did not fail, and a list of changes."""
     references = dict(known)
     changes: list[str] = []
     for row in rows:
@@ -313,7 +313,7 @@ def excess(row: Row, best: Mapping[Question, float]) -> float | None:
 
 
 def is_solved(row: Row, best: Mapping[Question, float]) -> bool:
-    """Return whether a result is verified and near the best, or rightly without a plan."""
+    """Return whether a row has a verified, near-best result, or rightly has no plan."""
     if row.outcome == NO_PLAN:
         return row.question not in best
     if row.verdict != Verdict.VERIFIED.value or row.accepted is False or row.outcome == ERROR:
@@ -329,7 +329,7 @@ def claims(row: Row) -> bool:
 
 
 def is_wrong(row: Row, best: Mapping[Question, float]) -> bool:
-    """Return whether a claim is false: rejected, far from the best, or "no plan" despite a plan."""
+    """Return whether a claim is false: rejected, far from the best, or "no plan" despite one."""
     if row.outcome == NO_PLAN:
         return row.question in best
     if row.verdict == Verdict.VERIFIED.value and row.accepted is False:
@@ -412,7 +412,7 @@ def time_profile(rows: Sequence[Row], best: Mapping[Question, float]) -> Profile
 def performance_profile(
     times_s: NDArray[np.float64],  # (q, s)
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return ratios (k,), and the share of tasks that each solver solves within them; (s, k)."""
+    """Return time ratios (k,), and the share (s, k) of tasks that a solver solves within each."""
     finite = np.where(np.isfinite(times_s), times_s, np.inf)
     fastest = finite.min(axis=1, keepdims=True) if finite.size else finite[:, :1]
     some = np.isfinite(fastest)

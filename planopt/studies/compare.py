@@ -201,7 +201,7 @@ def settings_of(problems: Sequence[AnyProblem], lists: Lists) -> list[AnyProblem
 
 
 def own_settings(problems: Sequence[AnyProblem], lists: Lists) -> ComparisonSettings | None:
-    """Return the table ``compare`` of a single problem; None if `lists` has values."""
+    """Return the table ``compare`` of a single problem; None if `lists` has any values."""
     if len(problems) > 1 or lists != Lists():
         return None
     return getattr(problems[0], "compare", None)
@@ -215,7 +215,7 @@ def default_seeds(own: ComparisonSettings | None, problems: Sequence[AnyProblem]
 
 
 def several(values: object) -> Sequence[Any] | None:
-    """Return one or several values as a sequence; None for None."""
+    """Return one or several values as a sequence, and None unchanged."""
     if values is None:
         return None
     if isinstance(values, str | Mapping) or not isinstance(values, Iterable):

@@ -63,7 +63,7 @@ class Setting:
 
     @property
     def one(self) -> RunSummary:
-        """Return the first run, which describes the setting."""
+        """Return the first run of the setting, which describes the setting."""
         return self.runs[0]
 
     @property

@@ -101,7 +101,7 @@ def _read_record(file: Path, kind: type[Value]) -> tuple[Any, Value] | None:
 
 
 def shared_data(item: tuple[AnyProblem, int]) -> Any:
-    """Return the data shared by all settings of a problem and seed, or the reason for no plan."""
+    """Return the data shared by all settings of a problem and seed, or the error without a plan."""
     problem, seed = item
     try:
         return task_of(problem).shared(problem, seed)
@@ -192,7 +192,7 @@ def run_study(
     backend: str = "loky",
     record: FinishedRuns | None = None,
 ) -> Iterator[list[tuple[Result, bool]]]:
-    """Yield the results of each finished group in order, flagged if read from the record."""
+    """Yield the results of each finished group in order, each flagged if read from the record."""
     if workers < 1:
         raise InputError(
             f"is {workers}, should be at least 1",

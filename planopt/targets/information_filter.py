@@ -21,7 +21,7 @@ from planopt.targets.rounding import Derivatives, radial, rounded_radius
 
 @dataclass(frozen=True, eq=False)
 class TargetModel:
-    """Motion model ``x+ = A x + B w``, ``x = (p, p')``, cov w = Theta (equation 4.7)."""
+    """Motion model of a target with normally distributed acceleration (equation 4.7)."""
 
     step_s: float  # epsilon: the time step
     # (2, 2) Theta; B Theta B' is singular, of rank 2
@@ -36,19 +36,19 @@ class TargetModel:
 
     @cached_property
     def transition(self) -> Floats:
-        """``(4, 4)`` transition matrix A."""
+        """``(4, 4)`` transition matrix of position and velocity over a step."""
         found = np.eye(4)
         found[:2, 2:] = self.step_s * np.eye(2)
         return found
 
     @cached_property
     def noise_gain(self) -> Floats:
-        """``(4, 2)`` noise input matrix B."""
+        """``(4, 2)`` gain from acceleration to position and velocity."""
         return np.vstack([0.5 * self.step_s**2 * np.eye(2), self.step_s * np.eye(2)])
 
     @cached_property
     def process_covariance(self) -> Floats:
-        """``(4, 4)`` process noise covariance B Theta B'."""
+        """``(4, 4)`` covariance of the process noise of a step."""
         return self.noise_gain @ self.acceleration_covariance_m2_s4 @ self.noise_gain.T
 
 
@@ -61,14 +61,14 @@ class TargetPrediction:
 
     @property
     def positions_m(self) -> Floats:
-        """``(h, 2)`` predicted positions p_hat_{t+k|t}."""
+        """``(h, 2)`` predicted positions of the target."""
         return self.mean[:, :2]
 
 
 def simulate_target(
     model: TargetModel, start: Floats, steps: int, generator: np.random.Generator
 ) -> Floats:
-    """Return simulated states x_0 .. x_steps of one target; ``(steps + 1, 4)``."""
+    """Return the simulated states (steps + 1, 4) of one target, the start included."""
     # Shapes: start (4,), x_0: position in metres, velocity in metres per second.
     state = require_state(start)
     if steps < 0:
@@ -88,7 +88,7 @@ def simulate_target(
 def predict_target(
     model: TargetModel, mean: Floats, covariance: Floats, steps: int
 ) -> TargetPrediction:
-    """Return the prediction over `steps` >= 1 steps: A^k x_hat and P+ = A P A' + B Theta B'."""
+    """Return the prediction of a target over `steps` >= 1 steps without measurements."""
     # Shapes: mean (4,); covariance (4, 4).
     state, spread = require_state(mean), require_covariance(covariance, 4, "covariance")
     if steps < 1:
@@ -140,12 +140,12 @@ class InformationState:
 
     @property
     def mean(self) -> Floats:
-        """``(4,)`` estimate x_hat; raises an InputError while J is singular."""
+        """``(4,)`` estimated state; raises an InputError while the information is singular."""
         return self.covariance @ self.vector
 
     @property
     def covariance(self) -> Floats:
-        """``(4, 4)`` covariance P; raises an InputError while J is singular."""
+        """``(4, 4)`` covariance; raises an InputError while the information is singular."""
         return covariance_of(self.matrix)
 
 
@@ -157,7 +157,7 @@ def information_state(mean: Floats, covariance: Floats) -> InformationState:
 
 
 def predict(model: TargetModel, state: InformationState) -> InformationState:
-    """Return the prediction chi_{t+1|t} and J_{t+1|t} one step ahead."""
+    """Return the information state predicted for one step ahead."""
     # chi_{t+1|t} = J_{t+1|t} A J^-1 chi = (I - K B') A^-T chi, K as in `predicted_information`.
     moved = _moved(model, state.matrix)
     gain, _ = _gain(model, moved)
@@ -168,7 +168,7 @@ def predict(model: TargetModel, state: InformationState) -> InformationState:
 
 
 def predicted_information(model: TargetModel, matrix: Floats) -> Floats:
-    """Return the predicted information (A J^-1 A' + B Theta B')^-1 for a batch ``(..., 4, 4)``."""
+    """Return the information predicted one step ahead from matrices (..., 4, 4)."""
     # With M = A^-T J A^-1, T = (I + B' M B Theta)^-1 and K = M B Theta T, it is computed as (I - K
     # B') M (I - K B')' + M B T' Theta T B' M (matrix inversion lemma in Joseph form). Both terms
     # are positive semidefinite, so there is no cancellation.
@@ -184,7 +184,7 @@ def predicted_information(model: TargetModel, matrix: Floats) -> Floats:
 def update(
     state: InformationState, measured_m: Floats, noise_covariance_m2: Floats, delivered: Mask
 ) -> InformationState:
-    """Return the state after delivered packets: chi += H' Lambda^-1 z, J += H' Lambda^-1 H."""
+    """Return the state after adding the information of the delivered packets."""
     # Shapes: measured_m (n, 2); noise_covariance_m2 (n, 2, 2), Lambda_i; delivered (n,), lambda_i.
     count = len(delivered)
     if measured_m.shape != (count, 2) or noise_covariance_m2.shape != (count, 2, 2):
@@ -219,20 +219,20 @@ def covariance_of(matrix: Floats) -> Floats:
 
 
 def position_variance_m2(matrix: Floats) -> Floats:
-    """Return the trace of the position block of P for information matrices ``(..., 4, 4)``."""
+    """Return the trace of the position covariance for information matrices (..., 4, 4)."""
     covariance = covariance_of(matrix)
     return covariance[..., 0, 0] + covariance[..., 1, 1]
 
 
 def _moved(model: TargetModel, matrix: Floats) -> Floats:
-    """Return M = A^-T J A^-1, the information after a step without process noise."""
+    """Return the information (..., 4, 4) after a step without process noise."""
     back = model.transition.copy()
     back[:2, 2:] *= -1.0
     return back.T @ matrix @ back
 
 
 def _gain(model: TargetModel, moved: Floats) -> tuple[Floats, Floats]:
-    """Return the prediction's factors K = M B Theta T and T = (I + B' M B Theta)^-1."""
+    """Return the gain of process noise on the information, and the gain's inner factor (2, 2)."""
     noise_gain, theta = model.noise_gain, model.acceleration_covariance_m2_s4
     seen = noise_gain.T @ moved @ noise_gain
     inner = np.asarray(np.linalg.inv(np.eye(2) + seen @ theta), dtype=np.float64)
@@ -245,7 +245,7 @@ CUSP_SHARE = 0.1
 
 @dataclass(frozen=True)
 class Sensor:
-    """Sensor with noise ``g(r) = varpi (r - r_s)^2 + nu`` at distance r (equation 4.8)."""
+    """Sensor whose noise grows with the squared distance from a sweet spot (equation 4.8)."""
 
     growth: float  # varpi > 0: growth of the noise away from the sweet spot, m^2 per m^2
     least_noise_m2: float  # nu > 0: g at the sweet spot r_s
@@ -261,7 +261,7 @@ class Sensor:
 
 
 def sensing_information(sensor: Sensor, positions_m: Floats, target_m: Floats) -> Floats:
-    """Return the information of a packet, ``tr Phi^-1(q, p) = 1 / g(|q - p|)``, per m^2."""
+    """Return the information 1 / g per m^2 of a packet, with g the sensor's noise."""
     # Shapes: positions_m (..., 2); target_m (..., 2).
     # Computed in place, because searches evaluate all reachable nodes at every step.
     found = np.asarray(positions_m[..., 0] - target_m[..., 0])
@@ -278,7 +278,7 @@ def sensing_information(sensor: Sensor, positions_m: Floats, target_m: Floats) -
 
 
 def noise_covariance_m2(sensor: Sensor, positions_m: Floats, target_m: Floats) -> Floats:
-    """Return the noise covariance Lambda = Phi(q, p) = 2 g I_2; ``(..., 2, 2)``."""
+    """Return the isotropic noise covariance (..., 2, 2) of a target measurement."""
     information = sensing_information(sensor, positions_m, target_m)
     return (2.0 / information)[..., None, None] * np.eye(2)
 
@@ -286,14 +286,14 @@ def noise_covariance_m2(sensor: Sensor, positions_m: Floats, target_m: Floats) -
 def sense(
     sensor: Sensor, positions_m: Floats, target_m: Floats, generator: np.random.Generator
 ) -> Floats:
-    """Return a drawn target measurement per robot, z = p + noise of covariance Phi(q, p)."""
+    """Draw a target measurement for each robot, with the sensor's noise at the robot's distance."""
     # Shapes: positions_m (n, 2), positions of the robots; target_m (2,), position of the target.
     deviation = np.sqrt(2.0 / sensing_information(sensor, positions_m, target_m))
     return target_m + deviation[:, None] * generator.standard_normal(positions_m.shape)
 
 
 def sensing_derivatives(sensor: Sensor, positions_m: Floats, target_m: Floats) -> Derivatives:
-    """Return the information 1 / g of a packet with gradient and Hessian w.r.t. q."""
+    """Return the information of a packet, with gradient and Hessian in the robot's position."""
     # The result is exact at distances of at least `CUSP_SHARE` r_s from the target. At smaller
     # distances it uses the smoothed distance of `planopt.targets.rounding`; g is then too
     # small by at most 3/4 `CUSP_SHARE` varpi r_s^2.

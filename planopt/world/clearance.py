@@ -43,7 +43,7 @@ def segment_lines(starts_m: Floats, ends_m: Floats) -> NDArray[np.object_]:
 
 
 def distances_m(shapes: NDArray[np.object_], polygons: NDArray[np.object_]) -> Floats:
-    """Return the distances between two arrays of geometries (n,), 0 if they touch; (n,)."""
+    """Return the distances (n,) between two arrays of geometries, 0 for geometries that touch."""
     # Shapely declares no types for the keyword arguments of this function.
     return shapely.distance(shapes, polygons)  # pyright: ignore[reportUnknownMemberType]
 
@@ -55,7 +55,7 @@ def is_clear(distance_m: Floats, required_m: float, tolerance_m: float = 0.0) ->
 
 
 def clearance_m(index: ObstacleIndex, positions_m: Floats) -> Floats:
-    """Return the distance of each position (n, 2) to the nearest obstacle; (n,)."""
+    """Return the distance (n,) of each position (n, 2) to the nearest obstacle."""
     finite = np.asarray(np.isfinite(positions_m).all(axis=1))
     points = np.asarray(shapely.points(positions_m[finite]), np.object_)
     return _spread(_nearest_m(index, points), finite)
@@ -67,7 +67,7 @@ def swept_clearance_m(index: ObstacleIndex, path_m: Floats) -> Floats:
 
 
 def segment_clearance_m(index: ObstacleIndex, starts_m: Floats, ends_m: Floats) -> Floats:
-    """Return the exact distance of each segment (n, 2) to the nearest obstacle; (n,)."""
+    """Return the exact distance (n,) of each segment to its nearest obstacle."""
     finite = np.asarray(np.isfinite(starts_m + ends_m).all(axis=1))
     return _spread(_nearest_m(index, segment_lines(starts_m[finite], ends_m[finite])), finite)
 
@@ -93,7 +93,7 @@ def segments_clear(
 
 
 def inside_bounds(workspace: Workspace, positions_m: Floats) -> Mask:
-    """Return a mask of positions (n, 2) within the workspace bounds, boundary included."""
+    """Return a mask of the positions (n, 2) inside the workspace bounds or on their boundary."""
     x_min, y_min, x_max, y_max = workspace.bounds_m
     x, y = positions_m[:, 0], positions_m[:, 1]
     return (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)
@@ -107,7 +107,7 @@ def containing_obstacle(index: ObstacleIndex, position_m: Floats) -> Obstacle | 
 
 
 def _nearest_m(index: ObstacleIndex, shapes: NDArray[np.object_]) -> Floats:
-    """Return the distances (n,) from n geometries to their nearest obstacles."""
+    """Return the distance (n,) of each of n geometries from its nearest obstacle."""
     nearest = np.full(shapes.shape, np.inf)
     if index.obstacles and shapes.size:
         (which, _), distance = index.tree.query_nearest(

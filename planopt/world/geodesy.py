@@ -41,7 +41,7 @@ def parse_origin(text: str, key: str = "--origin") -> Origin:
 
 
 def require_points(text: str, key: str, third: str) -> None:
-    """Raise an InputError if three numbers in degrees may be two with a decimal comma."""
+    """Raise an InputError if three numbers may be two with decimal commas, in degrees."""
     parts = text.split(",")
     if len(parts) == 3 and not ("." in parts[0] and "." in parts[1]):
         raise InputError(
@@ -84,7 +84,7 @@ def east_north_m(longitude_deg: Floats, latitude_deg: Floats, origin_deg: Origin
 
 
 def longitude_latitude_deg(positions_m: Floats, origin_deg: Origin) -> Floats:
-    """Return longitudes and latitudes of positions east and north of the origin; ``(n, 2)``."""
+    """Return longitudes and latitudes (n, 2) of positions in metres along the origin's axes."""
     # This inverts `east_north_m` by Newton's method.
     axes = _axes(origin_deg)
     latitude, longitude = (np.full(len(positions_m), each) for each in np.radians(origin_deg[:2]))
@@ -112,7 +112,7 @@ def longitude_latitude_deg(positions_m: Floats, origin_deg: Origin) -> Floats:
 
 
 def _axes(origin_deg: Origin) -> Floats:
-    """Return the geocentric unit vectors of the x and y axes at the origin; ``(2, 3)``."""
+    """Return the geocentric unit vectors (2, 3) of the x and y axes at the origin."""
     latitude, longitude = np.radians(origin_deg[:2])
     east = np.array([-np.sin(longitude), np.cos(longitude), 0.0])
     up = np.array(
@@ -147,7 +147,7 @@ def _radii_m(latitude: Floats | np.float64) -> tuple[Floats | np.float64, Floats
 
 
 def _geocentric_m(longitude: Floats | np.float64, latitude: Floats | np.float64) -> Floats:
-    """Return geocentric coordinates of positions at height zero; ``(..., 3)``."""
+    """Return geocentric coordinates (..., 3) of positions at height zero."""
     squared_eccentricity = FLATTENING * (2.0 - FLATTENING)
     normal, _ = _radii_m(latitude)
     return np.stack(

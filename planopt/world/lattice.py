@@ -85,7 +85,7 @@ def build_lattice(
 
 
 def node_positions(lattice: Lattice) -> Floats:
-    """Return the positions of all nodes, ``(ny, nx, 2)`` in metres."""
+    """Return the positions (ny, nx, 2) of all nodes in metres."""
     return _positions(lattice.origin_m, lattice.spacing_m, lattice.shape)
 
 
@@ -103,7 +103,7 @@ def moves_from(
     reach_m: float,
     clearance_m: float,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Mask]:
-    """Return the nodes (iy, ix) within `reach_m`, and a mask of collision-free paths to them."""
+    """Return the nodes (iy, ix) in reach, and a mask of those on collision-free straight paths."""
     ny, nx = lattice.shape
     place = (position_m - lattice.origin_m) / lattice.spacing_m
     reach = (reach_m + REACH_TOLERANCE_M) / lattice.spacing_m
@@ -134,7 +134,7 @@ def _axis(
 
 
 def _positions(origin_m: Floats, spacing_m: float, shape: tuple[int, int]) -> Floats:
-    """Return node positions ``(ny, nx, 2)``."""
+    """Return node positions (ny, nx, 2)."""
     iy, ix = np.indices(shape)
     return origin_m + spacing_m * np.stack((ix, iy), axis=-1)
 
@@ -275,7 +275,7 @@ def lattice_paths(
     *,
     limit_m: float = math.inf,
 ) -> CostToGo:
-    """Return the cheapest paths to a goal; edges are weighted by the mean of node factors."""
+    """Return cheapest paths to a goal, with edges weighted by the mean factor of both nodes."""
     weights = road_map.edge_length_m
     if node_factor is not None:
         # Edges are sorted by first end, so repeating is twice as fast as indexing both ends.
@@ -316,7 +316,7 @@ def route_from(road_map: RoadMap, cost_to_go: CostToGo, node: int, length_m: flo
 
 
 def node_at(road_map: RoadMap, place_m: Floats) -> int:
-    """Return the index of the node nearest to `place_m` (2,); negative if that node is blocked."""
+    """Return the index of the node nearest to `place_m` (2,); negative for a blocked node."""
     row, column = nearest_node(road_map.lattice, place_m)
     return int(road_map.number[row, column])
 

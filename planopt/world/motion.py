@@ -48,7 +48,7 @@ class StepCurve(Protocol):
         ...
 
     def points_m(self) -> tuple[Floats, float]:
-        """Return a polyline (k, 2), and the largest distance of the curve from it."""
+        """Return a polyline (k, 2), and the largest distance of the curve from the polyline."""
         ...
 
     def clearance_m(self, index: ObstacleIndex) -> float:
@@ -58,7 +58,7 @@ class StepCurve(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class PointCurve:
-    """Polyline with a bound on the robot's distance from it."""
+    """Polyline with a bound on the robot's distance from the polyline."""
 
     # (k, 2) points, k >= 1; evenly spaced in time for a timed curve
     places_m: Floats
@@ -78,7 +78,7 @@ class PointCurve:
         return np.stack([x, y], axis=1)
 
     def points_m(self) -> tuple[Floats, float]:
-        """Return the polyline and the bound on the robot's distance from it."""
+        """Return the polyline, and the bound on the robot's distance from the polyline."""
         return self.places_m, self.within_m
 
     def clearance_m(self, index: ObstacleIndex) -> float:
@@ -209,7 +209,7 @@ def arc_segment_distances_m(
     from_m: Floats,
     to_m: Floats,
 ) -> Floats:
-    """Return the distance of an arc to each of n segments; (n,)."""
+    """Return the distance (n,) of an arc to each of n segments."""
     # The nearest points are a crossing, an end of the arc or the segment, or the foot of the
     # perpendicular from the centre to the segment, if the ray through it meets the arc.
     # Shapes: from_m, to_m (n, 2).
@@ -219,7 +219,7 @@ def arc_segment_distances_m(
     first = math.atan2(start_m[1] - centre[1], start_m[0] - centre[0])
 
     def on_arc(angles: Floats) -> Mask:
-        """Return a mask of directions from the centre that the arc covers."""
+        """Return a mask of the directions from the arc's centre that the arc covers."""
         gone = (angles - first) if turn_rad > 0.0 else (first - angles)
         return np.mod(gone, 2.0 * math.pi) <= abs(turn_rad)
 
@@ -229,13 +229,13 @@ def arc_segment_distances_m(
     square = np.maximum((along**2).sum(axis=1), np.finfo(np.float64).tiny)
 
     def foot(place: Floats) -> tuple[Floats, Floats]:
-        """Return the parameter of the foot on each segment's line, and the segment's distance."""
+        """Return the parameter of the perpendicular's foot on each line, and the distance."""
         t = ((place - from_m) * along).sum(axis=1) / square
         near = from_m + np.clip(t, 0.0, 1.0)[:, None] * along
         return t, np.linalg.norm(place - near, axis=1)
 
     def radial(places: Floats) -> Floats:
-        """Return the radial distance to the arc; inf if the ray from the centre misses it."""
+        """Return the radial distance of `places` to the arc; inf beside the arc."""
         offset = places - centre
         away = np.abs(np.hypot(offset[:, 0], offset[:, 1]) - radius)
         return np.where(on_arc(np.arctan2(offset[:, 1], offset[:, 0])), away, math.inf)
@@ -286,7 +286,7 @@ class TimedMotion:
 
     @property
     def bulges_m(self) -> Floats:
-        """Bound on the distance from uniform motion on each step's chord; ``(n,)``."""
+        """Bounds (n,) on each step's distance from uniform motion along its chord."""
         if not self.curves:
             return np.zeros(self.steps)
         ends = zip(self.curves, self.places_m[:-1], self.places_m[1:], strict=True)
@@ -317,7 +317,7 @@ def closest_approach_m(
 
 
 def nearest_to_origin_m(starts_m: Floats, ends_m: Floats) -> Floats:
-    """Return the point of each segment (..., 2) that is nearest to the origin; ``(..., 2)``."""
+    """Return the point (..., 2) of each segment that is nearest to the origin."""
     along = ends_m - starts_m
     square = (along * along).sum(axis=-1)
     share = -(starts_m * along).sum(axis=-1) / np.where(square > 0.0, square, 1.0)
@@ -361,7 +361,7 @@ def curve_distance_m(first: StepCurve, second: StepCurve, at_most_m: float = mat
 
 
 def step_distances_m(first: TimedMotion, second: TimedMotion, steps: int) -> Floats:
-    """Return tight lower bounds of the distance during each of `steps` steps; ``(steps,)``."""
+    """Return tight lower bounds (steps,) of the distance of two motions during each step."""
     # Each motion is at rest after its own last step.
     one, other = first.lasting(steps), second.lasting(steps)
     if not one.curves and not other.curves:
@@ -370,13 +370,13 @@ def step_distances_m(first: TimedMotion, second: TimedMotion, steps: int) -> Flo
 
 
 def chord_distances_m(first: TimedMotion, second: TimedMotion) -> Floats:
-    """Return the minimum distances for uniform motion on the chords; ``(n,)``."""
+    """Return the minimum distances (n,) of two motions, taken as uniform along their chords."""
     a, b = first.places_m, second.places_m
     return closest_approach_m(a[:-1], a[1:], b[:-1], b[1:])
 
 
 def least_gap(first: TimedMotion, second: TimedMotion, taken_m: Floats) -> tuple[float, int]:
-    """Return the minimum of distance minus `taken_m` (n,) over n steps, and its step."""
+    """Return the least distance of two motions minus `taken_m` (n,), and the step of that."""
     # Steps are evaluated in the order of their lower bounds.
     steps = len(taken_m)
     one, other = first.lasting(steps), second.lasting(steps)

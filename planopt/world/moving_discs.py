@@ -43,7 +43,7 @@ class MovingDiscs:
 
     @property
     def apart_m(self) -> Floats:
-        """Required distance ``(m, T)`` of a robot from each centre in each step."""
+        """Required distance (m, T) of a robot from each centre in each step."""
         return self.radius_m + self.least_m[:, None] + self.bulges_m
 
     @property
@@ -83,7 +83,7 @@ def joined_discs(first: MovingDiscs, second: MovingDiscs) -> MovingDiscs:
 
 
 def passing_gaps_m(discs: MovingDiscs, step: int, starts_m: Floats, ends_m: Floats) -> Floats:
-    """Return the margins (m, ...) of straight motions during `step` over the required distance."""
+    """Return the excess (m, ...) of straight motions during `step` over the required distance."""
     # Shapes: starts_m, ends_m (..., 2).
     shape = (len(discs), *([1] * (starts_m.ndim - 1)), 2)
     before = discs.centres_m[:, step].reshape(shape)
@@ -93,7 +93,7 @@ def passing_gaps_m(discs: MovingDiscs, step: int, starts_m: Floats, ends_m: Floa
 
 
 def path_distances_m(discs: MovingDiscs, path_m: Floats) -> Floats:
-    """Return the distance of a path (N + 1, 2) to each centre during each step; ``(m, N)``."""
+    """Return the distance (m, N) of a path (N + 1, 2) from each centre during each step."""
     # Path and centres are assumed to move straight at constant speed within a step.
     centres = discs.centres_m[:, : len(path_m)]
     return closest_approach_m(path_m[:-1], path_m[1:], centres[:, :-1], centres[:, 1:])
@@ -113,7 +113,7 @@ def paths_gap_m(discs: MovingDiscs, paths_m: Floats) -> Floats:
 
 
 def centres_at(obstacle: MovingObstacle, times_s: Floats) -> Floats:
-    """Return the predicted centres ``(n, 2)`` at times (n,)."""
+    """Return the predicted centre (n, 2) of an obstacle at each of n times."""
     known = np.asarray(obstacle.times_s)
     places = np.asarray(obstacle.positions_m)
     after = np.maximum(times_s - known[-1], 0.0)
@@ -127,7 +127,7 @@ def centres_at(obstacle: MovingObstacle, times_s: Floats) -> Floats:
 
 
 def growth_m(obstacle: MovingObstacle, ahead_s: Floats) -> Floats:
-    """Return the growth (n,) of the radius due to uncertainty, for steps that end in `ahead_s`."""
+    """Return the radius growth (n,) due to uncertainty for steps that end in `ahead_s` seconds."""
     deviation = np.hypot(obstacle.position_std_m, 0.5 * obstacle.acceleration_std_m_s2 * ahead_s**2)
     return deviation * math.sqrt(-2.0 * math.log((1.0 - obstacle.probability) / 2.0))
 
@@ -160,7 +160,7 @@ def predicted_discs(
 
 
 def _turn_m(obstacle: MovingObstacle, times_s: Floats) -> Floats:
-    """Return, for each step, the largest distance of the centre from its chord; (n - 1,)."""
+    """Return, for each step, the largest distance of the centre from the step's chord; (n - 1,)."""
     # Both are linear between turns, so the distance is largest at a turn.
     known = np.asarray(obstacle.times_s)
     turns = known[(known > times_s[0]) & (known < times_s[-1])]

@@ -66,7 +66,7 @@ class MaskLimits:
 
 
 def mask_values(probability: Floats, limits: MaskLimits) -> dict[str, NDArray[Any]]:
-    """Return the values of each mask, from 0 to 100, as Nav2 reads them; ``(ny, nx)``."""
+    """Return the values (ny, nx), from 0 to 100, of each mask as Nav2 reads them."""
     weight = np.clip(np.rint(100.0 * (1.0 - probability)), 0, HEAVIEST).astype(np.int8)
     keepout = np.where(probability < limits.keepout_below, 100, 0).astype(np.int8)
     contact = np.where(probability >= limits.contact_from, 100, 0).astype(np.int8)

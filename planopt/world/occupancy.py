@@ -85,7 +85,7 @@ class OccupancyGrid:
 
     @property
     def corners_m(self) -> Floats:
-        """Return the corners of the grid along its outline; ``(4, 2)``."""
+        """Return the corners (4, 2) of the grid along its outline."""
         rows, columns = self.occupied.shape
         return self.placed_m(np.array([[0, 0], [columns, 0], [columns, rows], [0, rows]]))
 
@@ -96,7 +96,7 @@ class OccupancyGrid:
         return float(x_min), float(y_min), float(x_max), float(y_max)
 
     def placed_m(self, corners: Indices) -> Floats:
-        """Return positions of cell corners, given as column and row; ``(n, 2)``."""
+        """Return the positions (n, 2) of cell corners given by column and row."""
         along = self.resolution_m * corners.astype(np.float64)
         if self.yaw_rad:
             cosine, sine = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
@@ -210,7 +210,7 @@ def _edges(closed: Mask) -> _Edges:
 
 
 def _found(key: Indices, by_key: Indices, wanted: Indices) -> Indices:
-    """Return the index of each wanted key in `key`; -1 for absent keys."""
+    """Return the index of each wanted key in `key`; -1 for a key that is absent."""
     at = by_key[np.minimum(np.searchsorted(key, wanted, sorter=by_key), key.size - 1)]
     return np.where(key[at] == wanted, at, -1)
 
@@ -228,7 +228,7 @@ def _components(closed: Mask) -> Indices:
 
 
 def _spread(size: int) -> Indices:
-    """Return new indices of `size` rows or columns, with an empty one between tiles."""
+    """Return new indices of `size` rows or columns, with an empty row or column between tiles."""
     line = np.arange(size, dtype=np.intp)
     return line + line // TILE_CELLS
 
@@ -258,7 +258,7 @@ def _polygons(closed: Mask, grid: OccupancyGrid) -> NDArray[np.object_]:
 
 
 def _outlines(edges: _Edges) -> tuple[Indices, Indices]:
-    """Return the edges before turns, outline by outline, and each outline's first index."""
+    """Return the edges that end at turns, outline by outline, and each outline's first index."""
     turning = edges.following.copy()
     while (straight := ~edges.turns[turning]).any():
         # Pointer jumping: each round doubles the length of skipped straight runs.
@@ -456,7 +456,7 @@ def _shown(value: object) -> str:
 
 
 def _one_of(table: dict[str, object], key: str, allowed: tuple[str, ...]) -> str:
-    """Return the word at `key`, which must be allowed; by default, the first allowed word."""
+    """Return the word at `key`, which must be one of `allowed`; by default, the first of these."""
     value = table.get(key, allowed[0])
     word = {"true": "1", "false": "0"}.get(str(value).lower(), value)
     if not isinstance(word, str) or word not in allowed:

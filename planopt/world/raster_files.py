@@ -173,7 +173,7 @@ def _read_hdf5(path: Path, content: bytes, variable: str) -> _Read:
 
 
 def _require_map(held: Mapping[str, tuple[str, ...]], variable: str) -> None:
-    """Raise an InputError for a file without the variable on dimensions y, x."""
+    """Raise an InputError for a file without `variable`, or with dimensions other than y, x."""
     for name in (*NETCDF_AXES, variable):
         if name not in held:
             raise InputError(
@@ -259,7 +259,7 @@ def write_geotiff(path: Path, rasters: Mapping[str, Raster], origin_deg: Origin 
 
 
 def read_geotiff(path: Path, variable: str, origin_deg: Origin | None = None) -> Raster:
-    """Return the band described as `variable`, or the only band if it has no description."""
+    """Return the band described as `variable`, or the only band if this has no description."""
     # The file is read from memory, without sidecar files and only as GeoTIFF. GDAL's virtual
     # formats could otherwise open further files.
     rasterio = import_rasterio(path)
@@ -308,7 +308,7 @@ def read_geotiff(path: Path, variable: str, origin_deg: Origin | None = None) ->
 
 
 def _in_frame(file: Any, values: Floats, origin_deg: Origin, path: Path) -> tuple[Floats, Any]:
-    """Return the values of an open GeoTIFF on cells along the axes of a frame, with their place."""
+    """Return a GeoTIFF's values, resampled to cells along a frame's axes, and their transform."""
     from rasterio import Affine, transform, warp
 
     if file.crs is None:
@@ -577,7 +577,7 @@ WRITERS: dict[str, Callable[[Path, Mapping[str, Raster], Origin | None], None]] 
 
 
 def read_raster(path: Path, variable: str, origin_deg: Origin | None = None) -> Raster:
-    """Return one variable of a raster file; with an origin, of a GeoTIFF with reference system."""
+    """Return one variable of a raster file; `origin_deg` needs a GeoTIFF with reference system."""
     reader = READERS[raster_ending(path)]
     try:
         if origin_deg is None:

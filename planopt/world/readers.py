@@ -189,7 +189,7 @@ def _in_metres(data: Any, origin_deg: Origin) -> Any:
 
 
 def _positions(value: Any) -> Iterator[Any]:
-    """Yield all lists within GeoJSON coordinates that contain no lists."""
+    """Yield each list in GeoJSON coordinates that contains no other list, such as a position."""
     if isinstance(value, dict):
         for key, each in cast("dict[str, Any]", value).items():
             if key in ("coordinates", "features", "geometry", "geometries"):
@@ -208,7 +208,7 @@ def _is_position(value: list[Any]) -> bool:
 
 
 def _replaced(value: Any, plane: dict[int, list[float]]) -> Any:
-    """Return GeoJSON with each position replaced by its projection, found by object identity."""
+    """Return GeoJSON with each position, found by object identity, replaced by that in `plane`."""
     if id(value) in plane:
         return plane[id(value)]
     if isinstance(value, dict):
@@ -224,7 +224,7 @@ def _is_near(corners: NDArray[np.float64], origin_deg: Origin) -> bool:
 
 
 def _degrees_of(corners: NDArray[np.float64], code: int) -> NDArray[np.float64]:
-    """Return longitudes and latitudes of positions in a reference system; ``(n, 2)``."""
+    """Return longitudes and latitudes (n, 2) of positions in a reference system."""
     try:
         pyproj: Any = import_module("pyproj")
     except ImportError:
@@ -280,7 +280,7 @@ def _building(name: str, value: Any) -> Obstacle:
 
 
 def _require_metres(table: dict[str, object], obstacles: list[Obstacle]) -> None:
-    """Raise an InputError for GeoJSON in degrees, the unit of RFC 7946."""
+    """Raise an InputError for GeoJSON in degrees, which RFC 7946 prescribes."""
     if not obstacles:
         return
     named = DEGREES.search(json.dumps(table.get("crs")))

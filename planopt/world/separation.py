@@ -148,14 +148,14 @@ class SeparatingLines:
     start_offsets: Floats
 
     def rows(self, kept_m: float) -> Floats:
-        """Return normals with end and start offsets (s, c, 4), shifted outward by `kept_m`."""
+        """Return normals, end offsets and start offsets (s, c, 4), shifted by `kept_m`."""
         kept = np.where(np.isfinite(self.gaps), kept_m, 0.0)
         offsets = np.stack([self.offsets + kept, self.start_offsets + kept], axis=2)
         return np.concatenate([self.normals, offsets], axis=2)
 
 
 def empty_lines(segments: int, count: int) -> SeparatingLines:
-    """Return a table of lines with empty slots only."""
+    """Return a table of `count` empty slots for separating lines per segment."""
     shape = (segments, count)
     return SeparatingLines(
         normals=np.zeros((*shape, 2)),
@@ -177,7 +177,7 @@ def joined_lines(first: SeparatingLines, second: SeparatingLines) -> SeparatingL
 
 
 def split_lines(lines: SeparatingLines, count: int) -> tuple[SeparatingLines, SeparatingLines]:
-    """Return the first `count` lines of each segment, and the remaining lines."""
+    """Return the first `count` lines of each segment, and the remaining lines of each segment."""
     first, others = (
         SeparatingLines(*(column[:, some] for column in _columns(lines)))
         for some in (slice(count), slice(count, None))
@@ -318,7 +318,7 @@ def _dot(a: Floats, b: Floats) -> Floats:
 
 
 def _row_of(table: Floats, column: NDArray[np.int64]) -> Floats:
-    """Return entry `column` (p,) of each row of `table` (p, w, ...)."""
+    """Return, for each row of `table` (p, w, ...), the entry in the row's `column` (p,)."""
     return table[np.arange(len(table)), column]
 
 
@@ -378,7 +378,7 @@ def tail_lines(
     count: int,
     reach_m: float,
 ) -> tuple[SeparatingLines, SeparatingLines]:
-    """Return lines for the last planned position (N segments) and for the rest position."""
+    """Return lines for the last planned position, and lines for the position of rest."""
     last, still = empty_lines(planned, count), empty_lines(1, count)
     whole = motion.lasting(discs.steps)
     own, bulges = whole.places_m[planned:], whole.bulges_m[planned:]

@@ -104,7 +104,7 @@ def shortest_paths(
 
 
 def is_near_joined(paths: ShortestPaths, places_m: Floats, within_m: float) -> Mask:
-    """Return a mask of positions (n, 2) within `within_m` of the start's part of free space."""
+    """Return a mask of positions (n, 2) within `within_m` of free space joined to the start."""
     if paths.joined is None:
         return np.ones(len(places_m), dtype=np.bool_)
     points = shapely.points(places_m)
@@ -112,12 +112,12 @@ def is_near_joined(paths: ShortestPaths, places_m: Floats, within_m: float) -> M
 
 
 def path_lengths_m(paths: ShortestPaths, places_m: Floats) -> Floats:
-    """Return shortest path lengths to positions (n, 2), infinite beyond the radius; ``(n,)``."""
+    """Return the shortest path length (n,) to each position, infinite beyond the radius."""
     return _last_turns(paths, places_m)[0]
 
 
 def turns_m(paths: ShortestPaths, place_m: Floats) -> Floats | None:
-    """Return the turning points and the end (k, 2) of the path to `place_m`; None without one."""
+    """Return the turning points and the end (k, 2) of the path to `place_m`, None without path."""
     length, last = _last_turns(paths, place_m[None])
     if not np.isfinite(length[0]):
         return None
@@ -129,7 +129,7 @@ def turns_m(paths: ShortestPaths, place_m: Floats) -> Floats | None:
 
 
 def _last_turns(paths: ShortestPaths, places_m: Floats) -> tuple[Floats, Indices]:
-    """Return the path length to each position (n, 2), and the path's last corner or -1."""
+    """Return the path length to each position (n, 2), and the number of its last corner or -1."""
     length, last = np.full(len(places_m), np.inf), np.full(len(places_m), -1, dtype=np.intp)
     open_ = np.flatnonzero(is_near_joined(paths, places_m, 0.0))
     for corner in range(-1, len(paths.corners_m)):
@@ -146,7 +146,7 @@ def _last_turns(paths: ShortestPaths, places_m: Floats) -> tuple[Floats, Indices
 
 
 def grown(polygons: NDArray[np.object_], by_m: float, inner: bool) -> NDArray[np.object_]:
-    """Return polygons (n,) inflated by `by_m`; with `inner`, by at most this much."""
+    """Return polygons (n,) inflated by `by_m`, or with `inner` by at most `by_m`."""
     if by_m <= 0.0:
         return polygons
     if inner:
@@ -229,7 +229,7 @@ class FreeArea:
     between_m: Floats  # (c, c) shortest distances between them
 
     def allows(self, places_m: Floats) -> Mask:
-        """Return a mask of positions (k, 2) in the area; (k,)."""
+        """Return a mask (k,) of the positions (k, 2) that are inside the area."""
         points = shapely.points(places_m)
         return np.asarray(shapely.dwithin(self.polygon, points, self.slack_m), dtype=np.bool_)
 
@@ -240,7 +240,7 @@ class FreeArea:
         return moved
 
     def sees(self, starts_m: Floats, ends_m: Floats) -> Mask:
-        """Return a mask of lines between allowed positions (k, 2) that stay in the area; (k,)."""
+        """Return a mask (k,) of the lines between allowed positions that stay in the area."""
         lines = segment_lines(starts_m, ends_m)
         return ~np.asarray(shapely.intersects(self.border, lines), dtype=np.bool_)
 
@@ -251,7 +251,7 @@ class FreeArea:
         return self.sees(starts, ends).reshape(count, other)
 
     def to_corners_m(self, starts_m: Floats) -> tuple[Floats, Indices]:
-        """Return shortest path lengths (n, c) from positions to corners, and the first corners."""
+        """Return path lengths (n, c) from positions to corners, and each path's first corner."""
         # Lengths are infinite for a position that sees no corner.
         away = np.linalg.norm(starts_m[:, None] - self.corners_m, axis=2)
         away[~self.sees_each(starts_m, self.corners_m)] = np.inf
@@ -269,7 +269,7 @@ class FreeArea:
         return length, first
 
     def last_legs_m(self, ends_m: Floats, sees: Mask) -> Floats:
-        """Return distances (k, c) from ends to corners; infinite for hidden corners."""
+        """Return distances (k, c) from `ends_m` to corners; infinite for hidden corners."""
         legs = np.linalg.norm(ends_m[:, None] - self.corners_m, axis=2)
         legs[~sees] = np.inf
         return legs

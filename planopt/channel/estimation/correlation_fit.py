@@ -217,7 +217,7 @@ def nls_fit(
 
 
 def _scatter(bins: LogBins, intercept: float, rate_per_m: float) -> Floats:
-    """Return the residuals (b,) of the bins from a line, weighted by the root of their weights."""
+    """Return the residuals (b,) of the bins from a line, scaled by the roots of their weights."""
     scatter = bins.log_covariance - intercept + rate_per_m * bins.lag_m
     return np.sqrt(bins.weight / bins.weight.sum()) * scatter
 
@@ -241,7 +241,7 @@ def _line_errors(bins: LogBins, intercept: float, squares: float) -> tuple[float
 
 
 def _weighed_by_line(bins: LogBins, intercept: float, rate: float) -> LogBins:
-    """Return the bins, with weights times the squared correlation on the fitted line."""
+    """Return the bins, weighted by pairs times the squared correlation on the fitted line."""
     above = intercept - rate * bins.lag_m - bins.log_covariance
     # Relative to the largest to avoid overflow; only ratios of weights matter.
     return replace(bins, weight=bins.weight * np.exp(2.0 * (above - above.max())))

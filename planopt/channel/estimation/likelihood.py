@@ -225,7 +225,7 @@ class Precision:
     spread: Floats  # (q, q) S
 
     def projection(self) -> Floats:
-        """Return the inverse covariance (n, n), less the part that the regressors explain."""
+        """Return the projection P (n, n), inverse covariance less what regressors explain."""
         whole = self.half + np.triu(self.half, 1).T
         return whole - self.weights @ self.spread @ self.weights.T
 
@@ -281,7 +281,7 @@ class RestrictedLikelihood:
         return at if self.prior is None else self.prior.added_to(at, covariance[2])
 
     def information(self, covariance: Covariance, at: Evaluation) -> Floats:
-        """Return the expected information (3, 3) at `covariance`, evaluated as `at`."""
+        """Return the expected information (3, 3) at `covariance`, where `at` was evaluated."""
         if at.precision is None:
             return at.information
         expected = _expected_information(self.data, covariance, at.precision.projection())
@@ -460,7 +460,7 @@ def _interval_prior(
     latent_db2: Floats,  # (n, n) covariance of shadowing
     noise_db2: Floats,  # (n,) of the Gaussian measurements
 ) -> tuple[LatentPrior, float]:
-    """Return the powers' prior given the Gaussian measurements, with their log-likelihood."""
+    """Return the interval powers' prior, and the log-likelihood of the Gaussian measurements."""
     # If rounded intervals may be needed to determine theta, log L is taken at the line; the
     # integral over theta is left to the prior's score and information.
     if data.intervals is None:

@@ -49,7 +49,7 @@ class Gains:
     coverage_per_s: float = 1.0  # Gain k_2 of covering agents, in 1/s
 
     def shares(self, responds: Mask, time_step_s: float) -> Floats:
-        """Return the share of the distance to its target that each agent moves in a step; (n,)."""
+        """Return the share (n,) of the distance to its target that each agent moves in a step."""
         largest = max(self.event_per_s, self.coverage_per_s) * time_step_s
         if not 0.0 < largest <= 1.0 + 1e-12:
             raise InputError(
@@ -68,7 +68,7 @@ def coverage_aims(
     responds: Mask,  # (n,) mask of the agents that respond to an event
     partition: Partition = "all",
 ) -> Cover:
-    """Return the coverage cost and targets; responding agents keep their positions."""
+    """Return the coverage cost and all targets; responding agents keep their positions."""
     alone = partition == "coverage_only" and not responds.all()
     counted = ~responds if alone else np.ones_like(responds)
     found = ground.cover(_apart(ground, agents_m, ~responds)[counted])
@@ -78,7 +78,7 @@ def coverage_aims(
 
 
 def _apart(ground: Ground, agents_m: Floats, covers: Mask) -> Floats:
-    """Return positions (n, 2) with coincident covering agents moved onto a tiny ring."""
+    """Return positions (n, 2) in which coincident covering agents are spread over a tiny ring."""
     within_m = 0.5 * SPLIT * ground.hull.radius_m
     if np.diff(np.sort(agents_m[covers, 0])).min(initial=np.inf) > within_m:
         return agents_m
@@ -102,13 +102,13 @@ def law_moves(
     time_step_s: float,
     speed_m_s: float | None = None,
 ) -> Floats:
-    """Return positions ``(n, 2)`` after a step of the control laws with clipped speeds."""
+    """Return the positions (n, 2) after one step of the control laws with limited speeds."""
     most_m = math.inf if speed_m_s is None else speed_m_s * time_step_s
     return _clipped_moves(agents_m, targets_m, gains.shares(responds, time_step_s), most_m)
 
 
 def _clipped_moves(agents: Floats, targets: Floats, share: Floats, most_m: float) -> Floats:
-    """Return end points of moves over a share (n,) of the distance, at most `most_m` long."""
+    """Return end points of moves over a share (n,) of the distance to the targets."""
     move = share[:, None] * (targets - agents)
     length = np.linalg.norm(move, axis=1)
     return agents + move * np.minimum(1.0, most_m / np.where(length > 0.0, length, 1.0))[:, None]
@@ -131,7 +131,7 @@ class Aims:
 
     @property
     def steady(self) -> Mask:
-        """Return a mask of the agents with constant target and mass over the horizon; (n,)."""
+        """Return a mask (n,) of the agents whose target and mass are constant over the horizon."""
         places, masses = self.places_m, self.masses
         return (places == places[:, :1]).all(axis=(1, 2)) & (masses == 1.0).all(axis=1)
 
@@ -148,7 +148,7 @@ def foreseen_aims(
     responds: Mask,
     partition: Partition = "all",
 ) -> Aims:
-    """Return the centroids of the cells that agents will have at their planned positions."""
+    """Return aims at the centroids of the cells that belong to agents' planned positions."""
     found = held_aims(targets_m, pending_m.shape[1])
     covers = ~responds
     for step in range(pending_m.shape[1]):
@@ -169,7 +169,7 @@ def rolled_out(
     steps: int,
     partition: Partition = "all",
 ) -> Floats:
-    """Return the positions (n, steps, 2) to which the control law moves covering agents."""
+    """Return the positions (n, steps, 2) that agents reach if the control law moves them."""
     paths = [agents_m]
     for _ in range(steps):
         targets = coverage_aims(ground, paths[-1], responds, partition).targets_m
@@ -311,17 +311,17 @@ def braking_offsets_m(velocities_m: Floats, change_m: float) -> Floats:
 
 
 def _shorter(vectors: Floats, most: float) -> Mask:
-    """Return a mask of the vectors (n, 2) of length at most `most`, up to rounding; (n,)."""
+    """Return a mask (n,) of the vectors (n, 2) of length at most `most`, up to rounding."""
     return np.linalg.norm(vectors, axis=1) <= most * (1.0 + 1e-9)
 
 
 def _stop_steps(rates: Floats, change: float) -> Floats:
-    """Return the minimum number of braking steps from velocities (n, 2); (n,)."""
+    """Return the minimum number (n,) of braking steps from velocities (n, 2)."""
     return np.ceil(np.linalg.norm(rates, axis=1) / change - 1e-9)
 
 
 def _braking(places: Floats, now: Floats, change: float, horizon: int) -> tuple[Floats, Floats]:
-    """Return paths and velocities (n, N + 1, 2) of agents that brake at a constant rate."""
+    """Return paths and velocities, both (n, N + 1, 2), of agents that brake at a constant rate."""
     steps = _stop_steps(now, change)[:, None]
     left = np.maximum(1.0 - np.arange(horizon + 1) / np.maximum(steps, 1.0), 0.0)
     rates = left[:, :, None] * now[:, None]
@@ -333,7 +333,7 @@ def _braking(places: Floats, now: Floats, change: float, horizon: int) -> tuple[
 def _driven(
     places: Floats, ends: Floats, headings: Floats, limits: MoveLimits
 ) -> tuple[Floats, Floats]:
-    """Return positions and headings after unicycles turn and drive toward ends (n, 2)."""
+    """Return the positions and headings after unicycles turn and drive toward `ends` (n, 2)."""
     assert limits.turn_rate_rad_s is not None
     offset = ends - places
     length = np.linalg.norm(offset, axis=1)
@@ -385,7 +385,7 @@ class RecedingMover:
     def __call__(
         self, ground: Ground, motion: Motion, aims: Aims, responds: Mask, drifts_m_s: Floats
     ) -> Plan:
-        """Return a plan toward the aims, which move by drifts (n, 2) if `lead` is true."""
+        """Return a plan over the horizon toward the aims, which drift if `lead` is true."""
         step_s, kept = self.limits.time_step_s, UNBOUNDED
         most = self.limits.acceleration_m_s2
         if self.radio is not None:

@@ -79,7 +79,7 @@ def solve_programmes(programmes: Programmes) -> Floats | None:
 
 
 def _violated(programmes: Programmes, z: Floats) -> tuple[Mask, Mask, Mask]:
-    """Return masks of violated half-planes (n, K, N), discs (n, D, N) and length limits (n, R)."""
+    """Return masks of the half-planes, of the discs and of the length limits that `z` violates."""
     places = programmes.place_map @ z + programmes.place_offset
     heights = programmes.normals @ places.transpose(0, 2, 1) - programmes.rooms[..., None]
     away = np.linalg.norm(places[:, None] - programmes.centres[:, :, None], axis=3)
@@ -124,7 +124,7 @@ def _solve_block(programmes: Programmes, planes: Mask, discs: Mask, moves: Mask)
     upper = hessian * np.tile(np.triu(np.ones((2 * size, 2 * size))), (count, 1))
 
     def sparse(dense: Floats, owner: Indices) -> Any:
-        """Return a sparse block matrix: dense rows (m, 2 V), each in its agent's columns."""
+        """Return a sparse matrix of the rows of `dense`, each in the columns of its owner."""
         row, column = np.nonzero(dense)
         at = row, owner[row] * 2 * size + column
         return csc_array(coo_array((dense[row, column], at), (len(dense), count * 2 * size)))
@@ -155,7 +155,7 @@ class Inertia:
 
 
 def stage_weights(share: Floats, horizon: int) -> tuple[Floats, Floats]:
-    """Return weights of positions (n, N) and moves (n,) that reproduce the control law."""
+    """Return weights of positions (n, N) and of moves (n,) that reproduce the control law."""
     # Shapes: share (n,).
     places = np.ones((len(share), horizon))
     places[:, -1] = 1.0 / share
@@ -260,7 +260,7 @@ def _tables(
 def _filled(
     agent: Indices, vectors: Floats, values: Floats, count: int, filler: float
 ) -> tuple[Floats, Floats]:
-    """Return vectors (k, 2) and values (k,) as padded tables (n, most, 2), (n, most) by agent."""
+    """Return `vectors` and `values`, sorted by agent, as padded tables with a row per agent."""
     order = np.argsort(agent, kind="stable")
     number = np.bincount(agent, minlength=count)
     column = np.arange(len(agent)) - np.repeat(np.cumsum(number) - number, number)

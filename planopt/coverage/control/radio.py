@@ -1,9 +1,9 @@
 """Trees of radio links that moving agents maintain.
 
 Each agent is connected to a base station via its parent in a tree. The failure probabilities of
-the links along a path are added (union bound), so links need not be independent. A link may
-lengthen until its failure probability reaches its share of the allowed sum. Both ends of a link
-stay in a disc whose diameter is this maximum length.
+the links along a path are added (union bound), so links need not be independent. Each link has a
+share of the allowed sum, which limits the link's length. Both ends of the link stay in a disc whose
+diameter equals this largest length.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ class RadioTree:
 
     @property
     def connected(self) -> Mask:
-        """Return a mask of the agents that the tree connects to a station; (n,)."""
+        """Return a mask (n,) of the agents that the tree connects to a station."""
         return self.parent != np.arange(len(self.parent))
 
 
@@ -105,7 +105,7 @@ def radio_tree(places_m: Floats, radio: RadioLimits, stops_m: Floats | None = No
 
 
 def _clear_of(nodes: Floats, radius_m: float, agent: int, place: Floats, stop: Floats) -> SafeSets:
-    """Return half-planes that contain an agent's braking path but no disc about nodes (m, 2)."""
+    """Return half-planes that contain an agent's braking path and exclude discs about `nodes`."""
     # The nearest disc defines a half-plane, the nearest disc inside it the next one, and so on.
     radius = (1.0 + SPARE) * radius_m
     normals, offsets = list[Floats](), list[float]()
@@ -125,7 +125,7 @@ def _clear_of(nodes: Floats, radius_m: float, agent: int, place: Floats, stop: F
 
 
 def _failures(law: LinkLaw, radio: RadioLimits) -> Floats:
-    """Return, for each of `LENGTHS_M`, the largest failure probability of links up to it."""
+    """Return, for each of `LENGTHS_M`, the largest failure probability of links no longer."""
     decades = -10.0 * np.log10(LENGTHS_M)
     mean = law.theta[0] + law.theta[1] * decades
     path_loss = law.theta_covariance
@@ -138,7 +138,7 @@ def _failures(law: LinkLaw, radio: RadioLimits) -> Floats:
 
 
 def _at(failures: Floats, lengths_m: Floats) -> Floats:
-    """Return failure probabilities at lengths rounded up to the table; 1 beyond it."""
+    """Look up the failure probabilities of links at rounded-up lengths; 1 beyond the table."""
     return np.append(failures, 1.0)[np.searchsorted(LENGTHS_M, lengths_m)]
 
 
@@ -149,7 +149,7 @@ def _longest(failures: Floats, may_fail: float) -> float:
 
 
 def _links(places: Floats, stops: Floats, longest_m: float) -> tuple[Indices, Floats, Floats]:
-    """Return pairs (e, 2) of agents in link range, and circles that contain both braking paths."""
+    """Return pairs (e, 2) of agents in range, each with a circle around both braking paths."""
     # Circles have centres (e, 2) and diameters (e,); the diameter counts as the link length.
     middle, half = 0.5 * (places + stops), 0.5 * np.linalg.norm(stops - places, axis=1)
     tree = KDTree(middle)
@@ -181,7 +181,7 @@ def _links(places: Floats, stops: Floats, longest_m: float) -> tuple[Indices, Fl
 def _tree(
     pairs: Indices, weights: Floats, fails: Floats, count: int
 ) -> tuple[Indices, Floats, list[int]]:
-    """Return the shortest-path tree from node `count` over links (e, 2) with weights (e,)."""
+    """Return the tree of shortest paths that lead to node `count` over weighted links (e, 2)."""
     # The result is the link (n,) toward that node, the sum of `fails` (n + 1,) along the path, and
     # the connected agents in order of distance.
     shape = (count + 1, count + 1)

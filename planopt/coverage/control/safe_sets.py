@@ -46,7 +46,7 @@ class SafeSets:
     radii_m: Floats
 
     def share_inside(self, starts_m: Floats, ends_m: Floats) -> Floats:
-        """Return the share of each line from start to end ``(n, 2)`` inside its set; (n,)."""
+        """Return the share (n,) of each line, from its start on, that is inside the agent's set."""
         # The starts count as inside.
         share = np.ones(len(starts_m))
         move = ends_m - starts_m
@@ -67,7 +67,7 @@ class SafeSets:
         return share
 
     def holds(self, places_m: Floats, slack_m: float = 0.0) -> Mask:
-        """Return a mask of the agents whose positions ``(n, j, 2)`` are all in their set; (n,)."""
+        """Return a mask (n,) of the agents whose positions (n, j, 2) are all in their set."""
         inside = np.ones(len(places_m), dtype=np.bool_)
         height = np.einsum("kjx,kx->kj", places_m[self.agent], self.normals).max(axis=1)
         inside[self.agent[height > self.offsets_m + slack_m]] = False
@@ -205,7 +205,7 @@ def ground_sets(
     keep_m: float,
     reach_m: float,
 ) -> SafeSets:
-    """Return, for each agent, a convex part of the ground that keeps the clearance."""
+    """Return, for each agent, a convex part of the ground that keeps the clearance to borders."""
     # Shapes: places_m, stops_m (n, 2).
     slack_m = ON_BORDER * ground.hull.radius_m
     outside = ~np.asarray(shapely.dwithin(ground.free, shapely.points(places_m), slack_m))
@@ -258,7 +258,7 @@ def _last_free(ground: GeodesicGround, start: Floats, end: Floats) -> Floats:
 
 
 def _border(free: shapely.Polygon) -> Floats:
-    """Return the sides (m, 2, 2) of a polygon with holes, with the free area on the left."""
+    """Return the sides (m, 2, 2) of a polygon with holes, with the free area on their left."""
     rings = shapely.get_rings(shapely.orient_polygons(free))
     places, ring = shapely.get_coordinates(rings, return_index=True)
     same = ring[1:] == ring[:-1]
@@ -321,7 +321,7 @@ def _corridors(
 
 
 def _touching_normal(outward: Floats, seed: Floats, part: Floats, touch_m: float) -> Floats | None:
-    """Return a normal that separates a seed triangle (3, 2) from a boundary side it touches."""
+    """Return the normal of a line between a triangle and a side that it touches, or None."""
     # The result is None if neither the side nor a degenerate triangle defines a separating line. A
     # seed of a single position always has one.
     if ((seed - part[0]) @ outward <= touch_m).all():
@@ -336,7 +336,7 @@ def _touching_normal(outward: Floats, seed: Floats, part: Floats, touch_m: float
 
 
 def _from_triangles(seeds: Floats, parts: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return nearest points (k, 2) of triangles (k, 3, 2) and segments (k, 2, 2), and distances."""
+    """Return the nearest points of each triangle and its segment, and their distance."""
     here, there = np.zeros((len(seeds), 2)), np.zeros((len(seeds), 2))
     least = np.full(len(seeds), np.inf)
     flat = bool((seeds[:, 0] == seeds[:, 1]).all())

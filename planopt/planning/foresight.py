@@ -38,7 +38,7 @@ class FollowingPlanner:
         self._path_m = path_m
 
     def plan(self, context: StepContext, scorer: Scorer, warm: Plan | None = None) -> Plan:
-        """Return the plan of the next steps; `warm` is unused."""
+        """Return the plan of the next steps; the previous plan `warm` is unused."""
         begun, first = perf_counter(), context.history.steps
         ahead = self._path_m[first : first + context.problem.planner.horizon]
         return released(scorer, held(context, list(ahead)), begun)

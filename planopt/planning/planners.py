@@ -273,7 +273,7 @@ class LawnmowerPlanner:
 
 
 def lawn_tour(road_map: RoadMap, first: int, apart_m: float) -> Indices:
-    """Return every node of a tour that sweeps all space reachable from node `first` in lanes."""
+    """Return the successive nodes of a tour in lanes over all space reachable from `first`."""
     # The lane spacing is `apart_m`, rounded to rows of nodes.
     tour = [first]
     low, high = int(road_map.rows.min()), int(road_map.rows.max())

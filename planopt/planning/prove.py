@@ -44,7 +44,7 @@ SURPLUS = 2e-5
 def proven_plans(
     problem: Problem, belief: Belief, plans: Sequence[Plan], aims: Sequence[Aim], seconds: float
 ) -> tuple[Plan, ...]:
-    """Return the plans with proven bounds, and with routes of their meshes if these are cheaper.
+    """Return the plans with proven bounds; cheaper routes from a bound's mesh replace the old ones.
 
     Each robot gets the same share of the time.
     """
@@ -104,7 +104,7 @@ def with_sum_bound(
 
 
 def better_of(at: StepContext, plan: Plan, path_m: Floats) -> Plan:
-    """Return the plan of a path (N, 2), its steps shortened, if it is verified and better."""
+    """Return a verified plan along a path (N, 2) if it is better than `plan`, else `plan`."""
     if plan.drive is not None:
         return plan
     path, here = path_m.copy(), plan.positions_m[0]

@@ -349,7 +349,7 @@ class Refinement:
     def _repaired(
         self, task: PathTask, context: StepContext, candidate: Candidate
     ) -> PathTask | None:
-        """Return the task with separating lines for a candidate's collisions; None without any."""
+        """Return the task with separating lines for collisions; None if there are none."""
         if candidate.sound or not np.isfinite(candidate.path_m).all():
             return None
         discs, tail = context.moving, self._tail(context.moving)

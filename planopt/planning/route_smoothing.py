@@ -479,7 +479,7 @@ class RouteSmoothing:
         return [number - 1 for number in kept[1:]]
 
     def with_route(self, plan: Plan, route_m: Floats) -> Plan:
-        """Return the plan with another route (n, 2) from its last position, and its new cost."""
+        """Return the plan with another route (n, 2) from its last position, and with a new cost."""
         problem = self._problem
         ahead = Pivot(plan.positions_m[-1], integrated_cost_m(self._metre_cost, route_m))
         cost = ReachCost(problem, plan.positions_m[0], self._law.power, lambda _: ahead)

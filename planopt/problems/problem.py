@@ -226,7 +226,7 @@ class Problem:
 
     @property
     def term_setting(self) -> TermSetting:
-        """Return those properties of the problem on which terms depend."""
+        """Return the properties of the problem on which the choice and checks of terms depend."""
         return TermSetting(
             self.planner.horizon,
             len(self.stations),

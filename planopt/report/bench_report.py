@@ -213,7 +213,7 @@ def _excess_chart(rows: Sequence[Row], best: Mapping[Question, float]) -> Chart:
 
 
 def _gap_chart(rows: Sequence[Row], tests: Mapping[str, Classification]) -> Chart:
-    """Return the gaps to proven bounds by problem, in the order of families."""
+    """Return a chart of gaps to proven bounds by problem; problems are ordered by family."""
     planners = list(dict.fromkeys(row.planner for row in rows))
     points: list[dict[str, Any]] = []
     for number, planner in enumerate(planners):

@@ -257,7 +257,7 @@ def draw_connected_track(panel: Panel, log: StepLog) -> list[Artist]:
 
 
 def _pieces(log: StepLog, states: Mask) -> list[Floats]:
-    """Return the longest pieces of the path on which the flag `states` (steps,) stays set."""
+    """Return the maximal parts of a path along which the flag `states` (steps,) stays set."""
     changes = np.flatnonzero(np.diff(states)) + 1
     bounds = [0, *changes.tolist(), len(states)] if len(states) else [0]
     return [

@@ -346,7 +346,7 @@ def event_results(problem: CoverageProblem, run: NetworkRun) -> list[dict[str, A
 def _in_place(
     problem: CoverageProblem, run: NetworkRun, number: int, near_m: float
 ) -> NDArray[np.bool_]:
-    """Return a mask (T, n) of agents within `near_m` of their targets, or at rest by the event."""
+    """Return a mask (T, n) of agents within `near_m` of their targets, or at rest by an event."""
     control = problem.given.control
     here = run.positions_m[:-1]
     in_place = np.linalg.norm(run.targets_m - here, axis=2) <= near_m

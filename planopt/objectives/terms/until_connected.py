@@ -90,7 +90,7 @@ def charged_distance_m(
 
 
 def counted_legs_m(legs_m: Floats, step_m: float | None) -> Floats:
-    """Return leg lengths plus `WAITING` times their shortfall from the longest step `step_m`."""
+    """Return leg lengths, increased by part of their shortfall from the longest step `step_m`."""
     return legs_m if step_m is None else (1.0 - WAITING) * legs_m + WAITING * step_m
 
 

@@ -141,7 +141,7 @@ def _objections(saved: Saved, result: Solution | Run) -> list[str]:
 
 
 def _different(saved: Saved, found: Contents) -> list[str]:
-    """Return the differences between the saved files and those of the replay."""
+    """Return the differences between the saved files and the replayed result."""
     # The problem is excluded because library_remarks compares it.
     data = {**found.data, DIGEST: digest(saved.data), "problem_file": saved.data["problem_file"]}
     reasons = in_words(found.file, differences(saved.data, data))

@@ -231,7 +231,7 @@ def _planning(saved: Saved) -> Planning:
 
 
 def _no_plan(saved: Saved, owns: Sequence[Problem], states: Sequence[Floats]) -> BlockedError:
-    """Return the error that ended a run, with the saved reason if it can be verified."""
+    """Return the error that ended a run; it has the saved reason if that can be verified."""
     # Valid reasons are obstacles that cut off a goal and a blocked path from a robot's position.
     steps = len(saved.plans[0])
     message = (

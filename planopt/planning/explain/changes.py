@@ -115,7 +115,7 @@ class Key:
         *,
         verified: bool = True,
     ) -> Relaxation:
-        """Return an entry that proposes `relaxed_value`; None removes an obstacle or a limit."""
+        """Return an entry that proposes a sufficient value; None removes an obstacle or a limit."""
         value = None if math.isnan(self.value) else self.value
         return Relaxation(
             self.name, self.unit, value, stages, shortfall, unit, relaxed_value, verified, robot
@@ -263,7 +263,7 @@ class Fault:
 
 
 def _met_nowhere(case: Case) -> bool:
-    """Return whether all counted steps violate a p_min per step without slack."""
+    """Return whether all constrained steps violate a p_min per step without slack."""
     rule = case.problem.constraints.rule
     steps = len(case.plan.positions_m) - 1
     missed = case.plan.certificate.relaxed_steps
@@ -326,7 +326,7 @@ def _distances(case: Case) -> list[Fault]:
 def _best_score(
     problem: Problem, posteriors: Sequence[ChannelPosterior], score: Callable[[Prediction], Floats]
 ) -> float:
-    """Return the largest connectivity score that a counted step attains at a reachable position."""
+    """Return the largest connectivity score that a constrained step can attain."""
     # If steps may violate p_min at a price, the whole workspace counts as reachable.
     law, index = connectivity_law(problem, posteriors), index_obstacles(problem.workspace)
     if is_priced(problem):

@@ -34,7 +34,7 @@ def _fault(problem: Problem, key: str, words: str, remedy: str) -> InputError:
 
 @dataclass(frozen=True)
 class EachStep(Rule):
-    """Rule that the connection probability of each counted step is at least p_min."""
+    """Rule that the connection probability of each constrained step is at least p_min."""
 
     kind: ClassVar[str] = "each_step"
     keys: ClassVar[tuple[str, ...]] = ("connected_times_s",)
@@ -72,7 +72,7 @@ class EachStep(Rule):
         return np.isin(steps, self.stated) if self.stated else np.ones(count, dtype=np.bool_)
 
     def achieved(self, probability: Floats, history: History) -> float | Floats:
-        """Return the minimum probability of the counted steps; 1 if there are none."""
+        """Return the minimum probability of the constrained steps; 1 if there are none."""
         counted = self.counted(history, probability.shape[-1])
         return np.where(counted, probability, 1.0).min(axis=-1)
 
@@ -178,7 +178,7 @@ class Joint(Rule):
         return 1.0 - (1.0 - probability).sum(axis=-1)
 
     def by_slack(self, case: PathCase) -> BySlack:
-        """Return a function that maps slack to a lower bound, by integration or sampling."""
+        """Return a function that maps slack to a lower bound of the joint probability."""
         problem, path_m = case.problem, case.positions_m[1:]
         threshold, p_min = problem.stations[0].threshold_dbm, problem.constraints.p_min
         if len(case.context.posteriors) == 1:
@@ -316,7 +316,7 @@ class Data(Rule):
         return needed if p_min == 0.0 or needed == 0.0 else most - (1.0 - p_min) * (most - needed)
 
     def by_slack(self, case: PathCase) -> BySlack:
-        """Return a function that maps slack to the expected data, or to a probability's bound."""
+        """Return a function that maps slack to expected data, or to a bound of a probability."""
         if case.problem.constraints.p_min == 0.0:
             return super().by_slack(case)
         needed = data_pace_mbit(self.problem, case.history, len(case.positions_m) - 1)

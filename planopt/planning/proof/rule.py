@@ -55,7 +55,7 @@ class PathCase:
         return self.context.history
 
     def probability(self, slack_db: float) -> Floats:
-        """Return the probability of connection after each step (N,), for a threshold with slack."""
+        """Return P(connected) after each step (N,) for a threshold lowered by `slack_db`."""
         if len(self.context.posteriors) > 1 and slack_db > 0.0:
             return self.context.law.probability(self.positions_m[1:], slack_db)
         threshold = self.problem.stations[0].threshold_dbm - slack_db

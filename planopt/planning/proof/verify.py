@@ -70,7 +70,7 @@ def is_priced(problem: Problem) -> bool:
 def verify_single_steps(
     context: VerifierContext, positions_m: Floats, power: Prediction
 ) -> StepsFinding:
-    """Return the findings on p_min at the counted steps of a path (N + 1, 2)."""
+    """Return the findings on p_min at the constrained steps of a path (N + 1, 2)."""
     problem = context.problem
     constraints, radio = problem.constraints, problem.stations[0]
     mean, deviation = power.mean_db[1:], power.deviation_db[1:]

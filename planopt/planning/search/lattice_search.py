@@ -139,7 +139,7 @@ class MovingMoves:
         return found // self._lattice.shape[1], found % self._lattice.shape[1], together
 
     def blocked(self, step: int, rows: Indices, columns: Indices) -> Mask:
-        """Return a mask (21, n) of the moves to nodes (n,) that collide with a disc in a step."""
+        """Return a mask (21, n) of moves to the nodes that collide with a disc in a step."""
         found = np.zeros((len(MOVES), len(rows)), dtype=np.bool_)
         for number in range(len(self._discs)):
             found |= self._blocked_by(step, number, rows, columns)
@@ -224,7 +224,7 @@ class MoveValues:
         return not self.value.any() and self.charge is None
 
     def surcharge(self, rows: Indices, columns: Indices) -> Floats:
-        """Return the surcharge (21, n) of each move to nodes (n,), given in padded indices."""
+        """Return the surcharges (21, n) of the moves to nodes at padded rows and columns (n,)."""
         width, places = self.table.number.shape[1], self.table.number.size
         end = rows * width + columns
         source = np.asarray(end - (MOVES[:, 1:] * width + MOVES[:, :1]), dtype=np.intp)
@@ -311,7 +311,7 @@ class StageFrame:
         best[rows - window[0].start, columns - window[1].start] = arriving.max(axis=0)
 
     def _list_nodes(self) -> None:
-        """List the nodes outside the max filter, ordered by the first stage that uses them."""
+        """List nodes with separately compared predecessors, by the first stage that uses them."""
         widest, first, table = self._windows[-1], self._windows[0], self._moves.table
         listed = table.hindered if self._moves.are_free else table.lattice.free
         rows, columns = np.nonzero(listed[without_margin(widest)])
@@ -334,7 +334,7 @@ class StageFrame:
         return end - (MOVES[:, 1:] * width + MOVES[:, :1])
 
     def surcharge(self, row: int, column: int) -> list[float]:
-        """Return the surcharge of each move to a node, given in padded indices."""
+        """Return the surcharge of each move to the node at a padded row and column."""
         if self._moves.are_free:
             return self._moves.surcharge(np.array([row]), np.array([column]))[:, 0].tolist()
         if self._listed is None:
@@ -344,7 +344,7 @@ class StageFrame:
         return self._surcharge[:, self._listed[row - self._top, column - self._left]].tolist()
 
     def _at(self, window: Window) -> Window:
-        """Return the frame's slices for a window in padded indices."""
+        """Return the slices of the stored values that belong to a window."""
         rows, columns = window
         return (
             slice(rows.start - self._top, rows.stop - self._top),

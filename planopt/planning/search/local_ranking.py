@@ -172,7 +172,7 @@ def _thinned(grid: LocalGrid) -> LocalGrid:
 
 
 def _anchors(paths_m: Floats, count: int) -> Floats:
-    """Return up to `count` evenly selected positions of the paths; (a, 2)."""
+    """Return up to `count` evenly selected positions (a, 2) of the paths."""
     places = paths_m.reshape(-1, 2)
     return places[np.linspace(0, len(places) - 1, min(count, len(places))).astype(np.intp)]
 

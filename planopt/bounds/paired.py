@@ -36,7 +36,7 @@ class PairedSteps:
         longest_m: float,
         costs: tuple[float, float, float],
     ) -> PairedSteps:
-        """Return the pairs of cells at one level; `costs` are of a metre, a move, a standstill."""
+        """Return the pairs of cells at one level; `costs`: of a metre, a move, a standstill."""
         cells = np.vstack(active)
         corner = cells.min(axis=0, initial=0)
         rows, columns = (cells.max(axis=0, initial=0) + 1 - corner).tolist()
@@ -79,5 +79,5 @@ class PairedSteps:
 
 
 def _shifted(size: int, by: int) -> slice:
-    """Return the places of a line that are `by` behind another place of it."""
+    """Return the slice of a line of `size` places whose places, less `by`, are on the line too."""
     return slice(max(by, 0), size + min(by, 0))

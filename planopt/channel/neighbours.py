@@ -51,7 +51,7 @@ class PlaceTree:
     def nearest(
         self, centres_m: Floats, count: int, within_m: float = np.inf
     ) -> tuple[Indices, Floats]:
-        """Return indices of the `count` positions nearest to `centres_m` (k, 2), and distances."""
+        """Return the `count` positions nearest to each centre (k, 2), and their distances."""
         # Both are ``(k, count)``, sorted by distance; `count` is at most n. Positions beyond
         # `within_m` have index n and an infinite distance.
         distances, indices = self._tree.query(centres_m, count, distance_upper_bound=within_m)
@@ -77,7 +77,7 @@ class PlaceIndex:
         return PlaceIndex(positions_m).grown(positions_m)
 
     def grown(self, positions_m: Floats) -> PlaceIndex:
-        """Return the index extended to `positions_m` (n, 2), whose first rows are already in it."""
+        """Return the index extended to all of `positions_m`, whose first rows the index has."""
         treed = self._treed
         keep = len(positions_m) - treed <= max(MOST_UNTREED, UNTREED_SHARE * treed)
         return PlaceIndex(positions_m, self.tree if keep else PlaceTree(positions_m))
@@ -87,7 +87,7 @@ class PlaceIndex:
         centres_m: Floats,  # (k, 2)
         count: int,
     ) -> tuple[Indices, Floats]:
-        """Return unsorted indices (k, count) of the nearest positions, and the largest d^2 (k,)."""
+        """Return the nearest positions (k, count), unsorted, and greatest squared distances."""
         # If there are at most `count` positions, all are returned, with infinite distances.
         total = len(self.positions_m)
         if count >= total:
@@ -152,7 +152,7 @@ class Window:
 
     @property
     def rows(self) -> Indices:
-        """Indices ``(h + b,)``: the h neighbours, then the b measurements of the block."""
+        """Indices (h + b,) of the h neighbours, then of the b measurements of the block."""
         return np.concatenate([self.near, self.own])
 
 
@@ -177,7 +177,7 @@ def earlier_windows(
     blocks: tuple[Indices, ...],
     count: int,
 ) -> tuple[Window, ...]:
-    """Return blocks from coarse to fine, each with its `count` nearest earlier measurements."""
+    """Return blocks from coarse to fine, each with the `count` nearest earlier measurements."""
     windows: list[Window] = []
     before = np.zeros(0, dtype=np.intp)
     for number in _coarse_to_fine(coordinates, blocks):
@@ -200,7 +200,7 @@ def later_windows(coordinates: Floats, index: PlaceIndex, count: int) -> tuple[W
 def surrounding_windows(
     coordinates: Floats, blocks: tuple[Indices, ...], count: int
 ) -> tuple[Window, ...]:
-    """Return each block with the `count` nearest measurements outside it."""
+    """Return each block with the `count` nearest measurements outside the block."""
     everyone = np.arange(len(coordinates))
     return tuple(
         Window(_nearest_to(coordinates, own, np.delete(everyone, own), count), own)
@@ -209,7 +209,7 @@ def surrounding_windows(
 
 
 def _coarse_to_fine(coordinates: Floats, blocks: tuple[Indices, ...]) -> list[int]:
-    """Return the order of blocks: the most central, then always the farthest from earlier ones."""
+    """Return the order of blocks: the most central, then always the farthest from the others."""
     if not blocks:
         return []
     centres = np.array([coordinates[own].mean(axis=0) for own in blocks])
@@ -226,7 +226,7 @@ def _coarse_to_fine(coordinates: Floats, blocks: tuple[Indices, ...]) -> list[in
 
 
 def _nearest_to(coordinates: Floats, own: Indices, others: Indices, count: int) -> Indices:
-    """Return the `count` indices in `others` nearest to any of `own`, ascending."""
+    """Return, ascending, the `count` indices in `others` that are nearest to any of `own`."""
     for reach, distance in ((PRESELECTED * count, _beyond_box_m2), (count, _to_any_m2)):
         if len(others) > reach:
             squared_m2 = distance(coordinates[own], coordinates[others])
@@ -235,13 +235,13 @@ def _nearest_to(coordinates: Floats, own: Indices, others: Indices, count: int) 
 
 
 def _beyond_box_m2(own: Floats, others: Floats) -> Floats:
-    """Return squared distances of `others` (m, k) from the bounding box of `own`; ``(m,)``."""
+    """Return the squared distances (m,) of `others` from the bounding box of `own`."""
     low, high = own.min(axis=0), own.max(axis=0)
     beyond = np.maximum(np.maximum(low - others, others - high), 0.0)
     return np.einsum("mk,mk->m", beyond, beyond)
 
 
 def _to_any_m2(own: Floats, others: Floats) -> Floats:
-    """Return squared distances of `others` (m, k) to the nearest of `own` (b, k); ``(m,)``."""
+    """Return the squared distance (m,) of each of `others` from the nearest of `own`."""
     apart = others[:, None] - own
     return np.einsum("mbk,mbk->mb", apart, apart).min(axis=1)

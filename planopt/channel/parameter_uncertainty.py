@@ -71,7 +71,7 @@ class MarginalPosterior:
         return mixture(self.weights, [component.predict(places) for component in self.components])
 
     def connectivity(self, positions_m: Floats, threshold_dbm: float) -> Floats:
-        """Return P(power >= `threshold_dbm`) (n,) under the mixture at `positions_m` (n, 2)."""
+        """Return P(power >= `threshold_dbm`) (n,) at positions (n, 2) under the mixture."""
         places = require_places(positions_m)
         chances = np.zeros(len(places))
         for weight, component in zip(self.weights, self.components, strict=True):
@@ -83,7 +83,7 @@ class MarginalPosterior:
 
 
 def mixture(weights: Floats, parts: Sequence[Prediction]) -> Prediction:
-    """Return mean and standard deviation of a mixture of predictions with `weights` (k,)."""
+    """Return mean and standard deviation of a mixture of predictions, weighted by `weights`."""
     means = np.stack([part.mean_db for part in parts])
     mean = weights @ means
     variances = np.stack([part.deviation_db for part in parts]) ** 2 + (means - mean) ** 2
@@ -183,7 +183,7 @@ def marginalise(
 
 
 def _exact_part(measurements: Measurements) -> Measurements:
-    """Return the uncensored measurements, at most `MOST_DENSE` of them."""
+    """Return the uncensored measurements, or `MOST_DENSE` of them if there are more."""
     measurements = measurements.by_place()
     rows = np.flatnonzero(~measurements.censored)
     return measurements.take(rows[thinned(len(rows), MOST_DENSE)])
@@ -241,7 +241,7 @@ def mean_squared_error_db2(
     measured_m: ArrayLike,
     positions_m: ArrayLike,
 ) -> Floats:
-    """Return the exact Delta^2(q) for any errors in the parameters (equation 1.16).
+    """Return the mean squared prediction error Delta^2 for wrong parameters (equation 1.16).
 
     With w = U_est^-1 phi_est the weights of equation 1.6 and delta theta = theta - theta_est,
 
@@ -333,7 +333,7 @@ def sensitivity_curves(
     positions_m: Floats,
     relative_errors: Sequence[float],
 ) -> dict[str, Floats]:
-    """Return the mean Delta^2 as a function of the error in each parameter (Fig. 1 of [GM11]).
+    """Return the mean squared prediction error by error of each parameter (Fig. 1 of [GM11]).
 
     Parameters
     ----------
@@ -365,7 +365,7 @@ def sensitivity_curves(
 
 
 def _inverse(covariance: Floats) -> Floats:
-    """Return the inverse of a covariance (kappa, kappa); kappa may be 0."""
+    """Return the inverse of a covariance (kappa, kappa), also for kappa = 0."""
     if not len(covariance):
         return covariance
     half = whiten(lower_factor(covariance), np.eye(len(covariance)))
@@ -373,6 +373,6 @@ def _inverse(covariance: Floats) -> Floats:
 
 
 def _path_loss_db(parameters: ChannelParameters, places_m: Floats) -> Floats:
-    """Return the mean power gamma' theta at `places_m` (n, 2)."""
+    """Return the mean power at `places_m` (n, 2) from path loss alone."""
     theta = np.array([parameters.k_pl_db, parameters.n_pl])
     return regressors(places_m, parameters.station) @ theta

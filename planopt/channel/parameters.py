@@ -88,7 +88,7 @@ def require_count(count: int, key: str) -> int:
 
 
 def leg_lengths_m(positions_m: Floats) -> Floats:
-    """Return the leg lengths between successive positions; (h, 2) -> (h - 1,)."""
+    """Return the lengths (h - 1,) of the legs between h successive positions."""
     step = np.diff(positions_m, axis=0)
     return np.hypot(step[:, 0], step[:, 1])
 
@@ -194,14 +194,14 @@ class ChannelParameters:
 
 
 def station_distance_m(positions_m: Floats, station: Station) -> Floats:
-    """Return the 3D distance to the station, at least `MIN_DISTANCE_M`; (n, 2) -> (n,)."""
+    """Return the 3D distance (n,) of positions to the station, at least `MIN_DISTANCE_M`."""
     offset = positions_m - np.asarray(station.position_m)
     square = np.einsum("...i,...i->...", offset, offset)
     return np.sqrt(np.maximum(square + station.height_m**2, MIN_DISTANCE_M**2))
 
 
 def regressors(positions_m: Floats, station: Station) -> Floats:
-    """Return the regressors gamma(q) = [1, -10 log10 d(q)] of equation 1.1; (n, 2) -> (n, 2)."""
+    """Return the regressors (n, 2) of path loss, 1 and -10 log10 of the distance (equation 1.1)."""
     rows = np.ones(np.shape(positions_m))
     rows[..., 1] = -10.0 * np.log10(station_distance_m(positions_m, station))
     return rows
@@ -218,13 +218,13 @@ class MeanModel:
     regressor_mean: float
 
     def theta(self, coefficients: Floats) -> tuple[float, float]:
-        """Return (K_PL, n_PL) of coefficients (p,)."""
+        """Return path loss theta, (K_PL, n_PL), from the coefficients (p,)."""
         if len(coefficients) == 2:
             return float(coefficients[0]), float(coefficients[1])
         return float(coefficients[0]), PRIOR_N_PL
 
     def theta_covariance(self, covariance: Floats) -> Floats:
-        """Return the covariance of theta (2, 2) from the coefficients' covariance (p, p)."""
+        """Return the covariance (2, 2) of theta, given the coefficients' covariance."""
         if len(covariance) == 2:
             return covariance
         slope = PRIOR_N_PL_STD * np.array([-self.regressor_mean, 1.0])

@@ -68,13 +68,13 @@ def bivariate_normal_cdf(first: Floats, second: Floats, correlation: Floats) -> 
 
 
 def _score(values: Floats) -> Floats:
-    """Return scores clipped to +-`FAR_SCORE`, with vanishing ones set to zero."""
+    """Return scores clipped to +-`FAR_SCORE`; scores of almost zero are set to zero."""
     scores = np.clip(_array(values), -FAR_SCORE, FAR_SCORE)
     return np.where(np.abs(scores) < VANISHING, 0.0, scores)
 
 
 def _owen(score: Floats, across: Floats, narrow: Floats) -> Floats:
-    """Return Owen's function T(score, across / (score narrow)), also for a zero score."""
+    """Return Owen's function T(score, across / (score narrow)); a score may be zero."""
     # Adding zero turns -0 into 0. The caller replaces the results of 0 / 0.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         slope = across / (score * narrow + 0.0)
@@ -128,7 +128,7 @@ def prefix_probabilities(
 
 
 def _products(bound: Floats, lower: Floats, uniform: Floats) -> Floats:
-    """Return cumulative products of conditional probabilities, averaged over the lattice; (h,)."""
+    """Return cumulative products (h,) of conditional probabilities, averaged over a lattice."""
     # Products are stored as logarithms, so that improbable prefixes do not underflow.
     samples, count = len(uniform), len(bound)
     drawn = np.zeros((samples, count))
@@ -298,7 +298,7 @@ def joint_connectivity(
 
 
 def spanning_tree_weight(weight: Floats) -> float:
-    """Return the total weight of a maximum spanning tree for weights (h, h) (Prim)."""
+    """Return the total weight of a maximum spanning tree, by Prim's algorithm."""
     outside = np.ones(len(weight), dtype=bool)
     outside[0] = False
     best = weight[0].copy()
@@ -333,7 +333,7 @@ class FirstPassage:
 
     @property
     def expected_distance_m(self) -> float:
-        """Expected distance to the first connection or the path's end, sum_k leg_{k+1} pi_k."""
+        """Expected distance to the first connection, or to the path's end without one."""
         return float(np.diff(self.travelled_m) @ self.not_connected[:-1])
 
 

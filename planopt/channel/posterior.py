@@ -233,7 +233,7 @@ class ChannelPosterior:
         return all(np.array_equal(mine[:count], former) for mine, former in pairs)
 
     def covariance_with_db2(self, positions_m: Floats) -> Floats:
-        """Return covariances (kappa, n) of measurements with the power at positions, at `now_s`."""
+        """Return covariances (kappa, n) of the measurements with the power at n positions."""
         places = place_origins(positions_m, self.now_s, self.parameters)
         return covariance_db2(self.origins, places, self.parameters)
 
@@ -246,7 +246,7 @@ class ChannelPosterior:
         return extend(self, as_measurements(more))
 
     def connectivity(self, positions_m: ArrayLike, threshold_dbm: float) -> Floats:
-        """Return P(power >= `threshold_dbm`) at each of `positions_m` (n, 2); ``(n,)``."""
+        """Return P(power >= `threshold_dbm`) (n,) at positions (n, 2)."""
         threshold = require_finite(threshold_dbm, "threshold_dbm")
         prediction = predict(self, positions_m)
         return connection_probability(prediction.mean_db, prediction.deviation_db, threshold)
@@ -337,7 +337,7 @@ def extend(posterior: ChannelPosterior, more: Measurements) -> ChannelPosterior:
 
 
 def with_expected(posterior: ChannelPosterior, positions_m: Floats) -> ChannelPosterior:
-    """Return the posterior after fictitious measurements of the predicted power at (n, 2)."""
+    """Return the posterior after fictitious measurements of the predicted power at n positions."""
     count = len(posterior.measurements) + len(positions_m)
     # Extending an existing factor is faster than conditioning on neighbours.
     limit = max(posterior.exact_limit, count) if posterior.has_factor else posterior.exact_limit
@@ -348,7 +348,7 @@ def with_expected(posterior: ChannelPosterior, positions_m: Floats) -> ChannelPo
 
 
 def factored_near(posterior: ChannelPosterior, path_m: Floats) -> ChannelPosterior:
-    """Return a posterior with a factor; without one, condition only on data near a path (h, 2)."""
+    """Return `posterior` if it has a factor, else one with a factor from data near `path_m`."""
     # Theta and its covariance still come from all measurements.
     if posterior.has_factor:
         return posterior
@@ -368,7 +368,7 @@ def factored_near(posterior: ChannelPosterior, path_m: Floats) -> ChannelPosteri
 
 
 def at_time(posterior: ChannelPosterior, now_s: float) -> ChannelPosterior:
-    """Return the posterior for predictions at time `now_s`; it shares the factor."""
+    """Return the posterior for predictions at time `now_s`; both posteriors share the factor."""
     return replace(posterior, now_s=require_finite(now_s, "now_s"))
 
 
@@ -418,7 +418,7 @@ def _append(posterior: ChannelPosterior, more: Measurements, sites: Sites) -> Ch
 
 
 def _with_theta(posterior: ChannelPosterior, products: Floats) -> ChannelPosterior:
-    """Return the posterior with theta estimated from `products`, according to its rule."""
+    """Return the posterior with theta estimated from `products` by the posterior's rule."""
     if posterior.theta_known:
         return posterior
     theta, covariance = theta_estimate(posterior.parameters, products)
@@ -450,7 +450,7 @@ def theta_estimate(
 
 
 def least_squares_theta(posterior: ChannelPosterior) -> tuple[Floats, Floats] | None:
-    """Return theta and its error covariance (G'G)^-1 G'UG (G'G)^-1; None if unidentifiable."""
+    """Return ordinary least-squares theta and its error covariance, or None if unidentifiable."""
     # Censored measurements have no residual and are left out. Receivers' offsets are estimated
     # together with theta.
     exact = ~posterior.measurements.censored
@@ -474,7 +474,7 @@ def _one_site(posterior: ChannelPosterior, one: Measurements) -> Sites:
 
 @dataclass(frozen=True)
 class Belief:
-    """Fit and posterior of each station's channel; those after the first are in `further`.
+    """Fit and posterior of each station's channel; `further` has all stations but the first.
 
     Attributes
     ----------

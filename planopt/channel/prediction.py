@@ -44,7 +44,7 @@ class KrigingTerms:
 
 
 def combine(terms: KrigingTerms, theta: Floats, theta_covariance: Floats) -> Prediction:
-    """Return mean a + varphi' theta and variance s + varphi' M varphi (equation 1.8)."""
+    """Return mean and variance for the path loss theta with covariance M (equation 1.8)."""
     first, second = terms.trend[..., 0], terms.trend[..., 1]
     mean = terms.data_db + first * theta[0] + second * theta[1]
     variance = terms.variance_db2 + (
@@ -77,7 +77,7 @@ def connection_probability(mean_db: Floats, deviation_db: Floats, threshold_dbm:
 
 
 def score_probability(score: Floats) -> Floats:
-    """Return Phi(score) for scores (mean - threshold) / deviation."""
+    """Return the normal probability of scores (mean - threshold) / deviation."""
     return np.asarray(ndtr(score), dtype=np.float64)
 
 

@@ -188,7 +188,7 @@ def added_to_lattice_db(
     decorrelation_m: float,
     generator: np.random.Generator,
 ) -> Floats:
-    """Draw shadowing at positions (n, 2), conditional on a lattice field; ``(n,)`` in dB."""
+    """Draw shadowing (n,) in dB at positions (n, 2), conditional on a field on a lattice."""
     # Each value is conditioned on the surrounding nodes and the nearest earlier positions. This is
     # nearly exact within the lattice: under the exponential covariance near values screen far ones.
     places, back = _distinct(positions_m)
@@ -218,7 +218,7 @@ def _distinct(positions_m: Floats) -> tuple[Floats, Indices]:
 
 
 def _correlation(places_m: Floats, decorrelation_m: float) -> Floats:
-    """Return the correlation exp(-d / beta) with a nugget on the diagonal; (n, n)."""
+    """Return the correlation (n, n) of shadowing between places, with a nugget on the diagonal."""
     correlation = np.exp(-pairwise_distance_m(places_m, places_m) / decorrelation_m)
     correlation[np.diag_indices_from(correlation)] += NUGGET
     return correlation

@@ -205,7 +205,7 @@ class Design:
 
     @property
     def energy_per_capture_j(self) -> float:
-        """Return the energy consumed by the network within the maximum capture time."""
+        """Return the energy that the network consumes within the maximum capture time."""
         return self.cost_w * self.capture_time_s
 
 

@@ -177,7 +177,7 @@ WORDS: dict[str, tuple[str, str]] = {
 def _weak_words(
     parameters: ChannelParameters, standard_errors: dict[str, float], n_pl_is_assumed: bool
 ) -> list[str]:
-    """Return warnings about parameters with a known but large standard error."""
+    """Return warnings about parameters whose standard error is known but large."""
     said: list[str] = []
     for name, (called, unit) in WORDS.items():
         value, error = getattr(parameters, name), standard_errors[name]

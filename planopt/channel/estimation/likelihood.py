@@ -137,7 +137,7 @@ class LikelihoodData:
         return basis if len(basis) - basis.shape[1] >= LEAST_FREEDOM else mean
 
     def correlation(self, window: int, decorrelation_m: float) -> Floats:
-        """Return the correlation of shadowing in a window: exp(-d / beta) times the age factor."""
+        """Return the correlation of shadowing within a window, age factor included."""
         correlation = np.exp(self.distances_m[window] * (-1.0 / decorrelation_m))
         if self.origins.time_s is not None:
             times = self.origins.time_s[self.windows[window].rows]

@@ -219,7 +219,7 @@ def _climbed(
 
 
 def _distinct(likelihood: RestrictedLikelihood, modes: Iterable[Mode]) -> list[Mode]:
-    """Return the modes that do not share a ridge with a better one, the best first."""
+    """Return the modes that do not share a ridge with a better mode, the best mode first."""
     kept: list[Mode] = []
 
     def is_on_ridge_of(better: Mode, mode: Mode) -> bool:
@@ -302,7 +302,7 @@ FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-8, 1e8
 def minimise_damped(
     objective: Objective, start: Floats, lower: Floats, upper: Floats, tolerance: float
 ) -> tuple[float, Floats]:
-    """Return the minimum within a box and its location, by damped Newton steps."""
+    """Return the minimum of `objective` in a box and its location, by damped Newton steps."""
     # BFGS updates from the latest steps correct the objective's curvature.
     point = np.clip(start, lower, upper)
     value, gradient, curvature = objective(point)

@@ -18,7 +18,7 @@ GAP_TOLERANCE = 1e-6
 
 
 def relative_gap(cost: float, bound: float, sense: Sense) -> float:
-    """Return the gap of a cost to its bound, relative to the cost; negative for a better cost."""
+    """Return the gap between a cost and its bound, relative to the cost; below 0 if violated."""
     better = cost - bound if sense == "min" else bound - cost
     return better / max(abs(cost), 1e-12)
 

@@ -175,7 +175,7 @@ class Assignment:
 
 
 def fair_shares(demands: Indices, agents: int) -> Indices:
-    """Return the number of agents for each event: its demand, cut if demands exceed `agents`."""
+    """Return the number of agents for each event: the demand, cut if demands exceed `agents`."""
     # Agents go one by one to the event with the smallest fulfilled share of its demand (max-min
     # fairness in lexicographic order). Ties go to the smaller demand, then to the smaller event
     # number.

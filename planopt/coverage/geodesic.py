@@ -73,7 +73,7 @@ class GeodesicGround:
         return self.area.nearest(places_m)
 
     def cover(self, agents_m: Floats) -> Cover:
-        """Return the coverage cost over the nodes, and targets that lower it."""
+        """Return the coverage cost over the nodes, and targets that lower this cost."""
         # Near a corner an agent may keep the clearance and still be outside the mitred polygon.
         agents = self.nearest(agents_m)
         cells = geodesic_cells(self, agents)

@@ -338,7 +338,7 @@ def _within_range(
 
 
 def _arc(start: Floats, end: Floats, range_m: float) -> tuple[Floats, Floats, Floats]:
-    """Project the ends of boundary pieces onto the range circle; return these and the angles."""
+    """Project the ends of boundary pieces onto the range circle; return new ends and angles."""
     cross = start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]
     angle = np.arctan2(cross, (start * end).sum(axis=1))
     length = np.hypot(start[:, 0], start[:, 1]), np.hypot(end[:, 0], end[:, 1])

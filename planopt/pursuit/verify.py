@@ -100,7 +100,7 @@ class PursuitLog:
     reports: Reports
 
     def evader_at(self, evader: int, times_s: Floats) -> Floats:
-        """Return the evader's positions (k, 2) at times, its start before the first time."""
+        """Return the evader's positions (k, 2) at times; the start before the first time."""
         return _interpolated(times_s, self.times_s, self.evaders_m[evader])
 
 

@@ -324,7 +324,7 @@ class Unicycle(Dynamics):
         return max(1, math.ceil(self.turn_rate_max_rad_s * step_s / PIECE_TURN_RAD))
 
     def timed_pad_m(self, step_s: float) -> float:
-        """Return the largest distance of the arc from its Bezier curves at equal times."""
+        """Return the largest distance of the arc from the arc's Bezier curves at equal times."""
         # Let r be the radius, z half the turn and u in [-1, 1] time. The arc is at ``r sin(u z)``
         # along the chord and ``r (cos(u z) - cos z)`` across it; the curve is at ``r u sin(z)`` and
         # ``r (1 - u^2) sin^2(z) / (2 cos z)``. The difference along the chord is largest if ``cos(u

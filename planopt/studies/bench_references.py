@@ -313,7 +313,7 @@ def excess(row: Row, best: Mapping[Question, float]) -> float | None:
 
 
 def is_solved(row: Row, best: Mapping[Question, float]) -> bool:
-    """Return whether a row has a verified, near-best result, or rightly has no plan."""
+    """Return whether a result is verified and near the best, or rightly reports no plan."""
     if row.outcome == NO_PLAN:
         return row.question not in best
     if row.verdict != Verdict.VERIFIED.value or row.accepted is False or row.outcome == ERROR:

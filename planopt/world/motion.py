@@ -286,7 +286,7 @@ class TimedMotion:
 
     @property
     def bulges_m(self) -> Floats:
-        """Bounds (n,) on each step's distance from uniform motion along its chord."""
+        """Bound (n,) on the distance of each step from uniform motion along the step's chord."""
         if not self.curves:
             return np.zeros(self.steps)
         ends = zip(self.curves, self.places_m[:-1], self.places_m[1:], strict=True)

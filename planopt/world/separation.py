@@ -378,7 +378,7 @@ def tail_lines(
     count: int,
     reach_m: float,
 ) -> tuple[SeparatingLines, SeparatingLines]:
-    """Return lines for the last planned position, and lines for the position of rest."""
+    """Return separating lines for the last planned position, and for the position of rest."""
     last, still = empty_lines(planned, count), empty_lines(1, count)
     whole = motion.lasting(discs.steps)
     own, bulges = whole.places_m[planned:], whole.bulges_m[planned:]

@@ -78,7 +78,7 @@ def coverage_aims(
 
 
 def _apart(ground: Ground, agents_m: Floats, covers: Mask) -> Floats:
-    """Return positions (n, 2) in which coincident covering agents are spread over a tiny ring."""
+    """Return positions (n, 2), with coincident covering agents spread over a tiny ring."""
     within_m = 0.5 * SPLIT * ground.hull.radius_m
     if np.diff(np.sort(agents_m[covers, 0])).min(initial=np.inf) > within_m:
         return agents_m

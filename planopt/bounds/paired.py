@@ -36,7 +36,7 @@ class PairedSteps:
         longest_m: float,
         costs: tuple[float, float, float],
     ) -> PairedSteps:
-        """Return the pairs of cells at one level; `costs`: of a metre, a move, a standstill."""
+        """Return the pairs of cells of a level; `costs`: per metre, per move, standstill length."""
         cells = np.vstack(active)
         corner = cells.min(axis=0, initial=0)
         rows, columns = (cells.max(axis=0, initial=0) + 1 - corner).tolist()

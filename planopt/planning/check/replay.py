@@ -112,7 +112,7 @@ def _comparable(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
 
 
 def start_of(saved: Saved) -> tuple[Prepared, list[str]]:
-    """Return the initial data of a saved result, drawn again or from its files; add remarks."""
+    """Return the initial data of a saved result, and remarks on data that cannot be drawn again."""
     problem, seed = saved.problem, saved.record.seed
     first = [own.measurements.take(slice(own.first)) for own in saved.beliefs[0].stations]
     remarks: list[str] = []

@@ -122,7 +122,7 @@ def _planned(
     number: int = 0,
     scenes: Sequence[Scene] | None = None,
 ) -> Plan | None:
-    """Return the plan of one robot in a changed problem, planned with all robots."""
+    """Return one robot's plan in a changed problem, for which all robots plan together."""
     try:
         return solve_on(problem, belief, seed, scenes).plans[number]
     except NoPlanError:

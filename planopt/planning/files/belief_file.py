@@ -241,7 +241,7 @@ KINDS: dict[type[Any], dict[str, tuple[str, tuple[int | None, ...]]]] = {
 
 
 def bound_arrays(plans: Sequence[Plan]) -> Arrays:
-    """Return the arrays to save for the certificates of the bounds of plans."""
+    """Return the arrays to save for the certificates that prove the plans' bounds."""
     return {
         f"{number}_{name}": np.asarray(getattr(plan.bound.certificate, name))
         for number, plan in enumerate(plans)

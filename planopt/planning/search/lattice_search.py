@@ -300,7 +300,7 @@ class StageFrame:
         return best
 
     def _pass_by(self, moving: MovingMoves, stage: int, best: Floats) -> None:
-        """Recompute the values of nodes that a moving disc blocks for some moves."""
+        """Recompute the values of nodes for which a moving disc blocks some moves."""
         window = self._windows[stage]
         rows, columns, blocked = moving.hindered(stage, *without_margin(window))
         rows, columns = rows + REACH, columns + REACH

@@ -24,7 +24,7 @@ export OPENBLAS_NUM_THREADS := 1
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 export PIP_ROOT_USER_ACTION := ignore
 
-.PHONY: demo test lint types imports tests quick bench regression docs pictures clean
+.PHONY: demo test lint types imports tests coverage quick bench regression docs pictures clean
 .DELETE_ON_ERROR:
 
 demo: $(VENV)/.installed
@@ -62,8 +62,11 @@ imports: $(VENV)/.installed-dev
 	$(BIN)/lint-imports
 
 tests: $(VENV)/.installed-dev
-	$(BIN)/python -m pytest -n 2 --benchmark-disable --cov --cov-report=term:skip-covered \
-		--cov-fail-under=90 $(TEST_OPTIONS)
+	$(BIN)/python -m pytest -n 2 --benchmark-disable $(TEST_OPTIONS)
+
+# A third slower than `make tests`.
+coverage: $(VENV)/.installed-dev
+	$(MAKE) tests TEST_OPTIONS="--cov --cov-report=term:skip-covered --cov-fail-under=90"
 
 quick: $(VENV)/.installed-dev
 	$(BIN)/python -m pytest -n 2 --maxschedchunk 4 --benchmark-disable --quick 25

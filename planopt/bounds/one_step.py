@@ -83,7 +83,7 @@ def best_place(problem: StageProblem, seconds: float) -> BestPlace:
 
 
 def best_of(problem: StageProblem, places_m: Array, makers: Makers) -> tuple[Array, float]:
-    """Return the best of positions (n, 2), moved within reach, and its value; -inf without any."""
+    """Return the best of positions (n, 2), each moved within reach, and its value, or -inf."""
     moves = places_m - problem.start_m
     longest = np.maximum(np.hypot(*moves.T), problem.step_m)
     places = problem.start_m + moves * (problem.step_m / longest)[:, None]

@@ -518,7 +518,7 @@ class ChannelSetup(Part):
         super().__post_init__()
 
     def fault(self) -> str | None:
-        """Return the conflict between two origins, if any."""
+        """Return a message if the map and the log have different origins in degrees; else None."""
         other = self.truth.origin_deg if isinstance(self.truth, RasterTruth) else None
         if other in (None, self.origin_deg):
             return None

@@ -181,7 +181,7 @@ def _links(places: Floats, stops: Floats, longest_m: float) -> tuple[Indices, Fl
 def _tree(
     pairs: Indices, weights: Floats, fails: Floats, count: int
 ) -> tuple[Indices, Floats, list[int]]:
-    """Return the tree of shortest paths that lead to node `count` over weighted links (e, 2)."""
+    """Return the tree of shortest paths to the base station over weighted links (e, 2)."""
     # The result is the link (n,) toward that node, the sum of `fails` (n + 1,) along the path, and
     # the connected agents in order of distance.
     shape = (count + 1, count + 1)

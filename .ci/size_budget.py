@@ -18,7 +18,7 @@ BUDGET = {
     "files": 290,
     "functions": 3_751,
     "docstring lines": 8_205,
-    "lines of tests": 48_678,
+    "lines of tests": 48_684,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

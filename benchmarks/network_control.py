@@ -216,6 +216,8 @@ def failures(first_seed: int, runs: int, agents: int) -> dict[str, list[float]]:
             flush=True,
         )
     for kind, each in ratios.items():
+        if not each:
+            continue
         good = int((np.array(each) <= 1.1).sum())
         exact = binomtest(good, len(each)).proportion_ci(method="exact")
         print(f"{kind}: {good} of {len(each)}, {exact.low:.3f} to {exact.high:.3f} (95 %)")

@@ -60,7 +60,9 @@ def fault_of(code: int, printed: str, errors: str) -> str | None:
     if code not in (0, 2, 3, 4):
         return f"exit code {code}"
     if code != 2:
-        return f"noise: {errors[:2000]}" if errors else None
+        lines = errors.splitlines()
+        noise = [one for one in lines if " cells are unknown and count as " not in one]
+        return f"noise: {errors[:2000]}" if noise else None
     line = errors.removesuffix("\n")
     if printed or not line.startswith("planopt: ") or not line.isprintable() or len(line) > 2000:
         return f"not one line of ours: {printed[:500]!r} {errors[:2000]!r}"

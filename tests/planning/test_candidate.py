@@ -139,7 +139,7 @@ def test_words_of_a_relaxed_plan():
     candidate = assessed(scorer, straight_path(problem, 2.0)[1:])
     assert candidate.verdict is Verdict.VERIFIED and candidate.relaxes
     message = scorer.plan_from(candidate, 0.0).message
-    assert message.startswith("P(connected) is below p_min at step 1,")
+    assert message.startswith("P(connected) is below the required value at step 1,")
     assert f"{candidate.certificate.relaxation_db[0]:.2f} dB" in message
 
 

@@ -75,7 +75,7 @@ def test_the_rule_is_kept_where_a_way_round_does(rule, planner):
 def test_a_hard_bound_is_refused_at_once(planner):
     """Where nothing keeps it, with the place of the hole and its length."""
     # Readings every 2 m are low at 19 m and 21 m.
-    with pytest.raises(NoPlanError, match=r"coverage hole of [45] m from \(1[89]\."):
+    with pytest.raises(NoPlanError, match=r"coverage hole of [45] m that begins at \(1[89]\."):
         planned(ruled(0.9, ConnectivityRule(slack_max_db=0.0), planner=planner))
 
 

@@ -16,7 +16,7 @@ def blocks_of(comparison) -> list[list[str]]:
 def test_exact_lines(comparison):
     """Every number, its unit, its order and its alignment; settings begin each block."""
     title, first, second, tail = blocks_of(comparison)
-    assert " ".join(title).startswith("small: 8 runs in 3.2 s; means over runs")
+    assert " ".join(title).startswith("small: 8 runs in 3.2 s; the table has means over runs")
     assert [" ".join(line.split()) for line in first[-4:]] == [
         "geodesic auto 10 2 0 60.5 (54.1 to 66.9) 90.0 2.0 - -",
         "geodesic auto 1 2 2 - 90.0 2.0 - -",
@@ -55,16 +55,17 @@ def test_reliability_lines():
     predicted = np.where(np.arange(count) % 2 == 0, 0.8, 0.95)
     realised = np.where(np.arange(count) % 2 == 0, np.arange(count) % 20 < 10, True)
     few = reliability(predicted, realised, np.arange(count) % 4)
-    title, header, *lines = reliability_lines(few, "steps", "seeds")
-    assert title.endswith("no intervals for fewer than 5 seeds")
-    assert header.split()[-1] == "connected"
+    *title, header, first, last = reliability_lines(few, "steps", "seeds")
+    assert " ".join(title).endswith("no intervals for fewer than 5 seeds")
+    lines = [first, last]
+    assert header.split()[-1] == "observed"
     assert [line.split()[2:] for line in lines] == [
         ["0.85", "250", "2", "0.8000", "0.5000"],
         ["0.975", "250", "2", "0.9500", "1.0000"],
     ]
     many = reliability(predicted, realised, np.arange(count) // 20)
-    title, header, low, high = reliability_lines(many, "steps", "seeds")
-    assert title.endswith("intervals over seeds")
+    *title, header, low, high = reliability_lines(many, "steps", "seeds")
+    assert "intervals over seeds" in " ".join(title)
     assert header.endswith("95 % interval")
     assert low.endswith("*") and not high.endswith("*")
     assert reliability_lines((), "steps", "seeds") == []

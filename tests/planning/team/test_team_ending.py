@@ -37,7 +37,7 @@ def plan_of(verdict=Verdict.VERIFIED, rung=Rung.PLAN, then_m=0.0):
 
 def driven(problem, places, learnt, plan=None, posteriors=None):
     """One robot that was driven along `places`."""
-    found = context_of(problem)[0].stations if posteriors is None else posteriors
+    found = context_of(problem)[0].law.posteriors if posteriors is None else posteriors
     return Progress(
         problem, [np.asarray(p) for p in places], learnt, [plan or plan_of()] * len(learnt), found
     )
@@ -165,7 +165,7 @@ def test_places_that_the_others_measured_are_not_left() -> None:
     robot = problem.robots[0]
     x, y = np.meshgrid(np.arange(0.0, 41.0, 3.0), np.arange(0.0, 41.0, 3.0))
     everywhere = np.column_stack([x.ravel(), y.ravel()])
-    (before,) = context_of(problem)[0].stations
+    (before,) = context_of(problem)[0].law.posteriors
     knowing = before.extend(Measurements(everywhere, np.full(len(everywhere), -50.0)))
     circling = [HERE, HERE + 0.1] * 20
     track = [HERE, *everywhere, *circling]

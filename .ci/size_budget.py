@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 72_224,
-    "lines of code": 52_251,
+    "lines": 72_235,
+    "lines of code": 52_259,
     "files": 290,
-    "functions": 3_751,
-    "docstring lines": 8_205,
-    "lines of tests": 48_684,
+    "functions": 3_753,
+    "docstring lines": 8_206,
+    "lines of tests": 48_685,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

@@ -179,7 +179,8 @@ def test_saved_and_read_back(comparison, tmp_path: Path) -> None:
     assert isinstance(again, Comparison) and replace(again.problem, file=None) == replace(
         comparison.problem, file=None
     )
-    assert list(map(encoded, again.runs)) == list(map(encoded, comparison.runs))
+    assert again == planopt.load_result(tmp_path) and again.runs == comparison.runs
+    assert again.runs[0] != replace(again.runs[0], connected=~again.runs[0].connected)
     assert repr(again.rows) == repr(comparison.rows)
     manifest = json.loads((tmp_path / "manifest.json").read_text())
     assert manifest["seeds"] == [3, 5] and len(manifest["settings"]) == 4

@@ -6,7 +6,7 @@ import math
 from abc import abstractmethod
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -18,6 +18,7 @@ from planopt.bounds.bound import Bound, total_bound
 from planopt.channel.ground_truth import Truth
 from planopt.channel.posterior import Belief
 from planopt.errors import A_FOLDER, InputError, path_of
+from planopt.files.typed_json import encoded
 from planopt.objectives.terms.context import Aim
 from planopt.planning.certificate import BlockedWay
 from planopt.planning.explanation import Crossing, Relaxation
@@ -385,6 +386,16 @@ class RunSummary:
     # Series (steps + 1,) by name: trace_p in m^2 and normalised_trace_p of the station's target
     # estimate; rms_db, rms_without_multipath_db and path_loss_variance_db2 of the channel
     traces: Mapping[str, Floats] = field(default_factory=dict[str, Floats])
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether two summaries have the same content, apart from computation times."""
+        if not isinstance(other, RunSummary):
+            return False
+        own, found = (encoded(replace(each, step_s=np.zeros(0))) for each in (self, other))
+        return own == found
+
+    def __hash__(self) -> int:
+        return hash((self.problem, self.horizon, self.planner, self.seed))
 
 
 NOT_DONE = 4

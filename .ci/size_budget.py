@@ -13,11 +13,11 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 72_235,
-    "lines of code": 52_259,
+    "lines": 72_250,
+    "lines of code": 52_271,
     "files": 290,
-    "functions": 3_753,
-    "docstring lines": 8_206,
+    "functions": 3_754,
+    "docstring lines": 8_207,
     "lines of tests": 48_685,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""

@@ -8,6 +8,7 @@ An error is one line on standard error and, with ``--json``, one JSON object on 
 from __future__ import annotations
 
 import contextlib
+import re
 import signal
 import sys
 from collections.abc import Sequence
@@ -31,6 +32,12 @@ from planopt.files.writing import strict_text
 
 BAD_INPUT = 2
 INTERRUPTED, TERMINATED = 130, 143
+USAGE_ERRORS = {
+    r"'[^']*' is not a valid float|Input should be a valid number.*": "give a number",
+    r"'[^']*' is not a valid integer|Input should be a valid integer.*": "give an integer",
+    r"\S+ is not in the range x>=|Input should be greater than or equal to ": "give at least ",
+}
+"""Wordings of Typer's versions and one wording for all of them."""
 
 app = typer.Typer(
     name="planopt",
@@ -107,13 +114,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         format_message = getattr(error, "format_message", None)
         if format_message is None:
             raise
-        message, found = f"{str(format_message()).rstrip('.')} (see planopt --help)", error
+        message, found = usage_error(str(format_message()), getattr(error, "ctx", None)), error
     message = " ".join(message.split())
     if "--json" in words:
         with contextlib.suppress(OutputError):
             print_out(strict_text(error_json(message, found)))
     print(f"planopt: {message}", file=sys.stderr)
     return BAD_INPUT
+
+
+def usage_error(message: str, context: typer.Context | None) -> str:
+    """Word a usage error alike for all supported versions of Typer and name the help page."""
+    message = message.rstrip(".")
+    for pattern, replacement in USAGE_ERRORS.items():
+        message = re.sub(pattern, replacement, message)
+    return f"{message} (see {context.command_path if context else 'planopt'} --help)"
 
 
 def error_json(message: str, error: Exception) -> dict[str, str | int | None]:

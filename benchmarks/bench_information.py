@@ -91,12 +91,7 @@ def main() -> None:
         for horizon in chosen.horizons:
             found = [
                 share_and_time(
-                    worth,
-                    horizon,
-                    chosen.measurements,
-                    seed,
-                    chosen.starts,
-                    chosen.decorrelation_m,
+                    worth, horizon, chosen.measurements, seed, chosen.starts, chosen.decorrelation_m
                 )
                 for seed in range(chosen.instances)
             ]

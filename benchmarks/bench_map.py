@@ -115,10 +115,7 @@ def seconds(work: Callable[[], object]) -> float:
 def test_exact_map(benchmark: BenchmarkFixture, table: Table, count: int) -> None:
     """Every measurement, theta estimated, against scikit-learn's with theta known."""
     taken, ratio = timed(
-        benchmark,
-        lambda: posterior(count).predict(lattice()[1]),
-        ROUNDS,
-        scikit_learn(count),
+        benchmark, lambda: posterior(count).predict(lattice()[1]), ROUNDS, scikit_learn(count)
     )
     table.add("map, exact", count, taken)
     peak = product_speed()

@@ -221,11 +221,7 @@ def _learning(generator: np.random.Generator) -> Tables:
 
 
 def _mapping(generator: np.random.Generator) -> Tables:
-    table = {
-        "kind": "mapping",
-        "weight": _weight(generator),
-        "form": str(generator.choice(FORMS)),
-    }
+    table = {"kind": "mapping", "weight": _weight(generator), "form": str(generator.choice(FORMS))}
     own = {
         "variance_threshold_db2": float(generator.choice([0.0, 5.0, 50.0])),
         "closeness_per_m": float(generator.choice([0.0, 0.1])),

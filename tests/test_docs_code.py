@@ -120,10 +120,7 @@ def shell(text: str, block: Block) -> str:
     """Run text in a shell that finds this environment's programs; what it prints."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     done = subprocess.run(
-        ["bash", "-e", "-c", text],
-        capture_output=True,
-        text=True,
-        env={**os.environ, "PATH": path},
+        ["bash", "-e", "-c", text], capture_output=True, text=True, env={**os.environ, "PATH": path}
     )
     assert done.returncode == 0, (name_of(block), done.stdout, done.stderr)
     return done.stdout

@@ -54,12 +54,7 @@ else:
 # The fitted parameters, with their standard errors. Path loss differs between the receivers, which
 # stand at different heights and behind different buildings. Shadowing of 6 to 7 dB over some
 # hundred metres and as much again of multipath and position error is alike at all three.
-UNITS = {
-    "n_pl": "",
-    "shadow_std_db": "dB",
-    "decorrelation_m": "m",
-    "multipath_std_db": "dB",
-}
+UNITS = {"n_pl": "", "shadow_std_db": "dB", "decorrelation_m": "m", "multipath_std_db": "dB"}
 for name, fit in fits.items():
     print(f"{name}: {fit.measurements} measurements, {fit.censored} of them upper limits")
     for parameter, unit in UNITS.items():

@@ -23,12 +23,7 @@ from planopt.coverage.control.movers import Gains, coverage_aims, law_moves, pla
 from planopt.coverage.ground import ConvexGround
 from planopt.coverage.limits import Motion, MoveLimits
 from planopt.coverage.voronoi import convex_region
-from planopt.report import (
-    animate_network,
-    draw_costs,
-    draw_network,
-    draw_step_times,
-)
+from planopt.report import animate_network, draw_costs, draw_network, draw_step_times
 from planopt.tasks.coverage import picture
 
 rooms = planopt.simulate(planopt.load("coverage_obstacles"), seed=1)

@@ -17,11 +17,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from planopt.channel.cholesky import lower_inverse
-from planopt.channel.measurements import (
-    covariance_db2,
-    pairwise_distance_m,
-    place_origins,
-)
+from planopt.channel.measurements import covariance_db2, pairwise_distance_m, place_origins
 from planopt.channel.parameters import MIN_DISTANCE_M, regressors
 from planopt.channel.posterior import ChannelPosterior
 

@@ -114,9 +114,7 @@ MOST_STEPS = 100
 
 
 def serving_prediction(
-    predictions: Sequence[Prediction],
-    thresholds_dbm: Sequence[float],
-    p_min: float,
+    predictions: Sequence[Prediction], thresholds_dbm: Sequence[float], p_min: float
 ) -> Prediction:
     """Return the normal law that represents the serving power of m stations at n positions."""
     if len(predictions) == 1:
@@ -132,9 +130,7 @@ def serving_prediction(
 
 
 def any_probability(
-    predictions: Sequence[Prediction],
-    thresholds_dbm: Sequence[float],
-    slack_db: float = 0.0,
+    predictions: Sequence[Prediction], thresholds_dbm: Sequence[float], slack_db: float = 0.0
 ) -> NDArray[np.float64]:
     """Return P(connected to any station) (n,) with all thresholds lowered by `slack_db`."""
     above, deviation = above_thresholds_db(predictions, thresholds_dbm)

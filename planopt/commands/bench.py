@@ -36,8 +36,7 @@ bench = typer.Typer(
 )
 
 ReferencesOption = Annotated[
-    Path | None,
-    option("--references", "FILE", "References in place of those of the library."),
+    Path | None, option("--references", "FILE", "References in place of those of the library.")
 ]
 ProblemsOption = Annotated[
     str | None, option("--problems", "A,B", "Names or files; else the whole library.")

@@ -30,11 +30,7 @@ def import_problem(
     ] = None,
     transmitter_column: Annotated[
         str | None,
-        option(
-            "--transmitter-column",
-            "COLUMN",
-            "Column of transmitters; default: detected.",
-        ),
+        option("--transmitter-column", "COLUMN", "Column of transmitters; default: detected."),
     ] = None,
     transmitter: Annotated[
         list[str] | None,
@@ -49,8 +45,7 @@ def import_problem(
         ),
     ] = None,
     stations: Annotated[
-        Path | None,
-        option("--stations", "FILE", "Table of names and positions of transmitters."),
+        Path | None, option("--stations", "FILE", "Table of names and positions of transmitters.")
     ] = None,
     threshold: Annotated[
         float | None,

@@ -17,8 +17,7 @@ def export_path(
         Path, typer.Argument(metavar="PATH", help="The folder given as --out, or its JSON file.")
     ],
     out: Annotated[
-        Path,
-        option("--out", "FILE", "Ends in .json, .geojson, .plan, .csv, .mcap or .rrd."),
+        Path, option("--out", "FILE", "Ends in .json, .geojson, .plan, .csv, .mcap or .rrd.")
     ],
     robot: Annotated[
         str | None, option("--robot", "NAME", "Robot; default: the first one.")

@@ -49,8 +49,7 @@ def list_problems(json: JsonOption = False) -> int:
 
 def schema(
     task: Annotated[
-        str | None,
-        typer.Option("--task", metavar="NAME", help="Task; default: motion planning."),
+        str | None, typer.Option("--task", metavar="NAME", help="Task; default: motion planning.")
     ] = None,
     json: JsonOption = False,
 ) -> int:

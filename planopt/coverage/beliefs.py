@@ -297,12 +297,7 @@ def _groups(held: Mask, agents: Mask) -> list[tuple[Mask, list[int]]]:
 
 
 def estimate_event(
-    belief: Belief,
-    sensing: Sensing,
-    hull: ConvexRegion,
-    asks: Mask,
-    step: int,
-    time_step_s: float,
+    belief: Belief, sensing: Sensing, hull: ConvexRegion, asks: Mask, step: int, time_step_s: float
 ) -> Belief:
     """Update the estimate of each requesting agent from the readings that this agent holds."""
     moves = sensing.speed_std_m_s is not None

@@ -15,9 +15,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import (
-    connected_components,  # pyright: ignore[reportUnknownVariableType]
-)
+from scipy.sparse.csgraph import connected_components  # pyright: ignore[reportUnknownVariableType]
 from scipy.spatial import KDTree
 
 from planopt.arrays import Floats, Indices, Mask

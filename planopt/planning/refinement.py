@@ -14,12 +14,7 @@ from planopt.objectives.stage_power import scores_of, stage_predictor
 from planopt.planning.candidates import Budget, Candidate, Scorer, solve_limit_s
 from planopt.planning.certificate import RuleResult
 from planopt.planning.plan import Pivot, Rung, Termination
-from planopt.planning.programme.goal_value import (
-    EvaluatePath,
-    GoalValue,
-    OutagePrice,
-    margins_of,
-)
+from planopt.planning.programme.goal_value import EvaluatePath, GoalValue, OutagePrice, margins_of
 from planopt.planning.programme.path_nlp import GOAL, METHODS, PathNlp, build_path_nlp, near_start
 from planopt.planning.programme.path_polish import (
     LINE_REACH_STEPS,

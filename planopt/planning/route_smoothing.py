@@ -25,11 +25,7 @@ from planopt.objectives.reach import integrated_cost_m, step_cost_s
 from planopt.planning.certificate import holes_on
 from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict
 from planopt.planning.proof.bounds import metre_cost_of
-from planopt.planning.proof.context import (
-    connectivity_law,
-    search_prediction,
-    verifier_context,
-)
+from planopt.planning.proof.context import connectivity_law, search_prediction, verifier_context
 from planopt.planning.proof.verify import verify
 from planopt.planning.scene import stops_along
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
@@ -165,10 +161,7 @@ class CostRaster:
 
 
 def _taut(
-    raster: CostRaster,
-    index: ObstacleIndex,
-    clearance_m: float,
-    corners_m: Floats,
+    raster: CostRaster, index: ObstacleIndex, clearance_m: float, corners_m: Floats
 ) -> Floats:
     """Return the cheapest route with straight legs between some of the corners (n, 2)."""
     count = len(corners_m)
@@ -245,9 +238,7 @@ STEP_PASSES = 6
 
 
 def smooth_steps(
-    leg_value: Callable[[Floats, Floats], Floats],
-    places_m: Floats,
-    longest_m: float,
+    leg_value: Callable[[Floats, Floats], Floats], places_m: Floats, longest_m: float
 ) -> Floats:
     """Return positions (k + 1, 2) moved to reduce the cost of the legs; first and last stay."""
     # `leg_value` maps starts and ends (n, k, 2) of the k legs to costs (n, k), infinite if a leg is
@@ -393,12 +384,7 @@ class RouteSmoothing:
         )
         return self.with_route(found, whole)
 
-    def _legs_s(
-        self,
-        starts_m: Floats,
-        ends_m: Floats,
-        is_step: Mask | bool,
-    ) -> Floats:
+    def _legs_s(self, starts_m: Floats, ends_m: Floats, is_step: Mask | bool) -> Floats:
         """Return the costs (n,) of steps or route legs; infinite for a leg that is not allowed."""
         planner, rate = self._problem.planner, rate_s_m(self._problem)
         lengths = np.linalg.norm(ends_m - starts_m, axis=1)

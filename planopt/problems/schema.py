@@ -15,14 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import shapely
-from pydantic import (
-    AfterValidator,
-    Field,
-    PlainSerializer,
-    Strict,
-    ValidationInfo,
-    model_validator,
-)
+from pydantic import AfterValidator, Field, PlainSerializer, Strict, ValidationInfo, model_validator
 
 from planopt.errors import InputError
 from planopt.keys import (

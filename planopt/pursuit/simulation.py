@@ -8,9 +8,7 @@ from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import (
-    linear_sum_assignment,  # pyright: ignore[reportUnknownVariableType]
-)
+from scipy.optimize import linear_sum_assignment  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.arrays import Floats, Indices
 from planopt.errors import InputError

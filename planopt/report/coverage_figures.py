@@ -189,10 +189,7 @@ def animate_network(picture: NetworkPicture, path: Path) -> None:
 
 
 def _draw_area(
-    panel: Panel,
-    ground: Ground,
-    obstacles: tuple[shapely.Polygon, ...],
-    radio: RadioLimits | None,
+    panel: Panel, ground: Ground, obstacles: tuple[shapely.Polygon, ...], radio: RadioLimits | None
 ) -> list[Artist]:
     """Draw the outline of the region, obstacles and base stations; return legend entries."""
     ring = shapely.get_coordinates(ground.free.exterior)

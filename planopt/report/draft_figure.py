@@ -7,13 +7,7 @@ from typing import TYPE_CHECKING, Any, cast
 import numpy as np
 
 from planopt.problems.draft import Draft
-from planopt.report.maps import (
-    PATH_Z,
-    PLACE_Z,
-    draw_ground,
-    draw_places,
-    show_bounds,
-)
+from planopt.report.maps import PATH_Z, PLACE_Z, draw_ground, draw_places, show_bounds
 from planopt.report.panel import (
     BLACK,
     LABEL_PT,

@@ -9,11 +9,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from planopt.channel.connectivity_law import (
-    above_thresholds_db,
-    any_probability,
-    serving_power_dbm,
-)
+from planopt.channel.connectivity_law import above_thresholds_db, any_probability, serving_power_dbm
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import Belief
 from planopt.problems.problem import Problem

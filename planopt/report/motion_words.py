@@ -16,13 +16,7 @@ from planopt.planning.explanation import Crossing
 from planopt.planning.loop.metrics import run_holes, run_reliability
 from planopt.planning.plan import Verdict
 from planopt.problems.problem import Problem, problem_of_robot
-from planopt.report.tables import (
-    BAND_ENDS,
-    BANDS,
-    metric_name,
-    reliability_lines,
-    symbols_in_words,
-)
+from planopt.report.tables import BAND_ENDS, BANDS, metric_name, reliability_lines, symbols_in_words
 from planopt.short_repr import shown_number
 
 if TYPE_CHECKING:

@@ -17,23 +17,11 @@ from planopt.planning.loop.log import Outcome
 from planopt.planning.loop.results import NOT_DONE, RunSummary
 from planopt.problems.load import with_changes
 from planopt.problems.problem import Problem
-from planopt.problems.settings import (
-    DEFAULT_SEEDS,
-    ComparisonSettings,
-    require_swept,
-    seeds_of,
-)
+from planopt.problems.settings import DEFAULT_SEEDS, ComparisonSettings, require_swept, seeds_of
 from planopt.problems.tasks import TaskProblem, task_of
 from planopt.studies.comparison import Comparison
 from planopt.studies.comparison_rows import comparison_rows
-from planopt.studies.study import (
-    AnyProblem,
-    FinishedRuns,
-    Study,
-    run_key,
-    run_study,
-    shared_data,
-)
+from planopt.studies.study import AnyProblem, FinishedRuns, Study, run_key, run_study, shared_data
 
 Item = tuple[AnyProblem, int]
 """Problem with the settings of a run, and seed of the run."""

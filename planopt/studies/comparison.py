@@ -276,11 +276,7 @@ def manifest(comparison: Comparison, tables: Sequence[Mapping[str, Any]]) -> dic
     return {
         "program": dict(program()),
         "python": platform.python_version(),
-        "machine": {
-            "cpu": cpu_name(),
-            "cores": os.cpu_count(),
-            "system": platform.platform(),
-        },
+        "machine": {"cpu": cpu_name(), "cores": os.cpu_count(), "system": platform.platform()},
         "problems": [
             {"name": each["problem"]["name"], "sha256": digest_of_tables(each)} for each in tables
         ],

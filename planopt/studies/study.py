@@ -39,11 +39,7 @@ from planopt.objectives.terms.term import Term, outside_terms, register
 from planopt.problems.library import FILE_KEYS
 from planopt.problems.objective import RULES
 from planopt.problems.problem import Problem
-from planopt.problems.settings import (
-    PLANNERS,
-    PlannerKind,
-    register_planner,
-)
+from planopt.problems.settings import PLANNERS, PlannerKind, register_planner
 from planopt.problems.tasks import TaskProblem, task_of
 
 UNDECIDING = ("report", "compare")

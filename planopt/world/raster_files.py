@@ -40,13 +40,7 @@ from planopt.files.reading import (
     require_array_size,
 )
 from planopt.files.writing import write_whole
-from planopt.world.geodesy import (
-    FARTHEST_M,
-    Origin,
-    longitude_latitude_deg,
-    plane_of,
-    turn_deg,
-)
+from planopt.world.geodesy import FARTHEST_M, Origin, longitude_latitude_deg, plane_of, turn_deg
 from planopt.world.raster import Raster, checked_raster
 
 HDF5_SIGNATURE = b"\x89HDF"

@@ -103,10 +103,7 @@ def _tolerant_wkt(text: str) -> shapely.Geometry | None:
     letters = np.frombuffer(text.encode(), dtype=np.uint8)
     depth = np.cumsum((letters == ord("(")).astype(np.int64) - (letters == ord(")")))
     if depth.max(initial=0) > DEEPEST:
-        raise InputError(
-            f"the WKT is nested too deeply ({depth.max()} levels)",
-            remedy=WKT_EXAMPLE,
-        )
+        raise InputError(f"the WKT is nested too deeply ({depth.max()} levels)", remedy=WKT_EXAMPLE)
     try:
         with np.errstate(all="ignore"):
             return cast("shapely.Geometry | None", shapely.from_wkt(text, on_invalid="fix"))

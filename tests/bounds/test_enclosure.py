@@ -95,9 +95,7 @@ def test_centres_are_predicted_exactly() -> None:
     np.testing.assert_allclose(model.mean_db, found.mean_db, rtol=1e-9)
     np.testing.assert_allclose(np.sqrt(model.variance_db2), found.deviation_db, rtol=1e-7)
     np.testing.assert_allclose(
-        model.probability(THRESHOLD_DBM),
-        posterior.connectivity(centre, THRESHOLD_DBM),
-        atol=1e-9,
+        model.probability(THRESHOLD_DBM), posterior.connectivity(centre, THRESHOLD_DBM), atol=1e-9
     )
 
 

@@ -23,7 +23,5 @@ def simulated(channel, seed, count, side_m, censored_share=0.0, positions=None):
 def subset(measurements, rows):
     """The measurements at an index array or mask, in that order."""
     return Measurements(
-        measurements.positions_m[rows],
-        measurements.power_dbm[rows],
-        measurements.censored[rows],
+        measurements.positions_m[rows], measurements.power_dbm[rows], measurements.censored[rows]
     )

@@ -14,12 +14,7 @@ from varied_measurements import (
     varied,
 )
 
-from planopt.channel import (
-    at_time,
-    condition,
-    conditional_field,
-    joint_prediction,
-)
+from planopt.channel import at_time, condition, conditional_field, joint_prediction
 from planopt.channel.channel_map import TileMap
 from planopt.channel.kriging import LocalChannel, predict, predict_nearby
 from planopt.channel.measurements import (

@@ -6,11 +6,7 @@ from scipy.stats import norm
 
 from planopt.channel import ChannelParameters, Measurements, Station, condition, fit_channel
 from planopt.channel.kriging import predict
-from planopt.channel.measurements import (
-    BLUR_SHARE,
-    path_loss_variance_db2,
-    shadow_covariance_db2,
-)
+from planopt.channel.measurements import BLUR_SHARE, path_loss_variance_db2, shadow_covariance_db2
 from planopt.channel.parameters import regressors
 
 CHANNEL = ChannelParameters(-20.0, 2.5, 5.0, 12.0, 1.5, Station((-60.0, 50.0), 5.0))

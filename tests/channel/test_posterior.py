@@ -75,9 +75,7 @@ def test_batch_equals_sequential(theta):
         posterior.predict(places()).mean_db, batch.predict(places()).mean_db, atol=1e-10
     )
     np.testing.assert_allclose(
-        posterior.predict(places()).deviation_db,
-        batch.predict(places()).deviation_db,
-        atol=1e-10,
+        posterior.predict(places()).deviation_db, batch.predict(places()).deviation_db, atol=1e-10
     )
 
 

@@ -40,8 +40,7 @@ def assert_usable(fit):
 
 
 @pytest.mark.parametrize(
-    "block",
-    [pytest.param(n, marks=[pytest.mark.slow] if n % 2 else []) for n in range(BLOCKS)],
+    "block", [pytest.param(n, marks=[pytest.mark.slow] if n % 2 else []) for n in range(BLOCKS)]
 )
 def test_every_fit_is_usable_or_refused(block):
     """Each case is fitted with finite numbers that predict finite ones, or refused by examine."""

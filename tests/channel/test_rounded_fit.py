@@ -7,12 +7,7 @@ import numpy as np
 import pytest
 from simulated_channel import simulated
 
-from planopt.channel import (
-    ChannelParameters,
-    Station,
-    condition,
-    fit_channel,
-)
+from planopt.channel import ChannelParameters, Station, condition, fit_channel
 from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.estimation.channel_fit import covariance_bounds
 from planopt.channel.estimation.likelihood import RestrictedLikelihood, likelihood_data

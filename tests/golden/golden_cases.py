@@ -177,10 +177,7 @@ CASES: dict[str, tuple[Any, ...]] = {
     "rule stated times": (
         plan,
         "outdoor_map",
-        {
-            "constraints.p_min": 0.9999,
-            "constraints.connected_times_s": [2.0, 4.0],
-        },
+        {"constraints.p_min": 0.9999, "constraints.connected_times_s": [2.0, 4.0]},
     ),
     # Tracking
     "track": (plan, "fig4"),

@@ -122,10 +122,7 @@ def test_bound_is_kept_where_the_neighbours_mislead(monkeypatch):
     truth = prepare(problem, 0).truths[0]
     measured = measure(truth, free_places(problem, 300, np.random.default_rng(3)))
     parameters = replace(
-        context.posterior.parameters,
-        shadow_std_db=9.0,
-        decorrelation_m=70.0,
-        multipath_std_db=4.0,
+        context.posterior.parameters, shadow_std_db=9.0, decorrelation_m=70.0, multipath_std_db=4.0
     )
     returned = []
 
@@ -178,14 +175,8 @@ def no_numbers(_solver, n, start, _parameters, _variable_bounds, row_bounds):
 
 FAILURES = {
     "no numbers": (no_numbers, Termination.NUMERICAL_FAILURE),
-    "infeasible": (
-        with_status(Termination.INFEASIBLE, lambda q: 0.0 * q),
-        Termination.INFEASIBLE,
-    ),
-    "out of time": (
-        with_status(Termination.TIME_LIMIT, lambda q: q + 3.0),
-        Termination.TIME_LIMIT,
-    ),
+    "infeasible": (with_status(Termination.INFEASIBLE, lambda q: 0.0 * q), Termination.INFEASIBLE),
+    "out of time": (with_status(Termination.TIME_LIMIT, lambda q: q + 3.0), Termination.TIME_LIMIT),
     "out of iterations": (
         with_status(Termination.ITERATION_LIMIT, lambda q: q[::-1]),
         Termination.ITERATION_LIMIT,
@@ -274,11 +265,7 @@ def test_an_obstacle_on_the_last_plan():
 
 @pytest.mark.parametrize(
     "term",
-    [
-        LEARNING,
-        {"kind": "mapping", "form": "information"},
-        {"kind": "mapping", "form": "average"},
-    ],
+    [LEARNING, {"kind": "mapping", "form": "information"}, {"kind": "mapping", "form": "average"}],
 )
 def test_plans_are_hardly_worse_than_the_best_of_starts(term):
     """Of 12 ways of a fan, in two seeded scenes; benchmarks/bench_information.py has the study."""

@@ -57,8 +57,7 @@ def test_transmit_power_shifts_the_truth(problem):
     """Ten dB more sent, ten dB more received, to rounding."""
     radio = problem.stations[0]
     louder = replace(
-        problem,
-        stations=(replace(radio, transmit_power_dbm=radio.transmit_power_dbm + 10.0),),
+        problem, stations=(replace(radio, transmit_power_dbm=radio.transmit_power_dbm + 10.0),)
     )
     one, two = (draw_truth(p, np.random.default_rng(1)) for p in (problem, louder))
     assert np.allclose(two.raster.values - one.raster.values, 10.0)

@@ -11,14 +11,7 @@ import shapely
 from scenes import prepared_of, small_problem
 
 import planopt
-from planopt import (
-    InputError,
-    MovingObstacle,
-    Obstacle,
-    Verdict,
-    Workspace,
-    check,
-)
+from planopt import InputError, MovingObstacle, Obstacle, Verdict, Workspace, check
 from planopt.extend import Rung
 from planopt.planning.free_space import leaving_path
 from planopt.planning.loop.log import Outcome

@@ -238,10 +238,7 @@ FAILURES = {
         falling_back(Termination.TIME_LIMIT, lambda q: q + 3.0),
         Termination.TIME_LIMIT,
     ),
-    "infeasible": (
-        falling_back(Termination.INFEASIBLE, lambda q: 0.0 * q),
-        Termination.INFEASIBLE,
-    ),
+    "infeasible": (falling_back(Termination.INFEASIBLE, lambda q: 0.0 * q), Termination.INFEASIBLE),
     "out of iterations": (
         falling_back(Termination.ITERATION_LIMIT, in_zigzag),
         Termination.ITERATION_LIMIT,

@@ -220,12 +220,7 @@ CASES: dict[str, Case] = {
         along(5, 7, 9, 11), power_at=good_at_corners, has_goal=False, relaxed=(1,), hopeless=(True,)
     ),
     "past an island": Case(
-        along(5, 6, 7),
-        {BELOW},
-        power_at=island,
-        has_goal=False,
-        relaxed=(1,),
-        hopeless=(False,),
+        along(5, 6, 7), {BELOW}, power_at=island, has_goal=False, relaxed=(1,), hopeless=(False,)
     ),
     "dawdling": Case(
         [(5, 15), (5, 15), (6.4, 16.4)],

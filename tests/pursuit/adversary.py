@@ -27,11 +27,7 @@ class AdversarialRecords:
     in_order: bool = True
 
     def record(
-        self,
-        track: Track,
-        place_m: NDArray[np.float64],
-        time_s: float,
-        last: Record | None,
+        self, track: Track, place_m: NDArray[np.float64], time_s: float, last: Record | None
     ) -> Record | None:
         """Return the worst record at a place and time; one without age always is allowed."""
         first_s = last.sampled_s if last is not None and self.in_order else float(track.times_s[0])

@@ -39,9 +39,7 @@ def team_run(simulation: Any, task: str, robots: int = 3, p_min: float = 0.0) ->
     shifts = [np.array([0.0, 6.0 * number]) for number in range(robots)]
     runs = tuple(
         replace(
-            simulation.run,
-            robot=robot.name,
-            log=replace(log, positions_m=log.positions_m + shift),
+            simulation.run, robot=robot.name, log=replace(log, positions_m=log.positions_m + shift)
         )
         for robot, shift in zip(problem.robots, shifts, strict=True)
     )

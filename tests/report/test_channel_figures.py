@@ -28,10 +28,7 @@ from planopt.report import (
 
 MEASURED = ["measured", "measured at the floor (censored)"]
 ERRORS = [-0.5, 0.0, 0.5]
-CURVES = {
-    "n_pl": np.array([40.0, 10.0, 50.0]),
-    "decorrelation_m": np.array([10.5, 10.0, 10.25]),
-}
+CURVES = {"n_pl": np.array([40.0, 10.0, 50.0]), "decorrelation_m": np.array([10.5, 10.0, 10.25])}
 TRUE = np.array([[0.0, 0.0], [10.0, 0.0], [0.0, 10.0], [10.0, 10.0]])
 NEAR = TRUE + [3.0, 4.0]
 FAR = TRUE + np.array([[6.0, 8.0], [0.0, 20.0], [30.0, 0.0], [0.0, 40.0]])

@@ -158,10 +158,7 @@ def test_run_without_steps(simulation, log):
     """A run that ended at its start has neither plans nor step times."""
     start = replace(log, **{name: getattr(log, name)[:1] for name in log.__dataclass_fields__})
     ended = replace(
-        simulation,
-        runs=(replace(simulation.run, log=start),),
-        plans=((),),
-        first_measurements=30,
+        simulation, runs=(replace(simulation.run, log=start),), plans=((),), first_measurements=30
     )
     absent = {"rover, planned", "bound relaxed", "measured during the run"}
     assert not absent & set(legend_of(drawn(draw_run(ended))))

@@ -68,11 +68,7 @@ class LogFormat(Part):
 
     columns: Annotated[
         Columns, ReadAs(ColumnsTable, attrgetter("x", "y", "power"), tuple, to_keys=_columns_keys)
-    ] = (
-        None,
-        None,
-        None,
-    )
+    ] = (None, None, None)
     """Column names of the log as a table with x, y and power; missing ones are detected."""
     censored_column: ColumnName | None = None
     """Column of the log that marks censored rows: 1 or true if the power is an upper limit."""

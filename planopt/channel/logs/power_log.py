@@ -18,12 +18,7 @@ from planopt.channel.logs.log_format import DEFAULT_FORMAT, GroupColumn, LogForm
 from planopt.channel.logs.log_table import Cell, LogTable
 from planopt.channel.logs.readers import LogColumns, columns_of, read_table, readings_of
 from planopt.channel.logs.times import times_s
-from planopt.channel.measurements import (
-    LARGEST_POWER_DBM,
-    LEAST_POWER_DBM,
-    Frame,
-    Measurements,
-)
+from planopt.channel.measurements import LARGEST_POWER_DBM, LEAST_POWER_DBM, Frame, Measurements
 from planopt.errors import InputError, listed
 from planopt.keys import LARGEST_COORDINATE_M
 from planopt.world.geodesy import (

@@ -13,9 +13,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import (
-    connected_components,  # pyright: ignore[reportUnknownVariableType]
-)
+from scipy.sparse.csgraph import connected_components  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.neighbours import PlaceTree

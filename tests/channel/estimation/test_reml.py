@@ -47,11 +47,7 @@ def test_nothing_on_a_grid_is_more_likely(count, share):
     assert found.best.at.log_likelihood >= max(values) - 1e-6
     estimate = found.covariance
     at = RestrictedLikelihood(data).at(
-        (
-            estimate.shadow_variance_db2,
-            estimate.multipath_variance_db2,
-            estimate.decorrelation_m,
-        ),
+        (estimate.shadow_variance_db2, estimate.multipath_variance_db2, estimate.decorrelation_m)
     )
     assert at.log_likelihood == pytest.approx(found.best.at.log_likelihood, abs=1e-6)
     np.testing.assert_allclose(at.coefficients, found.best.at.coefficients, rtol=1e-5)

@@ -7,11 +7,7 @@ import pytest
 from scipy.stats import norm
 
 from planopt.channel import ChannelParameters, Measurements, Station
-from planopt.channel.gaussian_sites import (
-    MAX_SITE_VARIANCE_DB2,
-    gaussian_sites,
-    needs_site,
-)
+from planopt.channel.gaussian_sites import MAX_SITE_VARIANCE_DB2, gaussian_sites, needs_site
 from planopt.channel.measurements import shadow_covariance_db2
 from planopt.channel.parameters import regressors
 

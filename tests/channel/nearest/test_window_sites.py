@@ -9,10 +9,7 @@ from scipy.stats import multivariate_normal, norm
 from planopt.channel import ChannelParameters, Measurements, Station
 from planopt.channel.gaussian_sites import gaussian_sites, intervals
 from planopt.channel.long_logs import SITE_NEIGHBOURS, IntervalRows, neighbour_sites, window_sites
-from planopt.channel.measurements import (
-    measured_origins,
-    own_covariance_db2,
-)
+from planopt.channel.measurements import measured_origins, own_covariance_db2
 from planopt.channel.neighbours import place_blocks, surrounding_windows
 from planopt.channel.parameters import regressors
 

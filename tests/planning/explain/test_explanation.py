@@ -17,10 +17,7 @@ from planopt.planning.explanation import Relaxation
             "constraints.p_min",
             "constraints.p_min = 2 cannot be met at steps 1 to 2, 4, short by 3 dB",
         ),
-        (
-            "robots[0].speed_max_m_s",
-            "robots[0].speed_max_m_s = 2 prevents a plan at steps 1 to 2",
-        ),
+        ("robots[0].speed_max_m_s", "robots[0].speed_max_m_s = 2 prevents a plan at steps 1 to 2"),
         (
             "planner.horizon",
             "planner.horizon = 2 prevents a plan at steps 1 to 2, 4, short by 3 dB",

@@ -151,8 +151,7 @@ def plain_array(file: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "damage",
-    [cut, flipped, pickled, plain_array, Path.unlink, lambda file: file.write_bytes(b"")],
+    "damage", [cut, flipped, pickled, plain_array, Path.unlink, lambda file: file.write_bytes(b"")]
 )
 def test_a_damaged_file_is_an_error(file: Path, damage: Callable[[Path], object]) -> None:
     """A truncated, corrupt, empty, missing or pickled file is an error that names it."""

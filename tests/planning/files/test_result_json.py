@@ -24,7 +24,7 @@ SOLVE = ASKED | {
 }
 SIMULATE = ASKED | {"outcome", "metrics", "rungs", "verified_rate", "step_s", "robots"}
 CERTIFICATE = {
-    *("min_clearance_m", "min_connectivity", "dynamics_defect", "kkt_residual", "posterior"),
+    *("min_clearance_m", "min_connectivity", "dynamics_defect", "kkt_residual", "posterior")
 }
 
 

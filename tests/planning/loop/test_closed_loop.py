@@ -6,13 +6,7 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from scenes import (
-    CUP,
-    bad_band,
-    good_everywhere,
-    prepared_of,
-    small_problem,
-)
+from scenes import CUP, bad_band, good_everywhere, prepared_of, small_problem
 
 from planopt import InputError, Run, Verdict, load
 from planopt.channel import LogFormat, true_power_dbm

@@ -9,10 +9,7 @@ import pytest
 from scipy.optimize import minimize
 
 from planopt.extend import Termination
-from planopt.planning.programme.goal_value import (
-    Evaluation,
-    PathValue,
-)
+from planopt.planning.programme.goal_value import Evaluation, PathValue
 from planopt.planning.programme.path_nlp import build_path_nlp
 from planopt.planning.programme.path_polish import PathTask, polish_path
 from planopt.planning.programme.solver import PathShape

@@ -26,10 +26,7 @@ MUTANTS = {
     "largest clearance": ("np.min(each, initial=np.inf)", "np.max(each, initial=0.0)"),
     "any step clear": ("CLEARANCE_TOLERANCE_M).all()", "CLEARANCE_TOLERANCE_M).any()"),
     "any way within": ("if not all(_within", "if not any(_within"),
-    "bounds not looked at": (
-        "if not all(_within(problem, curve) for curve in curves)",
-        "if False",
-    ),
+    "bounds not looked at": ("if not all(_within(problem, curve) for curve in curves)", "if False"),
     "stopping not looked at": ("if stop is not None", "if False"),
     "stopping out of bounds": ("if not _within(problem, stop)", "if False"),
     "clearance of stopping lost": ("clearance = min(clearance, float(after[0]))", "pass"),

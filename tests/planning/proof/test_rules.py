@@ -16,12 +16,7 @@ from planopt import Verdict
 from planopt.channel import joint_connectivity, joint_prediction, sample_power
 from planopt.channel.joint import longest_run
 from planopt.planning.plan import History, data_of_steps_mbit, history_of
-from planopt.planning.proof.connectivity_rules import (
-    ACCURACY,
-    SEED,
-    joint_result,
-    share_at_least,
-)
+from planopt.planning.proof.connectivity_rules import ACCURACY, SEED, joint_result, share_at_least
 from planopt.planning.proof.rule import rule_of
 from planopt.world import index_obstacles
 

@@ -36,11 +36,7 @@ MUTANTS = (
         "return self.combined(self.each_power(positions_m, predict))",
         "return self.each_power(positions_m, predict)[0]",
     ),
-    (
-        CONTEXT,
-        "radio.threshold_dbm for radio in",
-        "problem.stations[0].threshold_dbm for radio in",
-    ),
+    (CONTEXT, "radio.threshold_dbm for radio in", "problem.stations[0].threshold_dbm for radio in"),
     (CONTEXT, "tuple(posteriors), thresholds", "tuple(posteriors)[::-1], thresholds"),
     (
         RULE,

@@ -217,24 +217,12 @@ def test_a_run_may_not_waste_more_than_one_plan(beyond_m):
     left = single_steps.COST_TOLERANCE * driven + leeway - certificate.step_excess_m
     history = History(crossing_cost_m=70.0, crossing_excess_m=left + beyond_m)
     index, belief = index_obstacles(problem.workspace), belief_of(problem, WIDE)
-    judgement = verified(
-        problem,
-        index,
-        belief.posterior,
-        CROSSING[0],
-        CROSSING,
-        history=history,
-    )
+    judgement = verified(problem, index, belief.posterior, CROSSING[0], CROSSING, history=history)
     assert (judgement.verdict is Verdict.VERIFIED) == (beyond_m < 0.0)
     assert all("of the run so far" in reason for reason in judgement.certificate.reasons)
     # A plan that keeps the bound is not held to account for what has been.
     free = verified(
-        problem,
-        index,
-        belief_of(problem).posterior,
-        CROSSING[0],
-        CROSSING,
-        history=history,
+        problem, index, belief_of(problem).posterior, CROSSING[0], CROSSING, history=history
     )
     assert free.verdict is Verdict.VERIFIED
 

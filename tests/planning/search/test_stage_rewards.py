@@ -22,9 +22,7 @@ def rewards_of(problem, reach_m=6.0):
     field.refresh(context, reach_m)
     count = problem.planner.horizon
     guide = Guide(
-        problem.constraints.p_min,
-        np.full(count, problem.constraints.p_min > 0.0),
-        np.zeros(count),
+        problem.constraints.p_min, np.full(count, problem.constraints.p_min > 0.0), np.zeros(count)
     )
     return StageRewards(context, field, guide), field, context
 

@@ -60,12 +60,7 @@ def test_a_joint_team_tells_more_than_a_decoupled_one(seed):
     )
 
 
-@pytest.mark.parametrize(
-    "terms",
-    [
-        (MAPPING,),
-    ],
-)
+@pytest.mark.parametrize("terms", [(MAPPING,)])
 def test_rounds_never_make_the_team_worse(terms):
     """After each further round the plans are worth at least as much together."""
     worths = []

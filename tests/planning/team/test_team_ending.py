@@ -8,14 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import shapely
-from terms_scene import (
-    CONNECT,
-    LEARNING,
-    TRACKING,
-    context_of,
-    scorer_of,
-    terms_problem,
-)
+from terms_scene import CONNECT, LEARNING, TRACKING, context_of, scorer_of, terms_problem
 
 import planopt.planning.planners as one_step_module
 from planopt import Measurements, Obstacle, Verdict, check

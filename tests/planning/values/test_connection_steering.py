@@ -13,10 +13,7 @@ from terms_scene import CONNECT, context_of, scorer_of, terms_problem
 from planopt import Measurements
 from planopt.channel import condition
 from planopt.channel.kriging import predict
-from planopt.objectives.terms.until_connected import (
-    charged_distance_m,
-    search_length_m,
-)
+from planopt.objectives.terms.until_connected import charged_distance_m, search_length_m
 from planopt.planning.loop.log import Outcome
 from planopt.planning.scene import build_ground
 from planopt.planning.search.steering import ConnectionSteering
@@ -167,8 +164,7 @@ def test_a_mirrored_scene_steers_to_the_mirrored_place():
     parameters, taken = context.posterior.parameters, context.posterior.measurements
     station = replace(parameters.station, position_m=tuple(mirror(parameters.station.position_m)))
     posterior = condition(
-        replace(parameters, station=station),
-        measured(mirror(taken.positions_m), taken.power_dbm),
+        replace(parameters, station=station), measured(mirror(taken.positions_m), taken.power_dbm)
     )
     there = tuple(float(part) for part in mirror(context.position_m))
     problem = search_problem(there, -36.0)

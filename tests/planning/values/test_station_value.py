@@ -6,12 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from terms_scene import (
-    CONNECT,
-    LEARNING,
-    context_of,
-    terms_problem,
-)
+from terms_scene import CONNECT, LEARNING, context_of, terms_problem
 
 from planopt.channel import joint_prediction
 from planopt.channel.cholesky import semidefinite_factor

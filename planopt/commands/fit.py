@@ -537,7 +537,7 @@ def _in_words(data: dict[str, Any]) -> str:
     for name, unit in UNITS.items():
         error = shown_number(data["standard_errors"][name], digits=2)
         value = f"{shown_number(data[name]):>9} +- {error} {unit}"
-        lines.append(f"  {name:17}{value:22}{PARAMETER_WORDS[name]}")
+        lines.append(f"  {name:17}{value:22} {PARAMETER_WORDS[name]}")
     for offset in data["receiver_offsets"]:
         error = shown_number(offset["standard_error"], digits=2)
         lines.append(

@@ -51,7 +51,8 @@ def export_path(
         with progress("writing"):
             found.save_recording(out)
         robots = len(found.problem.robots)
-        show(json, {"file": str(out), "robots": robots}, f"{out}: recording of {robots} robots")
+        words = f"{out}: recording of {robots} robot{'' if robots == 1 else 's'}"
+        show(json, {"file": str(out), "robots": robots}, words)
         return 0
     path = path_of_result(found, 0 if robot is None else robot)
     save_path(path, out, place, altitude)

@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 72_129,
-    "lines of code": 52_150,
+    "lines": 72_150,
+    "lines of code": 52_166,
     "files": 290,
-    "functions": 3_754,
-    "docstring lines": 8_207,
-    "lines of tests": 48_541,
+    "functions": 3_755,
+    "docstring lines": 8_208,
+    "lines of tests": 48_550,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

@@ -116,6 +116,7 @@ def _read_and_fit(options: LogOptions, log_format: LogFormat, site: Station | No
     search = _station_method(options.station_method, station_is_given=site is not None)
     forgetting_s = _forgetting_s(options)
     read = read_power_log(options.log, log_format)
+    warnings = log_warnings(read)
 
     def fit(measurements: Measurements) -> ChannelFit:
         if site is not None:
@@ -127,8 +128,10 @@ def _read_and_fit(options: LogOptions, log_format: LogFormat, site: Station | No
     try:
         found = fit(read.measurements)
     except InputError as error:
+        remedy = "; ".join(filter(None, (*warnings, error.remedy))) or None
+        error = InputError(error.message, key=error.key, row=error.row, remedy=remedy)
         raise at_file_line(error, options.log, log_format) from None
-    warnings = (*log_warnings(read), *found.warnings)
+    warnings = (*warnings, *found.warnings)
     return LogFit(read.measurements, found, read.receivers, fit, log_format, warnings)
 
 

@@ -115,7 +115,8 @@ class FormatOptions:
         ),
     ] = None
     power_unit: Annotated[
-        str | None, option("--power-unit", "dBm|mW", "Unit of powers; default: detected.")
+        str | None,
+        option("--power-unit", "dBm|mW", "Unit of powers; default: detected from name and values."),
     ] = None
     reader: Annotated[
         str | None, option("--reader", "NAME", "Program that wrote the log; default: detected.")

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from planopt.channel.logs.power_log import PowerLog
+from planopt.channel.logs.power_log import DETECTED_MW, PowerLog
 from planopt.channel.measurements import Measurements
 from planopt.errors import InputError
 from planopt.problems.library import read_toml
@@ -45,6 +45,8 @@ def log_warnings(log: PowerLog) -> list[str]:
     """Return warnings about a log, such as degrees read as metres or powers in another unit."""
     remark = None if log.columns.reader is None else log.columns.reader.remark
     remarks = [] if remark is None else [remark]
+    if log.power_unit == DETECTED_MW:
+        remarks.append(f"powers are in {DETECTED_MW}, and become dBm (else give --power-unit dBm)")
     return [*remarks, *_transmitters(log), *_degrees(log), *_powers(log.measurements, "the log")]
 
 
@@ -91,7 +93,7 @@ def _powers(measurements: Measurements, source: str) -> Iterator[str]:
     if 0.0 <= least and most <= 1.0:
         yield (
             f"the powers of {source}, {least:.3g} to {most:.3g}, look like milliwatts and count as "
-            "dBm (convert them: 10 log10 of the power in mW)"
+            "dBm (give --power-unit mW, or 10 log10 of the power in mW)"
         )
     elif np.median(power) > 0.0:
         yield (

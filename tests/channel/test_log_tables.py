@@ -104,10 +104,10 @@ def test_a_missing_column_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "unit"), [("power_mW", None), ("power", "mW"), ("rx_power_mw", None)]
+    ("name", "unit"), [("power_mW", None), ("power", "mW"), ("rx_power_mw", None), ("power", None)]
 )
 def test_milliwatts(name: str, unit: str | None, tmp_path: Path) -> None:
-    """From the name of the column or from the option; zero has no logarithm."""
+    """From the column's name or values or from the option; zero has no logarithm."""
     path = written(tmp_path, f"x,y,{name}\n1,2,1\n3,4,1e-6\n")
     columns = (None, None, name)
     log = read_log(path, LogFormat(columns, power_unit=unit))  # pyright: ignore[reportArgumentType]

@@ -120,7 +120,7 @@ def test_a_station_in_degrees(log: Path, capsys) -> None:
     [
         ("x=lon,y=lat,power=dbm", "look like degrees"),
         ("x=x,y=y,power=loss", "write the minus sign"),
-        ("x=x,y=y,power=linear", "look like milliwatts"),
+        ("x=x,y=y,power=linear", "in mW, as their values show"),
     ],
 )
 def test_logs_in_other_units(columns: str, words: str, log: Path, capsys) -> None:
@@ -128,6 +128,15 @@ def test_logs_in_other_units(columns: str, words: str, log: Path, capsys) -> Non
     code, data = fitted(log, columns, "-30,20", capsys)
     assert words in data["warnings"][0]
     assert code == (3 if data["status"] == "degenerate" else 0)
+
+
+def test_milliwatts_that_count_as_dbm(log: Path, capsys) -> None:
+    """The refusal of an unknown station names the unit; without the option the fit succeeds."""
+    arguments = ["fit", str(log), "--station=unknown", "--columns", "x=x,y=y,power=linear"]
+    refused_command(capsys, *arguments, "--power-unit", "dBm")
+    _, linear = fitted(log, "x=x,y=y,power=linear", "unknown", capsys)
+    _, dbm = fitted(log, "x=x,y=y,power=dbm", "unknown", capsys)
+    assert linear["station"] == pytest.approx(dbm["station"], abs=0.1)
 
 
 def test_a_degenerate_fit(log: Path, capsys) -> None:

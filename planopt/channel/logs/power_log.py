@@ -52,9 +52,12 @@ class PowerLog:
     # Labels by receiver number, the reference first; empty without a receiver column
     receivers: tuple[str, ...]
     columns: LogColumns
-    power_unit: str
+    power_unit: str  # dBm, mW or `DETECTED_MW`
     transmitters: Mapping[str, int]  # Numbers of readings; empty without a transmitter column
 
+
+DETECTED_MW = "mW, as their values show"
+"""Unit of powers that are not declared as milliwatts, but lie between 0 and 1."""
 
 Source = Path | str | Frame
 """A log file, or a data frame."""
@@ -99,8 +102,8 @@ def measurements_of(table: LogTable, columns: LogColumns, log_format: LogFormat)
     named = (columns.x, columns.y, columns.power)
     cells = [table.numbers(name) for name in named]
     x, y, power = (np.array([cell.number() for cell in column]) for column in cells)
-    unit = log_format.power_unit or ("mW" if columns.power.lower().endswith("mw") else "dBm")
-    if unit == "mW":
+    unit = log_format.power_unit or _power_unit(columns.power, power)
+    if unit != "dBm":
         power = _from_milliwatts(cells[2], power)
     censored = np.zeros(len(power), dtype=np.bool_)
     if log_format.censored_column is not None:
@@ -137,11 +140,22 @@ def measurements_of(table: LogTable, columns: LogColumns, log_format: LogFormat)
     return PowerLog(measurements, tuple(number_of), columns, unit, heard)
 
 
+def _power_unit(name: str, power: NDArray[np.float64]) -> str:
+    """Return the unit of powers that a column's name or the values show."""
+    if name.lower().endswith("mw"):
+        return "mW"
+    # A receiver measures less than 0 dBm, which is 1 mW.
+    between = len(power) and 0.0 <= power.min() and 0.0 < power.max() <= 1.0
+    return DETECTED_MW if between else "dBm"
+
+
 def _from_milliwatts(cells: Sequence[Cell], power: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return powers in mW converted to dBm; raise an error for a power of zero."""
     if (power <= 0.0).any():
         cell = cells[int(np.argmax(power <= 0.0))]
-        raise cell.error("the power in mW should be above 0", "remove the row, or write dBm")
+        raise cell.error(
+            "the power in mW should be above 0", "remove the row, or give --power-unit dBm"
+        )
     return 10.0 * np.log10(power)
 
 

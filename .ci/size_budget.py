@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 72_150,
-    "lines of code": 52_166,
+    "lines": 72_206,
+    "lines of code": 52_213,
     "files": 290,
-    "functions": 3_755,
-    "docstring lines": 8_208,
-    "lines of tests": 48_550,
+    "functions": 3_757,
+    "docstring lines": 8_211,
+    "lines of tests": 48_580,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

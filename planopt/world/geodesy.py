@@ -134,7 +134,7 @@ def turn_deg(origin_deg: Origin) -> float:
 
 def plane_of(origin_deg: Origin) -> str:
     """Return the PROJ definition of the tangent plane at an origin, without its rotation."""
-    latitude, longitude = origin_deg[:2]
+    latitude, longitude = map(float, origin_deg[:2])
     return f"+proj=ortho +lat_0={latitude!r} +lon_0={longitude!r} +ellps=WGS84 +units=m +no_defs"
 
 

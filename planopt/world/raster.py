@@ -96,7 +96,8 @@ def nearest_cells(
             f"the position ({x:g}, {y:g}) m is outside the map, which covers x from "
             f"{raster.x_m[0]:g} to {raster.x_m[-1]:g} m and y from {raster.y_m[0]:g} to "
             f"{raster.y_m[-1]:g} m",
-            remedy="use a larger map, or keep starts, goals and world.bounds_m within it",
+            remedy="use a larger map, or keep starts, goals and world.bounds_m within it; "
+            "channel.truth.origin_deg places maps with a reference system in the frame",
         )
     ix, iy = np.clip(cells, 0, last_cell).astype(np.int64).T
     return iy, ix

@@ -5,9 +5,10 @@ CSV files have a row per cell with its centre ``x_m, y_m`` and a column per vari
 have variables on dimensions ``y, x``. They are written as NetCDF-3, which SciPy and all other
 readers support; reading NetCDF-4 needs the extra h5netcdf. GeoTIFF needs the extra rasterio and has
 a band per variable with the row of largest y first. Its coordinates are metres in the frame unless
-the origin of the frame is known: then a GeoTIFF in degrees or in any other reference system is
-resampled into the frame by bilinear interpolation. With the origin, GeoTIFF is written with its
-reference system, and NetCDF with longitude and latitude of each cell as CF describes.
+the origin of the frame is known: then a GeoTIFF in any reference system, also in degrees, or a
+NetCDF file with ``crs_wkt`` is resampled into the frame by bilinear interpolation. With the origin,
+GeoTIFF is written with its reference system, and NetCDF as CF describes: with longitude and
+latitude of each cell and, for axes that point east and north, with a grid mapping.
 
 Sionna RT radio maps are saved by
 ``savez(file, path_gain=map.path_gain.numpy(), cell_centers=map.cell_centers.numpy())``. Their gains
@@ -16,6 +17,7 @@ are linear, and zero means that no path was found.
 
 from __future__ import annotations
 
+import contextlib
 import io
 import math
 import re
@@ -40,7 +42,15 @@ from planopt.files.reading import (
     require_array_size,
 )
 from planopt.files.writing import write_whole
-from planopt.world.geodesy import FARTHEST_M, Origin, longitude_latitude_deg, plane_of, turn_deg
+from planopt.world.geodesy import (
+    EQUATOR_RADIUS_M,
+    FARTHEST_M,
+    FLATTENING,
+    Origin,
+    longitude_latitude_deg,
+    plane_of,
+    turn_deg,
+)
 from planopt.world.raster import Raster, checked_raster
 
 HDF5_SIGNATURE = b"\x89HDF"
@@ -63,6 +73,13 @@ def write_netcdf(path: Path, rasters: Mapping[str, Raster], origin_deg: Origin |
             coordinate[:] = axis
             coordinate.units = "m"
             coordinate.axis = name.upper()
+            coordinate.standard_name = f"projection_{name}_coordinate"
+        # CF has no grid mapping for turned axes.
+        is_mapped = origin_deg is not None and turn_deg(origin_deg) == 0.0
+        if is_mapped:
+            system = file.createVariable("crs", "i", ())
+            for name, value in _cf_system(origin_deg).items():
+                setattr(system, name, value)
         if origin_deg is not None:
             x, y = np.meshgrid(first.x_m, first.y_m)
             degrees = longitude_latitude_deg(np.stack([x.ravel(), y.ravel()], axis=1), origin_deg)
@@ -76,18 +93,44 @@ def write_netcdf(path: Path, rasters: Mapping[str, Raster], origin_deg: Origin |
             variable.units, variable.long_name = raster.unit, raster.quantity
             if origin_deg is not None:
                 variable.coordinates = " ".join(DEGREES)
+            if is_mapped:
+                variable.grid_mapping = "crs"
 
 
-def read_netcdf(path: Path, variable: str) -> Raster:
+def _cf_system(origin_deg: Origin) -> dict[str, Any]:
+    """Return the attributes of the grid mapping of the tangent plane at an origin."""
+    names = ("latitude_of_projection_origin", "longitude_of_projection_origin")
+    found: dict[str, Any] = {
+        **{"grid_mapping_name": "orthographic", "false_easting": 0.0, "false_northing": 0.0},
+        **{"semi_major_axis": EQUATOR_RADIUS_M, "inverse_flattening": 1.0 / FLATTENING},
+        **dict(zip(names, origin_deg, strict=False)),
+    }
+    with contextlib.suppress(ImportError):
+        from rasterio import CRS
+
+        found["crs_wkt"] = CRS.from_string(plane_of(origin_deg)).to_wkt(version="WKT2_2019")
+    return found
+
+
+def read_netcdf(path: Path, variable: str, origin_deg: Origin | None = None) -> Raster:
     """Return one variable of a NetCDF file, on dimensions ``y, x`` with coordinates."""
     content = read_bytes(path)
     read = _read_hdf5 if content.startswith(HDF5_SIGNATURE) else _read_classic
     with foreign_reader(path, "a NetCDF file"):
-        (y, x, values), attributes = read(path, content, variable)
+        (y, x, values), attributes, system = read(path, content, variable)
     if y.ndim == 1 and y.size > 1 and y[0] > y[-1]:
         y, values = y[::-1], values[::-1]
     quantity, unit = (_text(attributes.get(name)) for name in ("long_name", "units"))
-    return replace(checked_raster(x, y, values, variable), quantity=quantity, unit=unit)
+    found = replace(checked_raster(x, y, values, variable), quantity=quantity, unit=unit)
+    if origin_deg is None:
+        return found
+    rasterio = import_rasterio(path)
+    with foreign_reader(path, "a NetCDF file"):
+        (wide, high), west = found.cell_m, found.x_m[0] - found.cell_m[0] / 2.0
+        placed = rasterio.Affine(wide, 0.0, west, 0.0, -high, found.y_m[-1] + high / 2.0)
+        crs = rasterio.CRS.from_wkt(system) if system else None
+        values, placed = _in_frame(crs, placed, found.values[::-1], origin_deg, path)
+    return _placed(values, placed, variable, quantity, unit)
 
 
 def _text(value: object) -> str:
@@ -96,7 +139,7 @@ def _text(value: object) -> str:
     return text.strip("\0 ") if isinstance(text, str) else ""
 
 
-_Read = tuple[list[Floats], Mapping[str, Any]]
+_Read = tuple[list[Floats], Mapping[str, Any], str]
 
 
 class _BoundedBytes(io.BytesIO):
@@ -117,7 +160,7 @@ class _BoundedBytes(io.BytesIO):
 
 
 def _read_classic(path: Path, content: bytes, variable: str) -> _Read:
-    """Return y, x and the variable of a NetCDF-3 file, with the variable's attributes."""
+    """Return y, x and the variable of a NetCDF-3 file, its attributes and reference system."""
     from scipy.io import netcdf_file
 
     class Reader(netcdf_file):
@@ -130,11 +173,13 @@ def _read_classic(path: Path, content: bytes, variable: str) -> _Read:
     found = [
         _floats(held[name].data, vars(held[name]), path, name) for name in (*NETCDF_AXES, variable)
     ]
-    return found, vars(held[variable])
+    attributes = vars(held[variable])
+    mapping = held.get(_text(attributes.get("grid_mapping")))
+    return found, attributes, "" if mapping is None else _text(vars(mapping).get("crs_wkt"))
 
 
 def _read_hdf5(path: Path, content: bytes, variable: str) -> _Read:
-    """Return y, x and the variable of a NetCDF-4 file, with the variable's attributes."""
+    """Return y, x and the variable of a NetCDF-4 file, its attributes and reference system."""
     try:
         import h5netcdf
         import h5py
@@ -163,7 +208,9 @@ def _read_hdf5(path: Path, content: bytes, variable: str) -> _Read:
                 _floats(held[name][...], held[name].attrs, path, name)
                 for name in (*NETCDF_AXES, variable)
             ]
-            return found, dict(held[variable].attrs)
+            attributes = dict(held[variable].attrs)
+            mapping = held.get(_text(attributes.get("grid_mapping")))
+            return found, attributes, "" if mapping is None else _text(mapping.attrs.get("crs_wkt"))
 
 
 def _require_map(held: Mapping[str, tuple[str, ...]], variable: str) -> None:
@@ -279,19 +326,25 @@ def read_geotiff(path: Path, variable: str, origin_deg: Origin | None = None) ->
         transform, system = rasterio.Affine.rotation(-turn) * file.transform, file.crs
         in_degrees = system is not None and system.is_geographic
         if origin_deg is not None:
-            values, transform = _in_frame(file, values, origin_deg, path)
+            values, transform = _in_frame(system, file.transform, values, origin_deg, path)
             in_degrees = False
     sheared = max(abs(transform.b), abs(transform.d)) > 1e-9 * abs(transform.a)
     if sheared or transform.is_identity:
         raise InputError(
             "the map is rotated or has no coordinates",
-            remedy="resample it to axis-parallel cells in metres",
+            remedy="give the origin of the frame, origin_deg = [LAT, LON], if the file has a "
+            "reference system; else resample it to axis-parallel cells in metres",
         )
     if in_degrees:
         raise InputError(
             "the coordinates are in degrees",
             remedy="give the origin of the frame: origin_deg = [LAT, LON]",
         )
+    return _placed(values, transform, variable, quantity, unit)
+
+
+def _placed(values: Floats, transform: Any, variable: str, quantity: str, unit: str) -> Raster:
+    """Return the raster of values whose axis-parallel cells a transform places."""
     rows, columns = values.shape
     with np.errstate(all="ignore"):  # non-finite coordinates
         x = transform.c + transform.a * (np.arange(columns) + 0.5)
@@ -301,11 +354,13 @@ def read_geotiff(path: Path, variable: str, origin_deg: Origin | None = None) ->
     return replace(checked_raster(x, y, values, variable), quantity=quantity, unit=unit)
 
 
-def _in_frame(file: Any, values: Floats, origin_deg: Origin, path: Path) -> tuple[Floats, Any]:
-    """Return a GeoTIFF's values, resampled to cells along a frame's axes, and their transform."""
+def _in_frame(
+    system: Any, source: Any, values: Floats, origin_deg: Origin, path: Path
+) -> tuple[Floats, Any]:
+    """Return a map's values, resampled to cells along a frame's axes, and their transform."""
     from rasterio import Affine, transform, warp
 
-    if file.crs is None:
+    if system is None:
         raise InputError(
             "the map has no reference system, so that its place is unknown",
             key="origin_deg",
@@ -315,8 +370,8 @@ def _in_frame(file: Any, values: Floats, origin_deg: Origin, path: Path) -> tupl
     turn = Affine.rotation(turn_deg(origin_deg))
     row, column = np.indices((rows + 1, columns + 1)).reshape(2, -1)
     edge = (row % rows == 0) | (column % columns == 0)
-    places = transform.xy(file.transform, row[edge], column[edge], offset="ul")
-    x, y = ~turn * np.array(warp.transform(file.crs, plane, *places))
+    places = transform.xy(source, row[edge], column[edge], offset="ul")
+    x, y = ~turn * np.array(warp.transform(system, plane, *places))
     if not np.isfinite(x).all() or max(np.abs(x).max(), np.abs(y).max()) > FARTHEST_M:
         raise InputError(
             f"the map is more than {FARTHEST_M / 1000.0:.0f} km from the origin",
@@ -337,8 +392,8 @@ def _in_frame(file: Any, values: Floats, origin_deg: Origin, path: Path) -> tupl
     warp.reproject(
         values,
         found,
-        src_transform=file.transform,
-        src_crs=file.crs,
+        src_transform=source,
+        src_crs=system,
         src_nodata=np.nan,
         dst_transform=turn * placed,
         dst_crs=plane,
@@ -571,18 +626,18 @@ WRITERS: dict[str, Callable[[Path, Mapping[str, Raster], Origin | None], None]] 
 
 
 def read_raster(path: Path, variable: str, origin_deg: Origin | None = None) -> Raster:
-    """Return one variable of a raster file; `origin_deg` needs a GeoTIFF with reference system."""
+    """Return one variable of a raster file; `origin_deg` needs a file with a reference system."""
     reader = READERS[raster_ending(path)]
     try:
         if origin_deg is None:
             return reader(path, variable)
-        if reader is not read_geotiff:
+        if reader not in (read_geotiff, read_netcdf):
             raise InputError(
                 "has no reference system, so that its place is unknown",
                 key="origin_deg",
                 remedy="leave out origin_deg, or give a GeoTIFF",
             )
-        return read_geotiff(path, variable, origin_deg)
+        return (read_netcdf if reader is read_netcdf else read_geotiff)(path, variable, origin_deg)
     except InputError as error:
         raise error.located(path) from error.__cause__
 

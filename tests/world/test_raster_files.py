@@ -179,6 +179,33 @@ def test_degrees_of_each_cell(ending: str, tmp_path: Path) -> None:
                 np.testing.assert_allclose(found.values, degrees_of(MEAN)[..., number])
 
 
+def test_the_grid_mapping_of_netcdf(tmp_path: Path) -> None:
+    """PROJ reads the attributes of CF and agrees with the degrees of each cell; so does planopt."""
+    crs = pytest.importorskip("pyproj").CRS
+    xarray = pytest.importorskip("xarray")
+    from pyproj import Transformer
+
+    path, x = tmp_path / "map.nc", 10.0 * np.arange(30.0)
+    plane = Raster(x, x, x + 2.0 * x[:, None], "received power", "dBm")
+    write_rasters(path, {"mean_db": plane}, ORIGIN[:2])
+    with xarray.open_dataset(path, engine="scipy") as data:
+        attributes = data[data.mean_db.attrs["grid_mapping"]].attrs
+        degrees = np.stack([data.longitude.values, data.latitude.values])
+    places = np.meshgrid(x, x)
+    for system in (crs.from_wkt(attributes.pop("crs_wkt")), crs.from_cf(attributes)):
+        found = Transformer.from_crs(system, 4326, always_xy=True).transform(*places)
+        np.testing.assert_allclose(found, degrees, atol=1e-9)
+    np.testing.assert_array_equal(read_raster(path, "mean_db").values, plane.values)
+    longitude, latitude = longitude_latitude_deg(np.array([[20.0, 50.0]]), ORIGIN[:2])[0]
+    moved = read_raster(path, "mean_db", (latitude, longitude))
+    inner = np.isfinite(moved.values)
+    expected = moved.x_m + 20.0 + 2.0 * (moved.y_m[:, None] + 50.0)
+    assert inner.mean() > 0.9
+    np.testing.assert_allclose(moved.values[inner], expected[inner], atol=0.01)
+    with refused():
+        read_raster(netcdf(tmp_path / "plain.nc", ("y", "x")), "gain", ORIGIN)
+
+
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".nc", ".tif"])
 def test_a_variable_that_is_not_there(tmp_path: Path, ending: str) -> None:
     """The error names what the file holds."""
@@ -364,17 +391,21 @@ def test_geotiff_that_is_no_map_in_metres(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("system", ["EPSG:4326", "EPSG:32632", "EPSG:3857"])
-@pytest.mark.parametrize("origin", [ORIGIN[:2], ORIGIN])
+@pytest.mark.parametrize(("origin", "turn"), [(ORIGIN[:2], 0.0), (ORIGIN, 0.0), (ORIGIN, 25.0)])
 def test_geotiff_in_another_reference_system(
-    system: str, origin: tuple[float, ...], tmp_path: Path
+    system: str, origin: tuple[float, ...], turn: float, tmp_path: Path
 ) -> None:
-    """With an origin, each cell has the value of its place on the earth, outside there is none."""
+    """With an origin, each cell has the value of its place on the earth, even of a turned map."""
     rasterio = pytest.importorskip("rasterio")
     warp = pytest.importorskip("rasterio.warp")
     centre = warp.transform("EPSG:4326", system, [ORIGIN[1]], [ORIGIN[0]])
     side = 1e-4 if system == "EPSG:4326" else 10.0
-    west, north = centre[0][0] - 20.0 * side, centre[1][0] + 20.0 * side
-    options = {"transform": rasterio.Affine(side, 0.0, west, 0.0, -side, north), "crs": system}
+    affine = rasterio.Affine
+    along, across = side * np.cos(np.radians(turn)), side * np.sin(np.radians(turn))
+    west = centre[0][0] - 20.0 * (along + across)
+    north = centre[1][0] + 20.0 * (along - across)
+    transform = affine(along, across, west, across, -along, north)
+    options = {"transform": transform, "crs": system}
     options |= {"driver": "GTiff", "width": 40, "height": 40, "count": 1, "dtype": "float64"}
     with rasterio.open(tmp_path / "a.tif", "w", **options) as file:
         row, column = np.indices((40, 40))
@@ -390,8 +421,7 @@ def test_geotiff_in_another_reference_system(
     assert known[inner].all()
     np.testing.assert_allclose(found.values[inner], (x + y)[inner], atol=0.2)
     for name, place in (("a.tif", (10.0, 11.0)), ("b.tif", origin)):
-        affine = rasterio.Affine(2.0, 0.0, 0.0, 0.0, -2.0, 0.0)
-        geotiff(tmp_path / "b.tif", transform=affine)
+        geotiff(tmp_path / "b.tif", transform=affine(2.0, 0.0, 0.0, 0.0, -2.0, 0.0))
         with refused():
             read_raster(tmp_path / name, "power", place)
 

@@ -13,11 +13,11 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 72_206,
+    "lines": 71_538,
     "lines of code": 52_213,
     "files": 290,
     "functions": 3_757,
-    "docstring lines": 8_211,
+    "docstring lines": 7_543,
     "lines of tests": 48_580,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""

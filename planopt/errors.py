@@ -1,8 +1,4 @@
-"""Errors raised by planopt: the fault, its location and a remedy.
-
-Bad input raises no other exception. The command line maps :class:`InputError` and
-:class:`OutputError` to exit code 2.
-"""
+"""Errors raised by planopt: the fault, its location and a remedy."""
 
 from __future__ import annotations
 

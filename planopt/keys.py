@@ -2,12 +2,8 @@
 
 Type, range and meaning of a key are declared once, at the field of the dataclass and in the
 docstring below it. The table of a problem file, its JSON schema, the documentation and the error
-messages are derived from this declaration. A part made in Python is validated against the same
-table as one read from a file.
-
-Numbers must be finite, booleans are not integers, text is not a number, and an unknown key is an
-error. An error message reports one of the faults that pydantic finds: the key as written in the
-file, its value, the allowed values, and the nearest known key if the key itself is wrong.
+messages are derived from this declaration. Numbers must be finite, booleans are not integers, text
+is not a number, and an unknown key is an error.
 """
 
 from __future__ import annotations

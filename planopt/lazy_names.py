@@ -1,10 +1,4 @@
-"""Import of a package's public names on first use.
-
-The stub ``__init__.pyi`` next to a package's ``__init__.py`` lists each public name once, as ``from
-module import Name as Name``; subpackages are listed like names. Both type checkers and
-:func:`lazy_names` read the stub. The error for an unknown name gives its location in another
-package, found in the stubs of all packages, or the most similar name.
-"""
+"""Import of a package's public names on first use, as listed by its stub ``__init__.pyi``."""
 
 from __future__ import annotations
 
@@ -22,10 +16,7 @@ LIKE = 0.75
 def lazy_names(
     package: str, file: str
 ) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package with lazy public names.
-
-    The top package also has ``__version__``, from its metadata.
-    """
+    """Return ``__getattr__``, ``__dir__`` and ``__all__`` of a package with lazy public names."""
     modules = _listed_names(f"{file}i")
 
     def find(name: str) -> Any:

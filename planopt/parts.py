@@ -1,8 +1,4 @@
-"""Parts of a problem: type checks, registries by name, and errors in user-defined parts.
-
-Terms, rules, dynamics, planners and ground truths may be user-defined. If their code raises an
-exception or returns a wrong value, :class:`planopt.errors.InputError` names class, method and line.
-"""
+"""Parts of a problem: type checks, registries by name, and errors in user-defined parts."""
 
 from __future__ import annotations
 

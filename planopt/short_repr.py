@@ -1,8 +1,4 @@
-"""Short text representations of objects with arrays, for ``print`` and interactive prompts.
-
-A dataclass with array fields sets ``__repr__ = short_repr``. Arrays are shown by shape and range,
-long tuples by their length; omitted parts are shown as ``...``.
-"""
+"""Short text representations of objects with arrays, for ``print`` and interactive prompts."""
 
 from __future__ import annotations
 

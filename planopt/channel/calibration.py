@@ -1,17 +1,10 @@
 """Calibration of predictions: ratios over groups, and reliability tables.
 
-Powers of one walk, and steps of one run, are correlated: thousands of them may contain as much
-information as a handful of independent ones. Intervals are therefore based on groups. The variance
-of a ratio of sums is estimated by linearisation, as in cluster sampling. For g groups the quantiles
-are those of Student's t with g - 1 degrees of freedom.
-
-A reliability table bins predictions by the predicted probability of connection and compares the
-mean of each bin with the realised share. Its intervals are those of Korn and Graubard for surveys
-("Confidence intervals for proportions with small expected number of positive counts estimated from
-survey data", Survey Methodology 24(2), 1998): the share's variance gives the effective number of
-independent outcomes, whose exact binomial interval is used. If all outcomes in a bin are equal, the
-effective number is the number of groups, so that the interval has a positive width. The interval of
-a bootstrap over groups would have none.
+Powers of one walk, and steps of one run, are correlated. Intervals are therefore based on groups:
+linearised variances of ratios as in cluster sampling, and Student's t with g - 1 degrees of freedom
+for g groups. Intervals of a reliability table are those of Korn and Graubard for surveys ("Survey
+Methodology" 24(2), 1998); if all outcomes of a bin are equal, the effective number of independent
+outcomes is the number of groups.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 """Posterior maps of received power, on a user's grid or on a planner's lattice.
 
 In :class:`TileMap` the nodes of a square tile share the measurements nearest to its centre. A new
-measurement changes only nearby tiles: two rank-one updates put it in place of the farthest one. If
-only theta changes, the stored kriging terms are reused. All tiles are recomputed if the channel
-varies in time, or with several receivers, whose offsets change with every measurement.
+measurement changes only nearby tiles: two rank-one updates put it in place of the farthest one.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
 # pyright: basic
 """Typed wrappers of LAPACK's Cholesky factorisations and triangular solves.
 
-Fits need many small factorisations, which do not benefit from BLAS threads: on a busy machine,
-waiting threads made a fit of 102 measurements take 6 s instead of 20 ms. :func:`one_blas_thread`
-also makes results independent of the number of cores.
+On a busy machine, waiting BLAS threads made a fit of 102 measurements take 6 s instead of 20 ms.
 """
 
 from __future__ import annotations

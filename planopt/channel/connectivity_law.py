@@ -1,26 +1,10 @@
 """Probability law of connectivity for one station, several stations or uncertain parameters.
 
 A :class:`ConnectivityLaw` gives the probability that a robot is connected at a position, the margin
-in dB of the chance constraint, and joint samples of the power along a path.
-
-With powers P_i and thresholds t_i of stations with independent fading,
-
-    S = max_i (P_i - t_i) + t_1
-
-is the serving power for the first threshold: a position is connected to at least one station if and
-only if S >= t_1. S is not normal. It is represented by the normal law with the same probability of
-S >= t_1 and the same margin, i.e. the same power exceeded with probability p_min. The margin is the
-amount by which all thresholds may rise until the chance constraint is active.
-
-Multipath is constant at a position. A reading within `SAME_PLACE_M` is therefore the power of any
-later packet there. It replaces the prediction and has standard deviation zero.
-
-Station i connects with probability Phi(z_i). For independent stations
-
-    P(any) = 1 - prod (1 - Phi(z_i)) = Phi(z)
-
-defines the combined score z, which remains informative if P rounds to 0 or 1. It is computed from
-the logarithms of both tails and has twelve correct digits from -1e3 to 1e3.
+in dB of the chance constraint, and joint samples of the power along a path. The serving power of
+several stations (equation 3.5) is represented by the normal law with the same probability of
+connection and the same margin. The combined score (equation 3.3) is computed from the logarithms of
+both tails, so that it remains informative if the probability rounds to 0 or 1.
 """
 
 from __future__ import annotations
@@ -66,13 +50,7 @@ def any_score(scores: NDArray[np.float64]) -> NDArray[np.float64]:
 def any_score_derivatives(
     scores: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Return the combined score z, its gradient (m, ...) and Hessian for finite scores (m, ...).
-
-    With phi the normal density, Q = prod (1 - Phi(z_j)) and h_j = phi(z_j) / (1 - Phi(z_j)):
-
-        w_i = dz/dz_i = phi(z_i) / phi(z) prod_{j != i} (1 - Phi(z_j))
-        d^2z/dz_i dz_j = w_i (z w_j - h_j),    d^2z/dz_i^2 = w_i (z w_i - z_i)
-    """
+    """Return z, its gradient (m, ...) and Hessian for finite scores (m, ...) (equation 3.4)."""
     none_each = _log_normal(-scores)
     none = none_each.sum(axis=0)
     z = _score(_log_any(scores), none)
@@ -164,11 +142,7 @@ def above_thresholds_db(
 def any_margin_db(
     above_db: NDArray[np.float64], deviation_db: NDArray[np.float64], p_min: float
 ) -> NDArray[np.float64]:
-    """Return the common rise (n,) of the thresholds that makes P(connected to any) = `p_min`.
-
-    The combined score :func:`any_score` is convex and decreasing in the rise, so Newton's method
-    converges from the margin of the best station. Inputs have shape (m, n) for m stations.
-    """
+    """Return the common rise (n,) of the thresholds that makes P(connected to any) = `p_min`."""
     wanted = bound_quantile(p_min)
     shared = bound_quantile(-math.expm1(math.log1p(-p_min) / len(above_db)))
     low: NDArray[np.float64] = (above_db - wanted * deviation_db).max(axis=0)
@@ -227,11 +201,7 @@ def known_power(
 def _power_bounds_dbm(
     station: ChannelPosterior, read: NDArray[np.intp] | slice
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return time-independent bounds of the power at the positions of readings.
-
-    Rounding and censoring widen them. A reading of a time-varying channel, with a position error or
-    with a receiver's offset has no bounds.
-    """
+    """Return time-independent bounds of the power at the positions of readings (equation 3.12)."""
     measured = station.measurements
     power, half = measured.power_dbm[read], 0.5 * measured.resolution_db[read]
     free = (measured.receiver[read] != 0) | (measured.position_std_m[read] > 0.0)
@@ -339,11 +309,7 @@ class ConnectivityLaw:
 
 @dataclass(frozen=True, eq=False)
 class UncertainParameters(ConnectivityLaw):
-    """Law of the connection to a single station with uncertain xi, beta, omega and path loss.
-
-    The power is a mixture over covariances. It is represented by the normal law with the mixture's
-    standard deviation and its quantile at the required probability, so that margins are exact.
-    """
+    """Law of the connection to a single station with uncertain xi, beta, omega and path loss."""
 
     marginal: MarginalPosterior
 

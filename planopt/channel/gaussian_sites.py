@@ -1,9 +1,4 @@
-"""Gaussian sites for censored (upper limit only) and coarsely rounded measurements.
-
-A power rounded to steps of r is known within r / 2. If r is at most `FINE_STEP` omega, the
-likelihood is approximately Gaussian with variance omega^2 + r^2 / 12 (Sheppard's correction).
-Coarser steps and limits use expectation propagation (equation 2.11): their likelihoods are
-log-concave, so each is replaced by a Gaussian *site*, a measurement with its own noise.
+"""Gaussian sites for censored and coarsely rounded measurements (equations 2.9 to 2.11).
 
 Differences of distribution functions lose all digits for narrow intervals and far tails. Moments of
 the truncated normal are therefore computed by Gauss-Legendre quadrature of its density, scaled to a

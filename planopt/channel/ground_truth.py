@@ -1,9 +1,7 @@
 """Ground truth: the simulated received power at all positions, with small-scale fading.
 
-Only the simulator reads the ground truth; planners use a posterior. Each fading law (lognormal,
-Nakagami-m, Rician) has unit mean power. Its mean in dB is subtracted, so that the predicted mean
-remains path loss plus shadowing (equation 1.5). Conversions between m, K and omega are exact. The
-pairs (m, omega) of [GM11] correspond to Rician K = 5, 10 and 30.
+Each fading law (lognormal, Nakagami-m, Rician) has unit mean power. Its mean in dB is subtracted,
+so that the predicted mean remains path loss plus shadowing (equation 1.5).
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """Joint prediction of power at several positions: moments, samples, outage and delivered data.
 
-Prediction errors are correlated along a path, so joint events depend on their covariance. The
-longest outage and the data delivered by a deadline have no closed form; they are sampled. Packets
-are sent at the path's positions, with independent multipath. A leg is connected if its end
+Packets are sent at the path's positions, with independent multipath. A leg is connected if its end
 position is, as in the metrics of the closed loop.
 """
 

@@ -1,10 +1,8 @@
 """Kriging: mean and standard deviation of power from all measurements or from the nearest.
 
-:func:`predict` uses all measurements if the posterior has a factor. The local channel model
-(:class:`LocalChannel`) uses the measurements nearest to chosen positions; it serves lattice maps,
-path refinement, the ranking of initial guesses, and long logs. It is an exact posterior given a
-subset of the measurements, so its variance is at least that given all of them. Path loss and
-receivers' offsets come from all measurements, with their uncertainty.
+:class:`LocalChannel` is an exact posterior given the measurements nearest to chosen positions, so
+its variance is at least that given all of them. Path loss and receivers' offsets come from all
+measurements, with their uncertainty.
 """
 
 from __future__ import annotations
@@ -50,11 +48,7 @@ def predict(
     positions_m: ArrayLike,  # (n, 2); memory is bounded for any n
     position_std_m: Floats | None = None,  # (n,)
 ) -> Prediction:
-    """Predict mean and standard deviation of the power that would be measured (equation 1.8).
-
-    All measurements are used if `posterior` has a factor; otherwise theta from all of them, and the
-    `NEIGHBOURS_BEYOND` measurements nearest to each position.
-    """
+    """Predict mean and standard deviation of the power that would be measured (equation 1.8)."""
     places = require_places(positions_m, at_least=0)
     terms = kriging_terms(posterior, places, position_std_m)
     return combine(terms, posterior.theta, posterior.theta_covariance)

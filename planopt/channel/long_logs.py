@@ -3,13 +3,8 @@
 Each measurement is conditioned on the nearest earlier ones (equation 1.18). Only products of the
 whitened columns are stored, so the cost of one more measurement does not depend on their number.
 Receiver offsets have separate columns, because the nearest measurements may be from other receivers
-(equation 1.15). A batch is processed in blocks from coarse to fine, later measurements one by one.
-
-Sites of censored and rounded measurements are matched to the cavities of their powers window by
-window. A window is a block with its nearest measurements. With U the covariance of the window,
-sites as measurements, the cavity of measurement i has mean ``y_i - (U^-1 y)_i / (U^-1)_ii`` and
-variance ``1 / (U^-1)_ii`` less the site's, so one factor serves the whole block. The fixed point is
-that of joint sites, except that measurements outside the window are neglected.
+(equation 1.15). With U the covariance of a window, sites as measurements, the cavity of measurement
+i has mean ``y_i - (U^-1 y)_i / (U^-1)_ii`` and variance ``1 / (U^-1)_ii`` less the site's.
 """
 
 from __future__ import annotations

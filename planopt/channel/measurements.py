@@ -1,15 +1,12 @@
 """Power measurements with their errors, and covariances of measured and predicted powers.
 
-Apart from multipath, two measured powers have the covariance
+Apart from multipath, two measured powers have the covariance (equations 1.13 to 1.15)
 
     xi^2 exp(-sqrt(d^2 + c_i + c_j) / beta) exp(-|t_i - t_j| / T) + s^2 [same receiver, not 0]
 
 with T the forgetting time, s the prior standard deviation of a receiver's offset, and
-c = 1.2 sigma^2 for a recorded position with errors of standard deviation sigma per coordinate
-(equation 1.13, an average of the kernel over the errors). The offset is a random effect, constant
-for each receiver and integrated out, so the mean needs no column for it. Predictions are for
-receiver 0, the reference, and have no offset. Position errors also change the path loss,
-independently for each measurement (equation 1.14).
+c = 1.2 sigma^2 for a recorded position with errors of standard deviation sigma per coordinate.
+Predictions are for receiver 0, the reference, and have no offset.
 """
 
 from __future__ import annotations

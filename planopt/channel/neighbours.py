@@ -1,12 +1,8 @@
 """Nearest-neighbour search in measurements, and blocks of measurements with their neighbours.
 
-A k-d tree contains most of the measured positions. Later ones are compared one by one until the
-tree is rebuilt, because measurements arrive singly and a tree of 50,000 takes 15 ms to build.
-
-Approximate likelihoods divide measurements into compact blocks. A window is a block with the
-measurements nearest to it, among all others or among earlier blocks (Vecchia's factorisation of a
-density into conditionals). Blocks are ordered from coarse to fine: each is the farthest from all
-earlier ones. Windows depend on positions, not on the order of rows, except for ties.
+Later positions are compared one by one until the k-d tree is rebuilt, because measurements arrive
+singly and a tree of 50,000 takes 15 ms to build. Blocks are ordered from coarse to fine: each is
+the farthest from all earlier ones. Windows do not depend on the order of rows, except for ties.
 """
 
 from __future__ import annotations

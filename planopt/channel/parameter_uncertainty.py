@@ -1,9 +1,7 @@
 """Predictions under uncertain parameters (equation 1.17), and errors due to wrong ones (1.16).
 
-Few measurements determine the covariance poorly, and a prediction that treats its estimate as exact
-is overconfident. The posterior is therefore a mixture over a small design of (xi^2 / alpha, beta),
-weighted by the likelihood. The total variance alpha is integrated out in closed form. The design is
-a lattice along the principal axes of the likelihood.
+The posterior is a mixture over a lattice of (xi^2 / alpha, beta) along the principal axes of the
+likelihood, weighted by it. The total variance alpha is integrated out in closed form.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Parameters of the channel model, path loss, and validation of positions and numbers.
 
-The mean received power (path loss) is linear in theta = (K_PL, n_PL). If the distances to the
-station hardly differ, n_PL is not identifiable; it is then fixed at a prior value, whose
-uncertainty is part of the covariance of theta.
+If the distances to the station hardly differ, n_PL is fixed at a prior value, whose uncertainty is
+part of the covariance of theta.
 """
 
 from __future__ import annotations

@@ -1,9 +1,4 @@
-"""Connectivity along a path: P(connected at all positions), and the first connection.
-
-Powers along a path are correlated, so the product of marginal probabilities is not the joint
-probability. It is a lower bound only if no correlation is negative, which is checked here. Exact
-values come from Genz's separation of variables for the multivariate normal distribution.
-"""
+"""Connectivity along a path: P(connected at all positions), and the first connection."""
 
 from __future__ import annotations
 

@@ -3,11 +3,7 @@
 The Cholesky factor of the measurements' covariance is shared between successive posteriors and
 grows by rows, so one more measurement costs O(n^2) without copying. Beyond `EXACT_LIMIT`
 measurements there is no factor: theta comes from Vecchia's approximation and predictions use the
-nearest measurements, at a cost independent of the total number.
-
-Path loss is estimated by generalised least squares from products of whitened columns, or by
-ordinary least squares, which does not depend on xi, beta and omega. A robot's :class:`Belief` is
-the fit of the parameters and the posterior.
+nearest measurements.
 """
 
 from __future__ import annotations

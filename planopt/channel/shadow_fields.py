@@ -1,14 +1,8 @@
 """Random shadowing fields with the model's covariance: on a lattice, scattered, or conditional.
 
-A lattice is embedded in a larger torus, whose covariance matrix is diagonalised by the Fourier
-transform (circulant embedding). If the torus is too small, some eigenvalues are negative; it grows
-until their share, which is clipped, is negligible. Realisations are not standardised, because that
-would change the covariance.
-
-A conditional field is an unconditional one plus the kriged differences to the measured values
-(conditioning by kriging). Its mean and covariance are those of the posterior, but no covariance
-between all cells is needed. A field has one time: measurements that age are rejected. Measurements
-with position errors are simulated at positions drawn around the recorded ones.
+A lattice is embedded in a torus (circulant embedding), which grows until the clipped share of
+negative eigenvalues is negligible. A conditional field is an unconditional one plus the kriged
+differences to the measured values, so no covariance between all cells is needed.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""Output of commands (results to stdout, progress to stderr, files to --out) and interrupts.
-
-Errors are raised; :func:`planopt.cli.main` prints them. SIGTERM, which schedulers and containers
-send to end a process, is handled like Ctrl-C.
-"""
+"""Output of commands (results to stdout, progress to stderr, files to --out) and interrupts."""
 
 from __future__ import annotations
 
@@ -78,10 +74,7 @@ def _stop(number: int, _: object) -> None:
 
 @contextlib.contextmanager
 def stopping() -> Generator[list[int]]:
-    """Raise KeyboardInterrupt on SIGINT and SIGTERM within the block; yield the signals received.
-
-    Only the main thread can install handlers; other threads are unaffected.
-    """
+    """Raise KeyboardInterrupt on SIGINT and SIGTERM in the block; yield the signals received."""
     received: list[int] = []
     if threading.current_thread() is not threading.main_thread():
         yield received
@@ -100,10 +93,7 @@ def stopping() -> Generator[list[int]]:
 def progress(
     description: str, total: int | None = None, *, bar: bool = True
 ) -> Generator[Callable[[], None]]:
-    """Show progress on stderr if it is a terminal; yield a function to call after each part.
-
-    Interrupts swallowed by callbacks, for instance of CasADi, are raised again.
-    """
+    """Show progress on stderr if it is a terminal; yield a function to call after each part."""
     if any(_active):
         raise KeyboardInterrupt
     with stopping() as received:

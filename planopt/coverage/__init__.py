@@ -1,8 +1,4 @@
-"""Sensor networks that cover a region, respond to events, and estimate their own number of agents.
-
-The modules take arrays and frozen dataclasses; no problem file is needed. Names are imported when
-they are first used; the stub ``__init__.pyi`` lists them.
-"""
+"""Sensor networks that cover a region, respond to events, and estimate their number of agents."""
 
 from planopt.lazy_names import lazy_names
 

@@ -1,10 +1,4 @@
-"""Assignment of agents to events: demands, flag propagation and distributed matching.
-
-The P agents nearest to an event are connected in the Voronoi neighbour graph, so lists of nearest
-agents passed between neighbours reach all of them. Deferred acceptance divides the agents among
-several events. Its matching is stable: no agent and event both prefer each other to their match.
-:func:`optimal_assignment` minimises the total distance.
-"""
+"""Assignment of agents to events: demands, flag propagation and distributed matching."""
 
 from __future__ import annotations
 

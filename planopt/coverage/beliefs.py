@@ -1,9 +1,7 @@
 """Beliefs of agents about events: readings, estimates and teams travel over lossy links.
 
-Every agent knows only its own measurements and the messages of its neighbours. Agents that respond
-to an event, or detect it, request readings from their neighbours; all of these agents pass readings
-on. A requesting agent estimates the event from the readings it holds. The best estimate travels to
-all agents, and lists of the nearest agents then decide which agents respond.
+Agents that respond to an event, or detect it, request readings from their neighbours; all of these
+agents pass readings on. The best estimate travels to all agents.
 """
 
 from __future__ import annotations
@@ -251,11 +249,7 @@ def doubt_sensors(
     asks: Mask,
     step: int,
 ) -> Belief:
-    """Test the readings of a step by all asking agents, and drop knowledge that they refute.
-
-    The test refutes the readings of excluded sensors, and estimates together with their readings.
-    Estimates are never refuted if readings age, because such estimates correct themselves.
-    """
+    """Test the readings of a step by all asking agents, and drop knowledge that they refute."""
     doubts, since = belief.doubts.copy(), belief.since.copy()
     now = belief.held & (belief.steps == step)
     for rows, agents in _groups(now, asks & now.any(axis=1)):
@@ -352,10 +346,7 @@ def _located(
 def share_estimates(
     belief: Belief, medium: Medium, step: int, silent_steps: int
 ) -> tuple[Belief, int]:
-    """Exchange estimates and detection times; return the belief and the number of messages.
-
-    Agents that know of no detection in the last `silent_steps` steps forget the event.
-    """
+    """Exchange estimates and detection times; return the belief and the number of messages."""
     doubted = belief.doubts.any(axis=0)
     known = np.column_stack((belief.chosen, belief.heard, belief.since, belief.doubts[:, doubted]))
 

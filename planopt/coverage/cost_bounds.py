@@ -1,9 +1,7 @@
-"""Lower bounds on the coverage cost of any deployment, by Lagrangian relaxation.
+"""Lower bounds on the coverage cost of any deployment, by Lagrangian relaxation (equation 7.21).
 
-For every function ``lambda(q) >= 0`` (a price of each position) and n agents, the cost is at least
-``integral of lambda dm - n max_p G(p)``, ``G(p) = integral of max(lambda(q) - |q - p|^2, 0) dm``
-(equation 7.21). Prices are optimised on coarse cells, and then interpolated on fine ones, where an
-upper bound of G is computed on boxes that cover all positions of an agent.
+Prices are optimised on coarse cells, and then interpolated on fine ones, where an upper bound of
+G is computed on boxes that cover all positions of an agent.
 """
 
 from __future__ import annotations
@@ -349,11 +347,7 @@ def _optimised(
 
 
 def _largest_gains(middles_m: Floats, half_m: Floats, cells: Cells, prices_m2: Floats) -> Floats:
-    """Return upper bounds (b,) of the gain G(p) over square boxes of positions p.
-
-    A cell within the price's disc of every position in the box contributes a quadratic function. A
-    cell that the disc's boundary may cross contributes a linear function, and a bound of the rest.
-    """
+    """Return upper bounds (b,) of the gain G(p) over square boxes of positions p."""
     count = len(middles_m)
     level, linear, square = np.zeros(count), np.zeros((count, 2)), np.zeros(count)
     for box, cell in _pairs(middles_m, half_m, cells, prices_m2):

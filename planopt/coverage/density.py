@@ -1,9 +1,7 @@
 """Densities over a region: uniform, Gaussian, a function (integrated by quadrature), or on a grid.
 
 Green's theorem turns an integral over a cell into one along its boundary, ``integral of rho dA =
-contour integral of F dy`` with ``F(x, y)`` the integral of rho along x. For Gaussian bumps F has a
-closed form. On a grid boundaries are cut where they cross grid lines; F is a polynomial on each
-part, so the integral is exact.
+contour integral of F dy`` with ``F(x, y)`` the integral of rho along x.
 """
 
 from __future__ import annotations

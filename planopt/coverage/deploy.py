@@ -1,9 +1,4 @@
-"""Target positions that drive a network to a low-cost deployment.
-
-The control laws descend to the nearest local optimum of the coverage cost. A deployer searches for
-a deployment of lower cost first, assigns its positions to covering agents by minimum sum of squared
-path lengths, and keeps them until agents join, leave, respond to an event or return.
-"""
+"""Target positions that drive a network to a deployment of lower cost than the nearest optimum."""
 
 from __future__ import annotations
 

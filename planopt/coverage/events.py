@@ -1,8 +1,4 @@
-"""Events in a region: signals, rules of detection, and the positions of responding agents.
-
-Each event has its own signal channel. An event is detected when a reading exceeds the noise
-threshold; it has ended after several steps without such a reading.
-"""
+"""Events in a region: signals, rules of detection, and the positions of responding agents."""
 
 from __future__ import annotations
 

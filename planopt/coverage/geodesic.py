@@ -1,8 +1,6 @@
 """Coverage of non-convex regions or regions with obstacles, by shortest-path distances.
 
-Distances come from :class:`planopt.world.shortest_paths.FreeArea`; the visibility of its corners
-from each grid node is computed once. The distance from any agent to any node is then exact, and so
-is the cost ``H = sum of mass * d(p_i, q)^2 + spread``.
+The visibility of corners from each grid node is computed once; distances and cost are then exact.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""Convex ground: coverage cost of a region without obstacles from exact Voronoi cells.
-
-A ground is the region that a network covers, with its distance metric. The module
-:mod:`planopt.coverage.geodesic` defines the ground with obstacles, and the union of both types.
-"""
+"""Convex ground: coverage cost of a region without obstacles from exact Voronoi cells."""
 
 from __future__ import annotations
 

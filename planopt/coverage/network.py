@@ -1,16 +1,10 @@
 """Communication between agents: links, message losses, flooding and distributed counting.
 
-Agents estimate the size of the network by several rounds of messages in every step.
-
-The method `leader` is average consensus: the leader starts from 1, all others from 0, and all
-values tend to 1 / n. With `minima` every agent draws exponential random numbers and the network
-finds the minimum of each, whose mean is 1 / n. It needs no leader and tolerates lost or repeated
-messages. Both restart in epochs; an estimate is valid until the next epoch ends.
-
-The method `running` never restarts and tracks agents that join and leave. In each round all agents
-average with their neighbours and add eps, and the leader subtracts eps times its value. At the
-fixed point of ``x <- W x + eps (1 - x_leader e_leader)`` the leader holds n exactly, and all others
-hold slightly more.
+Agents estimate the size of the network by several rounds of messages in every step. `leader` is
+average consensus from 1 at the leader and 0 elsewhere; with `minima` the network finds minima of
+exponential random numbers. Both restart in epochs. `running` never restarts: at the fixed point of
+``x <- W x + eps (1 - x_leader e_leader)`` the leader holds n exactly, and all others hold slightly
+more.
 """
 
 from __future__ import annotations

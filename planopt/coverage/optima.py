@@ -135,11 +135,7 @@ Relocation = tuple[int, int, Floats]
 
 
 def _relocations(ground: Ground, places: Floats) -> tuple[list[Relocation], list[Relocation]]:
-    """Return relocations with positive estimated gain, best first, and candidates for single moves.
-
-    If an agent leaves, the second nearest agent takes over its part of the region. A second agent
-    in a cell halves it across its longest extent.
-    """
+    """Return relocations with estimated gains, best first, and candidates for single moves."""
     near = ground.two_nearest(places)
     count, mass = len(places), np.where(near.mass > 0.0, near.mass, 0.0)
     losses = np.bincount(near.owner, mass * (near.second_m2 - near.first_m2), minlength=count)

@@ -1,8 +1,4 @@
-"""Test of the readings of one step for a faulty sensor.
-
-Faults are found as in geodetic networks (Baarda's data snooping): a global test of the misfit, then
-the reading without which the misfit is smallest.
-"""
+"""Test of the readings of one step for a faulty sensor (Baarda's data snooping)."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Simulation of an agent network: coverage, event detection, response and return to coverage.
-
-In every step the agents exchange messages with their Voronoi neighbours, measure, update their
-assignment and move. One generator draws all random numbers, so a seed determines the run.
-"""
+"""Simulation of an agent network: coverage, event detection, response and return to coverage."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Verifier of a network's moves, independent of the planner.
-
-The verifier checks each whole move as the agent executes it: straight at a constant velocity, at a
-constant acceleration, or by a turn on the spot followed by a straight line.
-"""
+"""Verifier of a network's moves, independent of the planner, over each whole move."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
 """Voronoi cells of thousands of agents in a convex region.
 
-GEOS computes the diagram with exact predicates. Four extra points far outside bound every cell;
-their bisectors do not reach the region. All cells are stored in flat arrays and clipped
-together.
+Four extra points far outside bound every cell; their bisectors do not reach the region.
 """
 
 from __future__ import annotations

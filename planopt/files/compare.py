@@ -1,9 +1,4 @@
-"""Comparison of a saved document with the same document recomputed.
-
-A document is a tree of tables, lists, numbers and texts. Numbers may differ by the tolerance of
-their key or column, because machines round differently. Values that cannot be recomputed are
-covered by a digest or listed in `ACCEPTED`.
-"""
+"""Comparison of a saved document with the same document recomputed."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
 """Safe reading of input files and npz archives, which may be devices, pipes, huge or damaged.
 
-Only the named file is read, and sizes are checked before memory is used: first the file size, then
-the sizes declared by arrays. NumPy's own reader would allocate any size declared in a header and
-unpack any zip archive.
+NumPy's own reader would allocate any size declared in a header and unpack any zip archive.
 """
 
 from __future__ import annotations

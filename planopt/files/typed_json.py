@@ -1,7 +1,6 @@
 """Typed conversion to and from JSON: dataclasses, arrays, enumerations, tuples and numbers.
 
-Values are checked against their types on reading, so that damaged files are detected; nothing is
-unpickled. JSON has neither NaN nor infinity: both are written as null, which is read as NaN.
+JSON has neither NaN nor infinity: both are written as null, which is read as NaN.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Atomic writing of result files and folders, strict JSON, and TOML with comments.
 
-New files are written under hidden names and moved into place when complete. The JSON files of a
-folder, which every reader requires, are removed first and moved last. A process that is killed in
-between thus leaves no result instead of a mixture of two.
+The JSON files of a folder, which every reader requires, are removed first and moved last: a process
+that is killed in between leaves no result instead of a mixture of two.
 """
 
 from __future__ import annotations

@@ -1,12 +1,8 @@
 """Measurement gains along a path: information gain and variance reduction.
 
-Each class computes the value from :class:`planopt.objectives.moments.Moments` (the exact posterior
-for one path, a local channel for many), its gradient w.r.t. them, and the value of one path with
-first and second derivatives for solvers. All use C = S, or C = S + B M B' for uncertain theta:
-
-- :class:`Information` in log det C (equations 4.1 and 4.5),
-- :class:`VarianceRemoved`, tr(Y' C^-1 Y) (equations 4.1, 4.2 and 4.6),
-- :class:`PathUncertainty`, variances above a threshold (equation 4.4).
+All classes use C = S, or C = S + B M B' for uncertain theta: :class:`Information` log det C
+(equations 4.1 and 4.5), :class:`VarianceRemoved` tr(Y' C^-1 Y) (4.1, 4.2 and 4.6), and
+:class:`PathUncertainty` variances above a threshold (4.4).
 """
 
 from __future__ import annotations

@@ -1,11 +1,8 @@
 """Rule for the positions of a path at which a robot measures.
 
 A robot measures at the end of a step, unless an earlier measurement is closer than the spacing:
-multipath is known there already, and another reading adds no information. The same holds between
-the steps of one plan. :meth:`MeasuringRule.takes` implements this rule. The rule is not smooth, so
-solvers use :meth:`MeasuringRule.gates` instead: an amplitude per position that rises from zero to
-one around the spacing. The gate is steep enough that the loop measures at a solver's optimum, and
-fully open for steps as long as the spacing. The solver's solution is evaluated by the rule.
+multipath is known there already. The rule is not smooth, so solvers use smooth gates, steep enough
+that the loop measures at a solver's optimum, and fully open for steps as long as the spacing.
 """
 
 from __future__ import annotations
@@ -155,10 +152,7 @@ class MeasuringRule:
 
 @dataclass(frozen=True, eq=False)
 class Gates:
-    """Smooth gates of paths (amplitudes of measurements from 0 to 1), with derivatives.
-
-    Gates are twice differentiable except where two positions start to close them simultaneously.
-    """
+    """Smooth gates of paths (amplitudes of measurements from 0 to 1), with derivatives."""
 
     value: Floats  # (c, N) amplitude of the channel in each measurement, in [0, 1]
     _paths_m: Floats

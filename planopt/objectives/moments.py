@@ -1,19 +1,13 @@
 """Moments of future measurements along paths (equation 1.11), with adjoints.
 
-The posterior covariance after measurements at q_1 .. q_N does not depend on the measured values. It
-depends on their covariance S and on B, their regressors less the part predicted from earlier data.
-S and B come from the exact posterior or, for many paths together, from a local channel model.
-
-A measurement with gate g in [0, 1] is g times the channel power plus noise that restores its
+S is the covariance of the measurements and B their regressors less the part predicted from earlier
+data. A measurement with gate g in [0, 1] is g times the channel power plus noise that restores its
 variance to that of an uninformative measurement, kappa = xi^2 + omega^2:
 
     S_g = G (S - kappa I) G + kappa I,    B_g = G B,    G = diag(g).
 
-The gate g = 1 leaves the measurement unchanged; g = 0 removes all its information. A position
-without a measurement therefore has gate 0, and solvers use smooth gates in between.
-
-The gradient w.r.t. positions follows from the adjoints of S, B and the covariances with the
-measurements (:class:`Pull`). It costs one more evaluation for all paths together.
+A position without a measurement has gate 0, and solvers use smooth gates in between. Gradients
+w.r.t. positions follow from the adjoints of S, B and the covariances (:class:`Pull`).
 """
 
 from __future__ import annotations

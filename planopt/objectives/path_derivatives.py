@@ -2,12 +2,8 @@
 
 Only row and column i of S and row i of B depend on q_i. The derivative of S w.r.t. coordinate a of
 q_i is therefore ``e_i d' + d e_i'`` with d = D[2 i + a], and only these rows are stored.
-Coordinates are ordered x_1, y_1, x_2, y_2, ... throughout. A gate
-(:mod:`planopt.objectives.moments`) is a third coordinate of its position, so 2 h coordinates become
-3 h. :func:`by_positions` then substitutes the derivatives of the gates w.r.t. positions.
-
-Cusps are smoothed, and only the measurements of a local channel are used. A solver's path must
-therefore be evaluated again with the exact posterior.
+Coordinates are ordered x_1, y_1, x_2, y_2, ... A gate is a third coordinate of its position;
+:func:`by_positions` substitutes the derivatives of the gates w.r.t. positions.
 """
 
 from __future__ import annotations

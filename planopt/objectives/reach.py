@@ -1,11 +1,8 @@
 """Cost of reaching a goal: travel time, effort and distance out of contact, with cost-to-go.
 
-The continuous cost is the integral of ``1 + w v^2`` dt until arrival, in seconds, with speed v and
-effort weight w. In discrete time, a step of length l and duration h that starts short of the goal
-costs ``h + w l^2 / h``; resting at the goal is free. A path of length D beyond the horizon costs at
-least ``D min_v (1 + w v^2) / v`` over the admissible speeds; this minimum is the cost rate below.
-With an outage price, a metre driven at probability of connection P counts as ``1 + price (1 - P)``
-metres, either everywhere or only if P is below p_min.
+A step of length l and duration h that starts short of the goal costs ``h + w l^2 / h``. A path of
+length D beyond the horizon costs at least ``D min_v (1 + w v^2) / v`` (equation 4.16); this minimum
+is the cost rate. A metre at probability of connection P counts as ``1 + price (1 - P)`` metres.
 """
 
 from __future__ import annotations

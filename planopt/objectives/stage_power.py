@@ -1,16 +1,9 @@
 """Predicted power at the stages of a path, with exact derivatives of a smoothed kernel.
 
-exp(-d / beta) has a cusp at d = 0 and log d a pole. For derivatives, the distance to a measurement
-becomes ``sqrt(d^2 + eps^2)``, with eps a hundredth of the decorrelation distance, and the distance
-to the station ``sqrt(d^2 + MIN_DISTANCE_M^2)``. The relative error of the kernel is at most 0.01.
-
-Each stage is predicted from its nearest measurements; the verifier uses the exact kernel and all
-measurements. A solver evaluates a path some twenty times per step. For speed, kernel values and
-derivatives of all stages share one array, which is multiplied by two precomputed matrices.
-
-The serving power of several stations has the mean ``t_1 + c z``, z the any-station score. Its
-standard deviation c is fixed to its value along the initial guess. Away from that path, only the
-margin of a constraint in dB is therefore approximate.
+The distance d to a measurement becomes ``sqrt(d^2 + eps^2)``, with eps a hundredth of the
+decorrelation distance; the relative error of the kernel is at most 0.01. Each stage is predicted
+from its nearest measurements. The serving power of several stations has the mean ``t_1 + c z``, z
+the any-station score, with its standard deviation c fixed to its value along the initial guess.
 """
 
 from __future__ import annotations

@@ -1,20 +1,9 @@
 """Target tracking: target and sensor settings, the station's filter, and plans with recourse.
 
-The initial estimate, the sensor and the process noise are isotropic. The covariance of one axis,
-three numbers, therefore describes both axes.
-
-With recourse, the robot probes the end of its path and leaves if it has no connection. If a packet
-arrives from there, later packets arrive too, because multipath is static. Otherwise the robot moves
-to a *retreat*: a position known to be connected, or an expected target position with its
-probability of connection (equation 4.22). At each later step it may use any retreat reachable by
-then. After a successful probe it stays for some steps and may then use a retreat as well, because
-the target moves on. Leaving the known coverage therefore costs little if the return is short.
-
-If packets contain estimates, a failed probe costs only time: back at a known connected position,
-the robot sends everything it measured since (equation 4.23). The cost is then the time that the
-station waits. Later steps are discounted because a robot that has returned may leave again.
-Without the discount, the plan would postpone its single return step by step to bring fresher
-measurements.
+The initial estimate, the sensor and the process noise are isotropic, so the covariance of one axis,
+three numbers, describes both. With recourse, the robot probes the end of its path and moves to a
+*retreat* if it has no connection (equations 4.22 and 4.23). Later steps are discounted because a
+robot that has returned may leave again; otherwise the plan would postpone its return step by step.
 """
 
 from __future__ import annotations
@@ -88,10 +77,7 @@ class FilteredTracking:
         require_covariance(self.information, 4, "information")
 
     def extended(self, beyond: int) -> FilteredTracking:
-        """Return the problem with `beyond` more steps of weight one and constant target velocity.
-
-        A problem of a single step defines no velocity and is returned unchanged.
-        """
+        """Return the problem with `beyond` more steps of weight 1 and constant target velocity."""
         target = self.tracking.target_m
         if not beyond or len(target) == 1:
             return self

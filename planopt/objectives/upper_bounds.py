@@ -1,8 +1,4 @@
-"""Affine upper bounds of stage rewards over discs, and their sums and products.
-
-A bound of a function f over the disc with centre c and radius rho has two parts, both valid:
-``f(q) <= value + slope . (q - c)`` and ``f(q) <= most``.
-"""
+"""Affine upper bounds of stage rewards over discs, and their sums and products."""
 
 from __future__ import annotations
 
@@ -140,10 +136,7 @@ class PairedInformation:
     def lost(
         self, before_db2: Floats, after_db2: Floats, distance_m: float, nearest_m: Floats
     ) -> Floats:
-        """Return least losses in nats of positions at most `distance_m` apart (equation 9.13).
-
-        `before_db2` bounds the earlier variance from below, `after_db2` the later from above.
-        """
+        """Return least losses in nats of positions at most `distance_m` apart (equation 9.13)."""
         parameters, spread = self.posterior.parameters, self.posterior.theta_covariance
         noise = parameters.multipath_std_db**2
         shadow = -np.expm1(-distance_m / parameters.decorrelation_m)

@@ -1,9 +1,4 @@
-"""Candidates of one step: value, verification and time budget, and the fallback cascade.
-
-Planners yield candidates, most promising first: refined initial guesses, then the unrefined ones.
-The best verified candidate is released. Otherwise the robot falls back to the remainder of the
-previous plan, or stops; both may violate connectivity, but never clearance or speed.
-"""
+"""Candidates of one step: value, verification and time budget, and the fallback cascade."""
 
 from __future__ import annotations
 
@@ -342,11 +337,7 @@ def without_guess(scorer: Scorer, warm: Plan | None) -> Candidate:
 
 
 def _driven_without_guess(scorer: Scorer, warm: Plan | None) -> Candidate:
-    """Return the rest of the last plan if it is verified, else a stop now or after that rest.
-
-    The remainder of the previous plan is collision-free whatever the channel belief, and the other
-    robots avoid it.
-    """
+    """Return the rest of the last plan if it is verified, else a stop now or after that rest."""
     problem, horizon = scorer.problem, scorer.problem.planner.horizon
     shifted = shifted_drive(problem, warm)
     rest: Candidate | None = None

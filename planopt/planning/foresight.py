@@ -1,10 +1,8 @@
 """Performance bounds of tracking: planners that know the future and plan the whole run at once.
 
-The clairvoyant planner knows the target's path and the power at every position, including
-multipath. The oracle knows the target's path, path loss and shadowing, but no multipath; planners
-can approach its performance. Both maximise the received information or, with the suffix ``_log``,
-the expected logarithm of one plus that information times the initial variance. Dynamic programming
-over (step, node) maximises the sum over the run; several robots plan in turn until no path changes.
+The clairvoyant planner knows the target's path and the power at every position, the oracle all but
+multipath. Both maximise the received information or, with the suffix ``_log``, the expected
+logarithm of one plus that information times the initial variance.
 """
 
 from __future__ import annotations

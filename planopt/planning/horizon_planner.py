@@ -1,9 +1,4 @@
-"""Receding-horizon step for a sum of terms: initial guesses and fallback cascade.
-
-Initial guesses are refined in turn, best first, until a candidate is verified. Further guesses
-follow only if they may yield a better candidate. Without a verified candidate, the robot follows
-the remainder of the previous plan or stops.
-"""
+"""Receding-horizon step for a sum of terms: initial guesses and fallback cascade."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Plan of one robot, and history of the run before the plan.
-
-Every plan satisfies clearance, workspace and speed limits, whatever its connectivity, so that
-the remainder of a verified plan can replace a new one.
-"""
+"""Plan of one robot, and history of the run before the plan."""
 
 from __future__ import annotations
 

@@ -1,15 +1,8 @@
 """Planners that a problem file can select by name, including the baselines.
 
-The one-step planner follows [GM11]. It maximises their objectives (2), (3, inner layer) or (4) over
-a dense set of positions within one step; measuring terms consider only unmeasured positions ("q
-not in Q"). Plans of several steps repeat this greedily. If all positions nearby are measured, the
-robot takes the shortest path to an unmeasured one.
-
-The lawnmower sweeps all free space in lanes along lattice rows, about one decorrelation distance of
-the fitted channel apart and joined by shortest paths.
-
-The communication strategies of [GM11] assume a simpler channel: path loss without shadowing, a disc
-in which all packets arrive, or a lossless link. The verifier uses the actual belief.
+The one-step planner follows [GM11]: it maximises their objectives (2), (3, inner layer) or (4) over
+a dense set of positions within one step. The communication strategies of [GM11] assume a simpler
+channel: path loss without shadowing, a disc in which all packets arrive, or a lossless link.
 """
 
 from __future__ import annotations

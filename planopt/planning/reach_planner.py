@@ -1,8 +1,4 @@
-"""Receding-horizon step to a goal: initial guess, refinement, verification, fallbacks.
-
-A robot with dynamics follows the lattice path that is found for a single integrator. Its
-cost-to-go is measured from its resting position after braking.
-"""
+"""Receding-horizon step to a goal: initial guess, refinement, verification, fallbacks."""
 
 from __future__ import annotations
 
@@ -407,10 +403,7 @@ class DrivenReach:
         return found, None if found.drive is None else cost.pivot_of(found.path_m, found.drive)
 
     def _direct(self, scorer: Scorer, start: GlobalStart, warm: Plan | None) -> Candidate | None:
-        """Return a candidate along the shortest path, node by node with stops; None if unavailable.
-
-        A moving robot first completes its previous plan.
-        """
+        """Return a candidate along the shortest path, node by node with stops."""
         if not stands(self._problem, scorer.state):
             drive = shifted_drive(self._problem, warm)
         else:

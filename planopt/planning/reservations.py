@@ -1,10 +1,8 @@
 """Reservations: motions that all other robots avoid, and distances between robots.
 
 The *reservation* of a robot is the remainder of its last released plan, then braking and waiting;
-before the first plan, it is braking from the start. Each plan, including its braking, keeps the
-separation from the plans made in this step and from the reservations of robots that plan later.
-Every robot can therefore follow its reservation instead of a new plan, and separated reservations
-stay separated in the next step. Loading a problem checks the separation of the starts.
+before the first plan, it is braking from the start. Every robot can follow its reservation instead
+of a new plan, and separated reservations stay separated in the next step.
 """
 
 from __future__ import annotations

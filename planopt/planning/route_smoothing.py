@@ -1,9 +1,7 @@
 """Smoothed routes to a goal, and steps that follow them.
 
-The mesh of a bound suggests routes, also through passages that the planner's lattice does not
-resolve. Points of a suggested route are moved out of the clearance of obstacles, and then sideways:
-dynamic programming over a few offsets of each point finds the cheapest combination. The steps of
-the plan follow the route, and are moved in the same way.
+Points of a route suggested by a bound's mesh are moved out of the clearance of obstacles, and then
+sideways: dynamic programming over a few offsets of each point finds the cheapest combination.
 """
 
 from __future__ import annotations
@@ -284,10 +282,7 @@ INSIDE_GOAL = 0.999
 
 
 class RouteSmoothing:
-    """Smoothing of a robot's routes with one belief.
-
-    The steps stay unchanged for teams, moving obstacles and robots with dynamics.
-    """
+    """Smoothing of a robot's routes with one belief."""
 
     def __init__(
         self, problem: Problem, posteriors: Sequence[ChannelPosterior], alone: bool
@@ -401,11 +396,7 @@ class RouteSmoothing:
         return np.where(allowed, cost, np.inf)
 
     def _stepped(self, route_m: Floats) -> tuple[Floats, Floats] | None:
-        """Return the cheapest steps (N + 1, 2) next to a route (n, 2), and the rest of the route.
-
-        Dynamic programming chooses among offsets from the route. The last position is on the
-        route. The result is None if the route ends within the steps.
-        """
+        """Return the cheapest steps (N + 1, 2) next to a route (n, 2), and its rest."""
         horizon, parts, longest_m = self._problem.planner.horizon, STEP_PARTS, self._longest_m
         lengths = np.linalg.norm(np.diff(route_m, axis=0), axis=1)
         along = np.concatenate([[0.0], lengths.cumsum()])

@@ -1,8 +1,4 @@
-"""Geometry of a run: obstacles and lattice, built once, and shortest paths.
-
-A guess that passes a corner one step late stays late in refinement, because each separating line
-belongs to a segment. Sampling the guess at cruising speed (:func:`retime`) avoids this.
-"""
+"""Geometry of a run: obstacles and lattice, built once, and shortest paths."""
 
 from __future__ import annotations
 

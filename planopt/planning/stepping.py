@@ -1,11 +1,8 @@
 """State of all robots between steps of a run: beliefs, tracks, plans and target estimates.
 
-The simulation or a user's own loop alternates two calls of a :class:`Stepper`:
-:meth:`Stepper.plan`, and :meth:`Stepper.observe` with the outcome.
-
-A robot's target filter uses its own measurements. The station's filter uses measurements from
-received packets (equation 4.9). Packets with estimates carry all past measurements of their
-senders, so the station does at least as well as by any fusion of several robots' estimates.
+A robot's target filter uses its own measurements, the station's those from received packets
+(equation 4.9). Packets with estimates carry all past measurements of their senders, so the station
+does at least as well as by any fusion of several robots' estimates.
 """
 
 from __future__ import annotations

@@ -1,10 +1,4 @@
-"""Consistency checks of a problem beyond the ranges of single keys.
-
-The checks involve geometry or several tables: separation and stopping distances of robots at their
-start, consistency of the channel tables, clearance of starts and goals, memory of ground truth and
-lattice, separate channels of several stations, and support of the connectivity rule. Each error
-names the key to change.
-"""
+"""Consistency checks of a problem that involve geometry or several tables."""
 
 from __future__ import annotations
 

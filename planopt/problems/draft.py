@@ -1,8 +1,4 @@
-"""Draft of a problem file from a power log and an occupancy map.
-
-Values that neither the files nor the caller give are detected or assumed. Each assumption is a
-sentence of the draft and a comment in the problem file.
-"""
+"""Draft of a problem file from a power log and an occupancy map, with its assumptions."""
 
 from __future__ import annotations
 

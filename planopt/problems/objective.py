@@ -1,8 +1,4 @@
-"""Objective of a problem, a goal or a weighted sum of terms, and the constraints on every plan.
-
-Each connectivity rule is a class (:class:`planopt.planning.proof.rule.Rule`), either built in or
-registered by a program.
-"""
+"""Objective of a problem, a goal or a weighted sum of terms, and the constraints on every plan."""
 
 from __future__ import annotations
 

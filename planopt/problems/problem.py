@@ -1,8 +1,4 @@
-"""Motion planning problem as a frozen dataclass, independent of files and solvers.
-
-The objective is to reach a goal or to maximise a weighted sum of terms. Two functions return the
-problem at one time of a run, and the problem of a single robot.
-"""
+"""Motion planning problem as a frozen dataclass, independent of files and solvers."""
 
 from __future__ import annotations
 

@@ -1,10 +1,4 @@
-"""Schema of problem files: every key with its type, range, default and meaning.
-
-``planopt schema`` prints this definition. Every problem is validated against it, whether it comes
-from TOML, a saved plan or an override. The requirements of a task on several tables are here as
-well. Checks that need geometry, such as a start inside an obstacle, are in
-:mod:`planopt.problems.checks`.
-"""
+"""Schema of problem files, and the requirements of a task on several tables."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""Settings of a problem: target, planner, report and comparison; the registry of planners.
-
-A package adds planners by the entry-point group ``planopt.planners``: the entry-point name is that
-of the planner, and its object is a :class:`PlannerKind` or a factory. A program calls
-:func:`register_planner`.
-"""
+"""Settings of a problem: target, planner, report and comparison; the registry of planners."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""Registry of tasks, the classes of problems.
-
-The key ``problem.task`` names the task. Built-in tasks are in :mod:`planopt.tasks`. A package adds
-tasks by the entry-point group ``planopt.tasks``: the entry-point name is the task's name, and its
-object is a :class:`planopt.tasks.task.Task`. All functions and commands look up tasks here.
-"""
+"""Registry of tasks: built-in ones, and those of the entry-point group ``planopt.tasks``."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Results of planners in the regression suite, as an HTML page and as Markdown.
-
-Plans from the start are cold starts; the steps of closed loops have the last plan as a warm start.
-Their scores are separate.
-"""
+"""Results of planners in the regression suite, as an HTML page and as Markdown."""
 
 from __future__ import annotations
 

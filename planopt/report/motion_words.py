@@ -318,10 +318,7 @@ def in_columns(cells: Sequence[tuple[str, str]]) -> list[str]:
 
 
 def planned_in_words(clearance_m: float | None, connectivity: float | None) -> str:
-    """Return text on the clearance of planned paths and the minimum P(connected) of planned steps.
-
-    The minimum probability of a run refers to executed steps.
-    """
+    """Return text on the clearance of planned paths and the minimum P(connected) of steps."""
     known = clearance_m is not None and isfinite(clearance_m)
     clear = (
         f"clearance from obstacles {shown_number(clearance_m, ' m')}" if known else "no obstacles"

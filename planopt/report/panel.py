@@ -1,8 +1,4 @@
-"""Figures and panels: layout, files, and the common style of all figures.
-
-Neither pyplot nor global settings are used: figures belong to the caller.
-Colours are from Okabe and Ito (2008) and from the perceptually uniform maps viridis and cividis.
-"""
+"""Figures and panels: layout, files, and the common style of all figures, without pyplot."""
 
 from __future__ import annotations
 

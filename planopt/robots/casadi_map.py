@@ -1,10 +1,8 @@
 # pyright: basic
 """Dynamics defined by a CasADi function: a discrete map, or a derivative for Runge-Kutta.
 
-Within a step, only samples and the maximum speed v are known. Between two samples that are d metres
-and t seconds apart, all admissible paths lie in an ellipse, within sqrt((v t)^2 - d^2) / 2 of the
-straight line. At equal times, the robot is within the same distance of uniform motion on that line
-(Stewart's theorem). A plan must end in a state in which the robot can rest.
+Between two samples that are d metres and t seconds apart, all paths of speed at most v lie within
+sqrt((v t)^2 - d^2) / 2 of the straight line, at equal times too (Stewart's theorem).
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Interface of robot dynamics for planners and verifier, and simulated trajectories.
 
-States and inputs are tuples of components, so one formula serves NumPy scalars, NumPy arrays of any
-shape and CasADi expressions. Inputs are constant over a step.
+One formula serves NumPy scalars, NumPy arrays of any shape and CasADi expressions.
 """
 
 from __future__ import annotations

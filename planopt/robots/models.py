@@ -1,7 +1,6 @@
 """Built-in dynamics of problem files: single integrator, double integrator and unicycle.
 
-Each step is integrated exactly. The formulas have no branches, so they are differentiable
-everywhere, including zero, and accept NumPy arrays and CasADi expressions.
+The formulas have no branches, so they are differentiable everywhere, including zero.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """Cases of the regression suite, and the folder of their result rows.
 
-A folder has a manifest and one file per row. The manifest ``bench.json`` identifies program and
-problems. A folder made by another program or with changed problems is rejected because its rows
-are not comparable.
+The manifest ``bench.json`` identifies program and problems; rows of others are not comparable.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""References of the regression suite, and scores of planners.
-
-A reference is the best known result of a planner for a case. Each change of references is a
-separate commit that lists every number and the reason.
-"""
+"""References of the regression suite (best known results of planners), and scores of planners."""
 
 from __future__ import annotations
 

@@ -23,11 +23,7 @@ SettingKey = tuple[str, str, str | None, str, int]
 
 @dataclass(frozen=True)
 class Row:
-    """Statistics of one metric of one setting over all seeds; None for missing values.
-
-    Differences are relative to the problem's first setting. Means of at least five seeds have 95 %
-    Student intervals, clipped to the metric's range.
-    """
+    """Statistics of one metric of one setting over all seeds; None for missing values."""
 
     horizon: int  # Planning horizon in steps
     planner: str

@@ -1,8 +1,4 @@
-"""Parallel execution of studies, which can be resumed from one file per finished run.
-
-The file name of a run is a digest of everything that determines its result: the problem with the
-content of its files, the seed, and the program. The process that simulates a run writes its file.
-"""
+"""Parallel execution of studies, which can be resumed from one file per finished run."""
 
 from __future__ import annotations
 

@@ -1,10 +1,8 @@
 """Target motion, robot sensors, and the information filter of the base station with lost packets.
 
-In information form, a lost packet is a missing term, and the matrix without prior knowledge is
-zero. The prediction inverts neither J, which may be singular, nor B Theta B', which always is.
-
-[GM11] specifies ``tr Phi^-1 = 1 / g(r)`` of the measurement noise but not Phi. Here
-Phi = 2 g I_2, which has this trace: the noise is isotropic, and g is half the variance per axis.
+The prediction inverts neither J, which may be singular, nor B Theta B', which always is. [GM11]
+specifies ``tr Phi^-1 = 1 / g(r)`` of the measurement noise but not Phi. Here Phi = 2 g I_2, which
+has this trace: the noise is isotropic, and g is half the variance per axis.
 """
 
 from __future__ import annotations

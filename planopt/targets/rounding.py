@@ -1,9 +1,4 @@
-"""Smooth approximations of lengths and thresholds for solvers, exact outside a width.
-
-``|x|`` has no derivative at 0. Within `width` of 0 it is replaced by the even quartic polynomial
-that matches its value, slope and curvature at `width`. The replacement exceeds ``|x|`` by at most
-3/8 of the width.
-"""
+"""Smooth approximations of lengths and thresholds for solvers, exact outside a width."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Exact distances to obstacles, used by the verifier.
-
-GEOS computes distances to the exact footprints, which may be non-convex and have holes. This module
-is independent of plans and solvers. Obstacles are forbidden, but a hole (a courtyard) is free.
-"""
+"""Exact distances to obstacles, used by the verifier."""
 
 from __future__ import annotations
 

@@ -1,8 +1,7 @@
 """Positions in degrees (WGS 84) and metres along the axes of an origin, by default east and north.
 
-Positions on the ellipsoid are projected orthogonally onto the tangent plane at the origin
-(``+proj=ortho +ellps=WGS84`` of PROJ). A projected distance d from the origin is too short by
-d^3 / (6 R^2), with R the earth's radius: 4 mm at 10 km, 4 m at 100 km.
+The projection onto the tangent plane at the origin shortens a distance d by d^3 / (6 R^2), with R
+the earth's radius: 4 mm at 10 km, 4 m at 100 km.
 """
 
 from __future__ import annotations

@@ -1,10 +1,8 @@
 """Lattice of the global search: free nodes, moves between them, and shortest paths.
 
 The spacing is step / sqrt(5), so that the longest of the 21 moves, a knight's move, is a full step.
-Nodes and moves keep the clearance according to the verifier's exact distances. The distance to an
-obstacle is Lipschitz continuous with constant 1. A segment of length l whose ends are at distances
-d_a and d_b from an obstacle is therefore at least ``(d_a + d_b - l) / 2`` away from it. GEOS
-computes distances only for segments that this bound does not decide.
+A segment of length l whose ends are at distances d_a and d_b from an obstacle is at least
+``(d_a + d_b - l) / 2`` away from it; GEOS decides only where this bound does not.
 """
 
 from __future__ import annotations

@@ -1,8 +1,8 @@
 """Curves and motions of robots: clearance from obstacles, and separation of two motions in time.
 
-A curve is the path of one step; a motion consists of several steps. Time within a step runs from 0
-to 1. The second derivative of a curve has a bound ``|p''| <= c``. Between two times d apart, the
-position is therefore within ``c d^2 / 8`` of uniform motion along the chord.
+A curve is the path of one step, with time from 0 to 1; a motion consists of several steps. With the
+bound ``|p''| <= c``, the position is within ``c d^2 / 8`` of uniform motion along a chord of
+duration d.
 """
 
 from __future__ import annotations

@@ -1,11 +1,6 @@
 """Discs that move straight during each step: predicted moving obstacles and other robots.
 
-A disc grows with the uncertainty of its prediction. The error of the predicted centre after t
-seconds is ``e_0 + a t^2 / 2``, with independent isotropic Gaussian e_0 and a. During a step, the
-error is interpolated linearly between its values at both ends, so it stays within a disc that
-contains both. An error with standard deviation sigma per axis exceeds ``sigma sqrt(-2 log q)`` with
-probability q (Rayleigh distribution). With q = (1 - P) / 2 at both ends, the centre stays within
-the larger radius during the whole step with probability at least P.
+A disc grows with the uncertainty of its prediction (equation 6.5).
 """
 
 from __future__ import annotations

@@ -1,17 +1,7 @@
-"""Filter masks of Nav2 from a map of the probability of connection.
+"""Filter masks of Nav2 from a map of the probability of connection P.
 
-Three masks are written as PGM images with YAML files for ``map_server``:
-
-``keepout``
-    Occupied where the probability is below a limit (mode ``trinary``): the planner never enters.
-``weighted``
-    100 (1 - P), at most `HEAVIEST` (mode ``scale``): the planner prefers contact, but may enter
-    every cell. The value 100 would be an obstacle.
-``contact``
-    100 where the probability reaches p_min (mode ``trinary``): the binary filter predicts contact.
-
-Cells outside a mask are not filtered. ``nav2_filters.yaml`` contains the parameters of the servers
-and of the costmap filters; ``nav2_filters.launch.py`` starts the servers.
+``keepout`` is occupied where P is below a limit, ``weighted`` is 100 (1 - P), at most `HEAVIEST`
+because 100 would be an obstacle, and ``contact`` is 100 where P reaches p_min.
 """
 
 from __future__ import annotations

@@ -1,19 +1,11 @@
 """Occupancy grids: file readers, and exact obstacle polygons of closed cells.
 
-ROS: ``image``, ``resolution`` (metres per pixel), ``origin`` ([x, y, yaw] of the lower left
-corner), ``occupied_thresh``, ``free_thresh``, ``negate`` (default 0) and ``mode`` (default trinary)
-have the same meaning as for ``map_server`` and Nav2. The occupancy of a pixel is its darkness from
-0 to 1 or, with ``negate``, its brightness. A cell is occupied above ``occupied_thresh``, free below
-``free_thresh`` and unknown in between, also in mode ``scale``. In mode ``raw`` the pixel value is
-the occupancy in per cent; values above 100 are unknown. Pixels that are not opaque are unknown.
-
-CSV: a row of names ``resolution_m,origin_x_m,origin_y_m,occupied_from``, a row of their values,
-then the rows of the map, largest y first. Cells of at least ``occupied_from`` are occupied,
-negative and empty cells are unknown, and all others are free.
-
-Cells that share an edge form one obstacle within a tile of `TILE_CELLS` x `TILE_CELLS` cells.
-Without tiles, the walls of a whole building would be one polygon with thousands of corners, which
-slows every distance query. Obstacles that touch along a tile side or at a corner leave no gap.
+ROS: the keys of the YAML file have the same meaning as for ``map_server`` and Nav2; pixels that are
+not opaque are unknown. CSV: a row of names ``resolution_m,origin_x_m,origin_y_m,occupied_from``, a
+row of their values, then the rows of the map, largest y first; negative and empty cells are
+unknown. Cells that share an edge form one obstacle within a tile of `TILE_CELLS` x `TILE_CELLS`
+cells: the walls of a whole building would be one polygon with thousands of corners, which slows
+every distance query. Obstacles that touch along a tile side or at a corner leave no gap.
 """
 
 from __future__ import annotations

@@ -1,18 +1,12 @@
 # pyright: basic
 """Raster files by extension: CSV, npz, Sionna RT radio maps, NetCDF and GeoTIFF.
 
-CSV files have a row per cell with its centre ``x_m, y_m`` and a column per variable. NetCDF files
-have variables on dimensions ``y, x``. They are written as NetCDF-3, which SciPy and all other
-readers support; reading NetCDF-4 needs the extra h5netcdf. GeoTIFF needs the extra rasterio and has
-a band per variable with the row of largest y first. Its coordinates are metres in the frame unless
-the origin of the frame is known: then a GeoTIFF in any reference system, also in degrees, or a
-NetCDF file with ``crs_wkt`` is resampled into the frame by bilinear interpolation. With the origin,
-GeoTIFF is written with its reference system, and NetCDF as CF describes: with longitude and
-latitude of each cell and, for axes that point east and north, with a grid mapping.
-
-Sionna RT radio maps are saved by
-``savez(file, path_gain=map.path_gain.numpy(), cell_centers=map.cell_centers.numpy())``. Their gains
-are linear, and zero means that no path was found.
+CSV files have a row per cell with its centre ``x_m, y_m`` and a column per variable; NetCDF files
+have variables on dimensions ``y, x`` and are written as NetCDF-3; GeoTIFF has a band per variable
+with the row of largest y first. If the origin of the frame is known, a GeoTIFF in another reference
+system or a NetCDF file with ``crs_wkt`` is resampled into the frame by bilinear interpolation, and
+files are written with their reference system. Sionna RT radio maps are saved by
+``savez(file, path_gain=map.path_gain.numpy(), cell_centers=map.cell_centers.numpy())``.
 """
 
 from __future__ import annotations

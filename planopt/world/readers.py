@@ -1,8 +1,4 @@
-"""Readers of obstacles from files (GeoJSON, WKT, ray-tracing scenes, grids) and from objects.
-
-Coordinates are metres in the frame of the problem. GeoJSON and GeoDataFrames in a reference system
-are projected to metres at the origin of that frame.
-"""
+"""Readers of obstacles from files (GeoJSON, WKT, ray-tracing scenes, grids) and from objects."""
 
 from __future__ import annotations
 

@@ -1,19 +1,14 @@
 """Separating lines: linear collision constraints on path segments, for the solver.
 
-A line is computed from the initial guess and imposed on both ends of a segment. It separates the
-whole segment from a convex piece of an obstacle. The verifier uses the exact footprints.
-
-Relative to the centre of a moving disc, the robot moves straight during a step. With the normal n
-from the centre towards the nearest point of the initial guess, two linear constraints are imposed::
+A line is computed from the initial guess and imposed on both ends of a segment. Relative to the
+centre of a moving disc, the robot moves straight during a step, so two constraints suffice, with
+the normal n from the centre towards the nearest point of the initial guess::
 
     n . (q_{k-1} - c_{k-1}) >= R,    n . (q_k - c_k) >= R
 
-They imply a distance of at least R during the whole step.
-
-Braking after the last step depends on the step's end state. On the initial guess, the braking path
-has a margin ``g = min_t n . (p(t) - c(t)) - R`` to a disc, with n the normal at the closest
-approach. If refinement moves the last position and the rest position by at most g towards the disc,
-it moves no position in between by more.
+On the initial guess, the braking path has a margin ``g = min_t n . (p(t) - c(t)) - R``. If
+refinement moves the last position and the rest position by at most g towards the disc, it moves no
+position in between by more.
 """
 
 from __future__ import annotations

@@ -1,9 +1,4 @@
-"""Shortest paths around obstacles, made of straight segments between corners.
-
-:func:`shortest_paths` searches from one position in a lazily built visibility graph, for robots and
-pursuers among many obstacles. :class:`FreeArea` stores the distances between all corners of an
-area, for the many agents of a network.
-"""
+"""Shortest paths around obstacles, made of straight segments between corners."""
 
 from __future__ import annotations
 

@@ -3,13 +3,6 @@
 
 [GM11] averages products over pairs at *equal* distance. Distances between real positions never
 repeat, so pairs are collected in bins of equal width, each at the mean distance of its pairs.
-
-``lemma1``: Lemma 1 of [GM11], a weighted line log r(d) = log xi^2 - d / beta through the bins with
-0 < r-hat(d) < alpha-hat. As printed, this selection keeps only positive noise at long lags, which
-makes xi too small and beta too long. ``capped``: the same with lags up to a cap, and weights n r^2,
-the inverse of the variance of log r-hat. ``convex``: the same loss in a = log xi^2 and
-b = 1 / beta, with the physical constraints that the closed form ignores. ``nls``: nonlinear least
-squares of the exponential on all bins, which has no selection bias, from a scan over beta.
 """
 
 from __future__ import annotations

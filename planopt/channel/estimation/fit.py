@@ -1,8 +1,4 @@
-"""Estimation of the channel from power measurements by one of five methods.
-
-Every method reports a status, standard errors, and warnings about parameters that the measurements
-do not determine.
-"""
+"""Estimation of the channel from power measurements by one of several methods."""
 
 from __future__ import annotations
 

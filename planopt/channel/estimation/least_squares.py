@@ -1,13 +1,7 @@
 """Path loss by least squares (equation 2.1), and identifiability of the channel parameters.
 
-The parameters are K_PL, n_PL, xi, beta and omega. The number and geometry of the positions decide
-which of them can be identified; this is checked before any estimation.
-
-Without censored measurements the line gives theta-hat and alpha-hat of Lemma 1 of [GM11]. Censored
-powers are replaced by their expected values below the floor, given the line and independent normal
-residuals of variance alpha, and the line is refitted until convergence. This is the EM algorithm of
-Tobit regression; it ignores the correlation of shadowing. Each receiver except number 0 has its own
-column, so that residuals are free of receiver offsets.
+The number and geometry of the positions decide which parameters can be identified; this is checked
+before any estimation. Censored powers are handled by the EM algorithm of Tobit regression.
 """
 
 from __future__ import annotations

@@ -1,29 +1,18 @@
-"""Restricted likelihood of xi^2, omega^2 and beta with its gradient, exact or by blocks.
+"""Restricted likelihood of xi^2, omega^2 and beta with its gradient (equations 2.6 and 2.7).
 
 With V = xi^2 exp(-d / beta) + noise and the columns C = [y, X], the likelihood is a function of
-log |V| and C' V^-1 C (equations 2.6 and 2.7). X has the columns of the mean, whose coefficients
-have a flat prior, and indicators of all receivers except number 0, with a normal prior.
-
-A short log is one window; the inverse of its covariance gives value and gradient. For long logs,
-Vecchia's approximation is the product over blocks of the density of a block given nearby earlier
-measurements (:mod:`planopt.channel.neighbours`). Let L be the Cholesky factor of a window's
-covariance with the earlier measurements first, A the block's rows of L^-1 (the last ones),
-D = A dV L'^-1 and z = L^-1 C, both split into the parts of the earlier measurements and the block:
+log |V| and C' V^-1 C. X has the columns of the mean, with a flat prior, and indicators of all
+receivers except number 0, with a normal prior. A short log is one window. For long logs the
+likelihood is a product over blocks, each given nearby earlier measurements (equation 1.18). Let L
+be the Cholesky factor of a window's covariance with the earlier measurements first, A the block's
+rows of L^-1, D = A dV L'^-1 and z = L^-1 C, both split into earlier measurements and block:
 
     log |V| = sum 2 log diag(L)_own        C' V^-1 C = sum (A C)' (A C)
     dlog |V| = sum tr D_own    d(C' V^-1 C) = -sum (T + T'), T = z_own' (D_earlier z_earlier
                                                                       + D_own z_own / 2)
 
-and the expected information is ``sum (<D_own, D_own> / 2 + <D_earlier, D_earlier>)`` (Guinness,
-Statistics and Computing 31, 2021).
-
-Censored and coarsely rounded measurements are Gaussian sites of expectation propagation (EP). log L
-is then EP's log probability of the intervals and the Gaussian measurements. The log of the step r
-is subtracted for each rounded measurement, so that log L tends to the density of the exact power.
-At EP's fixed point log L does not depend on the sites to first order. Its gradient is therefore
-that with the sites as measurements, plus the direct effect of omega^2 on the intervals. One window
-has joint sites with theta integrated out; in several windows sites are matched window by window
-about the current mean (:mod:`planopt.channel.long_logs`).
+and the expected information is ``sum (<D_own, D_own> / 2 + <D_earlier, D_earlier>)`` [Gui21].
+Sites (equation 2.11) are joint in one window, else matched window by window about the current mean.
 """
 
 from __future__ import annotations

@@ -1,14 +1,8 @@
 """Restricted maximum likelihood of xi, omega and beta, with generalised least squares for theta.
 
-With priors on n_PL and beta this is the default fit. Unlike Lemma 1 of [GM11] it has no selection
-bias, weights all pairs efficiently and includes censored measurements in the likelihood. Up to
-`EXACT_ROWS` measurements the likelihood is exact; beyond, it is approximated by blocks at linear
-cost (:mod:`planopt.channel.estimation.likelihood`).
-
 The likelihood may have several maxima, typically two: steep path loss with a short decorrelation
-distance, and flat path loss with a long one, where slow shadowing absorbs the slope. Their basins
-differ in beta. The likelihood of a sample is therefore searched over a range of beta, and each of
-its maxima is the initial guess for the likelihood of all measurements.
+distance, and flat path loss with a long one. The likelihood of a sample is therefore searched over
+a range of beta, and each of its maxima is the initial guess for the likelihood of all measurements.
 """
 
 from __future__ import annotations

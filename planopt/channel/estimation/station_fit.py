@@ -1,17 +1,11 @@
 """Fits of the channel and of an unknown station position (equation 2.12).
 
-``line`` assumes independent errors: least squares of the path loss line over position and theta.
-``joint`` models shadowing and multipath: maximum likelihood over position, theta and covariance,
-alternating between the position and REML for the covariance. The likelihood has several optima, so
-both evaluate a grid first and refine its best minima with the exact gradient. Theta is profiled
-out. V does not depend on the position, so one factor serves every position. A prior on n_PL enters
-as an additional measurement of n_PL.
-
-The position covariance of ``line`` is, to first order, the sandwich A J' W V W J A with
-A = (J' W J)^-1, J the Jacobian of the mean with respect to (K_PL, n_PL, x, y), W the weights of the
-line and V the fitted covariance. A alone would be several times too small. That of ``joint`` is the
-likelihood's second moment about the estimate, over the positions that a likelihood-ratio test does
-not reject; on a paraboloid it equals the inverse of the information J' V^-1 J within 1 %.
+``line`` minimises squared residuals over position and theta, ``joint`` maximises the likelihood
+over position, theta and covariance. The likelihood has several optima, so both evaluate a grid
+first and refine its best minima. The position covariance of ``line`` is the sandwich
+A J' W V W J A with A = (J' W J)^-1, J the Jacobian of the mean, W the weights of the line and V the
+fitted covariance. That of ``joint`` is the likelihood's second moment about the estimate, over the
+positions that a likelihood-ratio test does not reject.
 """
 
 from __future__ import annotations

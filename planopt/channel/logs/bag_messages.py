@@ -1,8 +1,4 @@
-"""Messages of rosbag2 recordings (SQLite and MCAP) and of other MCAP files with JSON.
-
-MCAP files contain the definitions of their messages, SQLite files only from ROS 2 Iron on. For
-older ones the definitions of the standard messages of positions and numbers are in `STANDARD`.
-"""
+"""Messages of rosbag2 recordings (SQLite and MCAP) and of other MCAP files with JSON."""
 
 from __future__ import annotations
 

@@ -1,8 +1,6 @@
 """Table of a recording: powers joined by time with positions from odometry, poses, TF or GPS.
 
-Positions are interpolated at the time of each power message. If a recording has several, those in
-the frame ``map`` come first, TF before poses before odometry, and GPS comes last; the others are in
-columns such as ``/odom.x``.
+Positions in the frame ``map`` come first, TF before poses before odometry, and GPS comes last.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""Table of a log: text cells with their lines, and the reader of delimited text.
-
-The delimiter is a comma, semicolon, tab, vertical bar or blanks, and decimals may have a comma.
-Empty lines and lines that start with ``#`` are ignored. A byte order mark is accepted.
-"""
+"""Table of a log: text cells with their lines, and the reader of delimited text."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Reading of power logs as measurements; errors name the line and the column.
-
-Rows with equal values in all grouping columns form a group: ``day`` for whole days, ``day,t_s:600``
-for blocks of 600 in the column ``t_s`` within each day.
-"""
+"""Reading of power logs as measurements; errors name the line and the column."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Known logging programs, detection of columns by name, and readers of file formats.
-
-A reader is a declaration in :mod:`planopt.channel.logs.programs`; its name in `READERS` is the only
-other entry that it needs. A package adds readers by the entry-point group ``planopt.log_readers``.
-"""
+"""Known logging programs, detection of columns by name, and readers of file formats."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Optimal control problems of the agents as convex programmes.
-
-Agents share no variables. Each programme is scaled by the agent's own distances and relative to its
-position; velocities are lengths per step.
-"""
+"""Optimal control problems of the agents as convex programmes, scaled by the agent's distances."""
 
 from __future__ import annotations
 

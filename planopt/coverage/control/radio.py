@@ -1,9 +1,7 @@
 """Trees of radio links that moving agents maintain.
 
-Each agent is connected to a base station via its parent in a tree. The failure probabilities of
-the links along a path are added (union bound), so links need not be independent. Each link has a
-share of the allowed sum, which limits the link's length. Both ends of the link stay in a disc whose
-diameter equals this largest length.
+The failure probabilities of the links along a path are added (union bound). Both ends of a link
+stay in a disc whose diameter is the largest length that the link's share of the sum allows.
 """
 
 from __future__ import annotations

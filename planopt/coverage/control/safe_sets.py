@@ -1,9 +1,6 @@
 """Convex safe sets, in which agents move independently of each other: cells and corridors.
 
-The reserve of an agent is its braking path: its position, or with inertia the straight line from
-there to the stopping position. A cell separates the reserve from those of other agents; a corridor
-contains no boundary. The reserve is always inside both sets, so an agent can stop regardless of the
-others.
+The braking path of an agent is always inside both, so an agent can stop regardless of the others.
 """
 
 from __future__ import annotations

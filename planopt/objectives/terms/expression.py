@@ -1,15 +1,9 @@
 # pyright: basic
 """Terms defined by a CasADi expression of the path: ``casadi`` and user-defined kinds.
 
-The text of an expression has one Python assignment per line, parsed by an allow-list:
-
-    v0 = mean_db[2, 0]
-    v1 = v0 - -40.0
-    exp(v1) * v1
-
-The last line is the value. Only arithmetic, comparisons and the functions of `FUNCTIONS` are
-accepted, so that the objective of an untrusted file can be evaluated safely. CasADi evaluates and
-differentiates it.
+The text of an expression has one Python assignment per line, such as ``v0 = mean_db[2, 0]``; the
+last line is the value. Only arithmetic, comparisons and the functions of `FUNCTIONS` are accepted,
+so that the objective of an untrusted file can be evaluated safely.
 """
 
 from __future__ import annotations

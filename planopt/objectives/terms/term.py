@@ -1,9 +1,4 @@
-"""Base class of objective terms, and the registry of all kinds.
-
-A term is a frozen dataclass whose fields are the keys of its table in a problem file; annotations
-define types and ranges. Defining a subclass with a ``kind`` registers it. Modules of this package
-are imported automatically. Import others before reading problems that use their terms.
-"""
+"""Base class of objective terms, and the registry of all kinds."""
 
 from __future__ import annotations
 

@@ -1,12 +1,8 @@
 # pyright: basic
 """Term ``until_connected``: minus the expected distance until connected (equation 4.13).
 
-Plans are evaluated by assumed-density filtering (equation 4.15). After each position without a
-connection, the power at all later positions is approximated by a Gaussian with the exact
-moments. The result is within hundredths of the multivariate integral
-(:func:`planopt.channel.first_passage`) at a hundredth of its cost. For solvers, CasADi
-differentiates the formula w.r.t. the moments of the path, whose derivatives
-:mod:`planopt.objectives.path_derivatives` provides.
+Assumed-density filtering (equation 4.15) is within hundredths of the multivariate integral
+(:func:`planopt.channel.first_passage`) at a hundredth of its cost.
 """
 
 from __future__ import annotations

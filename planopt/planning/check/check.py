@@ -1,10 +1,4 @@
-"""Verification of a saved plan or run from its files alone, and loading of results.
-
-The initial data are regenerated from problem and seed, the channel is fitted again, and the saved
-trajectories are executed and verified again (:mod:`planopt.planning.check.replay`). The resulting
-document is compared with the saved one. A difference from the library's problem of the same name is
-noted and does not reject a result.
-"""
+"""Verification of a saved plan or run from its files alone, and loading of results."""
 
 from __future__ import annotations
 

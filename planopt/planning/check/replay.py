@@ -1,9 +1,4 @@
-"""Replay of a saved plan or run: trajectories are executed and plans verified again.
-
-The simulation loop runs with saved trajectories in place of a planner; nothing is planned. If the
-problem has a ground truth, it and the initial measurements are drawn again. Otherwise, true powers
-and initial measurements are read from the files.
-"""
+"""Replay of a saved plan or run: trajectories are executed and plans verified again."""
 
 from __future__ import annotations
 

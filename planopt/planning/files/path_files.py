@@ -1,8 +1,4 @@
-"""Files of paths by extension, and Nav2 masks of the channel belief.
-
-Paths are written for ROS (nav_msgs/Path as JSON), GeoJSON, QGroundControl and CSV. The formats in
-degrees (GeoJSON, QGroundControl; WGS 84) need the latitude and longitude of the origin.
-"""
+"""Files of paths by extension, and Nav2 masks of the channel belief."""
 
 from __future__ import annotations
 

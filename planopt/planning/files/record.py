@@ -1,8 +1,4 @@
-"""Base class of JSON objects of results, whose keys are declared once with type and source.
-
-By default the value of a key is the attribute of the same name; a `Source` overrides this. A replay
-reads the typed keys; keys of type `Computed` are recomputed and compared.
-"""
+"""Base class of JSON objects of results, whose keys are declared once with type and source."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""Recordings of plans and runs for viewers: MCAP with the schemas of Foxglove, and Rerun.
-
-Times count from 0. Each robot has its pose, its plan at each step, and numbers: predicted power,
-its standard deviation, P(connected), and the received power. Obstacles, stations and the map of the
-last channel estimate are at time 0.
-"""
+"""Recordings of plans and runs for viewers: MCAP with the schemas of Foxglove, and Rerun."""
 
 from __future__ import annotations
 

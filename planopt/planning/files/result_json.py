@@ -1,8 +1,4 @@
-"""Plans and runs as JSON objects, as printed and as saved in ``plan.json`` and ``run.json``.
-
-In a plan for several robots, keys hold sums, worst values or joined texts. A saved run contains
-every released plan, so that each can be verified again with the belief at its time.
-"""
+"""Plans and runs as JSON objects, as printed and as saved in ``plan.json`` and ``run.json``."""
 
 from __future__ import annotations
 
@@ -183,10 +179,7 @@ class RobotPlan(Trajectory):
 
 
 class ReleasedPlan(Trajectory):
-    """JSON object of a run's released plan, with the steps that violate the chance constraint.
-
-    For plans to a goal, path cost and cheapest cost justify the violating steps.
-    """
+    """JSON object of a run's released plan, with the steps that violate the chance constraint."""
 
     kkt_residual: Annotated[NotNegative | None, Source(lambda plan: plan.certificate.kkt_residual)]
     relaxed_steps: Annotated[Computed, Source(lambda plan: plan.certificate.relaxed_steps)]

@@ -1,8 +1,4 @@
-"""Tables of a saved plan or run: ``steps.csv``, ``target.csv`` and ``knowledge.csv``.
-
-``steps.csv`` has a row for every position of every robot; ``target.csv`` and ``knowledge.csv``
-contain the target track and the channel estimation errors of a run. Row 0 is the start.
-"""
+"""Tables of a saved plan or run: ``steps.csv``, ``target.csv`` and ``knowledge.csv``."""
 
 from __future__ import annotations
 

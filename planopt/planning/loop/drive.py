@@ -1,8 +1,4 @@
-"""Closed loop of a run: plan, move, measure and update the belief until the run ends.
-
-A run ends when the task is completed, the robots have stalled, or the step limit is reached. A
-simulation and the replay of a saved run differ in the source of plans and in the `World`.
-"""
+"""Closed loop of a run: plan, move, measure and update the belief until the run ends."""
 
 from __future__ import annotations
 
@@ -156,11 +152,7 @@ def _has_arrived(problem: Problem, state: Floats) -> bool:
 
 
 def _stuck(problem: Problem, connected: Mask, robot: Progress) -> str | None:
-    """Return the reason if a robot can make no further progress (it stands or circles), else None.
-
-    A stationary tracking robot does its task as long as packets arrive. For custom terms, standing
-    still may be optimal if plans are verified.
-    """
+    """Return the reason if a robot makes no further progress (it stands or circles), else None."""
     recent, term = slice(-STALL_STEPS, None), robot.problem.terms[0]
     if term.sensor is not None and connected[recent].any():
         return None

@@ -1,9 +1,4 @@
-"""Metrics and realised costs of a run and of its robots.
-
-A path to a goal costs its length plus the outage price for each metre truly out of contact. The
-clairvoyant planner knows the true power except small-scale fading, which is unpredictable. The cost
-of its path includes fading, like the robot's.
-"""
+"""Metrics and realised costs of a run and of its robots (equation 6.12)."""
 
 from __future__ import annotations
 

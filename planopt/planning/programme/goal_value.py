@@ -5,20 +5,15 @@ l_k = |q_k - q_{k-1}|, a path of a single integrator costs::
 
     w / h sum l_k^2 + rate |q_N - pivot| + price sum l_k (c_{k-1} + c_k) / 2
 
-where ``c_k = charged_k (1 - Phi(score_k(q_k)))`` is the fraction of a metre that the outage price
-applies to. This cost couples successive stages.
-
-For a robot with dynamics, state x_k = (q_k, r_k), resting position s(x_k) and turning time
-turning(x_k, pivot), the cost is written symbolically::
+where ``c_k = charged_k (1 - Phi(score_k(q_k)))``. For a robot with dynamics, state
+x_k = (q_k, r_k), resting position s(x_k) and turning time turning(x_k, pivot), it is::
 
     effort sum |q_k - q_{k-1}|^2
         + sum c_k (rate |s(x_k) - pivot| + braking |s(x_k) - q_k| + turning(x_k, pivot))
 
-c_N is 1, for the route beyond the horizon. If the pivot (the terminal waypoint) is reachable within
-the horizon, every step pays for the remaining distance; otherwise arriving late would be free. The
-distance is measured from the resting position, so that the robot brakes as late as possible. The
-outage price applies up to the resting position; otherwise the robot would postpone expensive parts
-beyond the horizon again and again.
+If the pivot is reachable within the horizon, every step pays for the remaining distance; otherwise
+arriving late would be free. The resting position makes the robot brake as late as possible, and
+the outage price applies up to it; otherwise expensive parts would be postponed again and again.
 """
 
 from __future__ import annotations

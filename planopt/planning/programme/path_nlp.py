@@ -11,20 +11,11 @@ slack t of a total::
           margin_k(q_k) + s_k >= bound_k             k = 1..N             "connectivity"
           total(q_1, ..., q_N) + c t >= bound                             "connectivity"
 
-L is the longest step. The separating lines (n, b, a) are fixed from the initial guess and applied
-to both ends of a segment, so that the whole segment is clear; b and a differ for a moving obstacle.
-The connectivity rows are margins, or one total (a sum over stages), or none. The total's slack t is
-in dB; c is the change of the total per dB. A cost exists only for a robot with dynamics and a goal
-(:mod:`planopt.planning.programme.goal_value`). Variables and rows of the dynamics
-(:mod:`planopt.planning.programme.solver`) follow the positions and precede "connectivity".
-
-Value v, margins m and total w are callbacks with exact gradients (dv, dm, dw) and the nonzero
-entries of their Hessians (hv, hm, hw); margin callbacks take a fifth of the time of their symbolic
-form. Everything else is symbolic. The parameters are ``head`` (start, scale, slack weight, c), the
-lines, and those of the robot's dynamics and its goal.
-
-A solver is built once per structure and reused. Each call sets guess, bounds and parameters, but
-no multipliers. CasADi has no usable type stubs, hence the looser type checking.
+L is the longest step. The separating lines (n, b, a) apply to both ends of a segment, so that the
+whole segment is clear. A cost exists only for a robot with dynamics and a goal. Value v, margins m
+and total w are callbacks with exact gradients (dv, dm, dw) and the nonzero entries of their
+Hessians (hv, hm, hw); margin callbacks take a fifth of the time of their symbolic form. A solver is
+built once per structure and reused.
 """
 
 from __future__ import annotations

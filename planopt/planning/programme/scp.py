@@ -1,9 +1,4 @@
-"""Sequential convex programming in a trust region, an alternative to IPOPT.
-
-Speed limits and disc-shaped sets of inputs and states are exact second-order cones. Every other row
-is linearised and may be violated at an exact penalty, so that a step always exists. The Hessian of
-the Lagrangian is projected to a positive semidefinite matrix. A step is accepted by its achieved
-share of the predicted decrease (trust region and penalty as in section 18.5 of [NW06]).
+"""Sequential convex programming in a trust region, an alternative to IPOPT ([NW06], section 18.5).
 
 Clarabel solves each convex step. About a point x with rows g, Jacobian J, objective gradient c and
 a positive semidefinite B, the variables are the step d and the violation t >= 0 of each row that x
@@ -14,9 +9,7 @@ violates::
           |z_k + dz_k| <= R_k                      cones: pairs z_k of variables or of differences
           lowest <= d <= highest
 
-A cone row weight |z|^2 + constant <= upper, with z a pair of variables minus another pair or a
-parameter, becomes |z| <= radius without linearisation. Variables with lowest = highest = 0 are
-fixed.
+A cone row weight |z|^2 + constant <= upper becomes |z| <= radius without linearisation.
 """
 
 from __future__ import annotations
@@ -157,11 +150,7 @@ class Model:
 
 @dataclass(frozen=True)
 class Step:
-    """Solution of the convex programme: a step, with multipliers of rows and bounds.
-
-    Multipliers are positive at upper bounds and negative at lower ones; those of cones refer to the
-    squared form.
-    """
+    """Step of the convex programme, with multipliers of rows (cones: squared) and bounds."""
 
     step: Floats
     row_multipliers: Floats

@@ -11,13 +11,8 @@ of a step's curve and lines (n, b), are::
     n_kj . c_ki               >= b_kji k = 1..N, all i, j  "line_way"
     c_ki within the workspace          k = 1..N, all i     "box"
 
-A moving obstacle's line has a separate offset for each control point. The I - 1 points of a curve
-are equally spaced in time, so b_kji = (1 - i / I) a_kj + i / I b_kj. Braking after the last step is
-one more step with its own lines.
-
-Sign convention: with rows g between bounds and variables x between bounds,
-``grad f + J' lambda_g + lambda_x = 0``; multipliers are positive at an active upper bound and
-negative at an active lower bound.
+Braking after the last step is one more step with its own lines. Multipliers are positive at an
+active upper bound and negative at an active lower bound (equation 6.10).
 """
 
 from __future__ import annotations
@@ -302,10 +297,7 @@ class PathShape:
 
     @property
     def per_m(self) -> Floats:
-        """Return the trust-region width of each variable per metre of a position; ``(variables,)``.
-
-        The width is infinite for slacks and inputs, which the other variables determine.
-        """
+        """Return the trust-region width of each variable per metre of a position."""
         places, slacks = np.ones(2 * self.horizon), np.full(self.slacks, np.inf)
         if self.motion is None:
             return np.concatenate([places, slacks])

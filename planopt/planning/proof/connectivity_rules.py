@@ -1,8 +1,4 @@
-"""Connectivity rules of planopt: each step, average, joint, outage and data.
-
-One station's powers along a path are jointly normal. The serving power of several stations is not,
-so channels are sampled, independently by station and with the same random numbers for every path.
-"""
+"""Connectivity rules of planopt: each step, average, joint, outage and data."""
 
 from __future__ import annotations
 

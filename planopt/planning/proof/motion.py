@@ -1,12 +1,8 @@
 """Verification of a motion: swept clearance, dynamics, separation, and arrival.
 
-A single integrator moves straight from position to position. For a robot with dynamics, every step
-is recomputed from states and inputs. The braking path after the last step belongs to the swept
-path, so that the next step always has a plan.
-
-Distances at equal times include braking after the last step: to other robots until all have
-stopped, to moving obstacles until this robot has stopped. A robot has arrived if it rests at the
-goal or comes to rest there by braking.
+The braking path after the last step belongs to the swept path, so that the next step always has a
+plan. Distances at equal times include braking: to other robots until all have stopped, to moving
+obstacles until this robot has stopped.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""Base classes of connectivity rules, which bound a function of a plan's connection probabilities.
-
-Verifier and planner share :meth:`Rule.achieved`. The verifier evaluates it with the exact
-posterior, or computes a joint probability of the steps instead; the planner uses its gradient.
-"""
+"""Base classes of connectivity rules: bounds on a function of a plan's connection probabilities."""
 
 from __future__ import annotations
 

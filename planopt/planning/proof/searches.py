@@ -1,13 +1,8 @@
 """Searches of the verifier for reachable connected positions and for cheaper paths to the goal.
 
-A step may violate the chance constraint if no reachable position satisfies it. The searched
-positions are a superset of the reachable ones: a disc restricted to the connected free space, where
-positions with a positive margin must also have a short enough path around obstacles. A negative
-best margin is therefore a proof, up to the grid's resolution.
-
-A plan may leave contact if a detour costs more. Costs are compared with paths that Dijkstra's
-algorithm finds on the verifier's own grid over the workspace. These paths are feasible; paths off
-the nodes are not considered. Probabilities are exact at every other node and interpolated between.
+The searched positions are a superset of the reachable ones: a disc restricted to the connected free
+space, where positions with a positive margin must also have a short enough path around obstacles.
+Costs are compared with feasible paths on the verifier's own grid (equation 6.9).
 """
 
 from __future__ import annotations

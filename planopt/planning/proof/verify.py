@@ -1,10 +1,7 @@
 """Verification of a plan: clearance, motion and connectivity, from problem and belief alone.
 
-This module imports nothing from the programme or the solvers. A plan is verified if its swept path
-satisfies clearance, workspace, speed and separation from moving obstacles and robots, and if the
-connectivity rule holds with the exact posterior and the current standard deviation. A step to a
-goal may violate p_min if no path found by the verifier is cheaper by more than a tolerance; a step
-for a sum of terms, if no position reachable by then satisfies p_min
+A step to a goal may violate p_min if no path found by the verifier is cheaper by more than a
+tolerance; a step for a sum of terms, if no position reachable by then satisfies p_min
 (:mod:`planopt.planning.proof.searches`). Bounded slack replaces these exceptions.
 """
 

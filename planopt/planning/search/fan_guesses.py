@@ -1,11 +1,8 @@
 """Initial guesses for objectives that couple the positions of a path: a fan of paths.
 
-All paths are extended together, step by step. If the next step of a path would leave free space,
-the path turns aside by the smallest sufficient angle, according to a raster of clearances. Finally,
-every segment is checked exactly, and a path stops before its first blocked segment.
-
-While path loss is uncertain, paths to the base station are added: measurements next to the station
-are most informative, and the fan may have no path near it.
+All paths are extended together, step by step; a path turns aside at obstacles, according to a
+raster of clearances. While path loss is uncertain, paths to the base station are added:
+measurements next to it are most informative, and the fan may have no path near it.
 """
 
 from __future__ import annotations

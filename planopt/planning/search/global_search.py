@@ -1,11 +1,8 @@
 """Initial guess of a plan to a goal: the cheapest lattice path at the outage price.
 
-The cost-to-go is the length of the cheapest path to the goal; each metre is weighted by
-``1 + outage_price (1 - P)``. Dynamic programming finds the path of N steps with the same costs. For
-a connectivity rule over several steps, searches with guides
-(:class:`planopt.planning.values.rule_rows.Guide`) propose paths. The cheapest one that satisfies
-the rule is returned, unless its progress is less than half of the cheapest path's: a robot that
-satisfies the rule by waiting would never arrive.
+For a connectivity rule over several steps, searches with guides propose paths. The cheapest one
+that satisfies the rule is returned, unless its progress is less than half of the cheapest path's: a
+robot that satisfies the rule by waiting would never arrive.
 """
 
 from __future__ import annotations

@@ -1,8 +1,6 @@
 """Initial guesses for sums of terms: the best distinct paths found by search.
 
-Dynamic programming searches the lattice stage by stage. The reward of ending a step at a node is
-exact for terms that are additive over steps. Terms that couple the positions of a path are
-approximated by the sum of the values of single positions.
+Terms that couple the positions of a path are approximated by the sum over single positions.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""Ranking and batched ascent of many paths, with a shared set of measurements near all of them.
-
-The shared set makes the cost almost independent of the number of paths. If the set contains all
-measurements, ranking and objective value differ only by single-precision rounding.
-"""
+"""Ranking and batched ascent of many paths, with a shared set of measurements near all of them."""
 
 from __future__ import annotations
 

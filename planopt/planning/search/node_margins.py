@@ -1,8 +1,4 @@
-"""Power predictions at the nodes of a lattice, corrected where paths depend on them.
-
-The map predicts each tile from its nearest measurements, which is fast but approximate. Nodes that
-a path depends on are predicted again from more measurements.
-"""
+"""Power predictions at the nodes of a lattice, corrected where paths depend on them."""
 
 from __future__ import annotations
 

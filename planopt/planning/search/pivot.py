@@ -1,9 +1,7 @@
-"""Pivot: the terminal waypoint that represents the route beyond a path's end in the cost-to-go.
+"""Pivot: the terminal waypoint that represents the route beyond a path's end (equation 6.6).
 
-The shortest route around obstacles from q is straight up to some corner. Its length is the distance
-to any visible point of the route plus the remaining length from there. The pivot is the farthest
-visible point; if the path can reach it, a farther point, visible or not. Distance plus remaining
-length never overestimates the route.
+The pivot is the farthest visible point of the shortest route; if the path can reach it, a farther
+point. Distance plus remaining length never overestimates the route.
 """
 
 from __future__ import annotations

@@ -1,11 +1,5 @@
 """Initial guesses that lead to one position: probed, unmeasured, or satisfying p_min.
 
-Terms that probe the end of a path compare many positions. The predicted power at the nearest node
-ranks the paths; only the ends of the best paths are predicted individually.
-
-If no N-step plan yields a measurement, the robot takes a short path to the most informative
-position (:func:`path_to_unmeasured`).
-
 In most directions, lattice paths are slower than the robot, so a search may miss a position that is
 only just reachable in time. If the verifier reports that a step could have satisfied p_min,
 :func:`paths_to_good_place` searches for such a position and the shortest path to it.

@@ -2,12 +2,6 @@
 
 To learn the channel, a robot is steered to the workspace cell q* that maximises
 J_CH = max{0, sigma^2 - sigma_TH^2} psi(d), with d the length of the shortest path to the cell.
-
-To connect, a robot is steered to the probe position z with the shortest expected search length
-R(z), in metres (:func:`planopt.objectives.terms.until_connected.search_length_m`).
-
-To reach a goal, a robot is steered along a path that leaves coverage only where every path does,
-for the shortest possible distance. The path turns at obstacles and at coverage holes.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Search for a lattice path to a goal in space and time, among other robots.
 
-The search expands the nodes reachable after each step, waiting included. Based on the cost-to-go
-without other robots, it prunes paths that exceed the lowest cost by `DELAYS_STEPS` of waiting. It
-ends as soon as the shortest route from a promising node avoids the other robots in time.
+Based on the cost-to-go without other robots, the search prunes paths that exceed the lowest cost by
+`DELAYS_STEPS` of waiting. It ends as soon as the shortest route from a promising node is free.
 """
 
 from __future__ import annotations

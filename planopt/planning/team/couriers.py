@@ -1,14 +1,8 @@
-"""One step of all robots that have goals of their own and keep a separation.
+"""One step of all robots that have goals of their own and keep a separation (equation 6.11).
 
-Timed paths to all goals (*courses*) are searched in sequence. A robot takes its single-robot path
-if that avoids the earlier courses; otherwise it takes the cheapest course in space and time that
-does (:mod:`planopt.planning.search.timed_search`). A robot without a course moves to the front of
-the order and the search restarts; the order is kept for the next step. A robot at its goal thus
-steps aside for one that must pass, and returns.
-
-The first steps of the courses are separated, so that each can be released independently: robots
-plan in sequence and avoid earlier plans and the courses of later robots. Without courses, or if a
-robot with dynamics cannot drive its own, they avoid reservations
+Timed paths to all goals (*courses*) are searched in sequence. A robot without a course moves to the
+front of the order and the search restarts; the order is kept for the next step. Without courses, or
+if a robot with dynamics cannot drive its own, robots avoid reservations
 (:mod:`planopt.planning.reservations`).
 """
 

@@ -1,9 +1,7 @@
 """One step of all robots whose objective is a sum of terms.
 
-Robots plan in sequence. In the first round, each avoids the reservations of later robots
-(:mod:`planopt.planning.reservations`). If a robot then has no verified plan, it plans first in a
-second round that considers only completed plans. The result of the second round is released if all
-plans are separated and more of them are verified.
+In the first round, each robot avoids the reservations of later robots. If a robot then has no
+verified plan, it plans first in a second round that considers only completed plans.
 """
 
 from __future__ import annotations

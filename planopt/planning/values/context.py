@@ -1,9 +1,7 @@
 """Context of one planning step: belief, state, target, steering, other robots' plans.
 
-The robots of a team plan in sequence, with knowledge of the earlier plans of the step and the
-others' past positions. The others' future measurements are treated as made, with the predicted
-power as value. This changes no mean and reduces variances as real measurements would, because
-variances do not depend on measured values. The information of a path given the others' paths is
+The others' future measurements are treated as made, with the predicted power as value: variances do
+not depend on measured values. The information of a path given the others' paths is
 
     F(path | others) = F(path and others) - F(others),
 

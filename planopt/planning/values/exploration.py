@@ -1,8 +1,4 @@
-"""Steering paths, region of the map, and positions that are worth measuring.
-
-If no such position is left, a stationary robot has completed its task; otherwise it has stalled.
-The positions depend only on the search lattice, so a check of a saved run uses the same ones.
-"""
+"""Steering paths, region of the map, and positions that are worth measuring."""
 
 from __future__ import annotations
 

@@ -1,8 +1,4 @@
-"""Local model of the objective around an initial guess, with exact derivatives.
-
-The channel model uses the measurements nearest to the guess; non-smooth points are smoothed. The
-solver's path is then evaluated by :mod:`planopt.planning.values.objective_value` and verified.
-"""
+"""Local model of the objective around an initial guess, with exact derivatives."""
 
 from __future__ import annotations
 

@@ -1,9 +1,4 @@
-"""Objective value of a path: the weighted sum of terms, or the cost to a goal.
-
-Plans are compared by this value, which uses all measurements, and results report it. Solvers use
-the differentiable local approximation in :mod:`planopt.planning.values.local_value`. Slack of the
-connectivity rule, and violations beyond the slack, are penalised in addition.
-"""
+"""Objective value of a path: the weighted sum of terms, or the cost to a goal."""
 
 from __future__ import annotations
 

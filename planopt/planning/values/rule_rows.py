@@ -1,8 +1,7 @@
 """Connectivity rule for planners: constraint rows, search guides, and the shortfall.
 
-All derive from :meth:`planopt.planning.proof.rule.Rule.achieved`. A rule on single steps constrains
-each of them by p_min. Any other rule becomes one row, a weighted sum of the probabilities: the
-tangent of the achieved value.
+A rule on single steps constrains each of them by p_min. Any other rule becomes one row, a weighted
+sum of the probabilities: the tangent of the achieved value.
 """
 
 from __future__ import annotations

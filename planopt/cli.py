@@ -5,8 +5,6 @@ interrupted, 143 terminated.
 An error is one line on standard error and, with ``--json``, one JSON object on standard output.
 """
 
-from __future__ import annotations
-
 import contextlib
 import re
 import signal

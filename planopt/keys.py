@@ -6,8 +6,6 @@ messages are derived from this declaration. Numbers must be finite, booleans are
 is not a number, and an unknown key is an error.
 """
 
-from __future__ import annotations
-
 import ast
 import contextlib
 import difflib

@@ -1,7 +1,5 @@
 """Import of a package's public names on first use, as listed by its stub ``__init__.pyi``."""
 
-from __future__ import annotations
-
 import ast
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Conversion and validation of user values for frozen dataclasses."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, cast

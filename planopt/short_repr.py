@@ -1,7 +1,5 @@
 """Short text representations of objects with arrays, for ``print`` and interactive prompts."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass

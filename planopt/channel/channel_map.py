@@ -4,8 +4,6 @@ In :class:`TileMap` the nodes of a square tile share the measurements nearest to
 measurement changes only nearby tiles: two rank-one updates put it in place of the farthest one.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -7,8 +7,6 @@ connection and the same margin. The combined score (equation 3.3) is computed fr
 both tails, so that it remains informative if the probability rounds to 0 or 1.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass

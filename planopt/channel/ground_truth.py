@@ -4,8 +4,6 @@ Each fading law (lognormal, Nakagami-m, Rician) has unit mean power. Its mean in
 so that the predicted mean remains path loss plus shadowing (equation 1.5).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

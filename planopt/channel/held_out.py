@@ -8,8 +8,6 @@ censored powers, are a least-squares line and a Gaussian process with a constant
 exponential kernel and white noise, whose parameters maximise the marginal likelihood on a grid.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass

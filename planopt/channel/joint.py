@@ -4,8 +4,6 @@ Packets are sent at the path's positions, with independent multipath. A leg is c
 position is, as in the metrics of the closed loop.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

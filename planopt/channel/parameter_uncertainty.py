@@ -4,8 +4,6 @@ The posterior is a mixture over a lattice of (xi^2 / alpha, beta) along the prin
 likelihood, weighted by it. The total variance alpha is integrated out in closed form.
 """
 
-from __future__ import annotations
-
 import math
 import sys
 from collections.abc import Sequence

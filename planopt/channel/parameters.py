@@ -4,8 +4,6 @@ If the distances to the station hardly differ, n_PL is fixed at a prior value, w
 part of the covariance of theta.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

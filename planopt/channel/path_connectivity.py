@@ -1,7 +1,5 @@
 """Connectivity along a path: P(connected at all positions), and the first connection."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

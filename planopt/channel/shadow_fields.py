@@ -5,8 +5,6 @@ negative eigenvalues is negligible. A conditional field is an unconditional one 
 differences to the measured values, so no covariance between all cells is needed.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """Options shared by several commands."""
 
-from __future__ import annotations
-
 import dataclasses
 import inspect
 from collections.abc import Callable

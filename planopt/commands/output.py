@@ -1,7 +1,5 @@
 """Output of commands (results to stdout, progress to stderr, files to --out) and interrupts."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import signal

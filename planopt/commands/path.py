@@ -1,7 +1,5 @@
 """``planopt path``: the path of a saved plan or run for other programs."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """``planopt list``, ``schema``, ``init``, ``show`` and ``validate``: problems and their files."""
 
-from __future__ import annotations
-
 import contextlib
 from functools import partial
 from pathlib import Path

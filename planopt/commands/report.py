@@ -1,7 +1,5 @@
 """``planopt report``: the HTML page of a saved result."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """Assignment of agents to events: demands, flag propagation and distributed matching."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

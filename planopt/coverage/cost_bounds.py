@@ -4,8 +4,6 @@ Prices are optimised on coarse cells, and then interpolated on fine ones, where 
 G is computed on boxes that cover all positions of an agent.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass

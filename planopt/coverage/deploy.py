@@ -1,7 +1,5 @@
 """Target positions that drive a network to a deployment of lower cost than the nearest optimum."""
 
-from __future__ import annotations
-
 from typing import cast
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Events in a region: signals, rules of detection, and the positions of responding agents."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import cast

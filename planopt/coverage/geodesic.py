@@ -3,8 +3,6 @@
 The visibility of corners from each grid node is computed once; distances and cost are then exact.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

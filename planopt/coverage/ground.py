@@ -1,7 +1,5 @@
 """Convex ground: coverage cost of a region without obstacles from exact Voronoi cells."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Maximum-likelihood localisation of events from a signal that decays with distance."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

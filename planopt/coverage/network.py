@@ -7,8 +7,6 @@ exponential random numbers. Both restart in epochs. `running` never restarts: at
 more.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, Literal

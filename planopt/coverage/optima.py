@@ -1,7 +1,5 @@
 """Low-cost deployments by multi-start search."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

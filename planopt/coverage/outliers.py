@@ -1,7 +1,5 @@
 """Test of the readings of one step for a faulty sensor (Baarda's data snooping)."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.special import chdtrc, chdtri  # pyright: ignore[reportUnknownVariableType]
 

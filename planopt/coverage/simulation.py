@@ -1,7 +1,5 @@
 """Simulation of an agent network: coverage, event detection, response and return to coverage."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, cast

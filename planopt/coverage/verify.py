@@ -1,7 +1,5 @@
 """Verifier of a network's moves, independent of the planner, over each whole move."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Verifier that recomputes event estimates from readings, independently of the estimator."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, cast

@@ -3,8 +3,6 @@
 Four extra points far outside bound every cell; their bisectors do not reach the region.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass
 from typing import cast

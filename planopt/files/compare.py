@@ -1,7 +1,5 @@
 """Comparison of a saved document with the same document recomputed."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import math

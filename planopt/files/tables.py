@@ -3,8 +3,6 @@
 Numbers are written with full precision; an empty cell means no value.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import math

@@ -3,8 +3,6 @@
 JSON has neither NaN nor infinity: both are written as null, which is read as NaN.
 """
 
-from __future__ import annotations
-
 import math
 import types
 from collections.abc import Mapping, Sequence

@@ -4,8 +4,6 @@ The JSON files of a folder, which every reader requires, are removed first and m
 that is killed in between leaves no result instead of a mixture of two.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import math

@@ -5,8 +5,6 @@ All classes use C = S, or C = S + B M B' for uncertain theta: :class:`Informatio
 :class:`PathUncertainty` variances above a threshold (4.4).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal, Protocol
 

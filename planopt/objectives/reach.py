@@ -5,8 +5,6 @@ length D beyond the horizon costs at least ``D min_v (1 + w v^2) / v`` (equation
 is the cost rate. A metre at probability of connection P counts as ``1 + price (1 - P)`` metres.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from itertools import pairwise

@@ -6,8 +6,6 @@ from its nearest measurements. The serving power of several stations has the mea
 the any-station score, with its standard deviation c fixed to its value along the initial guess.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 

@@ -1,7 +1,5 @@
 """Candidates of one step: value, verification and time budget, and the fallback cascade."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace

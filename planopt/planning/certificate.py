@@ -1,7 +1,5 @@
 """Findings of the verifier on a plan: certificate, rule result, coverage holes, descriptions."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace

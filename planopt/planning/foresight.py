@@ -5,8 +5,6 @@ multipath. Both maximise the received information or, with the suffix ``_log``, 
 logarithm of one plus that information times the initial variance.
 """
 
-from __future__ import annotations
-
 from functools import partial
 from time import perf_counter
 

@@ -1,7 +1,5 @@
 """Free space of a problem: lattice graph, reachability of the goal, random positions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 

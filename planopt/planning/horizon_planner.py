@@ -1,7 +1,5 @@
 """Receding-horizon step for a sum of terms: initial guesses and fallback cascade."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from time import perf_counter
 

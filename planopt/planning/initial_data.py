@@ -3,8 +3,6 @@
 Ground truth, initial measurements and targets use separate random streams.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Plan of one robot, and history of the run before the plan."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field

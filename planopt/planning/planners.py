@@ -5,8 +5,6 @@ a dense set of positions within one step. The communication strategies of [GM11]
 channel: path loss without shadowing, a disc in which all packets arrive, or a lossless link.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import replace

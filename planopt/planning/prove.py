@@ -6,8 +6,6 @@ and the outage integrated along both (equation 6.13). For sums over steps,
 :mod:`planopt.bounds.tube` supplies it.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from time import monotonic

@@ -1,7 +1,5 @@
 """Receding-horizon step to a goal: initial guess, refinement, verification, fallbacks."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Refinement of initial guesses into verified candidates, for sums of terms and for goals."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from time import perf_counter

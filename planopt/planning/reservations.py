@@ -5,8 +5,6 @@ before the first plan, it is braking from the start. Every robot can follow its 
 of a new plan, and separated reservations stay separated in the next step.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import combinations

@@ -1,7 +1,5 @@
 """Geometry of a run: obstacles and lattice, built once, and shortest paths."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace

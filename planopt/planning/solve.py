@@ -3,8 +3,6 @@
 The seed determines ground truth, first measurements, target path and sensor noise.
 """
 
-from __future__ import annotations
-
 import threading
 import warnings
 from collections.abc import Callable, Iterator, Sequence

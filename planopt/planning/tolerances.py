@@ -1,7 +1,5 @@
 """Tolerances of planning, with their reasons."""
 
-from __future__ import annotations
-
 CLEARANCE_TOLERANCE_M = 1e-6
 """Verifier's tolerance of distances: round-off at coordinates of some hundred metres."""
 

@@ -1,7 +1,5 @@
 """Draft of a problem file from a power log and an occupancy map, with its assumptions."""
 
-from __future__ import annotations
-
 import math
 import os
 import re

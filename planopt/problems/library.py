@@ -1,7 +1,5 @@
 """Problem library, and the reader of problem files in TOML."""
 
-from __future__ import annotations
-
 import difflib
 import json
 import os

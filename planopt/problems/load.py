@@ -1,7 +1,5 @@
 """Problem input and output: files, library names, overrides of single keys, and tables."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping
 from dataclasses import replace

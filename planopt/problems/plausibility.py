@@ -3,8 +3,6 @@
 A warning names the implausible value and a remedy; it is never an error.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

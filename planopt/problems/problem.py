@@ -1,7 +1,5 @@
 """Motion planning problem as a frozen dataclass, independent of files and solvers."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property

@@ -1,7 +1,5 @@
 """Settings of a problem: target, planner, report and comparison; the registry of planners."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace

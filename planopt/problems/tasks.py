@@ -1,7 +1,5 @@
 """Registry of tasks: built-in ones, and those of the entry-point group ``planopt.tasks``."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Results of planners in the regression suite, as an HTML page and as Markdown."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Time series of plans and runs, one per panel: power, connection, target, channel, fallbacks."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 

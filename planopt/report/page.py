@@ -4,8 +4,6 @@ Plotly draws map and charts; the page contains it. Texts from files are escaped 
 for the markup that Plotly accepts in labels.
 """
 
-from __future__ import annotations
-
 import json
 import math
 import re

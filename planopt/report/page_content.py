@@ -1,7 +1,5 @@
 """Content of the HTML pages of motion plans, runs, results of other tasks, and comparisons."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, cast

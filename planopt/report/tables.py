@@ -1,7 +1,5 @@
 """Results as plain text: names of metrics, aligned columns, comparisons, reliability."""
 
-from __future__ import annotations
-
 import math
 import textwrap
 from collections.abc import Iterable, Mapping, Sequence

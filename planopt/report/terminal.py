@@ -1,7 +1,5 @@
 """Frames of a run in characters, for a terminal: map, paths, plans, and a line for each robot."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

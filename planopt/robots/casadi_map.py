@@ -5,8 +5,6 @@ Between two samples that are d metres and t seconds apart, all paths of speed at
 sqrt((v t)^2 - d^2) / 2 of the straight line, at equal times too (Stewart's theorem).
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import math

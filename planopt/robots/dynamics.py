@@ -3,8 +3,6 @@
 One formula serves NumPy scalars, NumPy arrays of any shape and CasADi expressions.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 

@@ -3,8 +3,6 @@
 The formulas have no branches, so they are differentiable everywhere, including zero.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any

@@ -3,8 +3,6 @@
 The manifest ``bench.json`` identifies program and problems; rows of others are not comparable.
 """
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import io

@@ -1,7 +1,5 @@
 """References of the regression suite (best known results of planners), and scores of planners."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence

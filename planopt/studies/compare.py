@@ -1,7 +1,5 @@
 """Closed-loop comparison of horizons, planners and other settings on common seeds."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import product

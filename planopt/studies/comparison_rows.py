@@ -1,7 +1,5 @@
 """Table of a comparison: means and paired differences of metrics, with intervals."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any

@@ -1,7 +1,5 @@
 """Parallel execution of studies, which can be resumed from one file per finished run."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 import logging

@@ -5,8 +5,6 @@ specifies ``tr Phi^-1 = 1 / g(r)`` of the measurement noise but not Phi. Here Ph
 has this trace: the noise is isotropic, and g is half the variance per axis.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

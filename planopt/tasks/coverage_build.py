@@ -1,7 +1,5 @@
 """Validated problems of the task coverage, and the scenes built from them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Problem files of the task "pursuit", and the simulation scenes built from them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

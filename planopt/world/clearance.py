@@ -1,7 +1,5 @@
 """Exact distances to obstacles, used by the verifier."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

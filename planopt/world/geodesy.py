@@ -4,8 +4,6 @@ The projection onto the tangent plane at the origin shortens a distance d by d^3
 the earth's radius: 4 mm at 10 km, 4 m at 100 km.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

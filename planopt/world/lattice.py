@@ -5,8 +5,6 @@ A segment of length l whose ends are at distances d_a and d_b from an obstacle i
 ``(d_a + d_b - l) / 2`` away from it; GEOS decides only where this bound does not.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import cast

@@ -3,8 +3,6 @@
 A disc grows with the uncertainty of its prediction (equation 6.5).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

@@ -4,8 +4,6 @@
 because 100 would be an obstacle, and ``contact`` is 100 where P reaches p_min.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -8,8 +8,6 @@ cells: the walls of a whole building would be one polygon with thousands of corn
 every distance query. Obstacles that touch along a tile side or at a corner leave no gap.
 """
 
-from __future__ import annotations
-
 import io
 import itertools
 import math

@@ -1,7 +1,5 @@
 """Maps of values on a regular grid, looked up at the nearest cell."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

@@ -9,8 +9,6 @@ files are written with their reference system. Sionna RT radio maps are saved by
 ``savez(file, path_gain=map.path_gain.numpy(), cell_centers=map.cell_centers.numpy())``.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import math

@@ -1,7 +1,5 @@
 """Readers of obstacles from files (GeoJSON, WKT, ray-tracing scenes, grids) and from objects."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterable, Iterator

@@ -11,8 +11,6 @@ refinement moves the last position and the rest position by at most g towards th
 position in between by more.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import dataclass, fields

@@ -1,7 +1,5 @@
 """Shortest paths around obstacles, made of straight segments between corners."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import cast

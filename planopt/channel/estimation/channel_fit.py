@@ -1,7 +1,5 @@
 """Estimated channel with standard errors and warnings, and parameter bounds of all methods."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from importlib import import_module

@@ -5,8 +5,6 @@
 repeat, so pairs are collected in bins of equal width, each at the mean distance of its pairs.
 """
 
-from __future__ import annotations
-
 import math
 import warnings
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """Estimation of the channel from power measurements by one of several methods."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ The number and geometry of the positions decide which parameters can be identifi
 before any estimation. Censored powers are handled by the EM algorithm of Tobit regression.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

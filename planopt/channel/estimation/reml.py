@@ -5,8 +5,6 @@ distance, and flat path loss with a long one. The likelihood of a sample is ther
 a range of beta, and each of its maxima is the initial guess for the likelihood of all measurements.
 """
 
-from __future__ import annotations
-
 import math
 from collections import deque
 from collections.abc import Callable, Iterable

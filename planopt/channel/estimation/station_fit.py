@@ -8,8 +8,6 @@ fitted covariance. That of ``joint`` is the likelihood's second moment about the
 positions that a likelihood-ratio test does not reject.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import Literal, get_args

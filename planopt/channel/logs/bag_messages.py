@@ -1,7 +1,5 @@
 """Messages of rosbag2 recordings (SQLite and MCAP) and of other MCAP files with JSON."""
 
-from __future__ import annotations
-
 import io
 import json
 import re

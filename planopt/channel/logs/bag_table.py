@@ -3,8 +3,6 @@
 Positions in the frame ``map`` come first, TF before poses before odometry, and GPS comes last.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Iterable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """Tables of logs in SQLite and Parquet files and in data frames."""
 
-from __future__ import annotations
-
 import io
 import math
 from collections.abc import Callable, Iterable, Sequence

@@ -1,7 +1,5 @@
 """Common names of log columns, by role."""
 
-from __future__ import annotations
-
 from planopt.channel.logs.log_table import LogTable, fold
 
 ALIASES = {

@@ -1,7 +1,5 @@
 """Format of a power log (columns, units, row filter) as keys of problem files and as options."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields

@@ -1,7 +1,5 @@
 """Reading of power logs as measurements; errors name the line and the column."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

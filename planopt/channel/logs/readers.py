@@ -1,7 +1,5 @@
 """Known logging programs, detection of columns by name, and readers of file formats."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

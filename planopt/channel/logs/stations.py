@@ -1,7 +1,5 @@
 """Positions of transmitters in a file: a table of names and coordinates, such as OpenCellID's."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from pathlib import Path
 

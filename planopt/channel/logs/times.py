@@ -1,7 +1,5 @@
 """Conversion of a log's seconds, Unix times or dates to seconds from the first one."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from datetime import datetime
 

@@ -1,7 +1,5 @@
 """Motion of agents toward their targets, by a control law or on a receding horizon."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal

@@ -4,8 +4,6 @@ The failure probabilities of the links along a path are added (union bound). Bot
 stay in a disc whose diameter is the largest length that the link's share of the sum allows.
 """
 
-from __future__ import annotations
-
 import itertools
 from dataclasses import dataclass, replace
 from typing import cast

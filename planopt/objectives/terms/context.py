@@ -1,7 +1,5 @@
 """Inputs of objective terms: the step context, a batch of paths, a solver's path, or a lattice."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """Distance terms: ``goal`` (progress along the steered path) and ``motion_energy``."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, ClassVar
 

@@ -1,7 +1,5 @@
 """Terms that reward the information gain of measurements: ``path_loss_learning``, ``mapping``."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from functools import partial, reduce
 from typing import Annotated, ClassVar, Literal

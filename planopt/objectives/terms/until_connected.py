@@ -5,8 +5,6 @@ Assumed-density filtering (equation 4.15) is within hundredths of the multivaria
 (:func:`planopt.channel.first_passage`) at a hundredth of its cost.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

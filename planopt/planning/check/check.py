@@ -1,7 +1,5 @@
 """Verification of a saved plan or run from its files alone, and loading of results."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path

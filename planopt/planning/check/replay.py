@@ -1,7 +1,5 @@
 """Replay of a saved plan or run: trajectories are executed and plans verified again."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any

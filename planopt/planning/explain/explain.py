@@ -3,8 +3,6 @@
 Changes of clearance, obstacles, time step or chance constraint may open a path to a goal.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Files of paths by extension, and Nav2 masks of the channel belief."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Base class of JSON objects of results, whose keys are declared once with type and source."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Recordings of plans and runs for viewers: MCAP with the schemas of Foxglove, and Rerun."""
 
-from __future__ import annotations
-
 import json
 import math
 from base64 import b64encode

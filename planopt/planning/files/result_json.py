@@ -1,7 +1,5 @@
 """Plans and runs as JSON objects, as printed and as saved in ``plan.json`` and ``run.json``."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import fields
 from enum import StrEnum

@@ -1,7 +1,5 @@
 """Tables of a saved plan or run: ``steps.csv``, ``target.csv`` and ``knowledge.csv``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path

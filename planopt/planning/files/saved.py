@@ -3,8 +3,6 @@
 The files of a folder are replaced together (:mod:`planopt.files.writing`).
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Closed loop of a run: plan, move, measure and update the belief until the run ends."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Logs of a closed loop: the steps of each robot, the target, and the channel estimation errors."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

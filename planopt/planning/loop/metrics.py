@@ -1,7 +1,5 @@
 """Metrics and realised costs of a run and of its robots (equation 6.12)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 

@@ -1,7 +1,5 @@
 """Results of planning: the solution of a problem, and the run of a closed loop."""
 
-from __future__ import annotations
-
 import math
 from abc import abstractmethod
 from collections import Counter

@@ -16,8 +16,6 @@ arriving late would be free. The resting position makes the robot brake as late 
 the outage price applies up to it; otherwise expensive parts would be postponed again and again.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -18,8 +18,6 @@ Hessians (hv, hm, hw); margin callbacks take a fifth of the time of their symbol
 built once per structure and reused.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal

@@ -1,7 +1,5 @@
 """Refinement of an initial guess for any smooth objective: separating lines, data and solve."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -12,8 +12,6 @@ violates::
 A cone row weight |z|^2 + constant <= upper becomes |z| <= radius without linearisation.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Any

@@ -15,8 +15,6 @@ Braking after the last step is one more step with its own lines. Multipliers are
 active upper bound and negative at an active lower bound (equation 6.10).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any

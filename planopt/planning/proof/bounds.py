@@ -3,8 +3,6 @@
 A bound holds for the cost with the outage integrated along the route (equation 6.13).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -3,8 +3,6 @@
 The verifier uses all measurements, the search a nearby subset.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 

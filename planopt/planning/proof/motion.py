@@ -5,8 +5,6 @@ plan. Distances at equal times include braking: to other robots until all have s
 obstacles until this robot has stopped.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

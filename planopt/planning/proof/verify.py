@@ -5,8 +5,6 @@ tolerance; a step for a sum of terms, if no position reachable by then satisfies
 (:mod:`planopt.planning.proof.searches`). Bounded slack replaces these exceptions.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields, replace
 from typing import Any
 

@@ -5,8 +5,6 @@ raster of clearances. While path loss is uncertain, paths to the base station ar
 measurements next to it are most informative, and the fan may have no path near it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -5,8 +5,6 @@ that satisfies the rule is returned, unless its progress is less than half of th
 robot that satisfies the rule by waiting would never arrive.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

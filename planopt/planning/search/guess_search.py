@@ -3,8 +3,6 @@
 Terms that couple the positions of a path are approximated by the sum over single positions.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -8,8 +8,6 @@ previous stage's values; paths are traced back from these values. A window is a 
 the lattice. Its padded indices count a margin of blocked nodes around the lattice.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Power predictions at the nodes of a lattice, corrected where paths depend on them."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 

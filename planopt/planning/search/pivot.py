@@ -4,8 +4,6 @@ The pivot is the farthest visible point of the shortest route; if the path can r
 point. Distance plus remaining length never overestimates the route.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -5,8 +5,6 @@ only just reachable in time. If the verifier reports that a step could have sati
 :func:`paths_to_good_place` searches for such a position and the shortest path to it.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from functools import cached_property

@@ -4,8 +4,6 @@ To learn the channel, a robot is steered to the workspace cell q* that maximises
 J_CH = max{0, sigma^2 - sigma_TH^2} psi(d), with d the length of the shortest path to the cell.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

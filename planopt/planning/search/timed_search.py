@@ -4,8 +4,6 @@ Based on the cost-to-go without other robots, the search prunes paths that excee
 `DELAYS_STEPS` of waiting. It ends as soon as the shortest route from a promising node is free.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

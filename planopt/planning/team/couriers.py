@@ -6,8 +6,6 @@ if a robot with dynamics cannot drive its own, robots avoid reservations
 (:mod:`planopt.planning.reservations`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from functools import partial
 

@@ -4,8 +4,6 @@ In the first round, each robot avoids the reservations of later robots. If a rob
 verified plan, it plans first in a second round that considers only completed plans.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any

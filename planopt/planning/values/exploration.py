@@ -1,7 +1,5 @@
 """Steering paths, region of the map, and positions that are worth measuring."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import cast

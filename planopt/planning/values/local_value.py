@@ -1,7 +1,5 @@
 """Local model of the objective around an initial guess, with exact derivatives."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from functools import cache
 from typing import cast

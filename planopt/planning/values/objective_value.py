@@ -1,7 +1,5 @@
 """Objective value of a path: the weighted sum of terms, or the cost to a goal."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ A rule on single steps constrains each of them by p_min. Any other rule becomes 
 sum of the probabilities: the tangent of the achieved value.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

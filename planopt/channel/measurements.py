@@ -320,8 +320,7 @@ class Origins:
     positions_m: Floats  # (..., n, 2)
     # (..., n) increase of squared distances due to position errors; None without errors
     blur_m2: Floats | None = None
-    # (..., n), or (1,) for all; None for a static channel
-    time_s: Floats | None = None
+    time_s: Floats | None = None  # (..., n), or (1,) for all; None for a static channel
     receiver: Indices | None = None  # (..., n); None if all are 0
 
     def at(self, rows: Indices | slice) -> Origins:

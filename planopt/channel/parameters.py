@@ -209,8 +209,7 @@ class MeanModel:
     """Linear model of the mean power: offset + columns @ coefficients."""
 
     columns: Floats  # (n, p); p = 2: the regressors gamma; p = 1: ones, for K_PL alone
-    # (n,); zero for p = 2; the contribution of `PRIOR_N_PL` for p = 1
-    offset_db: Floats
+    offset_db: Floats  # (n,); zero for p = 2; the contribution of `PRIOR_N_PL` for p = 1
     # Mean of -10 log10 d over the exact measurements, the sensitivity of K_PL to n_PL
     regressor_mean: float
 

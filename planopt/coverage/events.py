@@ -154,8 +154,7 @@ class Sensing:
 
     sensor: EventSensor
     strength_known: bool = True  # Whether agents know K; otherwise they estimate it as well
-    # Detection threshold in standard deviations of the noise
-    detection_std: float = 5.0
+    detection_std: float = 5.0  # Detection threshold in standard deviations of the noise
     silent_steps: int = 3  # Number of steps without detection after which an event has ended
     memory_s: float | None = None  # Age limit of readings; required for moving events
     # Prior standard deviation of each velocity component of events; None for static events

@@ -274,8 +274,7 @@ def polygon_boundaries(pieces: NDArray[np.object_], nodes_m: Floats) -> Boundary
 class GeodesicCells:
     """Geodesic Voronoi cells: the agent nearest to each node by the shortest path."""
 
-    # (m,) number of the nearest agent; of coincident agents the smallest number
-    owner: Indices
+    owner: Indices  # (m,) number of the nearest agent; of coincident agents the smallest number
     distance_m: Floats  # (m,) length of the shortest path to the nearest agent
     cost: float  # The coverage cost H
     mass: Floats  # (n,) mass of each agent's cell

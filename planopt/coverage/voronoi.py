@@ -30,8 +30,7 @@ class ConvexRegion:
 
     # (k, 2) corners in counter-clockwise order, not closed, without collinear corners
     corners_m: Floats
-    # (k, 2) outward unit normals of the sides that start at those corners
-    normals: Floats
+    normals: Floats  # (k, 2) outward unit normals of the sides that start at those corners
     offsets_m: Floats  # (k,): the region is {q : normals @ q <= offsets_m}
     centre_m: Floats  # (2,) centre of the bounding box
     radius_m: float  # Largest distance of a corner from the centre
@@ -276,8 +275,7 @@ class Moments:
 
     mass: Floats  # (g,) integral of the density
     first: Floats  # (g, 2) integral of the density times the offset from the centre
-    # (g,) integral of the density times the squared distance from the centre
-    second: Floats
+    second: Floats  # (g,) integral of the density times the squared distance from the centre
 
 
 def cell_boundary(cells: Cells, sensing_range_m: float | None = None) -> Boundary:

@@ -38,8 +38,7 @@ class Column:
     name: str
     meaning: str
     unit: str = ""
-    # Flags are saved as 1 or 0
-    kind: Literal["number", "count", "text", "flag"] = "number"
+    kind: Literal["number", "count", "text", "flag"] = "number"  # Flags are saved as 1 or 0
     required: bool = False  # Whether every cell must have a value
     largest: float = LARGEST  # Maximum magnitude of a number
     # Function from a log to the values; by default its attribute of the same name

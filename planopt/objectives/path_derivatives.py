@@ -46,8 +46,7 @@ class Rows:
 
     value: Floats  # (h, r)
     first: Floats  # (2 h, r) w.r.t. the position's own coordinates
-    # (h, 3, r) xx, xy, yy; with gates (h, 6, r): xx, xy, yy, xg, yg, gg
-    second: Floats
+    second: Floats  # (h, 3, r) xx, xy, yy; with gates (h, 6, r): xx, xy, yy, xg, yg, gg
 
     def times(self, matrix: Floats) -> Rows:
         """Return the rows times `matrix` (r, s), or elementwise times a vector (r,)."""
@@ -73,12 +72,9 @@ class CovarianceDerivatives:
     """Covariance matrix S of a path's measurements, with derivatives w.r.t. positions."""
 
     value: Floats  # (h, h) S
-    # (2 h, h) D[2 i + a, k]: dS_ik w.r.t. coordinate a of q_i; half of it if k = i
-    first: Floats
-    # (2 h, 2 h) d^2 S_ij w.r.t. coordinates of q_i and q_j; half of it if j = i
-    mixed: Floats
-    # (h, 3, h) d^2 S_ik w.r.t. two coordinates of q_i; half of it if k = i
-    second: Floats
+    first: Floats  # (2 h, h) D[2 i + a, k]: dS_ik w.r.t. coordinate a of q_i; half of it if k = i
+    mixed: Floats  # (2 h, 2 h) d^2 S_ij w.r.t. coordinates of q_i and q_j; half of it if j = i
+    second: Floats  # (h, 3, h) d^2 S_ik w.r.t. two coordinates of q_i; half of it if k = i
 
     @property
     def owner(self) -> Indices:

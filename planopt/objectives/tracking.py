@@ -52,8 +52,7 @@ class Tracking:
 class Held:
     """Target measurements of one robot in the last M steps that the station lacks."""
 
-    # (4, 4) J of the station M steps ago, before the first unsent measurement
-    information: Floats
+    information: Floats  # (4, 4) J of the station M steps ago, before the first unsent measurement
     known: Floats  # (M,) information per axis that the station has, per m^2
     sent: Floats  # (M,) information per axis that only the robot has
 

@@ -68,8 +68,7 @@ class SnapshotService:
     # Distance between neighbours; mote (0, 0) is half of it away from both edges
     mote_spacing_m: float
     frame_s: float  # Duration of a TDMA frame: slots per frame times slot width
-    # c: reports resolve 2^-c of the side of a cell, but no less than one mote
-    bits_per_axis: int
+    bits_per_axis: int  # c: reports resolve 2^-c of the side of a cell, but no less than one mote
     hops_per_round: int = HOPS_PER_ROUND  # Frames of a level-0 round
     rate_divisor: int = 1  # r: rounds of a level start every r round durations
     # Whether the grid continues beyond its edges, for pursuits in open space: then cells of level L

@@ -180,8 +180,7 @@ class Answer:
     seed: int
     planner: str
     sense: str  # ``max`` or ``min``: direction of the objective
-    # Objective of a plan, or the mean over the plans of a run
-    objective: float | None = None
+    objective: float | None = None  # Objective of a plan, or the mean over the plans of a run
     verdict: str = Verdict.NONE.value  # Verdict reported by the planner; for a run the worst
     outcome: str = ""  # planned, no_plan or error
     rungs: dict[str, int] = field(default_factory=dict[str, int])  # Number of steps by fallback

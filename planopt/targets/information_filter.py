@@ -20,8 +20,7 @@ class TargetModel:
     """Motion model of a target with normally distributed acceleration (equation 4.7)."""
 
     step_s: float  # epsilon: the time step
-    # (2, 2) Theta; B Theta B' is singular, of rank 2
-    acceleration_covariance_m2_s4: Floats
+    acceleration_covariance_m2_s4: Floats  # (2, 2) Theta; B Theta B' is singular, of rank 2
 
     def __post_init__(self) -> None:
         if not (np.isfinite(self.step_s) and self.step_s > 0.0):

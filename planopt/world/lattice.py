@@ -224,8 +224,7 @@ class RoadMap:
 class CostToGo:
     """Cheapest paths from each node to a goal."""
 
-    # (n,) weighted path length; infinite without a path or beyond the limit
-    cost_m: Floats
+    cost_m: Floats  # (n,) weighted path length; infinite without a path or beyond the limit
     # (n,) next node on the path; negative at the goal and without a path
     next_node: NDArray[np.int32]
 

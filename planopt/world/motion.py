@@ -60,8 +60,7 @@ class StepCurve(Protocol):
 class PointCurve:
     """Polyline with a bound on the robot's distance from the polyline."""
 
-    # (k, 2) points, k >= 1; evenly spaced in time for a timed curve
-    places_m: Floats
+    places_m: Floats  # (k, 2) points, k >= 1; evenly spaced in time for a timed curve
     # Largest distance from the polyline; for a timed curve, from uniform motion on it
     within_m: float
 

@@ -113,8 +113,7 @@ EMPTY_OFFSET_M = -1.0
 class PackedPieces:
     """Convex pieces of all obstacles, stored in padded arrays."""
 
-    # (k, v, 2) corners, counter-clockwise, padded by repeating the last one
-    vertices_m: Floats
+    vertices_m: Floats  # (k, v, 2) corners, counter-clockwise, padded by repeating the last one
     # (k, v, 2) outward unit normals of the edges from those corners, padded by the last one
     normals: Floats
     corners: NDArray[np.int64]  # (k,) number of corners without padding
@@ -134,8 +133,7 @@ class SeparatingLines:
     # (s, c, 2) unit normals, pointing from the piece to the segment; 0 in empty slots
     normals: Floats
     offsets: Floats  # (s, c) in metres; `EMPTY_OFFSET_M` in empty slots
-    # (s, c) distance in metres, negative for overlaps; infinite in empty slots
-    gaps: Floats
+    gaps: Floats  # (s, c) distance in metres, negative for overlaps; infinite in empty slots
     piece: NDArray[np.int64]  # (s, c) index of the piece; -1 in empty slots
     # (s, c) offsets at the segment's start, for lines that move during a step
     start_offsets: Floats

@@ -33,8 +33,7 @@ class ShortestPaths:
     start_m: Floats  # (2,)
     radius_m: float  # Maximum path length
     closed: shapely.STRtree  # Inflated obstacles
-    # Connected component of free space; None without obstacles
-    joined: shapely.Geometry | None
+    joined: shapely.Geometry | None  # Connected component of free space; None without obstacles
     # (n, 2) corners at which paths turn, (n,) path lengths to them, ascending, and (n,) indices of
     # the previous corners, -1 for the start
     corners_m: Floats

@@ -52,8 +52,7 @@ class CovarianceFit:
     decorrelation_m: float
     # Standard errors of xi (dB), omega (dB) and beta (m); math.inf if unknown
     standard_errors: tuple[float, float, float]
-    # Warnings about parameters that the measurements do not determine
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...]  # Warnings about parameters that the measurements do not determine
 
     @property
     def values(self) -> tuple[float, float, float]:

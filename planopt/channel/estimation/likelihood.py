@@ -83,8 +83,7 @@ class LikelihoodData:
     prior_precision: Floats  # (q,) of the coefficients; of the first p, 0 is flat
     line: Floats  # (p,) coefficients of the line subtracted from the powers, the prior's mean
     values_db: Floats  # (n,) powers less the mean model's offset and the line
-    # (n,) variance of rounding, and of path loss due to position errors
-    fixed_db2: Floats
+    fixed_db2: Floats  # (n,) variance of rounding, and of path loss due to position errors
     gaussian: Mask  # (n,) false for intervals
     measured: Mask  # (n,) false for censored measurements
     intervals: IntervalRows | None

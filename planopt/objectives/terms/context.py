@@ -35,8 +35,7 @@ LENGTH_ROUNDING_SHARE = 0.01
 class SteeringPath:
     """Path from a robot's position to the position that it is steered to."""
 
-    # (m, 2), m at least 2: the robot's position, the turns, and the end
-    turns_m: Floats
+    turns_m: Floats  # (m, 2), m at least 2: the robot's position, the turns, and the end
     index: ObstacleIndex  # The obstacles
     clearance_m: float  # Minimum distance to obstacles, less the verifier's tolerance
     # (ny, nx) length of the shortest path to the end from each node of the lattice, if known
@@ -291,15 +290,13 @@ class NearPath:
     at: TermContext
     places_m: Floats  # (N, 2) positions after each step
     predicted: Callable[[], StagePower]  # Predictor of the serving power
-    # Local channel of each station, if a term couples positions
-    channels: Sequence[LocalChannel]
+    channels: Sequence[LocalChannel]  # Local channel of each station, if a term couples positions
     # Anticipated local channels, each with the grid of the averaged map, if any
     anticipated: Sequence[tuple[LocalChannel, LocalGrid | None]]
     gates: Gates | None  # Gates of the measurements; None if no term measures
     # (N,) index of the route turn that each position heads for; None without a route
     ahead: Indices | None
-    # (N,) True where connection is probed; None if no term probes
-    probed: Mask | None
+    probed: Mask | None  # (N,) True where connection is probed; None if no term probes
 
     @cached_property
     def stage_power(self) -> StagePower:

@@ -238,8 +238,7 @@ class Case:
     number: int  # Number of the robot
     posteriors: Sequence[ChannelPosterior]  # Channel posterior per station, used by the plan
     plan: Plan
-    # Moving obstacles, and other robots' plans if a separation is required
-    moving: MovingDiscs
+    moving: MovingDiscs  # Moving obstacles, and other robots' plans if a separation is required
 
     @property
     def own(self) -> Problem:

@@ -35,8 +35,7 @@ class Progress:
     """Record of one robot's progress in a closed loop, for its termination."""
 
     problem: Problem  # Problem restricted to this robot
-    # States (s,), position first: at the start and after each step
-    states: Sequence[Floats]
+    states: Sequence[Floats]  # States (s,), position first: at the start and after each step
     learnt: Sequence[bool]  # Whether each step yielded a measurement
     plans: Sequence[Plan]  # The plan whose first step was executed, by step
     posteriors: Sequence[ChannelPosterior]  # Current belief about each station's channel

@@ -155,8 +155,7 @@ class TargetLog:
     # (steps + 1,) trace of the covariance of the station's position estimate
     station_variance_m2: Floats
     station_determinant_m4: Floats  # (steps + 1,) determinant of this covariance
-    # (steps + 1,) e' P^-1 e with the error e of the station's position estimate
-    nees: Floats
+    nees: Floats  # (steps + 1,) e' P^-1 e with the error e of the station's position estimate
     # (steps, robots) nu' S^-1 nu with innovation nu and innovation covariance S of each robot's
     # filter; NaN without measurement
     nis: Floats
@@ -178,8 +177,7 @@ class TargetLog:
 class ChannelLog:
     """Errors of the first robot's channel estimate after each step; row 0 is the start."""
 
-    # (steps + 1,) root mean square error of the predicted power over the workspace
-    rms_db: Floats
+    rms_db: Floats  # (steps + 1,) root mean square error of the predicted power over the workspace
     # (steps + 1,) average normalised mean square error of [GM11] in dB; unreliable near 0 dBm
     anmse_db: Floats
     # (steps + 1,) tr(M) / |theta|^2 in dB (Fig. 2 of [GM11]); NaN for known path loss

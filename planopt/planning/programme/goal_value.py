@@ -118,8 +118,7 @@ class OutagePrice:
 
     price_s_m: float  # Cost of a metre out of contact
     share_before: float  # Penalised fraction of a metre at the start
-    # (N,) penalised fraction after each step if it is certainly out of contact
-    charged: Floats
+    charged: Floats  # (N,) penalised fraction after each step if it is certainly out of contact
 
 
 @dataclass(frozen=True, eq=False)

@@ -56,10 +56,8 @@ class GlobalStart:
     path_m: Floats  # (N, 2) positions of the nodes
     margin_db: Floats  # (N,) connectivity margins of the nodes
     route_m: Floats  # (r, 2) route from its end to the goal
-    # (b, 2) first part of the route: connected and reachable in N steps
-    beyond_m: Floats
-    # Cost-to-go of all nodes, in metres; infinite where it was not computed
-    cost_to_go: CostToGo
+    beyond_m: Floats  # (b, 2) first part of the route: connected and reachable in N steps
+    cost_to_go: CostToGo  # Cost-to-go of all nodes, in metres; infinite where it was not computed
     metre_cost: Floats  # (n,) cost per metre at every node
     is_blocked: bool  # Whether path or route violates a hard constraint
     is_direct: bool = False  # True if the path is released unrefined because the run has wandered

@@ -30,8 +30,7 @@ class MoveTable:
     # (21, ny + 2 REACH, nx + 2 REACH): 0 for an open move from the node, else minus infinity; has a
     # margin of blocked nodes around the lattice
     closed: Floats
-    # (ny, nx) free nodes that at least one move from a free node cannot reach
-    hindered: Mask
+    hindered: Mask  # (ny, nx) free nodes that at least one move from a free node cannot reach
     # (ny + 2 REACH, nx + 2 REACH) indices of the free nodes in row-major order, -1 elsewhere
     number: Indices
 

@@ -38,8 +38,7 @@ class TimedCosts:
     step_m: float
     effort_s2_m2: float
     rate_s_m: float  # Cost per metre of the cost-to-go
-    # (n + 1,) additional cost per metre at each node and, last, at the robot
-    surcharge_s_m: Floats
+    surcharge_s_m: Floats  # (n + 1,) additional cost per metre at each node and, last, at the robot
 
 
 def timed_places(places_m: Floats, route_m: Floats, step_m: float, steps: int) -> Floats:

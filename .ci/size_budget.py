@@ -13,8 +13,8 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 71_538,
-    "lines of code": 52_213,
+    "lines": 70_739,
+    "lines of code": 52_064,
     "files": 290,
     "functions": 3_757,
     "docstring lines": 7_543,

@@ -56,7 +56,6 @@ from planopt.plain_values import make_plain
 
 LIKE_WORDS = 0.9
 """Minimum similarity, ignoring word order, at which a known key is suggested for an unknown one."""
-
 LONGEST_KEY = 100
 """Maximum length of a word that is compared with known keys and names."""
 
@@ -212,7 +211,6 @@ def _bounds_of(field: FieldInfo) -> dict[str, float]:
 
 _NAME = r"^[A-Za-z0-9_-]+$"
 """Pattern of names."""
-
 _LIMITS = {"greater_than": "gt", "greater_than_equal": "ge", "less_than": "lt"}
 """Names of limits by pydantic's error type; other types are ``le``."""
 
@@ -284,7 +282,6 @@ def _tables(annotation: Any) -> list[type[BaseModel]]:
 
 LARGEST_COORDINATE_M = 1e9
 """Largest coordinate accepted, in metres; larger values are no positions on Earth."""
-
 SMALLEST = 1e-6
 """Minimum of lengths, times, speeds and rates that must be positive, in SI units."""
 

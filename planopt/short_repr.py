@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 
 WIDTH, LINES = 100, 5
 """Maximum width in characters and maximum number of lines."""
-
 MOST_SHOWN = 4
 """Maximum number of array or tuple entries that are shown individually."""
-
 MOST_NESTED = 200
 """Maximum length of nested data in characters; longer data are shown by type name."""
 

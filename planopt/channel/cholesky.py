@@ -27,7 +27,6 @@ FACTOR, INVERT, INVERT_LOWER, SOLVE_LOWER = get_lapack_funcs(
 INVERTED_ROWS = 64
 """Maximum number of rows that LAPACK inverts directly. Larger factors are inverted by halves, which
 is 2.5 times as fast at 144 rows."""
-
 PUT_ROWS = 64
 """Number of rows of a factor copied at once, which avoids copying the unused half."""
 

@@ -83,7 +83,6 @@ def _score(log_any: NDArray[np.float64], log_none: NDArray[np.float64]) -> NDArr
 
 SECANT_FROM_DB = 1e-4
 """Minimum |margin| in dB at which the score's slope is a secant; below it is the derivative."""
-
 SETTLED_DB = 1e-10
 """Tolerance of Newton's method on the margin, which typically takes six steps."""
 MOST_STEPS = 100

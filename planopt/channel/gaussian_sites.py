@@ -28,10 +28,8 @@ from planopt.channel.parameters import ChannelParameters, regressors
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(40)
 NODES, WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
 """Quadrature over [0, 1]; 40 nodes integrate the normal density with an error of 5e-14."""
-
 NEGLIGIBLE = 76.0
 """Increase of x^2 at which the normal density has fallen by a factor of exp(-38) = 3e-17."""
-
 LEAST_CLOSED_FORM = -20.0
 """Minimum upper end of a half-line whose moments use the closed form. The relative error of the
 variance grows with the fourth power of the end and is 1e-10 here."""
@@ -86,7 +84,6 @@ def _half_line(upper: Floats) -> TruncatedNormal:
 
 MAX_SITE_VARIANCE_DB2 = 1e5
 """Maximum variance of a site; replaces the infinite variance of an uninformative limit."""
-
 TOLERANCE = 1e-7
 """Default convergence tolerance of the sites."""
 
@@ -94,7 +91,6 @@ MAX_SWEEPS = 300
 
 MIN_NOISE_VARIANCE_DB2 = 1e-4
 """Minimum omega^2, so that covariances are positive definite if positions repeat."""
-
 FINE_STEP = 2.0
 """Maximum rounding step r for Sheppard's correction, as a multiple of omega.
 

@@ -38,10 +38,8 @@ PIT_BINS = 20
 
 Predictor = Callable[[Measurements], Prediction]
 """Function that predicts the powers of measurements without using their measured powers."""
-
 PATH_LOSS = "path_loss"
 """Name of the reference predictor."""
-
 MARGINAL_EXACT_LIMIT = 1000
 """Maximum number of measurements for factors of the marginalised channel, which needs one for each
 of its about 15 components. Beyond it the nearest measurements are used; on the campus logs, with
@@ -114,16 +112,12 @@ def _line_predictor(
 MOST_LIKELIHOOD, MOST_CONDITIONED = 400, 4_000
 """Maximum numbers of powers in the likelihood and in the posterior; longer logs are subsampled,
 because the cost is cubic."""
-
 FEWEST_PLACES = 6
 """Minimum number of distinct positions for a correlated process; with fewer it is white noise."""
-
 LENGTHS, LOGITS = 7, (-3.0, -1.5, 0.0, 1.5, 3.0)
 """Grid of the search: number of length scales, and logits of the noise share."""
-
 FINER = (-2.0 / 3.0, -1.0 / 3.0, 0.0, 1.0 / 3.0, 2.0 / 3.0)
 """Offsets of the refined grid from the best point, in steps of the first grid."""
-
 Point = tuple[float, float]
 """Logarithm of the length scale in metres, and logit of the noise share."""
 

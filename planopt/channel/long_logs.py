@@ -187,7 +187,6 @@ MAX_SWEEPS = 60
 AT_REST = 0.25
 """A block is skipped if its window's last changes are below this share of the tolerance. After
 three sweeps this applies to half of the blocks."""
-
 TOLERANCE = 1e-3
 """Tolerance in standard deviations of a site's posterior, below the effect of the neglected
 measurements. It takes about ten sweeps."""

@@ -26,10 +26,8 @@ from planopt.short_repr import short_repr
 
 MAX_POWER_DB = 1e6
 """Maximum magnitude of a power, so that squares do not overflow."""
-
 SAME_PLACE_M = 1e-6
 """Distance in metres below which two positions count as one."""
-
 LEAST_POWER_DBM, LARGEST_POWER_DBM = -300.0, 100.0
 """Range of powers that a receiver can report, from below the noise floor of any bandwidth to ten
 megawatts."""
@@ -245,10 +243,8 @@ Real = TypeVar("Real", np.float32, np.float64)
 
 BLUR_SHARE = 1.2
 """Increase of a squared distance per unit variance of the position error in one coordinate."""
-
 RECEIVER_OFFSET_STD_DB = 20.0
 """Prior standard deviation s of a receiver's offset, large enough to be uninformative."""
-
 ROWS_AT_ONCE = 64
 """Number of rows of a large symmetric matrix computed together, up to the diagonal. Half of the
 matrix is skipped, and temporary arrays stay in cache."""

@@ -21,16 +21,13 @@ KDTree: Any = ScipyKDTree
 
 MOST_UNTREED = 256
 """Maximum number of positions outside the search tree, unless the tree is large."""
-
 UNTREED_SHARE = 1.0 / 16.0
 """Maximum number of positions outside the search tree, as a share of those in it."""
-
 BLOCK, BLOCK_NEIGHBOURS = 48, 128
 """Block size, and number of neighbours in Vecchia's factorisation. On the three campus logs (3,401
 to 4,585 exact powers) the estimates of xi, omega and beta are then within 0.07 standard errors of
 the exact ones, and theta within 0.11. 32 and 64 give 0.46 and 0.24; 64 and 192 take twice the time
 without a gain."""
-
 PRESELECTED = 4
 """Number of candidates per required neighbour, preselected by distance from the block's box."""
 

@@ -15,13 +15,10 @@ from planopt.errors import InputError
 
 MAX_COORDINATE_M = 1e12
 """Maximum magnitude of a coordinate, so that squared distances do not overflow."""
-
 MIN_DISTANCE_M = 0.1
 """Minimum distance to the station, so that its logarithm is finite."""
-
 PRIOR_N_PL = 3.0
 """Prior mean of n_PL, between free space and dense streets."""
-
 PRIOR_N_PL_STD = 1.0
 """Prior standard deviation of n_PL."""
 

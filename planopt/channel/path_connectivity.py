@@ -22,19 +22,14 @@ from planopt.short_repr import short_repr
 
 FAR_SCORE = 40.0
 """Limit of scores; the normal tail beyond is below the smallest float."""
-
 VANISHING = 1e-200
 """Limit below which scores count as zero, because their products underflow."""
-
 SHIFTS = 12
 """Number of independent random shifts of the lattice; their scatter gives the error estimate."""
-
 FIRST_POINTS, LAST_POINTS = 2**9, 2**15
 """Initial and maximum number of lattice points, doubled until the tolerance is met."""
-
 FAR = 1e8
 """Limit of scores, so that their squares do not overflow."""
-
 ERRORS = 3.0
 """Number of standard errors over the shifts in the reported error."""
 

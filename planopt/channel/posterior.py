@@ -50,24 +50,18 @@ from planopt.short_repr import short_repr
 
 FACTOR_BLOCK = 264
 """Number of rows appended to a Cholesky factor at once; powers of two cause cache conflicts."""
-
 AT_ONCE = 768
 """Maximum number of rows of a Cholesky factor that is computed in one block."""
-
 WEAK_THETA_DEVIATION = (20.0, 1.0)
 """Prior standard deviation of K_PL (dB) and n_PL, used if measurements do not identify theta."""
-
 MAX_INFORMATION_CONDITION = 1e10
 """Maximum condition number of theta's information matrix, in units of `WEAK_THETA_DEVIATION`; above
 that limit the measurements do not identify theta."""
-
 MOST_JOINT_SITES = 300
 """Maximum number of censored or coarsely rounded measurements with joint sites. More are matched
 window by window (:mod:`planopt.channel.long_logs`), as a joint sweep costs their number cubed."""
-
 EXACT_LIMIT = 5_000
 """Maximum number of measurements with a Cholesky factor (200 MB, or 450 MB with room to grow)."""
-
 SHARED_NEIGHBOURS = 512
 """Number of measurements used for the joint law along a path if there is no full factor."""
 

@@ -22,7 +22,6 @@ REPORT_FILE, MARKDOWN_FILE, PAGE_FILE = "report.json", "report.md", "report.html
 
 REPORT = (REPORT_FILE, MARKDOWN_FILE, PAGE_FILE)
 """Files of a report, including the page."""
-
 SHOWN = 20
 """Maximum number of cases of each kind that are printed; the JSON file lists all."""
 

@@ -46,7 +46,6 @@ from planopt.coverage.voronoi import ConvexRegion
 
 GRID_READINGS = 150
 """Number of readings above which the last estimate replaces the grid of initial guesses."""
-
 NEVER = -(10**9)
 """Value of the last detection's step for an agent that knows of no detection."""
 

@@ -13,10 +13,8 @@ from planopt.coverage.localisation import SINGULAR, EventSensor, measure
 
 BEARINGS = 72
 """Number of candidate bearings on a partly blocked ring."""
-
 EXCHANGES = 20
 """Maximum number of rounds in which every bearing is exchanged."""
-
 LOOSE = 0.02
 """Extra separation of bodies packed around an event, as a share of the minimum."""
 

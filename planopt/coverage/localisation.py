@@ -12,20 +12,15 @@ from planopt.errors import InputError
 
 GRID = 48
 """Number of grid positions along the longer side of the region."""
-
 STARTS = 6
 """Number of grid positions used as initial guesses."""
-
 STEPS = 60
 """Maximum number of Levenberg-Marquardt steps."""
-
 SETTLED = 1e-10
 """Step length, as a share of the region's radius, below which the iteration stops."""
-
 RIVAL = 8.0
 """Other maxima are reported if -2 log L is higher than the best by at most this (likelihood
 ratio of at least 1 to 55)."""
-
 SINGULAR = 1e-12
 """Eigenvalue ratio below which an information matrix counts as singular."""
 

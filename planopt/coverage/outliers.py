@@ -11,13 +11,10 @@ from planopt.coverage.voronoi import ConvexRegion
 
 GLOBAL_LEVEL = 1e-3
 """Level of the test whether all readings of a step fit one event, or none."""
-
 OUTLIER_LEVEL = 1e-6
 """Level at which a single reading is an outlier, and at which readings refute an estimate."""
-
 OUTLIER = float(chdtri(1, OUTLIER_LEVEL))
 """Decrease of the misfit above which a single reading is an outlier."""
-
 CONTRADICTIONS = 3
 """Number of contradictions after which a sensor is excluded."""
 

@@ -41,10 +41,8 @@ from planopt.errors import InputError
 
 ABSENT = -2
 """State of an agent that has not joined yet or has left; `NONE` marks a covering agent."""
-
 FOLLOWED_M = 1e-6
 """Maximum difference (m, m/s, rad) to a saved motion for which the simulation adopts it."""
-
 Signals = Callable[[int, Indices], Floats]
 """Function of an event number and agent numbers (m,) that returns their present signals (m,)."""
 

@@ -14,13 +14,10 @@ from planopt.coverage.limits import LinkLaw, Motion, MoveLimits, RadioLimits
 
 SLACK = 1e-6
 """Relative tolerance of motion limits; tolerance in metres of distances to boundaries."""
-
 SAMPLES = 512
 """Number of additional, shorter lengths at which a link's failure probability is evaluated."""
-
 LOOKS = 9
 """Number of positions along a move at which estimated base-station channels are evaluated."""
-
 SHORTEST_M = 0.01
 """Minimum length in metres at which a link is evaluated."""
 

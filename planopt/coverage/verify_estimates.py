@@ -11,13 +11,10 @@ from planopt.arrays import Floats
 
 WORSE = 0.1
 """Largest permitted excess of -2 log L of an estimate over that of the best position nearby."""
-
 TOO_SMALL = 0.97
 """Smallest permitted ratio of a standard deviation to the recomputed one."""
-
 HEADINGS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 """Initial guesses of an event's velocity, in prior standard deviations."""
-
 FINE = 1e-12
 """Relative tolerances of the least-squares solver."""
 

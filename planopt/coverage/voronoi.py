@@ -19,7 +19,6 @@ from planopt.errors import InputError
 
 ON_BORDER = 1e-9
 """Tolerance of the boundary as a share of the region's radius."""
-
 FLAT = 1e-12
 """Sine of the turning angle up to which a vertex counts as collinear."""
 
@@ -104,7 +103,6 @@ def _corners(ring: Floats) -> Floats:
 
 COINCIDENT = 1e-12
 """Distance, as a share of the region's radius, below which agents share one cell."""
-
 FAR = 4.0
 """Distance of the four extra points in radii of the region; bisectors stay outside from 3 on."""
 

@@ -26,16 +26,12 @@ MEGABYTE = 2**20
 
 LARGEST_TEXT_BYTES = 64 * MEGABYTE
 """Size limit of text files (tables, obstacles, saved JSON). A log of a million rows has 30 MB."""
-
 LARGEST_BINARY_BYTES = 512 * MEGABYTE
 """Size limit of binary files, and of all arrays unpacked from one npz file."""
-
 LARGEST_ARRAY_VALUES = 25_000_000
 """Maximum number of values in one array of a file, such as a map of 5000 x 5000 cells."""
-
 DATA_FOLDER = "PLANOPT_DATA"
 """Environment variable with the folder of measurements that planopt may not distribute."""
-
 PRIVATE = f"${DATA_FOLDER}/"
 """Beginning of the names of files in that folder."""
 

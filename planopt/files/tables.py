@@ -26,7 +26,6 @@ REMEDY = "save the result again"
 
 LARGEST_BYTES = 512 * 2**20
 """Size limit of a table in bytes."""
-
 Data = Mapping[str, NDArray[Any]]
 """Columns of equal length by name; NaN and empty text represent missing values."""
 

@@ -22,7 +22,6 @@ from planopt.errors import OutputError
 
 STAGING = ".planopt-new-"
 """Prefix of hidden files and folders that are still being written."""
-
 Patterns = tuple[str, ...]
 """Names of all files that one kind of result may have, with * as wildcard."""
 

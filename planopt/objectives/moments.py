@@ -38,10 +38,8 @@ Real = TypeVar("Real", np.float32, np.float64)
 SINGLE = np.float32
 """Floating-point type for covariances of many paths, which are only ranked. Its run time is 0.6 of
 double precision for 200 paths of 5 steps and 0.8 for 400 paths of 10."""
-
 TINY_M = 1e-9
 """Distance in metres below which the direction between two positions is undefined."""
-
 NUGGET_SHARE = 1e-4
 """Minimum multipath variance as a share of the shadowing variance. It keeps the covariance regular
 if a position is measured twice."""

@@ -16,7 +16,6 @@ from planopt.targets.information_filter import Sensor
 
 ASSUMED = 3.0
 """Assumed information on the path loss, in units of what the plan tells of it (equation 9.14)."""
-
 DECIBELS = 10.0 / np.log(10.0)
 """Change of the path loss by a unit of the natural logarithm of the distance."""
 

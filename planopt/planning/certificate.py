@@ -15,7 +15,6 @@ from planopt.problems.problem import Problem
 
 MOST_IN_WORDS = 4
 """Maximum number of coverage holes in a description, longest first."""
-
 SHORTEST_IN_WORDS_M = 0.5
 """Minimum length of a coverage hole in a description, in metres."""
 

@@ -85,7 +85,6 @@ def obstacles_met(problem: Problem, index: ObstacleIndex, path_m: Floats) -> lis
 
 DIRECTIONS, LENGTHS = 48, 8
 """Numbers of directions and lengths of the candidate moves out of a violation."""
-
 NEARER_M = 1e-9
 """Tolerance within which a move may reduce a distance, in metres."""
 
@@ -159,7 +158,6 @@ def _too_near_m(moving: MovingDiscs, paths_m: Floats) -> Floats:
 
 DRAWN_STREAM = 3
 """Number of the random stream for start positions."""
-
 MOST_DRAWS = 10_000
 """Maximum number of draws until a position or path is free."""
 

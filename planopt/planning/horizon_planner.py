@@ -31,7 +31,6 @@ from planopt.robots.dynamics import Drive, rolled_out
 
 CLOSE_SHARE = 0.01
 """Relative loss to the best guess beyond which a batch-optimised guess is rarely worth refining."""
-
 MERGED_STEPS = 2.0
 """Distance, in longest steps, within which a guess is assumed to converge to a refined path."""
 
@@ -76,7 +75,6 @@ def driven_start(scorer: Scorer, context: StepContext, drive: Drive) -> Guess:
 
 DRIVEN_ROUNDS = 12
 """Maximum number of further refinements of the best drive, each with new separating lines."""
-
 SETTLED_SHARE = 3e-3
 """Relative gain below which refinement ends."""
 

@@ -81,7 +81,6 @@ def plan_of(
 
 RINGS, HEADINGS = 10, 48
 """Number of radii and directions of the grid of positions within a step."""
-
 Score = Callable[[StepContext, Floats], Floats]
 """Function that maps paths (c, N, 2) to their scores (c,)."""
 
@@ -158,10 +157,8 @@ largest_deviation_planner = partial(OneStepPlanner, score=end_deviation)
 
 DRAWS = 64
 """Number of candidate steps drawn at once; the robot waits if none is collision-free."""
-
 TURN_STD_RAD = 0.4
 """Standard deviation of the turn between consecutive steps of a persistent walk."""
-
 Walk = Literal["full", "disk", "persistent"]
 """Kind of random walk: full steps in uniform directions, steps to uniform positions in the one-step
 disc, or full steps with small turns."""
@@ -303,10 +300,8 @@ def _route(road_map: RoadMap, here: int, there: int) -> list[int]:
 
 EDGE_STD_DB = 0.1
 """Standard deviation of power in the disc model, for a gradient at the disc's edge."""
-
 CERTAIN_DB = 300.0
 """Path gain at which no packet is lost."""
-
 Assumed = Callable[[ChannelParameters], ChannelParameters]
 """Function that maps the fitted channel to the channel that a strategy assumes."""
 

@@ -34,7 +34,6 @@ from planopt.world.clearance import index_obstacles
 
 LEAST_SHARE = 0.3
 """Minimum share of the time that is reserved for the bound."""
-
 SURPLUS = 2e-5
 """Surplus of the probability of connection over the bound's p_min in an improved plan."""
 

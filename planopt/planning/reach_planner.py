@@ -65,10 +65,8 @@ from planopt.world.moving_discs import MovingDiscs
 FOLLOWED_HORIZONS = (2.0, 0.5, 0.25)
 """Fractions of the horizon over which a robot with dynamics follows the lattice path: above one to
 avoid braking at the end, below one for sharp turns."""
-
 GAIN_SHARE = 0.15
 """Distance by which a refinement may exceed the followed path, as a share of the longest plan."""
-
 STAGNANT_STEPS = 0.1
 """Displacement of the resting position up to which a plan counts as stagnant, in longest steps."""
 

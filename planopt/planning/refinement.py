@@ -81,10 +81,8 @@ def candidate_of(
 LOCAL_PAD_DB = 0.04
 """Pad in dB for errors of the local channel model, exceeded by one in ten returned paths (48
 neighbours, 1,000 measurements, xi 4 dB, beta 20 m)."""
-
 GIVEN_UP_DB = 1e-3
 """Slack in dB that counts as solver tolerance."""
-
 MISSING_DB_COST = 100.0
 """Cost per dB of slack in the solver if the guess violates the constraint beyond the slack."""
 
@@ -183,13 +181,10 @@ def arrival_step(problem: Problem, path_m: Floats) -> int | None:
 LINES_PER_SEGMENT, GOAL_LINES = 2, 4
 """Number of nearest convex pieces with a separating line per segment, for sums of terms and for
 single integrators to a goal; the verifier checks all."""
-
 ALLOCATIONS = 6
 """Maximum number of refinements, each of which redistributes the total risk over the steps."""
-
 VALUE_IN_SOLVER = 10.0
 """Value to which the guess's objective is scaled, since solver tolerances are absolute."""
-
 RETURNED = frozenset((Termination.CONVERGED, Termination.ACCEPTABLE))
 """Terminations whose point may be the guess of another solve."""
 

@@ -33,32 +33,23 @@ from planopt.world.clearance import ObstacleIndex, index_obstacles, inside_bound
 
 MetreCost = Callable[[Floats], Floats]
 """Function that maps positions (n, 2) to the cost per metre there; (n,)."""
-
 PIECES = 128
 """Number of pieces into which smoothing divides a route."""
-
 OFFSETS = np.array([-1.0, 0.0, 1.0])
 """Sideways displacements of a point in each pass, in units of the pass."""
-
 WIDEST, NARROWEST = 0.25, 0.002
 """First and last unit of smoothing, in lengths of the pieces."""
-
 FINEST = 2.0
 """Minimum length of a piece, in spacings of the cost raster."""
-
 PASSES = 4
 """Maximum number of passes with the same unit."""
-
 LOOKBACK = 24
 """Maximum number of consecutive corners that are replaced by one straight leg."""
-
 CLEARINGS, MOVES_OUT, CLEARING_M = 8, 20, 0.01
 """Maximum number of times that points are added to a path and that they are moved; distance in
 addition to the clearance, which leaves room for straight connections."""
-
 RASTER_SHARE = 3e-3
 """Spacing of the cost raster, as a share of the workspace diagonal; values are interpolated."""
-
 RASTER_M = (0.2, 3.0)
 """Minimum and maximum spacing of the cost raster."""
 
@@ -227,10 +218,8 @@ def _moved(
 
 ROUND = np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]), axis=-1).reshape(-1, 2)
 """Displacements of a plan's position in each pass, in units of the pass; the middle one is zero."""
-
 STEP_UNITS = 0.25 * 0.5 ** np.arange(7)
 """Units of the passes over a plan's positions, in longest steps."""
-
 STEP_PASSES = 6
 """Maximum number of passes with the same unit."""
 
@@ -267,16 +256,12 @@ def smooth_steps(
 
 STEP_PARTS = 8
 """Number of stops on a route within the longest step."""
-
 ASIDE = np.array([-0.42, -0.25, -0.12, -0.04, 0.0, 0.04, 0.12, 0.25, 0.42])
 """Distances of positions from the route, in longest steps."""
-
 WINDOW = 4
 """Number of legs of the route that are moved together with the steps."""
-
 LEAST_GAIN = 2e-3
 """Minimum relative gain of a suggested route over the current one before it is smoothed."""
-
 INSIDE_GOAL = 0.999
 """Distance of a smoothed route's end from the goal, as a share of the goal's radius."""
 

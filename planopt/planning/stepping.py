@@ -240,7 +240,6 @@ class TeamMoment:
 
 PlanStep = Callable[[TeamMoment], tuple[list[Plan], list[Aim]]]
 """Function that maps a `TeamMoment` to one plan per robot and its objective's external inputs."""
-
 Planning = Callable[[Problem, Sequence[Floats]], PlanStep]
 """Function that maps a problem with the obstacles known so far, and all states, to a `PlanStep`."""
 

@@ -210,7 +210,6 @@ def check_place(
 
 NODE_BYTES, STAGE_BYTES = 1700, 8
 """Measured memory in bytes per lattice node, and per node and stage of the horizon."""
-
 LARGEST_LATTICE_BYTES = 4 * 10**9
 """Memory limit in bytes for the lattices of all robots together."""
 
@@ -373,7 +372,6 @@ def check_rule(problem: Problem) -> None:
 
 REST_TOLERANCE_M = 1e-6
 """Maximum change of state, in metres per step, of a robot at rest."""
-
 MOST_CORNERS = 64
 """Maximum number of corners of the input set at which dynamics are checked."""
 

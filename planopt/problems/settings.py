@@ -236,7 +236,6 @@ class ReportSettings(Part):
 
 Packets = Literal["measurements", "estimates"]
 """Content of a packet about the target to the base station."""
-
 LEAST_STD = 1e-6
 """Minimum standard deviation of an initial estimate (m or m/s), for finite information."""
 
@@ -275,7 +274,6 @@ class Target(Part):
 
 DEFAULT_SEEDS, MOST_SEEDS = 30, 1_000_000
 """Default and maximum number of seeds."""
-
 OF_NO_RUN = ("compare", "problem", "report")
 """Tables of a problem file that cannot be swept, because they do not affect a run."""
 

@@ -13,7 +13,6 @@ from planopt.world.workspace import Obstacle
 
 GROUP = "planopt.tasks"
 """Entry-point group of external tasks."""
-
 MOTION = ("reach", "track", "learn", "map", "connect", "custom")
 """Tasks of motion planning, which share their tables; the first one is the default."""
 

@@ -63,16 +63,12 @@ if TYPE_CHECKING:
 
 PANEL_IN, AROUND_IN, MAX_SLENDER = 4.0, 1.9, 2.0
 """Width of a map panel and height of titles and legend in inches, and maximum aspect ratio."""
-
 SHOWN_DECORRELATIONS, SHOWN_EXTENT = 5.0, 0.25
 """Maximum lag shown: the larger of 5 decorrelation distances and 25 % of the extent."""
-
 SHOWN_DISTANCES_M = (1.0, 1000.0)
 """Distances to the station for which a fit without measurements is drawn."""
-
 LINE_DEVIATIONS, LINE_POINTS = 2.0, 200
 """Half width of a fitted line's band in standard deviations, and number of points per curve."""
-
 SERIES_WIDTH = 0.6
 """Total width of all series within a bin of the reliability diagram."""
 

@@ -46,7 +46,6 @@ if TYPE_CHECKING:
 
 CELL = "#9a9a9a"
 """Colour of boundaries between cells."""
-
 EVENT_SHADE = 0.12
 """Opacity of the shading of events."""
 

@@ -27,10 +27,8 @@ if TYPE_CHECKING:
 
 PANEL_IN, MAX_SLENDER = 6.0, 1.6
 """Width of a panel in inches, and its maximum aspect ratio."""
-
 MOST_COLUMNS = 3
 """Maximum number of panels in a row."""
-
 MARGIN = 0.05
 """Margin around log, map and stations, as a share of their extent."""
 

@@ -45,10 +45,8 @@ if TYPE_CHECKING:
 
 COLUMNS = 5
 """Number of columns of a legend."""
-
 MESSAGE_WIDTH = 100
 """Maximum line length of a message above a map, in characters."""
-
 WORDS_WIDTH, WORDS_LINES = 70, 15
 """Line length in characters and number of lines per robot of the certificates."""
 

@@ -68,7 +68,6 @@ if TYPE_CHECKING:
 
 CURVE_POINTS = 16
 """Number of points per step on the path of a robot with dynamics."""
-
 LAYERS = {"map": ("power", "deviation"), "learn": ("power",)}
 """Channel layers by task; other tasks show the probability of connection."""
 

@@ -62,10 +62,8 @@ RUNG_LOOKS = {
 
 Series = tuple[Callable[[Panel], None], float]
 """Function that draws a panel, and its relative height."""
-
 Curve = tuple[NDArray[np.float64], NDArray[np.float64], str]
 """Times (n,), values (n,) and label of one robot."""
-
 Track = tuple[NDArray[np.float64], Drive | None]
 """Positions (n + 1, 2) of a robot, and its states and inputs if it has dynamics."""
 

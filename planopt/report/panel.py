@@ -42,10 +42,8 @@ BAND_WORDS = "80 % band"
 ROBOT_COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, SKY, ORANGE)
 ROBOT_MARKERS = ("o", "s", "D", "v", "P", "X", "h")
 """Markers of robots; their number differs from that of colours, so that pairs repeat late."""
-
 LETTER_IN, HANDLE_IN, LINE_IN = 0.068, 0.6, 0.19
 """Widths of a legend's character and handle and height of a line, in inches."""
-
 DPI = 110
 """Resolution of pixel formats in dpi."""
 
@@ -63,7 +61,6 @@ Look = dict[str, Any]
 
 MIN_MAP_IN, BESIDE_IN, ABOVE_IN = 5.0, 1.7, 1.7
 """Minimum width of a map, and space for the colour bar and for titles and legend, in inches."""
-
 Panel = Any
 """A ``matplotlib.axes.Axes``; it is untyped because Matplotlib's style keywords are."""
 

@@ -11,7 +11,6 @@ from planopt.problems.problem import Problem
 
 FREE, OBSTACLE, DRIVEN, PLANNED, GOAL, STATION = " ", "#", ".", "o", "G", "^"
 """Characters of the map; robots have the digits from 1."""
-
 ASPECT = 2.0
 """Height over width of a character."""
 

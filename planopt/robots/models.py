@@ -15,20 +15,15 @@ from planopt.world.motion import Arc, Parabola, PointCurve, StepCurve
 
 STOPPED_M_S = 1e-9
 """Speed in m/s up to which a robot counts as stationary."""
-
 BRAKING_SHARE = 0.8
 """Share of the maximum acceleration that slows a robot down for turns and the end of a path."""
-
 ROUNDED_SHARE = 1e-3
 """Smoothing width of the speed near rest, as a share of the largest speed, and of the distance near
 the goal, as a share of the turning radius."""
-
 SWING_SHARE = 0.25
 """Maximum tracking error at the turns of a path, as a share of the longest step."""
-
 PIECE_TURN_RAD = math.pi / 4.0
 """Maximum turn per arc; steps are divided into arcs with narrow convex hulls."""
-
 HALVINGS = 3
 """Number of halvings of z in sin(z)/z, down to z / 8, at which the series is evaluated."""
 

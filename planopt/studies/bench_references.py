@@ -33,13 +33,10 @@ from planopt.studies.bench_cases import (
 
 DIGITS = 9
 """Significant digits of stored objectives."""
-
 FAST_SEED = 0
 """Random seed of the cases in the fast subset."""
-
 FAST_PLANNERS = ("auto", "scp", "lattice")
 """Planners whose plans are in the fast subset."""
-
 FAST_CPU_S = 3.0
 """Maximum stored CPU time, in seconds, of other cases in the fast subset."""
 
@@ -260,10 +257,8 @@ def assessed(
 
 SHIFT_S = 0.01
 """Shift of the geometric mean of times in seconds; differences far below it are negligible."""
-
 LIMIT_S = 10.0
 """Time in seconds per step that is assigned to unsolved cases."""
-
 CONVERGED = (Termination.CONVERGED.value, Termination.ACCEPTABLE.value)
 """Solver terminations that claim an optimum."""
 

@@ -38,7 +38,6 @@ from planopt.problems.tasks import TaskProblem, task_of
 
 UNDECIDING = ("report", "compare")
 """Tables of a problem file that do not affect a run."""
-
 LIBRARIES = ("casadi", "clarabel", "numpy", "scipy", "shapely")
 """Packages whose version may affect a result."""
 

@@ -89,16 +89,12 @@ READING_COLUMNS = (
 )
 COVERS, AWAY = "covers", "absent"
 """Names of the states of agents that respond to no event."""
-
 ON_TARGET_M = 1e-9
 """Rounding tolerance of the settling distance."""
-
 CHECKED = 10
 """Number of estimates of each event, evenly spaced over its steps, that the verifier recomputes."""
-
 BOUND_METHOD = "Lagrangian relaxation with a price of each position"
 """Method of the lower bound on the coverage cost."""
-
 COST_SHARE = 1e-6
 """Relative rounding tolerance by which the lower bound may exceed the coverage cost."""
 

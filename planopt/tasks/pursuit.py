@@ -48,7 +48,6 @@ RECORD_COLUMNS = (
 
 THEOREMS = (Theorem.ANY_INSTANT, Theorem.SNAPSHOTS)
 """Theorems whose premises the snapshot service satisfies."""
-
 RATIO_ROUNDING = 1e-9
 """Relative rounding tolerance for the ratio of a stage's distance to its bound."""
 

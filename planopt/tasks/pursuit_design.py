@@ -70,10 +70,8 @@ BINDING_WORDS = {
 
 SYMBOLS = {words for words in REQUIREMENT_WORDS if words[:2] in ("y ", "a ")}
 """Requirements whose descriptions contain the symbols a, x or y."""
-
 ACTIVE = 1e-6
 """Margin, as a share of the limit, below which a requirement is shown as active."""
-
 LEAST_EFFECT = 0.005
 """Minimum effect of a listed parameter, in per cent."""
 

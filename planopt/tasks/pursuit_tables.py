@@ -40,7 +40,6 @@ from planopt.world.workspace import Workspace
 
 LOST_ROUNDS = 4096
 """Number of rounds per level for which losses are drawn; the pattern is repeated."""
-
 START_DRAWS = 1000
 """Maximum number of positions drawn for a start in free space."""
 

@@ -18,10 +18,8 @@ FLATTENING = 1.0 / 298.257223563
 
 FARTHEST_M = 100_000.0
 """Maximum distance from the origin, in metres."""
-
 INVERSE_STEPS = 6
 """Newton steps of the inverse projection; four suffice for rounding accuracy at `FARTHEST_M`."""
-
 Origin = tuple[float, float] | tuple[float, float, float]
 """Latitude and longitude of the origin (0, 0) in degrees, and the angle in degrees from east
 counter-clockwise to the x axis, by default 0."""

@@ -38,7 +38,6 @@ MOVES.flags.writeable = False
 
 MAX_NODES = 10_000_000
 """Maximum number of nodes, whose moves take 210 MB. More nodes suggest a wrong step or bounds."""
-
 REACH_TOLERANCE_M = 1e-9
 """Tolerance in metres for nodes at exactly `reach_m`."""
 

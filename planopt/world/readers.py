@@ -21,13 +21,10 @@ WKT_EXAMPLE = "write POLYGON ((0 0, 4 0, 4 3, 0 0)), repeating the first corner 
 
 DEEPEST = 32
 """Maximum nesting depth of geometries, which protects the stack of recursive parsers."""
-
 NEAR_DEG = 1.0
 """Distance in degrees from the origin up to which GeoJSON without a system counts as degrees."""
-
 EPSG = re.compile(r"EPSG:+(?:[\d.]*:)?(\d{4,6})\b", re.IGNORECASE)
 """Pattern of the EPSG code of a reference system."""
-
 SURELY_DEGREES = 20.0
 """Ratio of distance from the origin to extent above which coordinates within 180 and 90 count as
 degrees. In metres, such a map would be tiny and far from its origin."""

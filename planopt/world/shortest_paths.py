@@ -15,13 +15,10 @@ from planopt.world.clearance import ObstacleIndex, clearance_m, segment_lines
 INNER_SHARE = 0.98
 """Share of the clearance by which obstacles are inflated for lower bounds. The relative error of
 GEOS is up to a hundredth."""
-
 QUARTER_SEGMENTS = 2
 """Number of segments per quarter circle around a corner, for drivable paths."""
-
 ROUND_SHARE = 1.0 / math.cos(0.25 * math.pi / QUARTER_SEGMENTS)
 """Ratio of the radii of segment ends and midpoints. The midpoints are at the clearance."""
-
 MAX_CORNERS = 600
 """Maximum number of corners. For more corners, straight-line distances serve as lower bounds."""
 

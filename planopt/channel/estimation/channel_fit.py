@@ -15,21 +15,16 @@ from planopt.short_repr import short_repr
 
 FALLBACK_TOTAL_VARIANCE_DB2 = 45.0
 """Assumed alpha = xi^2 + omega^2 if it cannot be estimated: xi = 6 dB, omega = 3 dB."""
-
 FALLBACK_CORRELATED_SHARE = 0.8
 """Assumed xi^2 / alpha if the two cannot be separated."""
-
 MIN_VARIANCE_DB2 = 0.01
 """Lower bound of xi^2 and omega^2."""
-
 MIN_NUGGET_SHARE = 0.01
 """Lower bound of omega^2 as a share of alpha. With few measurements the likelihood often peaks at
 omega = 0, which would make kriging interpolate noise."""
-
 MAX_SHADOW_RATIO = 25.0
 """Upper bound of xi^2 as a multiple of the residual variance. The line absorbs part of slow
 shadowing, so xi^2 may exceed that variance."""
-
 BOUND_TOLERANCE = 1e-3
 """Relative distance within which a value counts as at a bound, because solvers stop short of it."""
 

@@ -86,10 +86,8 @@ class _Estimate:
 
 MAP_N_PL = (2.0, 1.0)
 """Prior mean and standard deviation of n_PL for ``map``."""
-
 MAP_EXTENT_SHARE = 1.0 / 6.0
 """Prior median of beta for ``map``, as a share of the log's extent."""
-
 MAP_LOG_BETA_STD = 0.7
 """Prior standard deviation of the logarithm of beta for ``map``."""
 
@@ -194,17 +192,13 @@ def _mode_words(parameters: ChannelParameters, below: float) -> str:
 
 PLAUSIBLE_N_PL = (1.0, 6.0)
 """Plausible range of n_PL, from waveguides to the densest buildings; free space is 2."""
-
 EXTENT_SHARE = 1.0 / 3.0
 """Maximum plausible decorrelation distance as a share of the log's extent; beyond it, shadowing
 cannot be distinguished from path loss."""
-
 PLAUSIBLE_POWER_DBM = (-200.0, 100.0)
 """Plausible range of powers; thermal noise in 1 Hz is -174 dBm, and 100 dBm are ten megawatts."""
-
 LEAST_PILE = 5
 """Minimum number of readings at the lowest power for a suspected receiver floor."""
-
 PILE_RATIO = 2.0
 """A floor is suspected if the lowest power's count exceeds any other by this ratio. Rounded
 powers repeat too, but mostly in the middle of their range."""

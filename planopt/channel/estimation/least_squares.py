@@ -24,17 +24,13 @@ from planopt.errors import InputError
 
 MIN_MEASUREMENTS_THETA = 3
 """Minimum number of measurements for theta; a line through two points has no residuals."""
-
 MIN_MEASUREMENTS_COVARIANCE = 6
 """Minimum number of measurements for xi, beta and omega, one more than there are parameters."""
-
 MIN_REGRESSOR_SPREAD_DB = 0.2
 """Minimum range of 10 log10 d for n_PL to be identifiable (distances vary by 5 %)."""
-
 LEAST_EXTENT_M = 1e-6
 """Extent below which positions count as one, because squared distances would be lost to
 rounding."""
-
 FALLBACK_DECORRELATION_M = 10.0
 """Assumed beta with fewer than two distinct positions."""
 
@@ -128,10 +124,8 @@ MAX_SWEEPS = 500
 OFFSET_RIDGE = 1e-6
 """Ridge weight of receiver offsets. It fixes unidentifiable combinations, such as the common
 part of all offsets if receiver 0 has no measurements."""
-
 TOLERANCE_DB = 1e-6
 """Maximum change of a fitted value at convergence."""
-
 ROWS = 512
 """Number of rows of the covariance in memory at once."""
 

@@ -64,10 +64,8 @@ from planopt.channel.parameters import ChannelParameters, MeanModel
 
 Covariance = tuple[float, float, float]
 """Covariance parameters xi^2 (dB^2), omega^2 (dB^2) and beta (m)."""
-
 LEAST_FREEDOM = 3
 """Minimum residual degrees of freedom with receivers' offsets in a profiled likelihood."""
-
 RANK_TOLERANCE = 1e-9
 """Singular values below this share of the largest count as zero."""
 
@@ -199,7 +197,6 @@ def _distances_m(origins: Origins, windows: tuple[Window, ...]) -> tuple[Floats,
 SITE_TOLERANCE = 1e-4
 """Tolerance of the interval sites during the search. It halves the number of sweeps; the error of
 log L is far below the accuracy required of the optimum."""
-
 MEAN_TOLERANCE = 0.2
 """Sites are matched again if an interval's mean changes by more standard errors than this."""
 

@@ -21,10 +21,8 @@ from planopt.errors import InputError
 
 LONGEST_GAP_S, STANDING_M = 5.0, 1.0
 """Positions are not interpolated over longer gaps (s) in which the robot moved farther (m)."""
-
 IN_MAP = "map"
 """Conventional name of the map frame (REP 105)."""
-
 BASES = ("base_footprint", "base_link", "base")
 """Conventional names of a robot's base frame."""
 
@@ -33,7 +31,6 @@ POSES = ("PoseWithCovarianceStamped", "PoseStamped", "PoseInFrame", "Odometry")
 FIXES = ("NavSatFix", "LocationFix")
 PREFERRED = (TRANSFORMS, *POSES, *FIXES)
 """Kinds of positions in order of preference."""
-
 NOT_DRIVEN = re.compile("goal|initialpose|target|waypoint")
 """Topics with poses that are not the robot's."""
 

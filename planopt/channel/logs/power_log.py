@@ -52,7 +52,6 @@ class PowerLog:
 
 DETECTED_MW = "mW, as their values show"
 """Unit of powers that are not declared as milliwatts, but lie between 0 and 1."""
-
 Source = Path | str | Frame
 """A log file, or a data frame."""
 

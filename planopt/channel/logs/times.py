@@ -10,7 +10,6 @@ from planopt.channel.logs.log_table import Cell
 
 UNIX_SCALES = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3), (1e8, 1.0))
 """Smallest Unix times in ns, us, ms and s (from 1973 on), each with its unit in seconds."""
-
 DATES = ("%d.%m.%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S", "%H:%M:%S", "%H:%M:%S.%f")
 """Accepted date formats in addition to ISO 8601."""
 

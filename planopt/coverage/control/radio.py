@@ -21,7 +21,6 @@ from planopt.coverage.limits import LinkLaw, RadioLimits, StationMap, line_dista
 
 LENGTHS_M = np.geomspace(1e-2, 1e5, 40_001)
 """Tabulated link lengths; the length of a link is rounded up to the next entry."""
-
 HOP = 0.02
 """Minimum link weight as a share of the allowed failure probability; it limits the tree depth."""
 

@@ -20,13 +20,10 @@ from planopt.errors import InputError
 
 SPARE = 1e-3
 """Extra margin, as a share of the body radius, for rounding and solver tolerances."""
-
 TOUCHES = 1e-9
 """Distance, relative to the region's radius, up to which a boundary counts as touching a seed."""
-
 LOOKS = 36
 """Number of directions in which `SafeSets.thinned` keeps the nearest half-planes."""
-
 NEARLY = 1.05
 """Half-planes up to this multiple of the nearest one's distance in a direction are kept."""
 

@@ -192,7 +192,6 @@ MappingForm = Literal["two_layer", "path", "information", "average"]
 
 FORMS_WITH_KEYS: tuple[MappingForm, ...] = ("path", "two_layer")
 """Forms that weight the variance above a threshold by distance (J_CH)."""
-
 FORM_KEYS = ("variance_threshold_db2", "closeness_per_m")
 """Keys that only `FORMS_WITH_KEYS` accept."""
 

@@ -27,7 +27,6 @@ NANOSECONDS = 1_000_000_000
 
 ROVER, COPTER = 10, 2
 """MAVLink codes of the vehicle types."""
-
 WAYPOINT, RELATIVE_ALTITUDE, PX4 = 16, 3, 12
 """MAVLink codes of the waypoint command, its coordinate frame and the autopilot."""
 

@@ -25,7 +25,6 @@ NANOSECONDS = 1_000_000_000
 
 FLOAT32 = 7
 """Code of the numeric type in Foxglove's grids."""
-
 LINE_LOOP = 1
 """Code of a closed line in Foxglove's scenes."""
 

@@ -68,7 +68,6 @@ PLAN_OR_RUN = (
 
 FORMAT = 3
 """Version of ``plan.json`` and ``run.json``."""
-
 HALF_PAIR = re.compile(r"\\u[dD][89a-fA-F]")
 """Pattern of JSON escapes of surrogates, which must occur in pairs."""
 

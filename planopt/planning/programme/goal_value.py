@@ -192,7 +192,6 @@ def _square(a: Floats) -> Floats:
 
 ROUNDING_STEPS = 0.01
 """Smoothing width of the distance to the pivot for robots with dynamics, in longest steps."""
-
 PARAMETERS = 7
 """Number of parameters of `GoalCharge`."""
 

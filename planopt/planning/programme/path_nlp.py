@@ -41,7 +41,6 @@ from planopt.planning.programme.solver import (
 
 Method = Literal["ipopt", "scp"]
 """Interior-point method, or sequential convex programming."""
-
 METHODS: dict[str, Method] = {"auto": "ipopt", "nlp": "ipopt", "scp": "scp"}
 """Solution method of each planner that refines guesses."""
 

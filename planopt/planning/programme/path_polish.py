@@ -175,10 +175,8 @@ def _named_multipliers(rows: Floats, shape: PathShape) -> dict[str, Floats]:
 
 LINE_REACH_STEPS = 2.0
 """Distance, in longest steps, beyond which a convex piece gets no line for a segment."""
-
 REPAIRS = 3
 """Maximum number of refinements of a guess; each adds lines for the violations found before."""
-
 MOVING_LINES = 3
 """Maximum number of moving discs, nearest first, with a separating line for a segment."""
 

@@ -107,13 +107,10 @@ class Average(Rule):
 
 DRAWS, SEED = 10_000, 0
 """Number of sampled channels, and seed of the samples and of the integral's random shifts."""
-
 DOUBT = 0.01
 """One-sided error probability of the confidence interval (Clopper, Pearson 1934)."""
-
 DRAWN = f"{DRAWS} drawn channels, lower end of the {1.0 - DOUBT:.0%} interval"
 """Name of the sampling method."""
-
 MOST_PROBABLE = 0.9995
 """Largest p_min that the sampled channels can demonstrate."""
 
@@ -149,7 +146,6 @@ def drawn_by_slack(rule: Rule, case: PathCase, least: float) -> BySlack:
 
 ACCURACY = 4e-3
 """Target accuracy of the integral (three standard errors)."""
-
 INTEGRATED_STEPS = 60
 """Maximum number of steps for the integral; beyond it, an analytic lower bound is used."""
 

@@ -23,7 +23,6 @@ SEARCH_EXACT_LIMIT = 1000
 SEARCH_NEIGHBOURS = 128
 """Number of nearest measurements per position for larger logs; the error is a few thousandths of a
 dB."""
-
 SEARCH_ERROR_DB = 2e-3
 """Margin that a search requires if it uses nearest measurements only."""
 

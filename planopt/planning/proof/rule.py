@@ -21,13 +21,10 @@ from planopt.problems.problem import Problem
 
 BySlack = Callable[[float], RuleResult]
 """Function that maps slack in dB, which lowers the threshold, to the result of a path."""
-
 PROBE = 1e-4
 """Probability increment of the finite differences."""
-
 ROUNDING = 1e-9
 """Tolerance of range and monotonicity checks."""
-
 HALVINGS = 22
 """Number of bisections of the slack, from 500 dB to about a ten-thousandth of a dB."""
 

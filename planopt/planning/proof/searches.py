@@ -77,7 +77,6 @@ MarginAt = Callable[[Floats], Floats]
 """Function that maps positions (n, 2) to connectivity margins (n,) in dB."""
 Places = tuple[Floats, Floats]
 """Positions (n, 2) and their connectivity margins (n,) in dB."""
-
 FIRST_PATHS = 64
 """Number of best positions in the first round of path lengths; it grows fourfold per round."""
 SPLIT_NODES = 100
@@ -165,7 +164,6 @@ REFINED_NODES = 24
 """Number of best nodes around which each refinement searches."""
 REFINEMENTS = 2
 """Number of refinements, each with a quarter of the previous spacing."""
-
 MayReach = Callable[[Floats, int, float], Mask]
 """Function that returns a mask of positions (n, 2): whether a robot may be within a distance (m) of
 each after a number of steps. It is conservative: never False for a reachable position."""
@@ -266,10 +264,8 @@ MOVES = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1))
 """Row and column offsets to a node's neighbours, one of each opposite pair: sixteen headings."""
 JOINING_SPACINGS = 1.5
 """Distance, in spacings, within which an off-grid position is linked to nodes."""
-
 COARSE = 2
 """Stride of rows and columns with predictions; values in between are interpolated."""
-
 ContactAt = Callable[[Floats], tuple[Floats, Floats]]
 """Function that maps positions (n, 2) to the fraction (n,) of a metre that costs the outage price
 and the connectivity margin (n,) in dB."""

@@ -31,7 +31,6 @@ from planopt.world.moving_discs import paths_gap_m
 
 CELLS_PER_STEP = 4.0
 """Number of raster cells per longest step."""
-
 MAX_CELLS = 250_000
 """Maximum number of cells; a larger workspace gets a coarser raster."""
 
@@ -77,7 +76,6 @@ def rough_clearance(problem: Problem, index: ObstacleIndex) -> RoughClearance:
 
 HEADINGS = 16
 """Number of directions of the fan."""
-
 TURNS_RAD = (0.0, 0.5, -0.5, 1.0, -1.0)
 """Total turns of the fan's paths as multiples of pi, spread evenly over the steps."""
 
@@ -203,13 +201,10 @@ def _direction(angle: Floats) -> Floats:
 
 ONWARD = 8
 """Number of directions in which paths continue from the station."""
-
 DETOURS = 2
 """Maximum number of steps by which arcs to the station exceed the straight path."""
-
 HALVINGS = 40
 """Number of bisections for the curvature of an arc."""
-
 Commands = tuple[Floats, Floats]
 """Commands of c paths: turns and relative speeds ``(N, c)`` of the steps."""
 
@@ -260,16 +255,12 @@ def _onward(heading: float, bend: float, speed: float, steps: int, horizon: int)
 
 ELITE, ROUNDS_BENT, NARROWING = 8, 3, 0.6
 """Number of paths varied per round, number of rounds, factor on standard deviations per round."""
-
 BENT, NUDGED, NUDGED_PLACES = 8, 6, 3.0
 """Number of bent and nudged copies of each path, and mean number of nudged positions per copy."""
-
 BEND_RAD, NUDGE_SHARE = 0.8, 0.4
 """Initial standard deviations of a random turn, and of a random shift in longest steps."""
-
 FIRST_SHARE, EVEN_SHARE, SPEED_SHARE = 0.5, 2.0, 0.5
 """Standard deviations of first heading, uniform turn and speed, relative to a bend's."""
-
 SEED, RANKED = 0, 4
 """Seed of the random variations, the same at every step; number of returned paths."""
 
@@ -339,7 +330,6 @@ def _bends(horizon: int, count: int, width_rad: float, generator: np.random.Gene
 
 CLIMBING = 12
 """Number of paths that enter gradient ascent."""
-
 ROUNDS, FOLLOWED = (3, 3, 4), (6, 3, 3)
 """Number of ascent steps in each round, and number of paths kept after each round."""
 

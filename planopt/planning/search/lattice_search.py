@@ -53,7 +53,6 @@ def move_table(lattice: Lattice) -> MoveTable:
 
 Window = tuple[slice, slice]
 """Rows and columns of a part of the lattice."""
-
 REACH = max(max(abs(dx), abs(dy)) for dx, dy in MOVES)
 """Largest number of nodes that a move spans along an axis; also the width of the margin."""
 
@@ -192,13 +191,10 @@ class MovingMoves:
 
 StageReward = Callable[[int, Window], Floats]
 """Function that maps stage k = 1..N and a window to the reward of ending step k at each node."""
-
 Node = tuple[int, int]
 """Node indices (iy, ix)."""
-
 MOVES_BY_NUMBER = tuple((int(dx), int(dy)) for dx, dy in MOVES)
 """Offsets (dx, dy) of the moves, by number."""
-
 STANDING = 0
 """Index of the move that stays at its node."""
 

@@ -24,17 +24,13 @@ from planopt.problems.problem import Problem
 
 ANCHORS, REGION_ANCHORS = 24, 64
 """Numbers of path positions and map positions near which measurements are selected."""
-
 LEAST_NEIGHBOURS, STEP_NEIGHBOURS, MOST_NEIGHBOURS = 96, 16, 256
 """Number of measurements shared by all paths: minimum, increment per step, maximum."""
-
 MAPPED_NEIGHBOURS = 384
 """Number of shared measurements for map averages. With 256, values of 20-step paths along the edge
 of the measured area were too large."""
-
 RANKED_PLACES, CLIMBED_PLACES = 300, 1000
 """Approximate number of map positions evaluated for ranking, and for gradient ascent."""
-
 MISSING_DB_SHARE = 10.0
 """Cost per dB of constraint violation, relative to the largest value in the first batch."""
 
@@ -175,19 +171,14 @@ def _anchors(paths_m: Floats, count: int) -> Floats:
 
 APART_STEPS = 0.5
 """Distance, in longest steps, within which corresponding positions of two paths count as equal."""
-
 Drive = Callable[[Floats, Floats], Floats]
 """Function that maps turns and relative speeds (N, c) to paths (c, N, 2)."""
-
 FIRST_STEP, LONGEST_STEP = 0.3, 0.8
 """Largest change of a heading (rad) or relative speed, in the first and in later ascent steps."""
-
 SHORTER = 0.35
 """Factor on the step length after an ascent step without gain."""
-
 CURVED_SHARE = 1e-8
 """Minimum cosine between a step and the change of the gradient for a Hessian update."""
-
 Slope = Callable[[Floats], tuple[Floats, Floats]]
 """Function that maps paths (c, N, 2) to their values (c,) and gradients (c, N, 2)."""
 

@@ -30,19 +30,14 @@ from planopt.world.shortest_paths import ShortestPaths, path_lengths_m, shortest
 
 CIRCLES = (0.35, 0.7, 1.0, 1.5, 2.0, 2.5, 3.25, 4.0, 5.0, 6.0, 7.5, 9.0)
 """Radii of circles of positions, in longest steps."""
-
 FEWEST_ON_CIRCLE, APART_SHARE, LEAST_APART = 8, 1.0 / 6.0, 0.5
 """Minimum number of positions on a circle, and their spacing in radii and in longest steps."""
-
 MOST_KNOWN = 60
 """Maximum number of known connected positions, nearest to the expected target first."""
-
 MOST_HIDDEN = 12
 """Maximum number of positions behind obstacles, nearest to the target first."""
-
 COMPARED = 12
 """Number of paths whose ends are predicted individually."""
-
 PROBED = 4
 """Number of returned paths."""
 

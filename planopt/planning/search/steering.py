@@ -31,7 +31,6 @@ from planopt.world.lattice import lattice_paths, route_from
 
 TILE = 1
 """Tile size in cells; cells are far apart, so each has its own neighbours."""
-
 NEIGHBOURS = 48
 """Number of measurements for the prediction of each cell."""
 

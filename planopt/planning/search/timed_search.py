@@ -19,10 +19,8 @@ from planopt.world.moving_discs import MovingDiscs
 
 DELAYS_STEPS = (16, 64, 200)
 """Allowed delays in waiting steps, tried in this order."""
-
 MOST_PLACES = 12_000
 """Maximum number of nodes per stage, lowest cost first."""
-
 ROUTES_TESTED = 4
 """Number of routes tested in each stage, from the nodes of lowest cost."""
 

@@ -32,7 +32,6 @@ from planopt.world.moving_discs import MovingDiscs, joined_discs
 
 STAYING = (Rung.SHIFTED, Rung.STOP, Rung.RESERVED, Rung.LEAVE)
 """Fallbacks that make no progress to a goal: the previous plan, waiting, leaving an obstacle."""
-
 NO_LIMIT_M = -1e9
 """Radius of a moving obstacle after its predicted steps, negative to disable it."""
 

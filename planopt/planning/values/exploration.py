@@ -40,10 +40,8 @@ def steering_path(
 
 PLACES = 200
 """Approximate number of grid cells that represent the workspace."""
-
 NEAR_PLACES = 900
 """Approximate number of grid cells where a plan can change the channel map."""
-
 ROOM_STEPS = 5.0
 """Margin around the reachable positions in longest steps, since measurements also reduce variances
 nearby."""

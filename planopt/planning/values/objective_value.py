@@ -142,7 +142,6 @@ def rule_result(at: StepContext, path_m: Floats) -> RuleResult:
 
 LeadingPivot = Callable[[Floats], Pivot]
 """Function from a path's end (2,) to the pivot of the remaining route."""
-
 BRAKING_PLACES = 9
 """Number of positions on the braking path at which outage is evaluated."""
 

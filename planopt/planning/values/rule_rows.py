@@ -21,10 +21,8 @@ from planopt.problems.problem import Problem
 
 UNCONSTRAINED = 0.5
 """Probability level that stands for an unconstrained step."""
-
 LEAST_LEVEL = 1e-3
 """Minimum distance of a step's probability level from 0 and 1."""
-
 LEVEL_HALVINGS = 20
 """Number of bisections for the common probability level of all steps."""
 
@@ -124,10 +122,8 @@ def scaled_value(
 
 AIMED_SHARE = 0.98
 """Fraction of the distance to the allowed risk that the secant step covers."""
-
 USED_SHARE = 0.9
 """Fraction of its allowed shortfall from which a row counts as active in the solver."""
-
 USED_UP_SHARE = 0.97
 """Fraction of the allowed risk from which risk is not reallocated."""
 
@@ -195,16 +191,12 @@ class Guide:
 
 GuidedSearch = Callable[[Guide], list[Floats]]
 """Function that maps a guide to the best paths (N, 2), best first."""
-
 IsKept = Callable[[Floats], bool]
 """Function that returns whether a path (N, 2) satisfies the rule."""
-
 HIGHEST_CREDIT, LOWEST_CREDIT = 10.0, 1e-3
 """Largest and smallest credit of a connected step, relative to the largest reward of a step."""
-
 CREDIT_HALVINGS = 5
 """Number of bisections of the credit on a logarithmic scale."""
-
 PATTERNS = 4
 """Maximum number of patterns of constrained steps that are searched."""
 

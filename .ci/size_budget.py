@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_739,
-    "lines of code": 52_064,
+    "lines": 70_758,
+    "lines of code": 52_084,
     "files": 290,
     "functions": 3_757,
     "docstring lines": 7_543,
-    "lines of tests": 48_580,
+    "lines of tests": 48_600,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

@@ -264,6 +264,23 @@ def test_log_outside_the_map(yard: Path, tmp_path: Path, capsys) -> None:
     assert "outside the map" in said and "occupied or unknown cells" in said
 
 
+def test_a_transmitter_outside_the_map(yard: Path, tmp_path: Path, capsys) -> None:
+    """Located from readings on one side of it: both facts are warnings."""
+    places, _ = readings()
+    power = -32.0 - 26.0 * np.log10(np.hypot(*(places - (-35.0, 20.0)).T))
+    power += np.random.default_rng(7).normal(0.0, 1.0, len(places))
+    table = np.column_stack([places, power])
+    np.savetxt(tmp_path / "log.csv", table, delimiter=",", header="x,y,rssi", comments="")
+    data = imported(
+        *(capsys, "--map", yard / "yard.yaml", "--log", tmp_path / "log.csv"),
+        *("--start", START, "--goal", GOAL, "--out", tmp_path / "mine.toml"),
+        code=3,  # The log has no shadowing
+    )
+    said = " ".join(data["warnings"])
+    assert "outside the extent of the measurements" in said and "95 % region" in said
+    assert "station is located outside the map" in said
+
+
 def test_a_map_that_is_turned_twice(yard: Path, tmp_path: Path, capsys) -> None:
     """By its yaw in the frame, and the frame from east: the log lies in the free space."""
     yaw, corner, origin = 0.4, np.array([-20.0, -10.0]), (*ORIGIN, 25.0)

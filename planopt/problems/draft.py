@@ -196,6 +196,12 @@ def draft_problem(
     origin_deg = log_format.origin_deg
     workspace = _workspace(map_path, grid, pooled, (start, goal), origin_deg, notes)
     _check_alignment(workspace, pooled, notes)
+    for each in stations:
+        place = np.array([each.fit.parameters.station.position_m])
+        if map_path is not None and not each.is_given and not inside_bounds(workspace, place).all():
+            notes.warn(
+                f"{each.name} is located outside the map (if it is not there, give --station)"
+            )
     tables, comments = _tables(
         (log, map_path, file),
         log_format,
@@ -405,13 +411,10 @@ def _station(
             f"{label} is at ({x:.1f}, {y:.1f}) m, located from {len(measurements)} readings with a "
             f"standard deviation of {found.position_std_m:.2g} m"
         )
-    notes.warn(*(f"{label}: {warning}" for warning in fit.warnings if not _is_estimate(warning)))
+    # An assumption says that the position is estimated.
+    said = [each for each in fit.warnings if not each.endswith("estimated, not given")]
+    notes.warn(*(f"{label}: {warning}" for warning in said))
     return found
-
-
-def _is_estimate(warning: str) -> bool:
-    """Return True if a warning only says that the position is estimated."""
-    return "position" in warning and "estimated" in warning
 
 
 def _place(

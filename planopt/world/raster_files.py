@@ -67,10 +67,10 @@ def write_netcdf(path: Path, rasters: Mapping[str, Raster], origin_deg: Origin |
             coordinate.axis = name.upper()
             coordinate.standard_name = f"projection_{name}_coordinate"
         # CF has no grid mapping for turned axes.
-        is_mapped = origin_deg is not None and turn_deg(origin_deg) == 0.0
-        if is_mapped:
+        plane = None if origin_deg is None or turn_deg(origin_deg) else _cf_system(origin_deg)
+        if plane is not None:
             system = file.createVariable("crs", "i", ())
-            for name, value in _cf_system(origin_deg).items():
+            for name, value in plane.items():
                 setattr(system, name, value)
         if origin_deg is not None:
             x, y = np.meshgrid(first.x_m, first.y_m)
@@ -85,7 +85,7 @@ def write_netcdf(path: Path, rasters: Mapping[str, Raster], origin_deg: Origin |
             variable.units, variable.long_name = raster.unit, raster.quantity
             if origin_deg is not None:
                 variable.coordinates = " ".join(DEGREES)
-            if is_mapped:
+            if plane is not None:
                 variable.grid_mapping = "crs"
 
 

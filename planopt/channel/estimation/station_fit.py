@@ -73,6 +73,8 @@ LATTICE = 41
 """Number of positions along each side of the lattice for the moments; odd."""
 EDGE_SHARE = 0.05
 """Maximum weight at the edge of the lattice; with more, the position is not determined."""
+QUANTILE = 5.99
+"""95 % quantile of chi-squared with two degrees of freedom."""
 SINGULAR = 1e12
 """Condition number above which an information matrix counts as singular."""
 
@@ -111,10 +113,11 @@ def fit_channel_and_station(
     -------
     ChannelFit
         Fit with the estimated station in its parameters, the covariance of its position in
-        `station_covariance_m2` and a warning that the position is estimated. Covariance and
-        standard errors of theta include that uncertainty. If the measurements do not determine the
-        position, its variances and theta's standard errors are infinite, the status is
-        ``degenerate``, and the covariance of theta is for a known position.
+        `station_covariance_m2` and a warning that the position is estimated; outside the extent of
+        the measurements the status is at best ``weak``. Covariance and standard errors of theta
+        include that uncertainty. If the measurements do not determine the position, its variances
+        and theta's standard errors are infinite, the status is ``degenerate``, and the covariance
+        of theta is for a known position.
 
     Raises
     ------
@@ -161,12 +164,25 @@ def fit_channel_and_station(
     slope = theta_by_position(sample, parameters)
     theta_covariance = found.theta_covariance + slope @ covariance @ slope.T
     k_error, n_error = np.sqrt(np.maximum(np.diag(theta_covariance), 0.0))
+    status, remarks = found.status, [place + "estimated, not given"]
+    at = np.asarray(station.position_m)
+    ends = measurements.positions_m.min(axis=0), measurements.positions_m.max(axis=0)
+    outside_m = float(np.linalg.norm(at - np.clip(at, *ends)))
+    if outside_m > 0.0:
+        status = "weak" if status == "ok" else status
+        within_m = math.sqrt(QUANTILE * float(np.linalg.eigvalsh(covariance).max()))
+        remarks.append(
+            f"the station is {outside_m:.2g} m outside the extent of the measurements, and its "
+            f"95 % region reaches {within_m:.2g} m from there (measure around it, or give "
+            "its position)"
+        )
     return replace(
         found,
+        status=status,
         theta_covariance=theta_covariance,
         standard_errors={**errors, "k_pl_db": float(k_error), "n_pl": float(n_error)},
         station_covariance_m2=covariance,
-        warnings=(place + "estimated, not given", *found.warnings),
+        warnings=(*remarks, *found.warnings),
     )
 
 

@@ -150,6 +150,9 @@ def test_finds_a_station_inside_and_outside(place, error_m):
     assert distance(fit, place) < error_m
     assert fit.parameters.n_pl == pytest.approx(3.0, abs=0.8)
     assert "is estimated, not given" in fit.warnings[0]
+    is_outside = place[0] < 0.0
+    assert ("outside the extent of the measurements" in " ".join(fit.warnings)) == is_outside
+    assert fit.status == ("weak" if is_outside else "ok")
 
 
 def test_the_method_is_that_of_the_final_fit():

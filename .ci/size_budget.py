@@ -13,11 +13,11 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_758,
-    "lines of code": 52_084,
+    "lines": 70_459,
+    "lines of code": 52_007,
     "files": 290,
-    "functions": 3_757,
-    "docstring lines": 7_543,
+    "functions": 3_756,
+    "docstring lines": 7_508,
     "lines of tests": 48_600,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""

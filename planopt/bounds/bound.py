@@ -1,7 +1,5 @@
 """Proven bound on the objective of a problem, with its certificate."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

@@ -4,8 +4,6 @@ They guide the refinement of the mesh and suggest routes, also through passages 
 than the planner's lattice. No bound depends on them.
 """
 
-from __future__ import annotations
-
 from typing import Any, cast
 
 import numpy as np

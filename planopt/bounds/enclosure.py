@@ -7,8 +7,6 @@ disc of radius rho about c, a Taylor polynomial of degree two and a remainder en
 where phi_l has a kink, a range encloses phi_l. Sums keep quadratic terms, many of which cancel.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, fields
 from typing import cast
 
@@ -25,10 +23,8 @@ Array = NDArray[np.float64]
 
 DISCS_AT_ONCE = 512
 """Number of discs per block; their covariances with the measurements fit into the cache."""
-
 MIXED = 2.0 / np.sqrt(3.0)
 """Three times the maximum of c (1 - c^2) for a cosine c, in third derivatives of distances."""
-
 ROUNDING = 1e-9
 """Relative widening of every range, far above the rounding errors of its sums."""
 

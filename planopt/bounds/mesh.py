@@ -1,7 +1,5 @@
 """Delaunay meshes of the workspace that resolve the boundaries of obstacles."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -15,20 +13,15 @@ Array = NDArray[np.float64]
 
 FIRST_NODES = 500
 """Number of grid nodes of the first mesh, without the nodes on obstacles."""
-
 DEPTH_SHARE = 3e-4
 """Depth of mesh borders inside obstacles, as a share of the workspace diagonal. It leaves room to
 simplify the borders."""
-
 DEPTHS_M = (1e-3, 0.3)
 """Smallest and largest depth of mesh borders inside obstacles; thin obstacles get less."""
-
 SNAP_M = 1e-7
 """Nodes within this distance of the workspace boundary are moved onto it."""
-
 MAX_SPLITS = 40
 """Maximum rounds of border splitting. Borders not on triangle sides by then loosen the bound."""
-
 AREA_TOLERANCE = 1e-9
 """Relative rounding tolerance of the area of a mesh."""
 

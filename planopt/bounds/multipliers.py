@@ -5,8 +5,6 @@ At a local optimum the gradient of stage k is ``m_k - m_{k+1}`` minus those of a
 obstacle constraints (solved by least squares). Inaccurate multipliers only loosen the bound.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -21,19 +19,14 @@ Array = NDArray[np.float64]
 
 FULL_STEP = 0.99
 """Step length, relative to the longest step, that counts as full; solvers stop short of it."""
-
 LEFT_OUT = 1e-3
 """Weight of stages whose gradient is not determined: at kinks, and next to obstacles."""
-
 MOST_ITERATIONS = 100
 """Maximum number of iterations of a local search."""
-
 ROUNDED = 1e-3
 """Smoothing width of step lengths in a local search, relative to the longest step."""
-
 AT_KINK_M = 0.02
 """Distance from a position of a measurement at which the gradient is not determined."""
-
 AT_P_MIN = 0.02
 """Surplus of the probability of connection up to which p_min may count as active."""
 

@@ -1,7 +1,5 @@
 """Best position within one step, proven by branch and bound over squares."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import partial
 from time import monotonic
@@ -28,7 +26,6 @@ Array = NDArray[np.float64]
 
 STARTS = 3
 """Number of cells per level whose centres are evaluated."""
-
 GAP, LEAST_VALUE = 1e-6, 0.02
 """Relative gap at which a position counts as optimal, and the minimum of its denominator."""
 

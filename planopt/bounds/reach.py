@@ -4,8 +4,6 @@ A bound is stated only if every plan of the robot costs at least the cheapest ro
 problem. Constraints that only raise the cost are ignored and listed.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np
@@ -18,7 +16,6 @@ from planopt.robots.models import DoubleIntegrator, SingleIntegrator, Unicycle
 
 LEAST_FADING_DB = 0.05
 """Minimum standard deviation of multipath fading for which probabilities can be bounded."""
-
 SAG_SHARE = 1.001
 """Factor on the sag of a step (distance from its chord), for the verifier's input tolerance."""
 

@@ -4,8 +4,6 @@ Each term supplies bounds of its own stages. Constraints that only exclude paths
 listed, except for the workspace, static obstacles and p_min.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial, reduce
@@ -37,13 +35,10 @@ Array = NDArray[np.float64]
 
 LONGER_M = 3e-5
 """Length by which a verified step may exceed the longest step, for the verifier's tolerance."""
-
 LESS_CHANCE = 1e-5
 """Probability by which a verified step may fall below p_min, for the verifier's tolerance."""
-
 CLOSER_M = 1e-6
 """Distance by which a verified path may fall below the clearance, for the verifier's tolerance."""
-
 MOST_MEASUREMENTS = 1000
 """Maximum number of measurements for which objectives are computed from all of them."""
 

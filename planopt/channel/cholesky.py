@@ -25,8 +25,7 @@ FACTOR, INVERT, INVERT_LOWER, SOLVE_LOWER = get_lapack_funcs(
 (SYMMETRIC,) = get_blas_funcs(("symm",), dtype=np.float64)
 
 INVERTED_ROWS = 64
-"""Maximum number of rows that LAPACK inverts directly. Larger factors are inverted by halves, which
-is 2.5 times as fast at 144 rows."""
+"""Maximum number of rows that LAPACK inverts directly; more are inverted faster by halves."""
 PUT_ROWS = 64
 """Number of rows of a factor copied at once, which avoids copying the unused half."""
 
@@ -58,8 +57,7 @@ def put_lower_factor(into: Floats, matrix: Floats) -> None:
 
 def _half_factor(matrix: Floats, overwrite: bool) -> Floats:
     """Return the Cholesky factor L of `matrix` in C order, undefined above the diagonal."""
-    # LAPACK gets the transpose, because copying to Fortran order and clearing the other half would
-    # take as long as the factorisation at 512 rows.
+    # LAPACK gets the transpose: a copy would take as long as the factorisation at 512 rows.
     factor, info = FACTOR(matrix.T, lower=False, clean=False, overwrite_a=overwrite)
     if info != 0:
         raise AssertionError("a covariance with a nugget is positive definite")
@@ -68,8 +66,7 @@ def _half_factor(matrix: Floats, overwrite: bool) -> Floats:
 
 def solve_lower(lower: Floats, right: Floats) -> Floats:
     """Solve L x = `right` for a lower triangular L; `right` is (n,) or (n, m)."""
-    # SciPy's wrapper costs more than solving a small system. A factor in C order is passed as its
-    # transpose to avoid a copy.
+    # SciPy's wrapper costs more than a small system; the transpose of a factor avoids a copy.
     if not right.size:
         return np.zeros_like(right)
     if lower.flags.f_contiguous:
@@ -139,8 +136,7 @@ def log_determinant(lower: Floats) -> float:
 
 
 DETERMINED = 1e-10
-"""Conditional variance, as a share of the largest variance, below which a value counts as a
-function of the earlier values."""
+"""Conditional variance, relative to the largest, below which a value is a function of others."""
 
 
 def semidefinite_factor(covariance: Floats) -> Floats:

@@ -31,8 +31,7 @@ NODES, WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
 NEGLIGIBLE = 76.0
 """Increase of x^2 at which the normal density has fallen by a factor of exp(-38) = 3e-17."""
 LEAST_CLOSED_FORM = -20.0
-"""Minimum upper end of a half-line whose moments use the closed form. The relative error of the
-variance grows with the fourth power of the end and is 1e-10 here."""
+"""Minimum upper end of a half-line in closed form; the relative error is 1e-10 there."""
 
 
 @dataclass(frozen=True)
@@ -53,8 +52,7 @@ def truncated_normal(upper: Floats, width: Floats) -> TruncatedNormal:
     mirrored = upper < 0.5 * width
     lower = np.where(mirrored, -upper, upper - width)
     highest = np.maximum(lower, 0.0)
-    # The density is negligible beyond these. The far end is a step from the peak, because a
-    # difference of large numbers would lose it in rounding.
+    # The density is negligible beyond; a step from the peak avoids rounding of differences.
     begin = np.maximum(lower, -np.sqrt(NEGLIGIBLE))
     reach = NEGLIGIBLE / (highest + np.sqrt(highest**2 + NEGLIGIBLE))
     length = np.minimum(width - (begin - lower), highest - begin + reach)
@@ -321,8 +319,7 @@ def intervals(measurements: Measurements) -> Intervals:
 @one_blas_thread()
 def gaussian_sites(parameters: ChannelParameters, measurements: Measurements) -> Sites:
     """Replace censored and coarsely rounded measurements by Gaussian ones."""
-    # Sites are matched jointly given all measurements: an upper limit among strong readings is more
-    # informative than one in an area of weak ones.
+    # An upper limit among strong readings is more informative than one among weak ones.
     omega2 = parameters.multipath_std_db**2
     values = measurements.power_dbm.astype(np.float64)
     variances = omega2 + rounded_variance_db2(measurements.resolution_db)

@@ -429,12 +429,7 @@ def measured_truth(
     cell_m: float,
     within_m: float,
 ) -> Truth:
-    """Return a measured ground truth: the power of the nearest reading within `within_m`.
-
-    Farther from all readings the power is NaN, and a robot measures nothing. The raster has the
-    power at cell centres, for pictures. Among readings at one position the first counts. Censored
-    readings remain censored.
-    """
+    """Return a measured ground truth: the nearest reading within `within_m`, else NaN."""
     _, first = np.unique(readings.positions_m, axis=0, return_index=True)
     known = Readings(readings.take(np.sort(first)), within_m)
     x, y = (cell_centres_m(bounds_m[axis], bounds_m[2 + axis], cell_m) for axis in range(2))

@@ -110,8 +110,7 @@ def _line_predictor(
 
 
 MOST_LIKELIHOOD, MOST_CONDITIONED = 400, 4_000
-"""Maximum numbers of powers in the likelihood and in the posterior; longer logs are subsampled,
-because the cost is cubic."""
+"""Maximum numbers of powers in the likelihood and in the posterior, whose cost is cubic."""
 FEWEST_PLACES = 6
 """Minimum number of distinct positions for a correlated process; with fewer it is white noise."""
 LENGTHS, LOGITS = 7, (-3.0, -1.5, 0.0, 1.5, 3.0)

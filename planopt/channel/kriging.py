@@ -119,8 +119,7 @@ NEIGHBOURS_BEYOND = 192
 GROUP = 64
 """Maximum number of positions predicted from the same measurements: a path, or a grid square."""
 GROUP_SHARE = 2.5
-"""Maximum number of measurements for a group of positions, as a multiple of those for one. Larger
-groups are split, because a factor costs the cube of its rows."""
+"""Maximum number of measurements for a group of positions, relative to those for one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,8 +277,7 @@ class LocalChannel:
 
 def nearest_to_path(posterior: ChannelPosterior, path_m: Floats, count: int) -> Indices:
     """Return indices of the `count` measurements nearest to a path (h, 2), or all indices."""
-    # Indices are the nearest to each position, then the second nearest, and so on, so that every
-    # position is represented.
+    # All nearest come first, then all second nearest, so every position is represented.
     places = require_places(path_m)
     measured = posterior.measurements.positions_m
     there = min(require_count(count, "count"), len(measured))

@@ -185,11 +185,9 @@ and by 0.1 at most."""
 MAX_SWEEPS = 60
 
 AT_REST = 0.25
-"""A block is skipped if its window's last changes are below this share of the tolerance. After
-three sweeps this applies to half of the blocks."""
+"""Share of the tolerance below which a block is skipped."""
 TOLERANCE = 1e-3
-"""Tolerance in standard deviations of a site's posterior, below the effect of the neglected
-measurements. It takes about ten sweeps."""
+"""Tolerance in standard deviations of a site's posterior; it takes about ten sweeps."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,12 +207,10 @@ class WindowSites:
     """Gaussian sites of m measurements."""
 
     mean_db: Floats  # (m,) origin of the sites
-    # (m,) natural parameters as in :class:`planopt.channel.gaussian_sites.IntervalSites`; the
-    # precision is at least 1 / `MAX_SITE_VARIANCE_DB2`
+    # (m,) natural parameters; the precision is at least 1 / `MAX_SITE_VARIANCE_DB2`
     precision: Floats
     shift: Floats
-    # Log of the factor that converts the density of the measurements, with sites in place of the
-    # intervals, into the probability of the intervals
+    # Log of P(intervals) over the density of the measurements with sites
     log_factor: float
     slope: float  # Derivative of `log_factor` with respect to omega^2, with sites fixed
 

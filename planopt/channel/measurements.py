@@ -29,8 +29,7 @@ MAX_POWER_DB = 1e6
 SAME_PLACE_M = 1e-6
 """Distance in metres below which two positions count as one."""
 LEAST_POWER_DBM, LARGEST_POWER_DBM = -300.0, 100.0
-"""Range of powers that a receiver can report, from below the noise floor of any bandwidth to ten
-megawatts."""
+"""Range of powers that a receiver can report."""
 
 
 class Frame(Protocol):
@@ -246,14 +245,12 @@ BLUR_SHARE = 1.2
 RECEIVER_OFFSET_STD_DB = 20.0
 """Prior standard deviation s of a receiver's offset, large enough to be uninformative."""
 ROWS_AT_ONCE = 64
-"""Number of rows of a large symmetric matrix computed together, up to the diagonal. Half of the
-matrix is skipped, and temporary arrays stay in cache."""
+"""Number of rows of a large symmetric matrix computed together, up to the diagonal."""
 
 
 def pairwise_distance_m(a: Floats, b: Floats, blur_m2: Floats | None = None) -> Floats:
     """Return distances (..., n, m) between rows of `a` (..., n, 2) and `b` (..., m, 2)."""
-    # `blur_m2` (position errors) is broadcast and added to the squares. Differences are squared
-    # without expanding, so that coordinates near 3e6 keep their precision.
+    # Differences are squared without expanding, so that coordinates near 3e6 keep digits.
     dx = a[..., :, None, 0] - b[..., None, :, 0]
     dy = a[..., :, None, 1] - b[..., None, :, 1]
     dx *= dx

@@ -45,8 +45,7 @@ class PlaceTree:
         self, centres_m: Floats, count: int, within_m: float = np.inf
     ) -> tuple[Indices, Floats]:
         """Return the `count` positions nearest to each centre (k, 2), and their distances."""
-        # Both are ``(k, count)``, sorted by distance; `count` is at most n. Positions beyond
-        # `within_m` have index n and an infinite distance.
+        # Both are ``(k, count)``, sorted; positions beyond `within_m` have index n.
         distances, indices = self._tree.query(centres_m, count, distance_upper_bound=within_m)
         # The tree drops the last axis for a single neighbour.
         shape = len(centres_m), count

@@ -33,8 +33,7 @@ from planopt.short_repr import short_repr
 STEPS = (-2.0, -1.0, 0.0, 1.0, 2.0)
 """Design points along each principal axis of the likelihood, in standard deviations."""
 MAX_DEVIATION = 1.5
-"""Maximum standard deviation of log beta or logit(xi^2 / alpha); the design then spans a factor of
-400."""
+"""Maximum standard deviation of log beta or logit(xi^2 / alpha)."""
 MIN_WEIGHT = 0.01
 """Minimum weight of a design point, as each costs a factor and a prediction."""
 DIFFERENCE = 0.1

@@ -55,11 +55,9 @@ AT_ONCE = 768
 WEAK_THETA_DEVIATION = (20.0, 1.0)
 """Prior standard deviation of K_PL (dB) and n_PL, used if measurements do not identify theta."""
 MAX_INFORMATION_CONDITION = 1e10
-"""Maximum condition number of theta's information matrix, in units of `WEAK_THETA_DEVIATION`; above
-that limit the measurements do not identify theta."""
+"""Maximum condition number of theta's information, in units of `WEAK_THETA_DEVIATION`."""
 MOST_JOINT_SITES = 300
-"""Maximum number of censored or coarsely rounded measurements with joint sites. More are matched
-window by window (:mod:`planopt.channel.long_logs`), as a joint sweep costs their number cubed."""
+"""Maximum number of joint sites, whose sweep costs their number cubed."""
 EXACT_LIMIT = 5_000
 """Maximum number of measurements with a Cholesky factor (200 MB, or 450 MB with room to grow)."""
 SHARED_NEIGHBOURS = 512
@@ -441,8 +439,7 @@ def theta_estimate(
 
 def least_squares_theta(posterior: ChannelPosterior) -> tuple[Floats, Floats] | None:
     """Return ordinary least-squares theta and its error covariance, or None if unidentifiable."""
-    # Censored measurements have no residual and are left out. Receivers' offsets are estimated
-    # together with theta.
+    # Receivers' offsets are estimated together with theta.
     exact = ~posterior.measurements.censored
     known = posterior.measurements.take(exact)
     gamma = regressors(known.positions_m, posterior.parameters.station)

@@ -30,8 +30,7 @@ from planopt.world.raster import Raster, cell_centres_m
 fft: Any = scipy_fft
 
 CLIPPED_SHARE_TOLERANCE = 1e-4
-"""Maximum share of negative eigenvalues, which are clipped, in their sum. It bounds the relative
-error of any covariance and requires a torus of about eight decorrelation distances."""
+"""Maximum share of negative eigenvalues, which are clipped, in their sum."""
 
 GROWTH = 1.25
 MAX_TORUS_CELLS = 2**24
@@ -178,8 +177,7 @@ def added_to_lattice_db(
     generator: np.random.Generator,
 ) -> Floats:
     """Draw shadowing (n,) in dB at positions (n, 2), conditional on a field on a lattice."""
-    # Each value is conditioned on the surrounding nodes and the nearest earlier positions. This is
-    # nearly exact within the lattice: under the exponential covariance near values screen far ones.
+    # Nearly exact within the lattice: near values screen far ones.
     places, back = _distinct(positions_m)
     columns, rows = _stencil(x_m, places[:, 0]), _stencil(y_m, places[:, 1])
     noise = generator.standard_normal(len(places))

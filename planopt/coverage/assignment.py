@@ -119,8 +119,7 @@ def propagate_flags(
     order = np.argsort(distances_m, kind="stable")
     rank = np.empty(n, dtype=np.intp)
     rank[order] = np.arange(n)
-    # An entry is n * holder + rank of the listed agent, so sorted entries are the lists of all
-    # holders, nearest agent first.
+    # An entry is n * holder + rank, so sorted entries are lists by holder, nearest first.
     own = np.arange(n) * n + rank
     lists = own[(most > 0) & np.isfinite(distances_m)]
     history = [np.isin(own, lists)]
@@ -216,8 +215,7 @@ def accepted(distances_m: Floats, demands: Indices) -> Assignment:
 
 def optimal_assignment(distances_m: Floats, demands: Indices) -> Assignment:
     """Return the assignment of minimum total distance, from distances (n, k) to events."""
-    # The linear programme ``min sum c x, sum_k x_ik <= 1, sum_i x_ik = P_k, x >= 0`` has the same
-    # optimum because its matrix is totally unimodular.
+    # The linear programme has an integral optimum: its matrix is totally unimodular.
     _check(distances_m, demands)
     seats = np.repeat(np.arange(len(demands)), demands)
     rows, columns = cast("tuple[Indices, Indices]", linear_sum_assignment(distances_m[:, seats]))

@@ -80,8 +80,7 @@ class Medium:
 class Estimate:
     """Estimate of an event with its rank among the estimates of all agents."""
 
-    # The estimate after a later refutation ranks higher, then that which excludes more sensors,
-    # then that from more readings; where readings age, the newer one does.
+    # Later refutation, more excluded sensors, more readings or, if they age, newer ones
     rank: tuple[int, int, int, int]
     value: EventEstimate
     # Number of readings, step of the earliest one, and step of the estimate
@@ -395,12 +394,7 @@ def choose_teams(
     states: Indices,  # (n,) event that each agent responded to in the last step
     hysteresis_m: float,
 ) -> Response:
-    """Assign agents to events; each agent decides from its own belief and lists of nearest agents.
-
-    An agent announces its distance to every event that it knows. The hysteresis is added for events
-    that it does not respond to. Lists are as long as the sum of all demands, so that they contain
-    every agent that deferred acceptance may request.
-    """
+    """Assign agents to events; each decides from its belief and lists of nearest agents."""
     agents, events = len(counts), len(beliefs)
     known = np.array([belief.known for belief in beliefs]).reshape(events, agents).T
     distances = np.full((agents, events), np.inf)

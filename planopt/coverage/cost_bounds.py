@@ -97,8 +97,7 @@ def cost_bound(ground: Ground, places_m: Floats, effort_s: float = EFFORT_S) -> 
     if not isinstance(ground, GeodesicGround) and ground.sensing_range_m is not None:
         most_m2 = ground.sensing_range_m**2
     prices, count = _first_prices(ground, places_m), len(places_m)
-    # A disc of k cells along its radius has about pi k^2 of them, and there are as many boxes
-    # per agent.
+    # A disc of radius k cells has about pi k^2 of them, as many as boxes per agent.
     each = 0.5 * effort_s / (math.pi**2 * count)
     parts = min((each * PAIRS_PER_S[0] / STEPS) ** 0.25, COARSE)
     middles, sides = _leaves(ground, prices, most_m2, parts)

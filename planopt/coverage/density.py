@@ -126,8 +126,7 @@ class GaussianMixture:
         cell, sums = boundary.cell[piece], np.zeros((4, len(piece)))
         for weight, mean, std in zip(self.weights, self.means_m, self.stds_m, strict=True):
             dx, dy = (mean - boundary.centres_m[cell])[:, :, None].transpose(1, 0, 2)
-            # Integrals along x start on the side of the bump that is nearer to the cell, so that
-            # the mass of a cell in a tail keeps its relative precision.
+            # Integrals start on the nearer side, so that masses in a tail keep their precision.
             side = np.where(dx < 0.0, -1.0, 1.0)
             at, off = (x - dx) / std, (y - dy) / std
             bell = np.exp(-0.5 * at * at) / np.sqrt(2.0 * np.pi)
@@ -167,8 +166,7 @@ def checked_mass(region: ConvexRegion, density: Density) -> float:
 
 def fan_moments(density: Callable[[Floats], Floats], boundary: Boundary, patch_m: float) -> Moments:
     """Integrate a density over cells by Gauss quadrature."""
-    # Each triangle or sector between a centre and a boundary piece is cut into patches, along the
-    # piece and radially. Each patch has `NODES` by `NODES` points.
+    # Patches with `NODES` by `NODES` points cover the sectors of the boundary pieces.
     u, v, angle = boundary.start_m, boundary.end_m, boundary.angle
     reach = np.sqrt(np.maximum((u * u).sum(axis=1), (v * v).sum(axis=1)))
     width = np.where(angle > 0.0, reach * angle, np.hypot(v[:, 0] - u[:, 0], v[:, 1] - u[:, 1]))

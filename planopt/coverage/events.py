@@ -21,8 +21,7 @@ LOOSE = 0.02
 
 def ring_angles(count: int) -> Floats:
     """Return the most informative bearings (count,) in rad of agents around an event."""
-    # Equal angles give equal information in all directions. Two agents are 90 degrees apart, since
-    # opposite agents would measure along one direction only.
+    # Opposite agents would measure along one direction only.
     turn = 0.5 * np.pi if count == 2 else 2.0 * np.pi / count
     return turn * np.arange(count, dtype=np.float64)
 

@@ -41,8 +41,7 @@ class GeodesicGround:
     area: FreeArea  # Part of `free` that keeps the clearance: allowed agent positions
     hull: ConvexRegion  # Convex hull of the free area
     spacing_m: float  # Side of the grid squares
-    # (m, 2) nodes, one for each grid square or each piece of a square cut by obstacles; `ends_m`
-    # are the nearest allowed positions, where paths to the nodes end
+    # (m, 2) nodes of free pieces of grid squares; `ends_m` are the nearest allowed positions
     nodes_m: Floats
     ends_m: Floats
     mass: Floats  # (m,) mass of each node's part

@@ -39,8 +39,7 @@ class Coverage:
     mass: Floats  # (n,) mass of each agent's cell
     # (n, 2) centroid of each agent's cell; the agent's own position if the cell has no mass
     centroids_m: Floats
-    # (n, 2) derivative 2 M (p - C) of H with respect to each agent's position, divided equally
-    # among coincident agents
+    # (n, 2) derivative of H by position, divided equally among coincident agents
     gradient: Floats
 
 
@@ -151,8 +150,7 @@ class ConvexGround:
 
     def steered(self, agents_m: Floats, places_m: Floats, share: float) -> Floats:
         """Return targets (n, 2) on each agent's shortest path to its position."""
-        # A target is in the direction of the path's first leg, at a distance equal to the path
-        # length but limited such that `share` of it stays on the first leg.
+        # Targets lie along the first leg; `share` of the distance stays on it.
         return places_m
 
 

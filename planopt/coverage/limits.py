@@ -25,8 +25,7 @@ class StationMap:
     posteriors: tuple[ChannelPosterior, ...]  # Channel posterior of each of s stations
     nodes_m: Floats  # (m, 2) nodes of a regular grid
     radius_m: float  # Radius of the disc that a node represents; the discs cover the bounds
-    # (s, m) largest probability at the node, its neighbours and nearby measured positions, where
-    # the predicted power may have extrema
+    # (s, m) largest probability at the node, its neighbours and nearby measured positions
     failures: Floats
 
     def near(self, starts_m: Floats, ends_m: Floats) -> Floats:
@@ -78,8 +77,7 @@ class MoveLimits:
     speed_m_s: float = math.inf  # Largest speed; infinite without limit
     # Largest acceleration of double integrators; None for single integrators
     acceleration_m_s2: float | None = None
-    # Largest turn rate of unicycles, which turn on the spot and then drive straight, forwards or
-    # backwards; None for holonomic agents
+    # Largest turn rate of unicycles, which turn on the spot; None for holonomic agents
     turn_rate_rad_s: float | None = None
     body_radius_m: float = 0.0  # Radius of the body; 0 for points, which may coincide
     clearance_m: float = 0.0  # Required distance to obstacles and outer boundary

@@ -19,8 +19,7 @@ STEPS = 60
 SETTLED = 1e-10
 """Step length, as a share of the region's radius, below which the iteration stops."""
 RIVAL = 8.0
-"""Other maxima are reported if -2 log L is higher than the best by at most this (likelihood
-ratio of at least 1 to 55)."""
+"""Maximum excess of -2 log L of other maxima that are reported."""
 SINGULAR = 1e-12
 """Eigenvalue ratio below which an information matrix counts as singular."""
 
@@ -29,8 +28,7 @@ SINGULAR = 1e-12
 class EventSensor:
     """Measurement model ``K F(d) + noise`` of a diffusing source, ``F = 1/((d/scale)^2 + 1)``."""
 
-    # The slope of F is largest at ``scale / sqrt(3)``. It is zero at the source, so a measurement
-    # there has no information on the position.
+    # The slope of F is largest at ``scale / sqrt(3)`` and zero at the source.
 
     noise_std: float  # Standard deviation of the Gaussian noise, in the signal's unit
     strength: float  # Factor K; estimators may treat it as unknown
@@ -124,11 +122,9 @@ class EventEstimate:
 
     position_m: Floats  # (2,)
     strength: float  # Factor K of the signal, estimated or known
-    # (2, 2) inverse of the Fisher information; infinite on the diagonal if the readings leave a
-    # direction undetermined
+    # (2, 2) inverse of the Fisher information; infinite if a direction is undetermined
     covariance_m2: Floats
-    # Sum of squared residuals over the noise variance; near the number of readings if the model
-    # fits
+    # Squared residuals over the noise variance; near their number if the model fits
     misfit: float
     rivals_m: Floats  # (r, 2) other local maxima with nearly the same likelihood
     velocity_m_s: Floats  # (2,) estimated velocity of a moving event; zero for static events
@@ -206,8 +202,7 @@ def _linearised(
     sensor: EventSensor, readings: Readings, drift: Drift | None, values: Floats
 ) -> tuple[Floats, Floats]:
     """Return residuals (b, r) divided by the noise, and derivatives (b, r, 5) of the signals."""
-    # Rows of `values` (b, 5) hold position, velocity and strength of an event. The prior of the
-    # velocity adds two residuals.
+    # Rows (b, 5): position, velocity and strength; the velocity's prior adds residuals.
     place, velocity, strength = values[:, None, :2], values[:, None, 2:4], values[:, 4:]
     ages = np.zeros((len(readings.signal), 1)) if drift is None else drift.ages_s[:, None]
     offset = place - (readings.positions_m + ages * velocity)

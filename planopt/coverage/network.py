@@ -153,8 +153,7 @@ def average_round(
     generator: np.random.Generator | None = None,
 ) -> Floats:
     """Return the agents' values after one round of consensus averaging."""
-    # A link that loses a message is omitted in both directions, which agents ensure by
-    # acknowledgements. The sum of all values is therefore preserved.
+    # A lossy link is omitted in both directions (acknowledgements), so the sum is preserved.
     kept = gets_through(len(network.links), loss, generator)
     first, second = network.links[kept].T
     flow = (link_weights(network)[kept] * (values[second] - values[first]).T).T

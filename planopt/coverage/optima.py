@@ -71,8 +71,7 @@ def settle(ground: Ground, places_m: Floats) -> tuple[Floats, float]:
 
 def draw_start(ground: Ground, count: int, generator: np.random.Generator) -> Floats:
     """Draw an initial deployment ``(n, 2)`` by weighted sampling, as k-means++ does."""
-    # The weight of a candidate is its mass times the squared distance to the nearest drawn
-    # position.
+    # Candidates weigh their mass times the squared distance to the nearest drawn position.
     candidates, mass = _candidates(ground, CANDIDATES * count, generator)
     chosen = [int(generator.choice(len(candidates), p=mass / mass.sum()))]
     nearest = np.full(len(candidates), np.inf)

@@ -114,8 +114,7 @@ class NetworkRun:
     positions_m: Floats  # (T + 1, n, 2); those of absent agents do not change
     velocities_m_s: Floats  # (T + 1, n, 2) and (T + 1, n)
     headings_rad: Floats
-    # (T, n) number of the event that the agent responds to, `NONE` if it covers, `ABSENT` if it is
-    # no member
+    # (T, n) event that the agent responds to, `NONE` if it covers, `ABSENT` if no member
     states: Indices
     targets_m: Floats  # (T, n, 2)
     costs: Floats  # (T,) coverage cost of all members before each step
@@ -123,15 +122,13 @@ class NetworkRun:
     # for which the law gives the same move
     residuals_m: Floats
     counts: Floats  # (T, n) estimate by each agent of the number of members; NaN for absent agents
-    # (T, k) demand of each event for the count of the nearest agent that knows it; 0 for unknown
-    # events
+    # (T, k) demand for the count of the nearest agent that knows the event; else 0
     wanted: Indices
     # (T, k, 2) best estimate of any agent, and (T, k) its standard deviation; NaN if unknown
     estimates_m: Floats
     stds_m: Floats
     beliefs_m: Floats  # (T, k, n, 2) position that each agent believes; NaN if it knows no event
-    # (T, k, 3) number of readings in the best estimate, step of the earliest one, and step in which
-    # it was made; 0 if unknown
+    # (T, k, 3) best estimate: readings, step of the earliest, step made; 0 if unknown
     sources: Indices
     readings: tuple[Floats, ...]  # (k,) arrays (r, 4): step, position in metres, and signal
     # (T, 3) transmissions over links: for counting, assignment (estimates and lists), readings
@@ -435,8 +432,7 @@ def simulate_network(
     saved: Sequence[Motion] = (),
 ) -> NetworkRun:
     """Simulate a network until it has settled or its duration has passed."""
-    # A step starts from the `saved` motion if both agree within `FOLLOWED_M`. A closed loop
-    # amplifies rounding differences between processors; a single step does not.
+    # Steps follow `saved` motions: closed loops amplify differences between processors.
     controller = NetworkController(scene, starts_m, mover, generator)
     motions, rows = [controller.motion], list[NetworkStep]()
     for step in range(round(scene.duration_s / scene.time_step_s)):

@@ -26,8 +26,7 @@ SHORTEST_M = 0.01
 class Fault:
     """Violated constraint of a move."""
 
-    # contact, clearance, speed, acceleration, turn, motion (inconsistent states at the ends of the
-    # move) or radio
+    # contact, clearance, speed, acceleration, turn, motion (inconsistent states) or radio
     kind: str
     agent: int
     other: int | None  # The other agent of a contact
@@ -135,8 +134,7 @@ def _least_distance(corners: Floats) -> float:
 
 def _failures(corners: Floats, radio: RadioLimits) -> Floats:
     """Return upper bounds (n,) of each agent's probability of disconnection during a step."""
-    # Each link has the largest length between any positions of both ends. The bound of a path is
-    # the sum of its link failures; the best path counts.
+    # Each link has the largest length between any positions; the best path counts.
     count = len(corners)
     length = np.zeros((count, count))
     direct = np.zeros((count, len(radio.stations_m)))

@@ -140,8 +140,7 @@ class Cells:
     cell_of: Indices  # (n,) number of each agent's cell
     multiplicity: Indices  # (g,) number of agents that share the cell
     inside: Polygons  # Cells clipped to the region
-    # Cells not clipped to the region, in normalised coordinates: the region has its centre at the
-    # origin and radius 1
+    # Unclipped cells in coordinates that centre the region and give it radius 1
     unclipped: Polygons
 
 
@@ -262,8 +261,7 @@ class Boundary:
     cell: Indices  # (e,) number of the cell of each piece
     start_m: Floats  # (e, 2) both ends of each piece, relative to the cell's centre
     end_m: Floats
-    # (e,) angle between both ends in rad if the piece is an arc about the centre; 0 if it is
-    # straight
+    # (e,) angle in rad between both ends of an arc about the centre; 0 if straight
     angle: Floats
 
 

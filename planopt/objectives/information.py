@@ -153,16 +153,14 @@ class VarianceRemoved:
 
 
 THRESHOLD_ROUNDING = 0.01
-"""Smoothing width of the variance threshold as a share of xi^2 + omega^2. The smoothing raises the
-value of a step by at most 3/16 of that width."""
+"""Smoothing width of the variance threshold as a share of xi^2 + omega^2."""
 
 
 @dataclass(frozen=True)
 class PathUncertainty:
     """Sum of variances above a threshold, weighted by closeness, in dB^2 (equation 4.4)."""
 
-    # L_ii^2 is the variance at q_i given measurements at the earlier positions of the path, l_i is
-    # the path length up to q_i, and psi(l) = exp(-zeta l).
+    # L_ii^2: variance given the earlier positions; psi(l) = exp(-zeta l), l the path length.
 
     start_m: tuple[float, float]  # Position of the robot
     threshold_db2: float = 0.0  # sigma_TH^2; a smaller variance counts as known
@@ -180,8 +178,7 @@ class PathUncertainty:
         legs = np.linalg.norm(np.diff(np.concatenate([start, places], axis=-2), axis=-2), axis=-1)
         near = np.exp(-self.decay_per_m * np.cumsum(legs, axis=-1))
         variance = np.diagonal(moments.factor, axis1=-2, axis2=-1) ** 2
-        # A gate g scales L_ii^2 - kappa by g^2. The threshold is gated in the same way, so the
-        # excess scales by g^2 as well.
+        # A gate g scales L_ii^2 - kappa, threshold and excess by g^2.
         gate = 1.0 if moments.gate is None else moments.gate
         fall = self.threshold_db2 - moments.blind_db2
         return np.maximum(variance - moments.blind_db2 - gate**2 * fall, 0.0), near

@@ -18,8 +18,7 @@ from planopt.channel.neighbours import PlaceTree
 from planopt.channel.posterior import ChannelPosterior
 
 SPACING_TOLERANCE_M = 1e-5
-"""Tolerance of the spacing in metres. Planned steps are slightly shorter than the step length, but
-two steps that add up to the spacing must still yield a new measurement."""
+"""Tolerance of the spacing: planned steps are slightly shorter than the step length."""
 CLOSED_SPACINGS, OPEN_SPACINGS = 0.9, 1.02
 """Distances, in spacings, up to which a gate is closed and from which it is fully open."""
 MOST_BESIDE = 8
@@ -41,8 +40,7 @@ class MeasuringRule:
 
     # Distance to an earlier measurement below which none is taken; :func:`closing_m`
     spacing_m: float
-    # (n, 2) earlier measuring positions of each station. A position counts as measured once all
-    # stations were measured near it.
+    # (n, 2) earlier measuring positions by station; all stations must be measured
     known_m: tuple[Floats, ...]
 
     @staticmethod

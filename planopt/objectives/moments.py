@@ -36,13 +36,11 @@ from planopt.plain_values import require_weights
 Real = TypeVar("Real", np.float32, np.float64)
 
 SINGLE = np.float32
-"""Floating-point type for covariances of many paths, which are only ranked. Its run time is 0.6 of
-double precision for 200 paths of 5 steps and 0.8 for 400 paths of 10."""
+"""Type for covariances of many paths, which are only ranked; it saves up to 40 % of the time."""
 TINY_M = 1e-9
 """Distance in metres below which the direction between two positions is undefined."""
 NUGGET_SHARE = 1e-4
-"""Minimum multipath variance as a share of the shadowing variance. It keeps the covariance regular
-if a position is measured twice."""
+"""Minimum multipath variance as a share of the shadowing variance, for regularity."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -398,8 +396,7 @@ class LocalPaths:
         kernel: NDArray[np.float32],
     ) -> Floats:
         """Return the gradient ``(c, N, 2)`` through covariances with positions `others_m`."""
-        # d k = -k / (beta r) (q - other), with r at least the cusp rounding. Overwrites
-        # `by_kernel`.
+        # d k = -k / (beta r) (q - other), in place of `by_kernel`.
         beta = self.channel.parameters.decorrelation_m
         by_kernel *= kernel
         by_kernel /= np.maximum(distance_m, SINGLE(CUSP_ROUNDING * beta))

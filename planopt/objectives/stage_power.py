@@ -183,8 +183,7 @@ def serving_derivatives(
     scale_db: Floats,  # (N,) c
 ) -> StagePower:
     """Return the mean serving power of m stations, with standard deviation `scale_db`."""
-    # The any-station score z has dz = sum_i w_i dz_i and d2z = sum_i w_i d2z_i + sum_ij W_ij dz_i
-    # dz_j'.
+    # dz = sum_i w_i dz_i and d2z = sum_i w_i d2z_i + sum_ij W_ij dz_i dz_j'.
     scores = [
         scores_of(mean, deviation, threshold)
         for (mean, deviation), threshold in zip(powers, thresholds_dbm, strict=True)

@@ -26,8 +26,7 @@ from planopt.targets.information_filter import (
 )
 
 Criterion = Literal["trace", "determinant", "norm"]
-"""Scalar criterion of the target position's covariance: trace (m^2), determinant (m^4) or largest
-eigenvalue (norm, m^2)."""
+"""Criterion of the target's covariance: trace, determinant or largest eigenvalue."""
 
 
 @dataclass(frozen=True, eq=False)

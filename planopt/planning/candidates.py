@@ -191,8 +191,7 @@ class Scorer:
 
     def standing(self, horizon: int) -> Candidate:
         """Return a candidate that waits or, if that is unsafe, one that avoids collisions."""
-        # The alternatives are the reservation, which other robots avoid, and a path out of
-        # obstacles.
+        # Alternatives: the reservation, which others avoid, and a path out of obstacles.
         place = np.tile(self.position_m, (horizon, 1))
         found = self.assessed(self.candidate(place, Rung.STOP, Termination.NO_PATH))
         if found.sound:

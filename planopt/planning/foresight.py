@@ -95,8 +95,7 @@ def _paths(
         for number, (road_map, first, chance) in enumerate(roads):
             others = gained.sum(axis=0) - gained[number]
             packets = np.array([informing(road_map.nodes_m, step) for step in range(len(ahead))])
-            # Expected logarithm given the others' expected information: a packet that is likely
-            # to be lost has a small reward, however close to the target it is sent.
+            # A packet that is likely lost has a small reward, however close to the target.
             reward = np.log1p(packets / (1.0 + others[:, None])) if saturates else packets
             nodes = best_nodes(road_map, first, chance * reward)
             paths[number] = road_map.nodes_m[nodes]

@@ -220,8 +220,7 @@ class History:
     delivered_mbit: float = 0.0  # Data delivered before the deadline, if data are required
     # Whether the robot has ever circled for `CIRCLING_STEPS` steps; False with moving obstacles
     has_circled: bool = False
-    # For a goal: cost of the driven steps that violate p_min, and its excess over the cheapest
-    # paths
+    # For a goal: cost of driven steps that violate p_min, and excess over cheapest paths
     crossing_cost_m: float = 0.0
     crossing_excess_m: float = 0.0
     # (n, 2) end positions of earlier steps without connection

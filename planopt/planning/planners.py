@@ -160,8 +160,7 @@ DRAWS = 64
 TURN_STD_RAD = 0.4
 """Standard deviation of the turn between consecutive steps of a persistent walk."""
 Walk = Literal["full", "disk", "persistent"]
-"""Kind of random walk: full steps in uniform directions, steps to uniform positions in the one-step
-disc, or full steps with small turns."""
+"""Kind of random walk: full steps, uniform positions in the disc, or small turns."""
 
 
 class RandomPlanner:

@@ -63,8 +63,7 @@ from planopt.robots.dynamics import Drive, rolled_out
 from planopt.world.moving_discs import MovingDiscs
 
 FOLLOWED_HORIZONS = (2.0, 0.5, 0.25)
-"""Fractions of the horizon over which a robot with dynamics follows the lattice path: above one to
-avoid braking at the end, below one for sharp turns."""
+"""Fractions of the horizon over which a robot with dynamics follows the lattice path."""
 GAIN_SHARE = 0.15
 """Distance by which a refinement may exceed the followed path, as a share of the longest plan."""
 STAGNANT_STEPS = 0.1

@@ -99,8 +99,7 @@ def tightened(task: PathTask, rows: RuleRows, power: Prediction, *, feasible: bo
 
 def with_bounds(task: PathTask, context: StepContext, rows: RuleRows) -> PathTask:
     """Return the task with connectivity constraints, relaxed where the guess violates them."""
-    # All rows have bounded slack at its price. A row that the guess violates by more has unlimited
-    # slack at a higher price.
+    # A row that the guess violates by more has unlimited slack at a higher price.
     constraints = context.problem.constraints
     if not constraints.requires_connection:
         return task
@@ -124,8 +123,7 @@ def lacks(
     context: StepContext, power: Prediction, rows: RuleRows, held: Mask, *, firmly: bool = False
 ) -> bool:
     """Return whether predicted powers violate a constraint row that the mask `held` selects."""
-    # With `firmly`, a margin below the error of search predictions counts as a violation, since
-    # verification may be expensive.
+    # With `firmly`, margins below the search error count: verification may be expensive.
     unsure = firmly and rows.weight is None and not is_search_exact(context.posterior)
     most = -SEARCH_ERROR_DB if unsure else MARGIN_TOLERANCE_DB
     return bool((rows.shortfall_db(power)[held] > most).any())
@@ -170,8 +168,7 @@ def goal_value(
 
 def arrival_step(problem: Problem, path_m: Floats) -> int | None:
     """Return the step (1..N) from which a path (N, 2) to a goal waits; None if it never does."""
-    # A guess that waits at its end has arrived, at the goal or a waiting position. A refinement
-    # over the whole horizon would never arrive.
+    # A guess that waits at its end has arrived; over the whole horizon it never would.
     standing = np.linalg.norm(path_m - path_m[-1], axis=1) <= STANDSTILL_M
     arrival = len(path_m) - int(np.argmin(standing[::-1])) if not standing.all() else 0
     dwells = is_at_goal(problem, path_m[-1]) or arrival < len(path_m) - 1
@@ -179,8 +176,7 @@ def arrival_step(problem: Problem, path_m: Floats) -> int | None:
 
 
 LINES_PER_SEGMENT, GOAL_LINES = 2, 4
-"""Number of nearest convex pieces with a separating line per segment, for sums of terms and for
-single integrators to a goal; the verifier checks all."""
+"""Numbers of separating lines per segment, for sums of terms and to a goal."""
 ALLOCATIONS = 6
 """Maximum number of refinements, each of which redistributes the total risk over the steps."""
 VALUE_IN_SOLVER = 10.0

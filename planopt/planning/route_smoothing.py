@@ -46,8 +46,7 @@ PASSES = 4
 LOOKBACK = 24
 """Maximum number of consecutive corners that are replaced by one straight leg."""
 CLEARINGS, MOVES_OUT, CLEARING_M = 8, 20, 0.01
-"""Maximum number of times that points are added to a path and that they are moved; distance in
-addition to the clearance, which leaves room for straight connections."""
+"""Maximum numbers of added points and of moves; distance in addition to the clearance."""
 RASTER_SHARE = 3e-3
 """Spacing of the cost raster, as a share of the workspace diagonal; values are interpolated."""
 RASTER_M = (0.2, 3.0)
@@ -228,8 +227,7 @@ def smooth_steps(
     leg_value: Callable[[Floats, Floats], Floats], places_m: Floats, longest_m: float
 ) -> Floats:
     """Return positions (k + 1, 2) moved to reduce the cost of the legs; first and last stay."""
-    # `leg_value` maps starts and ends (n, k, 2) of the k legs to costs (n, k), infinite if a leg is
-    # not allowed.
+    # `leg_value` maps starts and ends (n, k, 2) of legs to costs (n, k), some infinite.
     places = places_m.copy()
     choices, still = len(ROUND), len(ROUND) // 2
     for unit in (longest_m * STEP_UNITS).tolist():

@@ -367,8 +367,7 @@ class Stepper:
 
     def _goes_on(self, number: int, state: Floats) -> bool:
         """Return whether a robot may continue its previous plan from its current state."""
-        # Off its plan, a robot with dynamics cannot drive the remainder, and other robots do not
-        # avoid it.
+        # Off its plan, a robot cannot drive the remainder, and other robots do not avoid it.
         plan, robot = self._warm[number], self.problem.robots[number]
         if plan is None:
             return False

@@ -337,8 +337,7 @@ class ComparisonSettings(Part):
         BeforeValidator(known_seeds),
     ] = DEFAULT_SEEDS
     """Number of random seeds (30 means 0 to 29), or a range ("100:120" means 100 to 119)."""
-    # Groups of settings in sequence; the first setting of the first group is the reference of the
-    # paired comparison
+    # Groups of settings in sequence; the first one is the reference of the comparison
     settings: Annotated[
         tuple[SettingGroup, ...], Strict(False), Field(min_length=1, max_length=100)
     ]

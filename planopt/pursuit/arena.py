@@ -4,8 +4,6 @@ Free space is the rectangle minus the obstacles inflated by the clearance. The d
 largest ratio of shortest path length to straight-line distance.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -33,10 +31,8 @@ from planopt.world.workspace import Workspace
 GOAL_SHARE, EVADER_SHARE = 1.03, 1.06
 """Clearances of moved goals and of evaders as multiples of the path margin. Both exceed it by more
 than the errors of GEOS."""
-
 KEPT_PATHS = 64
 """Number of cached start points of shortest paths, enough for all pursuers in a step."""
-
 GOLDEN, NARROWINGS = 0.5 * (math.sqrt(5.0) - 1.0), 34
 """Golden ratio and number of section steps, which narrow an interval by a factor of 1e-7."""
 

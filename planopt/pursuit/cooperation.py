@@ -5,8 +5,6 @@ pursuer chooses, among points around that set, the aim that minimises the worst 
 capture over straight flights from these positions, given the aims of the others (equation 8.20).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,10 +17,8 @@ from planopt.pursuit.service import Record
 
 PLACES, FLIGHTS, BEARINGS = 24, 24, 16
 """Number of positions in the set, of flight directions, and of directions of candidate aims."""
-
 RINGS = (0.5, 1.0, 2.0)
 """Distances of candidate aims from the centre, as shares of the evader's range until arrival."""
-
 GOLDEN_RAD = math.pi * (3.0 - math.sqrt(5.0))
 """Golden angle, by which positions in the set are spread."""
 

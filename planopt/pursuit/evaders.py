@@ -4,8 +4,6 @@ Evaders know their pursuers' exact positions and target points, so they are stro
 than real ones.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -19,8 +19,6 @@ Among obstacles all four hold either for shortest path lengths with larger error
 distances with a pursuer slowed by the detour factor.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -38,13 +36,10 @@ Stage = Callable[[Floats], tuple[Floats, Floats]]
 
 A stage that reduces W by D lasts at most T D / (W - W').
 """
-
 INTEGRATION_STEPS = 1000
 """Number of intervals of the integral that bounds the capture time from above."""
-
 FLOOR_PLACES, FLOOR_ROUNDS = 65, 11
 """Grid points and number of grid refinements of the search for the floor."""
-
 REPORT_SHARE = 2.0
 """Maximum factor on a report's error if the report is moved to the nearest free point."""
 

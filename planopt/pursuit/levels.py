@@ -5,8 +5,6 @@ level, which does not show it, limits the distance from below. Both guarantees a
 use these bounds; docs/theory/pursuit.md has the proof.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,7 +15,6 @@ from planopt.arrays import Floats, Indices
 
 SIZES = np.exp2(np.arange(60.0))
 """Sides of the cells of all levels, in units of the finest cell."""
-
 MAX_STAGES = 100_000
 """Number of stages after which a capture time counts as unbounded."""
 

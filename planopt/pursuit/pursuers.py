@@ -6,8 +6,6 @@ velocity follows an Ornstein-Uhlenbeck process (equations 8.15 and 8.16), so tha
 not extrapolated far. Reports enter the filter in order of sample time (rule R).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -23,7 +21,6 @@ from planopt.robots.models import Unicycle
 
 ARRIVED_M = 1e-9
 """Distance below which a point counts as reached, since its bearing is undefined."""
-
 ARRIVED_SHARE = 1e-6
 """Distance below which a waypoint counts as reached, relative to the step length."""
 

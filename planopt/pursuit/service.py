@@ -11,8 +11,6 @@ mote sends it once, in the frame after first receiving it. A slot carries a limi
 blocks; further blocks wait, those of coarse levels longest.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -26,13 +24,10 @@ from planopt.errors import InputError
 
 MAX_LEVELS = 12
 """Maximum number of levels (4096 x 4096 motes); maps of a larger grid exceed the memory."""
-
 HOPS_PER_ROUND = 3
 """Frames of a level-0 round: 2^j hops to the head and 2 * 2^j hops from it fit into 3 * 2^j."""
-
 SLOTS_PER_FRAME = 9
 """Minimum number of slots per frame: any 3 by 3 motes need distinct ones (distance-2 colouring)."""
-
 ROUNDING = 1e-9
 """Rounding tolerance of a round's end time, as a share of the round."""
 
@@ -274,7 +269,6 @@ PEAK_BLOCKS = {True: (4, 10, 15, 19, 24, 29, 34, 39), False: (2, 5, 7, 11, 15, 2
 
 Counted by :func:`simulate_flooding`. A rate divisor above one never raises it.
 """
-
 MOST_SIMULATED_LEVELS = 7
 """Maximum number of levels in a simulation of flooding, which then takes three seconds."""
 

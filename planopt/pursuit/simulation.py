@@ -1,7 +1,5 @@
 """Simulation of pursuits in common time steps, with captures detected within a step."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import cast
@@ -21,7 +19,6 @@ from planopt.pursuit.service import Record, RecordSource, Track
 
 STEP_PIECES = 4
 """Number of straight segments of a pursuer's step on which captures are detected."""
-
 UNKNOWN_M = 1e12
 """Distance assigned to an evader without a record; the assignment needs finite values."""
 

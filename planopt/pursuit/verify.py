@@ -5,8 +5,6 @@ straight; a unicycle turns on the spot and drives straight, or drives an arc, as
 allow. Reports are compared with the rounds of the service, captures with distances along the steps.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -19,10 +17,8 @@ from planopt.arrays import Floats, Indices, Mask
 
 PLACE_M, TIME_S = 1e-6, 1e-6
 """Rounding tolerances of positions and times."""
-
 ARC_PIECES = 16
 """Number of chords that approximate an arc, which turns by less than half a turn per step."""
-
 CAPTURE_PIECES = 4
 """Number of equal parts of a step on which captures are detected."""
 

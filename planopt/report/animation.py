@@ -56,28 +56,7 @@ DrawFrame = Callable[[int], Sequence["Artist"]]
 def animate(
     figure: Figure, path: Path, count: int, draw_frame: DrawFrame, entries: Sequence[Artist] = ()
 ) -> None:
-    """Write the steps of a run as an animated GIF, atomically.
-
-    Parameters
-    ----------
-    figure
-        Figure with the background drawn.
-    path
-        File name ending in ``.gif``; its folder is created if missing.
-    count
-        Number of steps; at most about `MOST_FRAMES` of them are shown.
-    draw_frame
-        Function that draws one step and returns its artists; labelled ones enter the legend.
-    entries
-        Further legend entries.
-
-    Raises
-    ------
-    InputError
-        The path has another suffix.
-    OutputError
-        The file cannot be written.
-    """
+    """Write `count` steps of a run as an animated GIF; `draw_frame` returns a step's artists."""
     if path.suffix.lower() != ".gif":
         raise InputError(
             f"cannot write an animation to {path.name}: the ending {path.suffix!r} is not "

@@ -155,8 +155,7 @@ class CasadiMap(Dynamics):
 
     def change_at_rest(self, state: Floats, step_s: float) -> Floats:
         """Return the least change (s,) that the rest input causes in any state at a position."""
-        # Local searches over the other components start from `state` and from zeros. If the map is
-        # not finite during a search, the change at its initial guess counts.
+        # Searches start from `state` and from zeros; a guess counts if the map is not finite.
         low, high = np.array(self.state_bounds)[2:].T
         free = low < high
 

@@ -18,8 +18,7 @@ STOPPED_M_S = 1e-9
 BRAKING_SHARE = 0.8
 """Share of the maximum acceleration that slows a robot down for turns and the end of a path."""
 ROUNDED_SHARE = 1e-3
-"""Smoothing width of the speed near rest, as a share of the largest speed, and of the distance near
-the goal, as a share of the turning radius."""
+"""Smoothing width relative to the largest speed, and to the turning radius."""
 SWING_SHARE = 0.25
 """Maximum tracking error at the turns of a path, as a share of the longest step."""
 PIECE_TURN_RAD = math.pi / 4.0
@@ -146,8 +145,7 @@ class DoubleIntegrator(Dynamics):
 
     def stop_points(self, state: Components, step_s: float) -> tuple[tuple[Any, Any], ...]:
         """Return a point straight ahead, at or beyond the position of rest after braking."""
-        # Braking takes n steps of deceleration v / (n h) <= a_max. Its length n h v / 2 is at most
-        # v (v / a_max + h) / 2.
+        # n steps of deceleration v / (n h) <= a_max take at most v (v / a_max + h) / 2 metres.
         x, y, vx, vy = state
         # |v| is not differentiable at rest; (v^2 / v_max + v_max) / 2 is an upper bound.
         square = (vx * vx + vy * vy) / self.speed_max_m_s**2
@@ -330,8 +328,7 @@ class Unicycle(Dynamics):
 
     def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
         """Return a smooth estimate of the time to turn towards a position; 0 at the position."""
-        # It is pi / (2 w_max) (1 - cos b) d / (d + r) at bearing b and distance d. Within the
-        # turning radius r = v_max / w_max it is less than the turning time.
+        # pi / (2 w_max) (1 - cos b) d / (d + r) at bearing b and distance d (equation 6.2).
         x, y = place[0] - state[0], place[1] - state[1]
         circle_m = self.speed_max_m_s / self.turn_rate_max_rad_s
         distance = (x * x + y * y + (ROUNDED_SHARE * circle_m) ** 2) ** 0.5
@@ -383,8 +380,7 @@ class Unicycle(Dynamics):
 
     def may_reach(self, state: Floats, places_m: Floats, duration_s: float, slack_m: float) -> Mask:
         """Return a mask of positions that the limited turn rate does not exclude."""
-        # Up to a quarter turn, the lateral range is v (1 - cos w t) / w, and a robot that cannot
-        # reverse reaches no position behind it.
+        # Lateral range v (1 - cos w t) / w up to a quarter turn; nothing behind.
         rate = self.turn_rate_max_rad_s
         turning_s = min(duration_s, 0.5 * math.pi / rate)
         speed = max(self.speed_max_m_s, -self.speed_min_m_s)

@@ -284,8 +284,7 @@ class Score:
     median_gap: float | None
     largest_gap: float | None
     iterations: float  # Mean number of solver iterations per plan
-    # Shifted geometric mean and median of the CPU time per plan, in seconds; unsolved cases count
-    # as `LIMIT_S` in the mean and are excluded from the median
+    # CPU time per plan in s: shifted geometric mean (unsolved: `LIMIT_S`), and median
     mean_s: float
     median_s: float | None
     # Number of plans with a deadline, and of those that missed it

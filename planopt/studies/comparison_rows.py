@@ -68,8 +68,7 @@ class Setting:
 
 def comparison_rows(runs: Sequence[RunSummary]) -> list[Row]:
     """Return the rows of all settings, whose runs have the same seeds in the same order."""
-    # Each setting is compared with the first setting of its problem, or, if every problem has one
-    # setting, with the first of all.
+    # If every problem has one setting, the first of all is the reference.
     settings = runs_by_setting(runs)
     first = {each[0].problem: each for each in reversed(settings)}
     if len(first) == len(settings):

@@ -21,8 +21,7 @@ FARTHEST_M = 100_000.0
 INVERSE_STEPS = 6
 """Newton steps of the inverse projection; four suffice for rounding accuracy at `FARTHEST_M`."""
 Origin = tuple[float, float] | tuple[float, float, float]
-"""Latitude and longitude of the origin (0, 0) in degrees, and the angle in degrees from east
-counter-clockwise to the x axis, by default 0."""
+"""Latitude and longitude of (0, 0), and the angle from east to the x axis, in degrees."""
 
 
 def parse_origin(text: str, key: str = "--origin") -> Origin:

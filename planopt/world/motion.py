@@ -329,8 +329,7 @@ def nearest_to_origin_m(starts_m: Floats, ends_m: Floats) -> Floats:
 
 
 CLOSE_M = 1e-7
-"""Tolerance of computed minimum distances in metres, a tenth of the verifier's. A smaller tolerance
-is expensive for motions at a constant distance."""
+"""Tolerance of computed minimum distances in metres, a tenth of the verifier's."""
 CLOSE_SHARE = 1e-9
 """Tolerance of minimum distances as a share of the curvature bound, for curves of kilometres."""
 

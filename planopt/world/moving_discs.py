@@ -133,8 +133,7 @@ def predicted_discs(
     clearance_m: float,
 ) -> MovingDiscs:
     """Return the predicted discs of moving obstacles over the next steps."""
-    # Discs move straight during a step. If the path turns within a step, the radius grows by the
-    # distance of the turn from the straight line, so that the disc covers the obstacle.
+    # A turn of a path within a step enlarges the radius by its distance from the line.
     times = now_s + step_s * np.arange(steps + 1, dtype=np.float64)
     centres = np.array([centres_at(obstacle, times) for obstacle in obstacles])
     radius = np.array(

@@ -293,8 +293,7 @@ def write_geotiff(path: Path, rasters: Mapping[str, Raster], origin_deg: Origin 
 
 def read_geotiff(path: Path, variable: str, origin_deg: Origin | None = None) -> Raster:
     """Return the band described as `variable`, or the only band if this has no description."""
-    # The file is read from memory, without sidecar files and only as GeoTIFF. GDAL's virtual
-    # formats could otherwise open further files.
+    # GDAL's virtual formats and sidecar files could open further files.
     rasterio = import_rasterio(path)
     content = read_bytes(path)
     if content[:4] not in SIGNATURES:
@@ -370,8 +369,7 @@ def _in_frame(
             key="origin_deg",
             remedy="give the latitude and longitude of (0, 0), close to the map",
         )
-    # Cells no longer than those of the file, from its first corner to the second and the third:
-    # GDAL smoothes values where it needs fewer.
+    # GDAL smoothes values where it needs fewer cells.
     second, third = columns, -(columns + 1)
     side = min(
         math.hypot(x[second] - x[0], y[second] - y[0]) / columns,

@@ -26,8 +26,7 @@ NEAR_DEG = 1.0
 EPSG = re.compile(r"EPSG:+(?:[\d.]*:)?(\d{4,6})\b", re.IGNORECASE)
 """Pattern of the EPSG code of a reference system."""
 SURELY_DEGREES = 20.0
-"""Ratio of distance from the origin to extent above which coordinates within 180 and 90 count as
-degrees. In metres, such a map would be tiny and far from its origin."""
+"""Ratio of distance from the origin to extent above which coordinates count as degrees."""
 
 _GEOJSON = "give GeoJSON of Polygon or MultiPolygon features, or buildings with an exterior"
 

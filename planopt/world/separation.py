@@ -127,8 +127,7 @@ class PackedPieces:
 class SeparatingLines:
     """Up to c separating lines for each of s segments, nearest pieces first."""
 
-    # Both ends q of the segment satisfy ``normal . q - offset >= gap``; every corner v of the piece
-    # satisfies ``normal . v <= offset``.
+    # Segment ends: ``normal . q - offset >= gap``; corners: ``normal . v <= offset``.
 
     # (s, c, 2) unit normals, pointing from the piece to the segment; 0 in empty slots
     normals: Floats
@@ -327,8 +326,7 @@ def moving_lines(
     pad_m: float = 0.0,
 ) -> SeparatingLines:
     """Return the lines that separate each segment from its nearest moving discs."""
-    # Like lines of obstacles, they touch the disc, and the clearance is added later. A disc with
-    # another required distance is enlarged or shrunk by the difference.
+    # They touch the disc, whose radius is changed by the difference of required distances.
     steps = len(path_m) - 1
     lines = empty_lines(steps, count)
     relative = path_m - discs.centres_m[:, : len(path_m)]

@@ -13,8 +13,7 @@ from planopt.arrays import Floats, Indices, Mask
 from planopt.world.clearance import ObstacleIndex, clearance_m, segment_lines
 
 INNER_SHARE = 0.98
-"""Share of the clearance by which obstacles are inflated for lower bounds. The relative error of
-GEOS is up to a hundredth."""
+"""Share of the clearance by which obstacles are inflated for lower bounds."""
 QUARTER_SEGMENTS = 2
 """Number of segments per quarter circle around a corner, for drivable paths."""
 ROUND_SHARE = 1.0 / math.cos(0.25 * math.pi / QUARTER_SEGMENTS)
@@ -31,8 +30,7 @@ class ShortestPaths:
     radius_m: float  # Maximum path length
     closed: shapely.STRtree  # Inflated obstacles
     joined: shapely.Geometry | None  # Connected component of free space; None without obstacles
-    # (n, 2) corners at which paths turn, (n,) path lengths to them, ascending, and (n,) indices of
-    # the previous corners, -1 for the start
+    # (n, 2) corners, (n,) ascending path lengths, (n,) previous corners (-1: start)
     corners_m: Floats
     length_m: Floats
     before: Indices
@@ -47,8 +45,7 @@ def shortest_paths(
     inner: bool,
 ) -> ShortestPaths:
     """Return the shortest paths from `start_m` (2,) with a clearance, up to length `radius_m`."""
-    # With `inner`, obstacles are inflated slightly less and their corners are bevelled. Lengths are
-    # then lower bounds, and every reachable position is found.
+    # With `inner`, lengths are lower bounds, and every reachable position is found.
     nothing = ShortestPaths(
         start_m,
         radius_m,
@@ -201,8 +198,7 @@ def _away(places_m: Floats, place_m: Floats) -> Floats:
 
 
 SLACK = 1e-9
-"""Rounding tolerance of positions outside an area, as a share of its extent. Lines of sight have
-twice this tolerance."""
+"""Rounding tolerance of positions outside an area, as a share of its extent."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,8 +207,7 @@ class FreeArea:
 
     polygon: shapely.Polygon  # Allowed positions
     slack_m: float  # Distance outside up to which a position still counts as on the boundary
-    # Boundary moved outward by more than `slack_m`. A line between two allowed positions leaves the
-    # area if it intersects this boundary.
+    # Boundary moved outward by more than `slack_m`, which no allowed line intersects
     border: shapely.Geometry
     corners_m: Floats  # (c, 2) corners at which shortest paths may turn
     between_m: Floats  # (c, c) shortest distances between them

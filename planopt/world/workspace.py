@@ -235,8 +235,7 @@ class Workspace:
 LONGEST_NAME = 200
 """Maximum length of an obstacle's name, which messages, tables and figures repeat."""
 MEETING_SEGMENTS = 50
-"""Maximum mean number of segments that intersect a segment of an outline. Repairs beyond it take
-time and memory quadratic in the number of corners."""
+"""Maximum mean number of intersecting segments; repairs are quadratic beyond it."""
 
 SAMPLED_SEGMENTS = 200
 

@@ -20,11 +20,9 @@ FALLBACK_CORRELATED_SHARE = 0.8
 MIN_VARIANCE_DB2 = 0.01
 """Lower bound of xi^2 and omega^2."""
 MIN_NUGGET_SHARE = 0.01
-"""Lower bound of omega^2 as a share of alpha. With few measurements the likelihood often peaks at
-omega = 0, which would make kriging interpolate noise."""
+"""Lower bound of omega^2 / alpha: with omega = 0, kriging would interpolate noise."""
 MAX_SHADOW_RATIO = 25.0
-"""Upper bound of xi^2 as a multiple of the residual variance. The line absorbs part of slow
-shadowing, so xi^2 may exceed that variance."""
+"""Upper bound of xi^2 / residual variance; the line absorbs part of slow shadowing."""
 BOUND_TOLERANCE = 1e-3
 """Relative distance within which a value counts as at a bound, because solvers stop short of it."""
 

@@ -30,8 +30,7 @@ ROWS = 512
 LAG_CAP_SHARE = 0.25
 """Maximum lag of ``capped`` as a share of the extent, unless the correlation vanishes earlier."""
 HUBER_DEVIATIONS = 1.345
-"""Transition of Huber's loss from squares to absolute values, in robust standard deviations of the
-residuals. It is 95 % as efficient as squares for normal residuals."""
+"""Transition of Huber's loss in robust standard deviations, for an efficiency of 95 %."""
 EFFICIENCY = {"huber": 0.95, "absolute": 2.0 / math.pi}
 """Efficiency of each loss relative to squares for normal residuals: the ratio of variances."""
 NORMAL_MEDIAN = 0.6745

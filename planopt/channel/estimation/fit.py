@@ -154,8 +154,7 @@ def _with_line(
 
 
 WEAK_SHARE = 0.5
-"""Relative standard error above which a parameter is poorly determined; the ends of its 95 %
-interval then differ by a factor of seven."""
+"""Relative standard error above which a parameter is poorly determined."""
 
 WORDS: dict[str, tuple[str, str]] = {
     "n_pl": ("path loss exponent n_PL", ""),
@@ -193,20 +192,17 @@ def _mode_words(parameters: ChannelParameters, below: float) -> str:
 PLAUSIBLE_N_PL = (1.0, 6.0)
 """Plausible range of n_PL, from waveguides to the densest buildings; free space is 2."""
 EXTENT_SHARE = 1.0 / 3.0
-"""Maximum plausible decorrelation distance as a share of the log's extent; beyond it, shadowing
-cannot be distinguished from path loss."""
+"""Maximum plausible decorrelation distance as a share of the log's extent."""
 PLAUSIBLE_POWER_DBM = (-200.0, 100.0)
 """Plausible range of powers; thermal noise in 1 Hz is -174 dBm, and 100 dBm are ten megawatts."""
 LEAST_PILE = 5
 """Minimum number of readings at the lowest power for a suspected receiver floor."""
 PILE_RATIO = 2.0
-"""A floor is suspected if the lowest power's count exceeds any other by this ratio. Rounded
-powers repeat too, but mostly in the middle of their range."""
+"""A floor is suspected if the lowest power's count exceeds any other by this ratio."""
 
 PILE_NEIGHBOURS = 3
 PILE_CHANCE = 1e-3
-"""Significance level of the alternative test: the lowest power's count against the largest of the
-next few counts. Without a floor, counts decrease towards the end of the range."""
+"""Significance level for the lowest power's count against the largest of the next few."""
 
 
 def implausible_values(

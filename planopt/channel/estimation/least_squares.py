@@ -29,8 +29,7 @@ MIN_MEASUREMENTS_COVARIANCE = 6
 MIN_REGRESSOR_SPREAD_DB = 0.2
 """Minimum range of 10 log10 d for n_PL to be identifiable (distances vary by 5 %)."""
 LEAST_EXTENT_M = 1e-6
-"""Extent below which positions count as one, because squared distances would be lost to
-rounding."""
+"""Extent below which positions count as one, because of rounding."""
 FALLBACK_DECORRELATION_M = 10.0
 """Assumed beta with fewer than two distinct positions."""
 
@@ -42,8 +41,7 @@ class Identifiability:
     n_pl_reason: str | None  # Reason why n_PL cannot be estimated, or None
     covariance_reason: str | None  # Reason why xi, beta and omega cannot be estimated, or None
     extent_m: float  # Diagonal of the bounding box of all positions
-    # Range of beta that can be distinguished from 0 and from infinity: a third of the smallest
-    # useful spacing (correlation 5 % at that spacing) to the extent
+    # Range of beta: a third of the smallest useful spacing to the extent
     decorrelation_bounds_m: tuple[float, float]
 
 
@@ -122,8 +120,7 @@ def nearest_distance_m(positions_m: Floats) -> Floats:
 
 MAX_SWEEPS = 500
 OFFSET_RIDGE = 1e-6
-"""Ridge weight of receiver offsets. It fixes unidentifiable combinations, such as the common
-part of all offsets if receiver 0 has no measurements."""
+"""Ridge weight of receiver offsets, which fixes unidentifiable combinations."""
 TOLERANCE_DB = 1e-6
 """Maximum change of a fitted value at convergence."""
 ROWS = 512
@@ -136,8 +133,7 @@ class LeastSquares:
 
     coefficients: Floats  # (p,) of the mean model (theta-hat for p = 2)
     residual_db: Floats  # (n,) completed power minus the line, Y_c of equation 2.1
-    # alpha-hat: mean squared residual (divided by n), plus the conditional variance of censored
-    # powers, less the variance of rounding (Sheppard's correction)
+    # Mean squared residual, plus variance of censored powers, less that of rounding
     variance_db2: float
 
 

@@ -195,8 +195,7 @@ def _distances_m(origins: Origins, windows: tuple[Window, ...]) -> tuple[Floats,
 
 
 SITE_TOLERANCE = 1e-4
-"""Tolerance of the interval sites during the search. It halves the number of sweeps; the error of
-log L is far below the accuracy required of the optimum."""
+"""Tolerance of the interval sites during the search; it halves the number of sweeps."""
 MEAN_TOLERANCE = 0.2
 """Sites are matched again if an interval's mean changes by more standard errors than this."""
 
@@ -446,8 +445,7 @@ def _interval_prior(
     noise_db2: Floats,  # (n,) of the Gaussian measurements
 ) -> tuple[LatentPrior, float]:
     """Return the interval powers' prior, and the log-likelihood of the Gaussian measurements."""
-    # If rounded intervals may be needed to determine theta, log L is taken at the line; the
-    # integral over theta is left to the prior's score and information.
+    # If rounded intervals may determine theta, log L is taken at the line.
     if data.intervals is None:
         raise AssertionError("there are intervals")
     rows, exact = data.intervals.rows, np.flatnonzero(data.gaussian)
@@ -545,8 +543,7 @@ def profiled_log_likelihood(
     data: LikelihoodData, correlated_share: float, decorrelation_m: float
 ) -> tuple[float, float]:
     """Return the log-likelihood at the best total variance alpha, and this alpha."""
-    # Receivers' offsets have a flat prior and position errors are ignored: terms that do not scale
-    # with alpha cannot be profiled.
+    # Terms that do not scale with alpha are ignored, and offsets have a flat prior.
     count = len(data.values_db)
     correlation = correlated_share * data.correlation(0, decorrelation_m)
     np.fill_diagonal(correlation, 1.0)

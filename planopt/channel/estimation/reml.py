@@ -38,14 +38,11 @@ EXACT_ROWS = 2_000
 """Maximum number of measurements with an exact likelihood. A fit of 1,900 takes 2 s of CPU time,
 8 s if 60 % are censored, and 0.8 s by blocks."""
 MOST_DENSE = 800
-"""Maximum sample size if a dense likelihood is evaluated many times: in the search for the
-station's position, and for the weights of :func:`planopt.channel.marginalise`."""
+"""Maximum sample size if a dense likelihood is evaluated many times."""
 FINE, BLOCK_FINE = 1e-5, 2e-3
-"""A search ends when the predicted gain of a Newton step in log-likelihood is below this. For
-blocks this is a sixteenth of a standard error, within the error of the approximation."""
+"""Predicted gain in log-likelihood below which a search ends, exact and by blocks."""
 SAMPLED_ROWS, SAMPLED_BLOCKS = 250, 12
-"""Maximum number of exact measurements in the sample, or of blocks whose exact measurements form
-it; the blocks are spread over the whole area."""
+"""Maximum number of exact measurements in the sample, or of blocks that form it."""
 START_SHARES = (0.3, 0.7, 0.95)
 """Correlated shares xi^2 / alpha of the initial guesses."""
 START_DECORRELATIONS = 5

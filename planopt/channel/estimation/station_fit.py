@@ -61,8 +61,7 @@ TOLERANCE = 1e-6
 SEARCH_MEASUREMENTS = 300
 """Maximum number of measurements in the search; the last step uses up to `MOST_DENSE`."""
 JOINT_ROUNDS, LINE_ROUNDS = 4, 40
-"""Maximum number of alternations: covariance and position for ``joint``, line and position for
-``line``."""
+"""Maximum numbers of alternations for ``joint`` and for ``line``."""
 STILL = 0.1
 """The position has converged when its step is below this share of its standard deviation."""
 REJECTED = 6.9
@@ -260,8 +259,7 @@ def _mean_jacobian(positions_m: Floats, station: Station, n_pl: float) -> Floats
 
 def gauss_newton(surface: StationSurface, position_m: Floats) -> tuple[float, Floats, Floats]:
     """Return the loss of a station position, its gradient (2,) and approximate Hessian (2, 2)."""
-    # The gradient is exact. The curvature is the expected (Fisher) information of the position with
-    # theta unknown; its inverse is the position's covariance if l is quadratic.
+    # The gradient is exact, the curvature the Fisher information with theta unknown.
     station = surface.station(position_m)
     (loss,), (theta,) = losses(surface, np.asarray(position_m, dtype=np.float64)[None])
     jacobian = _mean_jacobian(surface.positions_m, station, float(theta[1]))
@@ -394,8 +392,7 @@ def line_covariance_m2(measurements: Measurements, parameters: ChannelParameters
 
 def joint_covariance_m2(measurements: Measurements, parameters: ChannelParameters) -> Floats | None:
     """Return the covariance (2, 2) of a position fitted by ``joint``; None if undetermined."""
-    # Moments are sums over a lattice along the principal axes of the information, up to `MARGIN`
-    # extents. Its spacing grows from a fraction of the standard deviation with the distance.
+    # Moments are sums over a lattice along the principal axes, coarser at larger distances.
     surface = station_surface(measurements, parameters, has_prior=True)
     if _is_at_edge(surface, parameters.station):
         return None
@@ -409,8 +406,7 @@ def joint_covariance_m2(measurements: Measurements, parameters: ChannelParameter
     area = np.prod(np.cosh(growth * shares), axis=1)
     off = (scale * np.sinh(growth * shares)) @ axes.T
     loss, _ = losses(surface, estimate + off)
-    # The middle of the lattice is the estimate. The total variance is integrated out (Student's
-    # t): at its fitted value the loss is half the degrees of freedom.
+    # The total variance is integrated out: at its fitted value the loss is `freedom`.
     freedom = 0.5 * (len(surface.whitened_db) - 2)
     drop = freedom * np.log1p(np.maximum(loss - loss[len(loss) // 2], 0.0) / freedom)
     weights = np.where(drop < REJECTED, area * np.exp(-drop), 0.0)
@@ -422,8 +418,7 @@ def joint_covariance_m2(measurements: Measurements, parameters: ChannelParameter
 
 def theta_by_position(measurements: Measurements, parameters: ChannelParameters) -> Floats:
     """Return the derivative (2, 2) of theta with respect to the station's position."""
-    # With S the position's covariance, theta's covariance grows by B S B', because the position's
-    # error is uncorrelated with theta's error at the true position.
+    # The position's error is uncorrelated with theta's at the true position.
     surface = station_surface(measurements, parameters, has_prior=False)
     whitened = _whitened_jacobian(surface, parameters)
     information = whitened.T @ whitened

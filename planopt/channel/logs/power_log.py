@@ -34,8 +34,7 @@ RANGES_DEG = (
 POWER_RANGE = (LEAST_POWER_DBM, LARGEST_POWER_DBM, "dBm")
 
 ACCURACY_RADIUS = math.sqrt(-2.0 * math.log(1.0 - 0.68))
-"""Radius that contains a position with probability 68 %, as Android reports it, in standard
-deviations of a coordinate."""
+"""Radius of probability 68 %, as Android reports it, in standard deviations of a coordinate."""
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,7 @@ from planopt.world.geodesy import Origin, east_north_m
 def read_stations(
     path: Path, labels: Iterable[str], origin_deg: Origin | None = None
 ) -> dict[str, Station]:
-    """Read the positions of transmitters by label; labels that the file lacks are omitted.
-
-    The label is in a column such as ``name``, ``bssid``, ``cell`` or ``anchor``, the position in x
-    and y or in longitude and latitude, and an optional height above the robot in ``height_m``.
-    """
+    """Read the positions of transmitters by label; labels that the file lacks are omitted."""
     table, wanted = read_table(path), set(labels)
     label = alias(table, "transmitter") or alias(table, "name")
     in_degrees = origin_deg is not None and alias(table, "latitude") is not None

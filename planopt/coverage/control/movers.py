@@ -29,8 +29,7 @@ HEAVY = 1e3
 ROUNDING = 1e-12
 """Tolerance of positions outside their sets, as a share of the ground's radius."""
 SPLIT = 1e-9
-"""Distance, as a share of the region's radius, by which coincident covering agents are moved apart.
-Each of them then gets a sector of their common cell."""
+"""Distance, as a share of the region's radius, by which coincident agents are moved apart."""
 Partition = Literal["all", "coverage_only"]
 """Agents that get a cell of the region: all agents, or only the covering ones."""
 
@@ -257,8 +256,7 @@ def _instant_moves(task: _Task) -> tuple[Floats, SafeSets, Floats]:
 
 def _inert_moves(task: _Task, now: Floats) -> tuple[Floats, Floats, Floats]:
     """Plan moves of double integrators with velocities (n, 2) in metres per step."""
-    # Returns positions and velocities (n, 2) after the first move, and paths (n, N, 2). An agent
-    # brakes if no planned move is feasible.
+    # An agent brakes if no planned move is feasible.
     assert task.limits.acceleration_m_s2 is not None
     places, most, horizon = task.places, task.most_m, task.horizon
     change = task.limits.acceleration_m_s2 * task.limits.time_step_s**2

@@ -177,8 +177,7 @@ def _tree(
     pairs: Indices, weights: Floats, fails: Floats, count: int
 ) -> tuple[Indices, Floats, list[int]]:
     """Return the tree of shortest paths to the base station over weighted links (e, 2)."""
-    # The result is the link (n,) toward that node, the sum of `fails` (n + 1,) along the path, and
-    # the connected agents in order of distance.
+    # Links (n,), sums of `fails` (n + 1,) along the paths, and agents by distance.
     shape = (count + 1, count + 1)
     graph = csr_array((weights, (pairs[:, 0], pairs[:, 1])), shape=shape)
     number = csr_array((np.arange(1, len(pairs) + 1), (pairs[:, 0], pairs[:, 1])), shape=shape)

@@ -79,8 +79,7 @@ class SafeSets:
 
     def thinned(self, starts_m: Floats, reach_m: Floats) -> SafeSets:
         """Return the sets without half-planes that hardly restrict moves from starts ``(n, 2)``."""
-        # A half-plane is kept if it is the first or almost the first within reach (n,) in one of
-        # `LOOKS` directions. The result serves planning only; moves are checked against all sets.
+        # The result serves planning only; moves are checked against all sets.
         turn = np.linspace(0.0, 2.0 * np.pi, LOOKS, endpoint=False)
         slope = self.normals @ np.stack((np.cos(turn), np.sin(turn)))
         room = np.maximum(self.offsets_m - (self.normals * starts_m[self.agent]).sum(axis=1), 0.0)
@@ -263,8 +262,7 @@ def _corridors(
     edges: Floats, seeds: Floats, keep_m: float, reach_m: float, touch_m: float
 ) -> SafeSets:
     """Return convex sets around seed triangles (n, 3, 2) that keep clear of edges (m, 2, 2)."""
-    # The boundary point nearest to the seed defines a half-plane; the nearest boundary point inside
-    # that half-plane defines the next one, and so on.
+    # Each nearest boundary point within the half-planes so far defines the next one.
     count = len(seeds)
     agent = np.repeat(np.arange(count), len(edges))
     part = np.tile(edges, (count, 1, 1))
@@ -316,8 +314,7 @@ def _corridors(
 
 def _touching_normal(outward: Floats, seed: Floats, part: Floats, touch_m: float) -> Floats | None:
     """Return the normal of a line between a triangle and a side that it touches, or None."""
-    # The result is None if neither the side nor a degenerate triangle defines a separating line. A
-    # seed of a single position always has one.
+    # None without a separating line; a seed of a single position always has one.
     if ((seed - part[0]) @ outward <= touch_m).all():
         return outward
     along = seed[2] - seed[0]

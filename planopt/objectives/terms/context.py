@@ -39,8 +39,7 @@ class SteeringPath:
     clearance_m: float  # Minimum distance to obstacles, less the verifier's tolerance
     # (ny, nx) length of the shortest path to the end from each node of the lattice, if known
     lattice_m: Floats | None = None
-    # True if a position heads no farther than the end of its nearest leg: the path avoids coverage
-    # holes, across which later turns are visible
+    # True if positions head no farther than the end of their nearest leg (coverage holes)
     in_order: bool = False
 
     @property
@@ -56,8 +55,7 @@ class SteeringPath:
 
     def next_turns(self, places_m: Floats) -> Indices:
         """Return the index of the turn that each position (n, 2) heads for next."""
-        # Of the consecutive visible turns from the first visible one on, it is the last. If no turn
-        # is visible, it is the start of the path.
+        # The last consecutive visible turn from the first one on, else the start of the path.
         found = np.zeros(len(places_m), dtype=np.intp)
         left = np.arange(len(places_m))
         last = self._ends_of_legs(places_m) if self.in_order else None
@@ -124,8 +122,7 @@ class Aim:
 
     # (N, 2) expected target position at the end of each step; None without a target
     target_m: Floats | None = None
-    # (m, 2) path of the two-layer steering: the robot's position, turns, and end; None without
-    # steering
+    # (m, 2) two-layer steering: robot's position, turns and end; None without steering
     steering_turns_m: Floats | None = None
     # (4, 4) J_{t|t} of the station's filter at that time; None without a target
     information: Floats | None = None

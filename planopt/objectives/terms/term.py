@@ -28,11 +28,9 @@ Weight = Annotated[
 ]
 
 Structure = Literal["stagewise", "chain", "full"]
-"""Sparsity of a term's Hessian: 2 x 2 blocks per stage; blocks between successive stages as well;
-dense."""
+"""Sparsity of a term's Hessian: blocks per stage, between successive stages as well, or dense."""
 Steers = Literal["variance", "connection", "goal"]
-"""Kind of position that a robot is steered to: the one of largest variance, one to probe for
-connection, or the goal."""
+"""Position that a robot is steered to: largest variance, probed for connection, or the goal."""
 
 
 @dataclass(frozen=True)

@@ -32,8 +32,7 @@ from planopt.objectives.terms.term import Steers, Term
 from planopt.targets.rounding import Derivatives, rounded_length
 
 WAITING = 0.1
-"""Cost per metre by which a step is shorter than the longest step. Without this cost, waiting would
-be free, and the robot would postpone its first step forever."""
+"""Cost per metre by which a step is shorter than the longest; otherwise waiting is free."""
 NOT_PROBED_DB = 1e3
 """Offset in dB by which positions without a probe are assumed below the threshold."""
 LEAST_CHANCE = 1e-12
@@ -280,8 +279,7 @@ class UntilConnectedTerm(Term):
 
     def _after_try_m(self, at: TermContext) -> float:
         """Return the expected search length beyond the probe at the end of the steering path."""
-        # It is R - D of `search_length_m`. It depends on that path only, so it can be recomputed
-        # from a saved plan.
+        # R - D of `search_length_m`; it depends on that path only, so it can be recomputed.
         steered = at.steering
         if steered is None:
             return at.workspace_diagonal_m if self.beyond_m is None else self.beyond_m

@@ -156,8 +156,7 @@ class TargetLog:
     station_variance_m2: Floats
     station_determinant_m4: Floats  # (steps + 1,) determinant of this covariance
     nees: Floats  # (steps + 1,) e' P^-1 e with the error e of the station's position estimate
-    # (steps, robots) nu' S^-1 nu with innovation nu and innovation covariance S of each robot's
-    # filter; NaN without measurement
+    # (steps, robots) nu' S^-1 nu of each robot's innovation nu; NaN without measurement
     nis: Floats
     delivered: Mask  # (steps, robots) whether the packet arrived
 

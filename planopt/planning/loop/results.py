@@ -374,8 +374,7 @@ class RunSummary:
     verified_rate: float = math.nan  # Share of steps with a verified plan
     # (steps x robots,) wall time of planning per step and robot
     step_s: Floats = field(default_factory=lambda: np.zeros(0))
-    # (steps x robots,) predicted probability of connection after each step, and true connection;
-    # empty for tasks without a channel
+    # (steps x robots,) predicted P(connected) and true connection; may be empty
     connectivity: Floats = field(default_factory=lambda: np.zeros(0))
     connected: Mask = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     problem: str = ""  # Name of the problem

@@ -197,8 +197,7 @@ def build_path_nlp(
     options: dict[str, Any] | None = None,
 ) -> PathNlp:
     """Return a solver of the nonlinear programme for one problem structure."""
-    # A solve ends after `budget_s` seconds; None means no limit. `options` are IPOPT's; None means
-    # those of `near_start`.
+    # `budget_s` and `options` are None for no limit and for the options of `near_start`.
     n, source = shape.horizon, ValueSource()
     quantities: dict[str, tuple[int, int, Callable[[Evaluation], Any]]] = {
         "value": (1, CURVATURE[shape.structure](n), lambda at: at.value)

@@ -73,8 +73,7 @@ class PathTask:
     slack_weight: float = 0.0  # Cost per dB of slack
     motion: MotionTask | None = None  # None for the single integrator
     charge: GoalCharge | None = None  # Goal cost; None without a goal
-    # Step (1..N) from which guess and refined path stay at their end; None if the path moves until
-    # its last step
+    # Step (1..N) from which guess and refined path stay at their end, if any
     arrival: int | None = None
 
 

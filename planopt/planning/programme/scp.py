@@ -41,8 +41,7 @@ class ConeRows:
     """Constraint rows of a programme that are second-order cones."""
 
     row: Indices  # (k,) row indices
-    # (k, 2) column indices of the pairs in z, and of the subtracted pairs; `NO_VARIABLE` if there
-    # is none
+    # (k, 2) columns of the pairs in z, and of subtracted pairs or `NO_VARIABLE`
     own: Indices
     less: Indices
     weight: Floats  # (k,) weight of the row

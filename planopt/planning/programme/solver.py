@@ -211,8 +211,7 @@ def call_nlp(
     row_bounds: Bounds,
 ) -> NlpPoint:
     """Return the point found by a CasADi solver; a point of NaN if CasADi rejects the input."""
-    # The raw status is mapped because `unified_return_status` hides infeasible and NaN, and
-    # `success` includes acceptable points.
+    # `unified_return_status` hides infeasible and NaN; `success` has acceptable points.
     try:
         result = solver(
             x0=start,

@@ -21,8 +21,7 @@ from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs, predicted_dis
 SEARCH_EXACT_LIMIT = 1000
 """Maximum number of measurements for which searches use the full posterior."""
 SEARCH_NEIGHBOURS = 128
-"""Number of nearest measurements per position for larger logs; the error is a few thousandths of a
-dB."""
+"""Number of nearest measurements per position for larger logs, within 0.01 dB."""
 SEARCH_ERROR_DB = 2e-3
 """Margin that a search requires if it uses nearest measurements only."""
 

@@ -179,8 +179,7 @@ def rule_of(problem: Problem, legs_m: Floats | None = None) -> Rule:
 
 def whole_plan_result(case: PathCase) -> RuleResult:
     """Return a rule's result for a whole path, with the smallest slack that satisfies the rule."""
-    # The slack is the smallest threshold reduction for which the rule holds, or zero if no
-    # reduction up to `slack_max_db` suffices.
+    # Smallest sufficient threshold reduction, or zero if none up to `slack_max_db` is.
     result_at = case.rule.by_slack(case)
     hard = result_at(0.0)
     limit = case.problem.constraints.rule.slack_max_db or 0.0

@@ -230,8 +230,7 @@ def commands_via(
 
 def arc_turn(chord: float, steps: int) -> float:
     """Return the turn per step in rad of an arc of `steps` unit steps with length `chord`."""
-    # For a turn a, `chord = sin(steps a / 2) / sin(a / 2)` decreases from `steps` to 0 for a in (0,
-    # 2 pi / steps).
+    # The chord sin(steps a / 2) / sin(a / 2) decreases from `steps` to 0.
     low, high = 0.0, 2.0 * math.pi / steps
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)

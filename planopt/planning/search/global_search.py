@@ -42,8 +42,7 @@ OUT_OF_BOUND_STEP_S = 1e5
 MISSING_DB_S = 1e3
 """Penalty in seconds per missing dB, which ranks paths with equally many steps below the level."""
 BACK_STEPS = 10
-"""Number of longest steps by which a plan may increase the cost-to-go, unless other robots or a
-rule require more. Nodes beyond this limit need no cost-to-go."""
+"""Number of longest steps by which a plan may usually increase the cost-to-go."""
 CORRECTION_ROUNDS = 8
 """Maximum number of searches, each with corrected predictions along the last path."""
 
@@ -186,8 +185,7 @@ class GlobalSearch:
 
     def _cost_to_go_from(self, position_m: Floats) -> CostToGo:
         """Return the cost-to-go of nodes whose cost is not far above that at the robot."""
-        # The search radius follows from the cost-to-go one step ago. If it is too small, the search
-        # covers all nodes.
+        # The radius follows from the cost-to-go one step ago; if too small, all nodes count.
         scene, metre_cost = self._scene, self._metre_cost()
         node = node_at(scene.road_map, position_m)
         back_m = BACK_STEPS * self._problem.step_length_m

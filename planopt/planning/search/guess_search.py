@@ -41,8 +41,7 @@ from planopt.world.moving_discs import paths_gap_m
 Nodes = tuple[Indices, Indices]
 """Rows and columns of individual nodes."""
 MISSING_DB_SHARE = 10.0
-"""Cost of a missing dB relative to the largest reward of a step, so that a violated constraint
-outweighs the rewards of all steps."""
+"""Cost of a missing dB relative to the largest reward of a step."""
 
 
 class StageRewards:
@@ -151,8 +150,7 @@ class Guess:
     drive: Drive | None = None  # Drive of a robot with dynamics
     clear: bool = True  # Whether the unrefined path is feasible and collision-free
     charge: GoalCharge | None = None  # Goal cost in a refinement; None without a goal
-    # Maps context, path (N, 2) and constraint rows to the objective's local model around the path;
-    # None for that of a sum of terms
+    # Maps context, path (N, 2) and rows to a local model; None for a sum of terms
     near: Callable[[StepContext, Floats, RuleRows], EvaluatePath] | None = None
 
 

@@ -27,8 +27,7 @@ ANCHORS, REGION_ANCHORS = 24, 64
 LEAST_NEIGHBOURS, STEP_NEIGHBOURS, MOST_NEIGHBOURS = 96, 16, 256
 """Number of measurements shared by all paths: minimum, increment per step, maximum."""
 MAPPED_NEIGHBOURS = 384
-"""Number of shared measurements for map averages. With 256, values of 20-step paths along the edge
-of the measured area were too large."""
+"""Number of shared measurements for map averages; 256 are too few for 20 steps."""
 RANKED_PLACES, CLIMBED_PLACES = 300, 1000
 """Approximate number of map positions evaluated for ranking, and for gradient ascent."""
 MISSING_DB_SHARE = 10.0

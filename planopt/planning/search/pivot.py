@@ -20,8 +20,7 @@ from planopt.world.lattice import lattice_paths, route_from
 LOOKAHEAD_STEPS = 5.0
 """Length of the route that is searched for a pivot, in longest steps."""
 LATTICE_DETOUR = 0.03
-"""Largest relative detour of a lattice path (16 headings: 2.7 %). It keeps the pivot out of reach
-of refined paths."""
+"""Largest relative detour of a lattice path (16 headings: 2.7 %)."""
 
 
 class Ahead:

@@ -279,8 +279,7 @@ def _promise(margins_db: Floats, length_m: Floats) -> Indices:
 
 def _in_fewest_steps(scorer: Scorer, turns_m: Floats, length_m: float) -> Floats:
     """Return the ends (n, 2) of the fewest straight collision-free steps along a path."""
-    # Steps end on the path, at its turns, and at crossings of its extended legs, since one step end
-    # near a corner can replace several turns around the corner.
+    # A step that ends near a corner can replace several turns around it.
     route = np.vstack([scorer.position_m, turns_m])
     driven = np.concatenate([[0.0], np.linalg.norm(np.diff(route, axis=0), axis=1).cumsum()])
     between = np.arange(0.0, driven[-1], length_m / STEP_PLACES)

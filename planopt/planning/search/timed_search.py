@@ -69,8 +69,7 @@ class TimedPath:
     """Timed path to a goal or a refuge that avoids other robots."""
 
     nodes: Indices  # (k,) after each step
-    # (r,) nodes of the remaining route to the goal, driven at full speed; empty if the path does
-    # not arrive
+    # (r,) nodes of the route to the goal at full speed; empty if the path does not arrive
     route: Indices
     cost_s: float  # Total cost in seconds
     arrives: bool = True  # Whether the path ends at the goal, not at a refuge

@@ -94,8 +94,7 @@ class Couriers:
 
     def _rank(self, plans: Sequence[Plan], must_move: bool) -> tuple[bool, int, int]:
         """Return a rank of plans: separation, moving plans if required, verified plans."""
-        # If moving plans were not counted, two robots could block each other forever: waiting is
-        # verified, whereas giving way may violate the chance constraint.
+        # Otherwise two robots could block each other: waiting is verified, giving way may not be.
         leading = sum(plan.rung not in STAYING for plan in plans) if must_move else 0
         verified = sum(plan.verdict is Verdict.VERIFIED for plan in plans)
         return keep_apart(self._problem, plans), leading, verified

@@ -32,8 +32,7 @@ from planopt.problems.problem import Problem
 from planopt.targets.information_filter import TargetModel
 
 MOST_DRIVEN = 256
-"""Maximum number of positions visited by other robots that are considered, nearest first. Farther
-ones hardly affect reachable positions."""
+"""Maximum number of positions visited by other robots that are considered, nearest first."""
 
 
 def anticipated(
@@ -80,8 +79,7 @@ def structure_of(problem: Problem) -> Structure:
 
 def bends_guesses(problem: Problem, *, steered: bool = True) -> bool:
     """Return whether the search adds a fan of paths in all directions to the lattice paths."""
-    # A fan is used for terms that couple the positions of a path, unless these terms propose paths
-    # themselves: to probed positions, or along the path that the robot is `steered` along.
+    # A fan is for coupled terms that propose no paths (probes, `steered`) themselves.
     return any(
         term.structure == "full" and not term.probes_end and not (steered and term.steers)
         for term in problem.terms
@@ -145,8 +143,7 @@ class StepContext(VerifierContext):
 
     def power(self, places_m: Floats) -> Prediction:
         """Return the power predicted for searches at `places_m` (n, 2), cached by position."""
-        # With many measurements the prediction is approximate and depends slightly on the positions
-        # that are predicted together; released plans are evaluated separately.
+        # With many measurements predictions depend slightly on those made together.
         keys = [place.tobytes() for place in np.asarray(places_m, dtype=np.float64)]
         new = {
             key: place for key, place in zip(keys, places_m, strict=True) if key not in self._power
@@ -208,8 +205,7 @@ class StepContext(VerifierContext):
 
     def _untried(self, here_m: Floats) -> MeasuringRule:
         """Return the rule that excludes probes near lost packets and near `here_m` (k, 2)."""
-        # Lost packets are measurements below the threshold, and earlier failures without a
-        # measurement, because a connected measurement was close by.
+        # Failures without a measurement were close to a connected measurement.
         known = [
             np.vstack([own.positions_m[own.power_dbm < threshold], here_m])
             for own, threshold in zip(
@@ -228,8 +224,7 @@ class StepContext(VerifierContext):
 
     def probed(self, places_m: Floats, predicted: Floats) -> Floats:
         """Return the probabilities of connection (...) of probes at positions (..., 2)."""
-        # The probability is one at known connections and zero at other positions that a robot would
-        # not probe. Elsewhere it is `predicted` (...).
+        # One at known connections, zero where a robot would not probe, else `predicted` (...).
         flat = places_m.reshape(-1, 2)
         found = np.where(self._probing.is_open(flat), predicted.reshape(-1), 0.0)
         connected = self.law.is_connected(flat)

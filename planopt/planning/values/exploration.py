@@ -43,8 +43,7 @@ PLACES = 200
 NEAR_PLACES = 900
 """Approximate number of grid cells where a plan can change the channel map."""
 ROOM_STEPS = 5.0
-"""Margin around the reachable positions in longest steps, since measurements also reduce variances
-nearby."""
+"""Margin around the reachable positions in longest steps."""
 
 
 def workspace_region(problem: Problem) -> Region:

@@ -111,8 +111,7 @@ def slack_cost(at: StepContext, path_m: Floats) -> float:
 
 def rule_missing(at: StepContext, path_m: Floats) -> float:
     """Return the rule's violation by a path (N, 2) beyond its slack; 0 if it is satisfied."""
-    # The unit is dB, summed over steps. For a rule over a whole plan it is the relative shortfall
-    # times `SHARE_IN_DB`.
+    # In dB, summed over steps; for a whole plan the relative shortfall in `SHARE_IN_DB`.
     constraints = at.problem.constraints
     if not constraints.requires_connection:
         return 0.0
@@ -155,8 +154,7 @@ class ReachCost:
     # Maps positions (n, 2) to predicted power, for p_min and outage
     power: Callable[[Floats], Prediction]
     ahead: LeadingPivot | None = None  # None if no cost-to-go is charged
-    # Whether outage is priced; False for a robot that has wandered and takes the shortest
-    # path
+    # Whether outage is priced; False for a robot that has wandered
     priced: bool = True
 
     @property

@@ -136,8 +136,7 @@ def rows_again(
     result: RuleResult,
 ) -> RuleRows | None:
     """Return rows corrected by the verified result of a path; None if no correction applies."""
-    # The correction is the secant between the last feasible and the last infeasible path, or half
-    # of it if two successive paths are on the same side. The path is appended to `earlier`.
+    # Secant of the last feasible and infeasible paths, or half of it on the same side.
     rule, history = rule_of(context.problem), context.history
     if not rule.correlates(context.problem.constraints.p_min) or rows.weight is None:
         return None
@@ -184,8 +183,7 @@ class Guide:
 
     level: float  # Required probability of the constrained steps
     bounded: Mask  # (N,) mask of the constrained steps
-    # (N,) reward of a connection at each step relative to the largest reward of a step; multiplied
-    # by its probability
+    # (N,) reward of a certain connection relative to the largest reward of a step
     credit: Floats
 
 

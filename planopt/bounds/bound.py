@@ -4,9 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
+from planopt.arrays import Floats, Indices
 from planopt.short_repr import short_repr
 
 Sense = Literal["min", "max"]
@@ -25,20 +23,18 @@ def relative_gap(cost: float, bound: float, sense: Sense) -> float:
 class Potential:
     """Certificate of a bound: a function V that is quadratic on each triangle of a mesh."""
 
-    nodes_m: NDArray[np.float64]  # (n, 2); node 0 is the start
-    corners: NDArray[np.intp]  # (t, 3) ascending nodes of all triangles
-    at_nodes: NDArray[np.float64]  # (n,)
-    at_sides: NDArray[
-        np.float64
-    ]  # (s,) at the middles of all sides, in ascending order of their nodes
+    nodes_m: Floats  # (n, 2); node 0 is the start
+    corners: Indices  # (t, 3) ascending nodes of all triangles
+    at_nodes: Floats  # (n,)
+    at_sides: Floats  # (s,) at the middles of all sides, in ascending order of their nodes
 
 
 @dataclass(frozen=True, eq=False)
 class Tilts:
     """Certificate of a bound on a sum over N steps: the multipliers of branch and bound."""
 
-    of_steps: NDArray[np.float64]  # (t, N, 2) of the moves
-    of_p_min: NDArray[np.float64]  # (t, N) of the chance constraint, at least 0
+    of_steps: Floats  # (t, N, 2) of the moves
+    of_p_min: Floats  # (t, N) of the chance constraint, at least 0
     levels: int  # Number of levels of cells
     value: float  # Proven bound
 

@@ -7,13 +7,13 @@ than the planner's lattice. No bound depends on them.
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse import csgraph
 
+from planopt.arrays import Floats, Indices
 from planopt.bounds.mesh import sides_of
 
-Array = NDArray[np.float64]
+Array = Floats
 
 PAIRS = np.array([(i, j) for i in range(6) for j in range(i)]).T
 """All pairs of a triangle's corners and side middles."""
@@ -25,7 +25,7 @@ class Corridor:
     def __init__(
         self,
         nodes_m: Array,
-        corners: NDArray[np.intp],  # (t, 3)
+        corners: Indices,  # (t, 3)
         metre_cost: Array,  # (t,)
         goal_m: Array,
     ) -> None:
@@ -45,7 +45,7 @@ class Corridor:
         ends = [0, self._nearest(goal_m)]
         search = cast("Any", csgraph.dijkstra)  # pyright: ignore
         cost_m: Array
-        self._next: NDArray[np.intp]
+        self._next: Indices
         cost_m, self._next = search(graph, directed=False, indices=ends, return_predecessors=True)
         # Relative excess cost of the cheapest path through each triangle; (t,)
         through = cost_m.sum(axis=0)[knots].min(axis=1)

@@ -11,15 +11,15 @@ from dataclasses import dataclass, fields
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from planopt.arrays import Floats
 from planopt.channel.cholesky import lower_inverse
 from planopt.channel.measurements import covariance_db2, pairwise_distance_m, place_origins
 from planopt.channel.parameters import MIN_DISTANCE_M, regressors
 from planopt.channel.posterior import ChannelPosterior
 
-Array = NDArray[np.float64]
+Array = Floats
 
 DISCS_AT_ONCE = 512
 """Number of discs per block; their covariances with the measurements fit into the cache."""

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from scipy.spatial import Delaunay
 
-Array = NDArray[np.float64]
+from planopt.arrays import Floats, Indices, Mask
+
+Array = Floats
 
 FIRST_NODES = 500
 """Number of grid nodes of the first mesh, without the nodes on obstacles."""
@@ -31,14 +32,14 @@ class Mesh:
     """Delaunay triangulation of the workspace that is refined by adding nodes."""
 
     nodes_m: Array  # (n, 2); node 0 is the start
-    borders: NDArray[np.intp]  # (m, 2) end nodes of the border segments
+    borders: Indices  # (m, 2) end nodes of the border segments
     # Cached by the triangle's node numbers: least costs at its corners, cost at its centre; None
     # inside a blocked area
     known: dict[tuple[int, ...], tuple[float, float, float, float] | None] = field(
         default_factory=dict[tuple[int, ...], tuple[float, float, float, float] | None]
     )
 
-    def triangles(self) -> NDArray[np.intp]:
+    def triangles(self) -> Indices:
         """Halve borders until they are sides; return triangles (t, 3) as ascending node numbers."""
         corners = np.empty((0, 3), dtype=np.intp)
         for _ in range(MAX_SPLITS):
@@ -50,7 +51,7 @@ class Mesh:
             self.split(missing)
         return corners
 
-    def split(self, chosen: NDArray[np.bool_]) -> None:
+    def split(self, chosen: Mask) -> None:
         """Halve the border segments that the mask `chosen` selects."""
         ends = self.borders[chosen]
         middle = len(self.nodes_m) + np.arange(len(ends))
@@ -58,7 +59,7 @@ class Mesh:
         halves = [np.column_stack([ends[:, 0], middle]), np.column_stack([middle, ends[:, 1]])]
         self.borders = np.vstack([self.borders[~chosen], *halves])
 
-    def refine(self, chosen: NDArray[np.intp]) -> int:
+    def refine(self, chosen: Indices) -> int:
         """Halve the sides of triangles `chosen` (k, 3); return the number of new nodes."""
         sides = np.unique(sides_of(chosen), axis=0)
         keys = sides @ (len(self.nodes_m), 1)
@@ -70,7 +71,7 @@ class Mesh:
         return len(middles) + int(on_border.sum())
 
 
-def sides_of(corners: NDArray[np.intp]) -> NDArray[np.intp]:
+def sides_of(corners: Indices) -> Indices:
     """Return the sides of triangles (t, 3) as pairs of end nodes; (3 t, 2)."""
     return np.vstack([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [0, 2]]])
 
@@ -100,7 +101,7 @@ def first_mesh(
     corner = np.isin(loose, [x0, x1])[:, 0] & np.isin(loose, [y0, y1])[:, 1]
     dropped = np.isin(np.arange(len(loose)), near) & ~corner
     nodes = [start_m[None], loose[~dropped]]
-    borders: list[NDArray[np.intp]] = []
+    borders: list[Indices] = []
     count = sum(map(len, nodes))
     region = shapely.box(*bounds_m)
     for polygon in shapely.get_parts(shapely.intersection(inner, region)):
@@ -139,7 +140,7 @@ def inside_of(polygon: shapely.Polygon, depth_m: float) -> shapely.Geometry:
 
 
 def covers_bounds(
-    nodes_m: Array, corners: NDArray[np.intp], bounds_m: tuple[float, float, float, float]
+    nodes_m: Array, corners: Indices, bounds_m: tuple[float, float, float, float]
 ) -> bool:
     """Return whether triangles (t, 3) tile the workspace and share whole sides."""
     # Then node values define a continuous function.
@@ -159,7 +160,7 @@ def covers_bounds(
     return bool(on_border.all()) and abs(area - whole) <= AREA_TOLERANCE * whole
 
 
-def doubled_areas(nodes_m: Array, corners: NDArray[np.intp]) -> Array:
+def doubled_areas(nodes_m: Array, corners: Indices) -> Array:
     """Return twice the signed areas of triangles (t, 3)."""
     a, b, c = (nodes_m[corners[:, i]] for i in range(3))
     return (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])

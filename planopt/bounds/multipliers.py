@@ -9,13 +9,13 @@ from collections.abc import Sequence
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from scipy.optimize import minimize, nnls
 
+from planopt.arrays import Floats, Mask
 from planopt.bounds.tube import StageProblem
 from planopt.objectives.upper_bounds import Discs, Field
 
-Array = NDArray[np.float64]
+Array = Floats
 
 FULL_STEP = 0.99
 """Step length, relative to the longest step, that counts as full; solvers stop short of it."""
@@ -104,9 +104,7 @@ def tilts_near(
     return found
 
 
-def multipliers_of(
-    problem: StageProblem, path_m: Array, is_free: NDArray[np.bool_]
-) -> tuple[Array, Array]:
+def multipliers_of(problem: StageProblem, path_m: Array, is_free: Mask) -> tuple[Array, Array]:
     """Return multipliers of the steps (N, 2) and of p_min (N,), from stages with `is_free`."""
     steps = problem.steps
     _, gradient, field = stage_rewards(problem, path_m)

@@ -6,8 +6,8 @@ from time import monotonic
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.bounds.multipliers import local_optimum, tilts_near
 from planopt.bounds.tube import (
     FIRST_SHARE,
@@ -22,7 +22,7 @@ from planopt.bounds.tube import (
 )
 from planopt.objectives.upper_bounds import Discs, Field, Makers, constant_bounds
 
-Array = NDArray[np.float64]
+Array = Floats
 
 STARTS = 3
 """Number of cells per level whose centres are evaluated."""

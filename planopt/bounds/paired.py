@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices
 from planopt.objectives.upper_bounds import Field, PairedInformation
 
-Array = NDArray[np.float64]
-Cells = NDArray[np.intp]
+Array = Floats
+Cells = Indices
 Slices = tuple[slice, slice]
 
 

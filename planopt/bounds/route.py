@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from scipy import sparse
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.bounds.bound import Potential
 from planopt.bounds.corridor import Corridor
 from planopt.bounds.enclosure import ROUNDING, PowerEnclosure
@@ -34,7 +34,7 @@ from planopt.bounds.mesh import (
 from planopt.channel.posterior import ChannelPosterior
 from planopt.world.shortest_paths import INNER_SHARE
 
-Array = NDArray[np.float64]
+Array = Floats
 
 FIRST_TRIANGLES = 1_500, 600
 """Number of triangles added to the corridor of good routes before the first solve: a constant, and
@@ -150,9 +150,7 @@ def route_bounds(problem: RouteProblem, seconds: float) -> Iterator[RouteBound]:
         mesh.refine(inner[_refined(inner, gain, loose, round(room / 3.0), len(mesh.nodes_m))])
 
 
-def _refined(
-    corners: NDArray[np.intp], gain: Array, loose: Array, count: int, nodes: int
-) -> NDArray[np.intp]:
+def _refined(corners: Indices, gain: Array, loose: Array, count: int, nodes: int) -> Indices:
     """Return about `count` triangles to refine: those of large gain, then loose ones nearby."""
     order = np.argsort(-gain)
     reached = np.cumsum(gain[order]) < SCORE_SHARE * float(gain.sum())
@@ -199,7 +197,7 @@ class BlockedAreas:
     tree: shapely.STRtree
     reaches_goal: bool  # Whether the goal is reachable from the start
 
-    def is_open(self, nodes_m: Array, corners: NDArray[np.intp]) -> NDArray[np.bool_]:
+    def is_open(self, nodes_m: Array, corners: Indices) -> Mask:
         """Return a mask (t,) of the triangles (t, 3) that are not inside a blocked area."""
         inside, _ = self.tree.query(shapely.polygons(nodes_m[corners]), predicate="covered_by")
         is_open = np.ones(len(corners), dtype=bool)
@@ -236,18 +234,14 @@ def _outer_radius_m(problem: RouteProblem) -> float:
     return problem.goal_radius_m / float(np.cos(np.pi / 256)) + CLEARANCE_TOLERANCE_M
 
 
-def _touches_goal(
-    problem: RouteProblem, nodes_m: Array, corners: NDArray[np.intp]
-) -> NDArray[np.bool_]:
+def _touches_goal(problem: RouteProblem, nodes_m: Array, corners: Indices) -> Mask:
     """Return a mask (t,) of the triangles that touch the goal's disc."""
     goal = shapely.Point(problem.goal_m).buffer(_outer_radius_m(problem), quad_segs=64)
     shapely.prepare(goal)
     return np.asarray(shapely.intersects(goal, shapely.polygons(nodes_m[corners])), dtype=bool)
 
 
-def _largest(
-    area: Array, corners: NDArray[np.intp], chosen: NDArray[np.bool_], room: int
-) -> NDArray[np.intp]:
+def _largest(area: Array, corners: Indices, chosen: Mask, room: int) -> Indices:
     """Return the largest chosen triangles, so few that refinement adds at most `room` triangles."""
     order = np.argsort(np.where(chosen, -area, 0.0))
     return corners[order[: min(int(chosen.sum()), max(1, room // 3))]]
@@ -258,8 +252,8 @@ def _known_costs(
     blocked: BlockedAreas,
     powers: Sequence[PowerEnclosure],
     mesh: Mesh,
-    corners: NDArray[np.intp],
-) -> tuple[NDArray[np.bool_], Array, Array]:
+    corners: Indices,
+) -> tuple[Mask, Array, Array]:
     """Return a mask (t,) of the open triangles, and their :func:`metre_costs`, by a cache."""
     keys = [tuple(row) for row in corners.tolist()]
     new = np.array([k for k, key in enumerate(keys) if key not in mesh.known], dtype=np.intp)
@@ -309,12 +303,7 @@ def _product_below(one: Array, other: Array) -> Array:
 
 
 def _best_potential(
-    nodes_m: Array,
-    corners: NDArray[np.intp],
-    is_open: NDArray[np.bool_],
-    cost: Array,
-    at_goal: NDArray[np.bool_],
-    limit_s: float,
+    nodes_m: Array, corners: Indices, is_open: Mask, cost: Array, at_goal: Mask, limit_s: float
 ) -> tuple[Potential, Array]:
     """Return the potential with the largest value at the start, and the dual flow (t,)."""
     import clarabel
@@ -357,9 +346,7 @@ def _best_potential(
     return Potential(nodes_m, corners, at_nodes, at_sides), flow
 
 
-def _certified_value(
-    potential: Potential, is_open: NDArray[np.bool_], cost: Array, at_goal: NDArray[np.bool_]
-) -> float:
+def _certified_value(potential: Potential, is_open: Mask, cost: Array, at_goal: Mask) -> float:
     """Return the bound that a potential proves for corner costs (t, 3); 0 if it proves none."""
     unknown, *slopes = _slopes(potential.nodes_m, potential.corners)
     values = np.concatenate([potential.at_nodes, potential.at_sides])[unknown[is_open]]
@@ -378,7 +365,7 @@ def _certified_value(
     return value if np.isfinite(value) and np.isfinite(worst) else 0.0
 
 
-def _slopes(nodes_m: Array, corners: NDArray[np.intp]) -> tuple[NDArray[np.intp], Array, Array]:
+def _slopes(nodes_m: Array, corners: Indices) -> tuple[Indices, Array, Array]:
     """Return indices (t, 6) of corner and mid-side values, and slopes (t, 3, 6) along x and y."""
     a, b, c = (nodes_m[corners[:, i]] for i in range(3))
     double = doubled_areas(nodes_m, corners)

@@ -10,8 +10,8 @@ from functools import partial, reduce
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.bounds.enclosure import PowerEnclosure, PowerModel
 from planopt.bounds.reach import ignored_motion, why_not_enclosed
 from planopt.bounds.route import INNER_SHARE
@@ -31,7 +31,7 @@ from planopt.objectives.upper_bounds import (
 )
 from planopt.problems.problem import Problem
 
-Array = NDArray[np.float64]
+Array = Floats
 
 LONGER_M = 3e-5
 """Length by which a verified step may exceed the longest step, for the verifier's tolerance."""
@@ -78,11 +78,7 @@ def summed_terms(problem: Problem, at: TermContext) -> SummedTerms:
 
 
 def stage_problem(
-    problem: Problem,
-    at: TermContext,
-    terms: SummedTerms,
-    kept: NDArray[np.bool_],
-    path_m: Array | None = None,
+    problem: Problem, at: TermContext, terms: SummedTerms, kept: Mask, path_m: Array | None = None
 ) -> StageProblem:
     """Return the first robot's stage problem; p_min applies to steps in the mask `kept` (N,).
 

@@ -21,6 +21,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices
 from planopt.bounds.bound import Tilts
 from planopt.bounds.paired import PairedSteps
 from planopt.objectives.upper_bounds import (
@@ -32,8 +33,8 @@ from planopt.objectives.upper_bounds import (
     constant_bounds,
 )
 
-Array = NDArray[np.float64]
-Cells = NDArray[np.intp]  # (n, 2) indices of cells along x and y
+Array = Floats
+Cells = Indices  # (n, 2) indices of cells along x and y
 Tilt = tuple[Array, Array]  # Multipliers of the steps (N, 2) and of p_min (N,)
 
 FIRST_SHARE = 0.5
@@ -103,7 +104,7 @@ class Level:
     sure: list[tuple[Cells, Array]]
     # For each stage, rows (v,) of cells that blocked areas cut, and corners (v, 2) of what is left
     # relative to the centre
-    cut: list[tuple[NDArray[np.intp], Array]]
+    cut: list[tuple[Indices, Array]]
 
     def offsets_m(self, stage: int) -> Array:
         """Return the centres of the active cells relative to the start; (n, 2)."""
@@ -235,9 +236,7 @@ def evaluated(problem: StageProblem, side: float, active: Sequence[Cells]) -> Le
     return level
 
 
-def cut_corners(
-    problem: StageProblem, centres: Array, side: float
-) -> tuple[NDArray[np.intp], Array]:
+def cut_corners(problem: StageProblem, centres: Array, side: float) -> tuple[Indices, Array]:
     """Return cells (v,) cut by blocked areas, and corners (v, 2) of the cells' free parts."""
     nothing = np.zeros(0, dtype=np.intp), np.zeros((0, 2))
     if not problem.blocked:
@@ -255,9 +254,7 @@ def cut_corners(
     return owner, places[kept] - centres[owner]
 
 
-def joined(
-    rows: NDArray[np.intp], owner: NDArray[np.intp], corner: Array
-) -> tuple[NDArray[np.intp], Array]:
+def joined(rows: Indices, owner: Indices, corner: Array) -> tuple[Indices, Array]:
     """Return indices (v,) into `rows`, and corners (v, 2): all corners of the cells `rows`."""
     first = np.searchsorted(owner, rows, side="left")
     count = np.searchsorted(owner, rows, side="right") - first
@@ -389,7 +386,7 @@ class Step:
     offsets: Cells  # (o, 2) offsets within one step, minus `low`
     away_m: Array  # (o,) distances of cells with these offsets
     shape: tuple[int, int]  # Shape of a table over all offsets
-    places: NDArray[np.intp] | None  # (n, m) place of each pair in the table; None: too many
+    places: Indices | None  # (n, m) place of each pair in the table; None: too many
 
     @classmethod
     def between(cls, level: Level, stage: int) -> Step:
@@ -410,7 +407,7 @@ class Step:
         rows, columns = len(x), len(y)
         offsets = np.argwhere(near)
         size = before.max(axis=0) - before.min(axis=0) + 1
-        places: NDArray[np.intp] | None = None
+        places: Indices | None = None
         if len(before) * len(after) <= min(
             MOST_PAIRS, PAIRS_PER_NODE * len(offsets) * (int(size.prod()) + NODES_PER_OFFSET)
         ):

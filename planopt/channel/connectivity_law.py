@@ -12,13 +12,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.special import (  # pyright: ignore[reportUnknownVariableType]
     log_ndtr,
     ndtr,  # pyright: ignore[reportUnknownVariableType]
     ndtri_exp,
 )
 
+from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.gaussian_sites import MIN_NOISE_VARIANCE_DB2
 from planopt.channel.joint import JointPrediction, joint_prediction
 from planopt.channel.kriging import predict
@@ -40,14 +41,12 @@ LEAST_DEVIATION_DB = math.sqrt(MIN_NOISE_VARIANCE_DB2)
 LOG_ROOT_2PI = 0.5 * math.log(2.0 * math.pi)
 
 
-def any_score(scores: NDArray[np.float64]) -> NDArray[np.float64]:
+def any_score(scores: Floats) -> Floats:
     """Return the combined score (...) of m stations, given the score of each station (m, ...)."""
     return _score(_log_any(scores), _log_normal(-scores).sum(axis=0))
 
 
-def any_score_derivatives(
-    scores: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+def any_score_derivatives(scores: Floats) -> tuple[Floats, Floats, Floats]:
     """Return z, its gradient (m, ...) and Hessian for finite scores (m, ...) (equation 3.4)."""
     none_each = _log_normal(-scores)
     none = none_each.sum(axis=0)
@@ -60,11 +59,11 @@ def any_score_derivatives(
     return z, weight, hessian
 
 
-def _log_normal(scores: NDArray[np.float64]) -> NDArray[np.float64]:
+def _log_normal(scores: Floats) -> Floats:
     return np.asarray(log_ndtr(scores), dtype=np.float64)
 
 
-def _log_any(scores: NDArray[np.float64]) -> NDArray[np.float64]:
+def _log_any(scores: Floats) -> Floats:
     """Return log P(any station connects) without cancellation, adding one station at a time."""
     found = _log_normal(scores[0])
     none = _log_normal(-scores[0])
@@ -75,7 +74,7 @@ def _log_any(scores: NDArray[np.float64]) -> NDArray[np.float64]:
     return found
 
 
-def _score(log_any: NDArray[np.float64], log_none: NDArray[np.float64]) -> NDArray[np.float64]:
+def _score(log_any: Floats, log_none: Floats) -> Floats:
     """Return the combined score, computed from the smaller tail probability for precision."""
     low = np.asarray(ndtri_exp(np.minimum(log_any, log_none)), dtype=np.float64)
     return np.where(log_any < log_none, low, -low)
@@ -106,15 +105,13 @@ def serving_prediction(
 
 def any_probability(
     predictions: Sequence[Prediction], thresholds_dbm: Sequence[float], slack_db: float = 0.0
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return P(connected to any station) (n,) with all thresholds lowered by `slack_db`."""
     above, deviation = above_thresholds_db(predictions, thresholds_dbm)
     return np.asarray(ndtr(any_score((above + slack_db) / deviation)), dtype=np.float64)
 
 
-def serving_power_dbm(
-    powers_dbm: NDArray[np.float64], thresholds_dbm: Sequence[float]
-) -> NDArray[np.float64]:
+def serving_power_dbm(powers_dbm: Floats, thresholds_dbm: Sequence[float]) -> Floats:
     """Return the serving power (...) for known powers (m, ...) of m stations."""
     if len(powers_dbm) == 1:
         return powers_dbm[0]
@@ -124,7 +121,7 @@ def serving_power_dbm(
 
 def above_thresholds_db(
     predictions: Sequence[Prediction], thresholds_dbm: Sequence[float]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+) -> tuple[Floats, Floats]:
     """Return each station's mean power above its threshold (m, n), and its deviation (m, n)."""
     above = np.stack(
         [
@@ -136,14 +133,12 @@ def above_thresholds_db(
     return above, np.maximum(deviation, LEAST_DEVIATION_DB)
 
 
-def any_margin_db(
-    above_db: NDArray[np.float64], deviation_db: NDArray[np.float64], p_min: float
-) -> NDArray[np.float64]:
+def any_margin_db(above_db: Floats, deviation_db: Floats, p_min: float) -> Floats:
     """Return the common rise (n,) of the thresholds that makes P(connected to any) = `p_min`."""
     wanted = bound_quantile(p_min)
     shared = bound_quantile(-math.expm1(math.log1p(-p_min) / len(above_db)))
-    low: NDArray[np.float64] = (above_db - wanted * deviation_db).max(axis=0)
-    high: NDArray[np.float64] = (above_db - shared * deviation_db).max(axis=0)
+    low: Floats = (above_db - wanted * deviation_db).max(axis=0)
+    high: Floats = (above_db - shared * deviation_db).max(axis=0)
     margin = low.copy()
     open_places = np.flatnonzero(high - low > SETTLED_DB)
     for _ in range(MOST_STEPS):
@@ -167,10 +162,10 @@ def any_margin_db(
 class KnownPower:
     """Lower and upper bounds of the power where readings decide whether a robot connects."""
 
-    rows: NDArray[np.intp]  # (k,) indices of the positions
+    rows: Indices  # (k,) indices of the positions
     # (k,) bounds of the power; equal for an exact reading, minus infinity for a censored one
-    least_dbm: NDArray[np.float64]
-    most_dbm: NDArray[np.float64]
+    least_dbm: Floats
+    most_dbm: Floats
 
     def replace_in(self, power: Prediction) -> Prediction:
         """Return `power` with known rows clipped to their bounds and given zero deviation."""
@@ -182,9 +177,7 @@ class KnownPower:
         return Prediction(mean, deviation)
 
 
-def known_power(
-    station: ChannelPosterior, positions_m: NDArray[np.float64], threshold_dbm: float
-) -> KnownPower:
+def known_power(station: ChannelPosterior, positions_m: Floats, threshold_dbm: float) -> KnownPower:
     """Return power bounds at those of positions (n, 2) where readings agree (equation 3.12)."""
     places, read = station.index.within(positions_m, SAME_PLACE_M)
     least, most = _power_bounds_dbm(station, read)
@@ -195,9 +188,7 @@ def known_power(
     return KnownPower(rows[known], least[known], most[known])
 
 
-def _power_bounds_dbm(
-    station: ChannelPosterior, read: NDArray[np.intp] | slice
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _power_bounds_dbm(station: ChannelPosterior, read: Indices | slice) -> tuple[Floats, Floats]:
     """Return time-independent bounds of the power at the positions of readings (equation 3.12)."""
     measured = station.measurements
     power, half = measured.power_dbm[read], 0.5 * measured.resolution_db[read]
@@ -208,7 +199,7 @@ def _power_bounds_dbm(
     return least, np.where(free, np.inf, np.where(censored, power, power + half))
 
 
-Predictor = Callable[[ChannelPosterior, NDArray[np.float64]], Prediction]
+Predictor = Callable[[ChannelPosterior, Floats], Prediction]
 """Function that predicts a station's power at positions (n, 2)."""
 
 
@@ -224,14 +215,14 @@ class ConnectivityLaw:
         """Return the normal law of the serving power, given each station's predicted power."""
         return serving_prediction(powers, self.thresholds_dbm, self.p_min)
 
-    def known(self, positions_m: NDArray[np.float64]) -> list[KnownPower]:
+    def known(self, positions_m: Floats) -> list[KnownPower]:
         """Return, for each station, the power that readings determine at positions (n, 2)."""
         return [
             known_power(station, positions_m, threshold)
             for station, threshold in zip(self.posteriors, self.thresholds_dbm, strict=True)
         ]
 
-    def is_connected(self, positions_m: NDArray[np.float64]) -> NDArray[np.bool_]:
+    def is_connected(self, positions_m: Floats) -> Mask:
         """Return a mask (n,) of positions (n, 2) where a reading proves a connection."""
         found = np.zeros(len(positions_m), dtype=np.bool_)
         for known, threshold in zip(self.known(positions_m), self.thresholds_dbm, strict=True):
@@ -239,52 +230,46 @@ class ConnectivityLaw:
         return found
 
     @property
-    def connected_m(self) -> NDArray[np.float64]:
+    def connected_m(self) -> Floats:
         """Positions (k, 2) of readings that reach their station's threshold."""
-        found: list[NDArray[np.float64]] = []
+        found: list[Floats] = []
         for station, threshold in zip(self.posteriors, self.thresholds_dbm, strict=True):
             least, _ = _power_bounds_dbm(station, slice(None))
             found.append(station.measurements.positions_m[least >= threshold])
         return np.vstack(found)
 
-    def each_power(
-        self, positions_m: NDArray[np.float64], predict: Predictor = predict
-    ) -> list[Prediction]:
+    def each_power(self, positions_m: Floats, predict: Predictor = predict) -> list[Prediction]:
         """Return the power of each station at positions (n, 2), known or predicted."""
         return [
             known.replace_in(predict(station, positions_m))
             for known, station in zip(self.known(positions_m), self.posteriors, strict=True)
         ]
 
-    def predicted(
-        self, positions_m: NDArray[np.float64], predict: Predictor = predict
-    ) -> Prediction:
+    def predicted(self, positions_m: Floats, predict: Predictor = predict) -> Prediction:
         """Return the predicted serving power, smooth because readings do not replace it."""
         return self.combined([predict(station, positions_m) for station in self.posteriors])
 
-    def power(self, positions_m: NDArray[np.float64], predict: Predictor = predict) -> Prediction:
+    def power(self, positions_m: Floats, predict: Predictor = predict) -> Prediction:
         """Return the normal law of the serving power at positions (n, 2), known or predicted."""
         if len(self.posteriors) == 1:
             return self.known(positions_m)[0].replace_in(self.predicted(positions_m, predict))
         return self.combined(self.each_power(positions_m, predict))
 
-    def probability(
-        self, positions_m: NDArray[np.float64], slack_db: float = 0.0
-    ) -> NDArray[np.float64]:
+    def probability(self, positions_m: Floats, slack_db: float = 0.0) -> Floats:
         """Return P(connected) (n,) at positions (n, 2), thresholds lowered by `slack_db`."""
         return any_probability(self.each_power(positions_m), self.thresholds_dbm, slack_db)
 
-    def margin_db(self, positions_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    def margin_db(self, positions_m: Floats) -> Floats:
         """Return the margin (n,) of the chance constraint P(connected) >= p_min in dB."""
         return self.margin_of_db(self.power(positions_m))
 
-    def margin_of_db(self, power: Prediction) -> NDArray[np.float64]:
+    def margin_of_db(self, power: Prediction) -> Floats:
         """Return the margin of the chance constraint in dB for a serving power prediction."""
         return bound_margin_db(
             power.mean_db, power.deviation_db, self.thresholds_dbm[0], self.p_min
         )
 
-    def along(self, path_m: NDArray[np.float64]) -> list[JointPrediction]:
+    def along(self, path_m: Floats) -> list[JointPrediction]:
         """Return the joint law of each station's power along a path (N, 2), known or predicted."""
         found: list[JointPrediction] = []
         for known, station in zip(self.known(path_m), self.posteriors, strict=True):
@@ -295,7 +280,7 @@ class ConnectivityLaw:
             found.append(JointPrediction(power.mean_db, covariance))
         return found
 
-    def sample(self, path_m: NDArray[np.float64], count: int, seed: int) -> NDArray[np.float64]:
+    def sample(self, path_m: Floats, count: int, seed: int) -> Floats:
         """Draw serving powers ``(count, N)`` along a path; each station has its own seed."""
         drawn = [
             joint.sample(count, np.random.default_rng([seed, number] if number else seed))
@@ -310,9 +295,7 @@ class UncertainParameters(ConnectivityLaw):
 
     marginal: MarginalPosterior
 
-    def predicted(
-        self, positions_m: NDArray[np.float64], predict: Predictor = predict
-    ) -> Prediction:
+    def predicted(self, positions_m: Floats, predict: Predictor = predict) -> Prediction:
         """Return the normal law that represents the mixture; the argument `predict` is ignored."""
         weights = self.marginal.weights
         parts = [component.predict(positions_m) for component in self.marginal.components]
@@ -320,9 +303,7 @@ class UncertainParameters(ConnectivityLaw):
         kept_dbm = mixture_quantile_dbm(weights, parts, self.p_min)
         return Prediction(kept_dbm + bound_quantile(self.p_min) * deviation, deviation)
 
-    def probability(
-        self, positions_m: NDArray[np.float64], slack_db: float = 0.0
-    ) -> NDArray[np.float64]:
+    def probability(self, positions_m: Floats, slack_db: float = 0.0) -> Floats:
         """Return P(connected) (n,) from the mixture, thresholds lowered by `slack_db`."""
         threshold, (known,) = self.thresholds_dbm[0] - slack_db, self.known(positions_m)
         found = self.marginal.connectivity(positions_m, threshold)
@@ -336,17 +317,15 @@ NEWTON_STEP_DB = 1e-8
 """Tolerance of Newton steps; after such a short step the error is within rounding."""
 
 
-def mixture_quantile_dbm(
-    weights: NDArray[np.float64], parts: list[Prediction], p_min: float
-) -> NDArray[np.float64]:
+def mixture_quantile_dbm(weights: Floats, parts: list[Prediction], p_min: float) -> Floats:
     """Return the power (n,) that a mixture of normal laws exceeds with probability `p_min`."""
     # The parts' quantiles bracket it; bisection replaces Newton steps that leave the bracket.
     means = np.stack([part.mean_db for part in parts])
     deviations = np.stack([part.deviation_db for part in parts])
     own = means - bound_quantile(p_min) * deviations
-    low: NDArray[np.float64] = own.min(axis=0)
-    high: NDArray[np.float64] = own.max(axis=0)
-    found: NDArray[np.float64] = 0.5 * (low + high)
+    low: Floats = own.min(axis=0)
+    high: Floats = own.max(axis=0)
+    found: Floats = 0.5 * (low + high)
     spread = deviations > 0.0
     for _ in range(MOST_ROUNDS):
         excess = weights @ connection_probability(means - found, deviations, 0.0) - p_min
@@ -367,7 +346,7 @@ def mixture_quantile_dbm(
 
 def connected_to_any(
     posteriors: Sequence[ChannelPosterior], positions_m: ArrayLike, threshold_dbm: float
-) -> NDArray[np.float64]:
+) -> Floats:
     """Return P(power >= threshold from at least one of independent stations); ``(n,)``.
 
     Parameters

@@ -4,8 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.problems.library import Classification, classifications
 from planopt.report.page import MOST_ROWS, Chart, Page, PageTable, cell_text, plain
 from planopt.report.panel import SERIES
@@ -272,9 +272,7 @@ def _bars(
 LOG_X = {"xaxis": {"type": "log"}, "yaxis": {"range": [0.0, 103.0]}}
 
 
-def _steps(
-    number: int, planner: str, x: NDArray[np.float64], shares: NDArray[np.float64]
-) -> dict[str, Any]:
+def _steps(number: int, planner: str, x: Floats, shares: Floats) -> dict[str, Any]:
     """Return a planner's cumulative share of cases (n,) as a step curve over x (n,)."""
     line = {"shape": "hv", "color": _colour(number), "dash": DASHES[number % len(DASHES)]}
     drawn = {"type": "scatter", "mode": "lines+markers", "line": line, "marker": {"size": 4}}

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.channel.calibration import EDGES, ReliabilityBin
 from planopt.channel.channel_map import PosteriorMap
 from planopt.channel.estimation.channel_fit import ChannelFit
@@ -365,9 +365,7 @@ def draw_reliability(series: Mapping[str, Sequence[ReliabilityBin]], title: str)
     return figure
 
 
-def draw_sensitivity(
-    relative_errors: Sequence[float], curves: Mapping[str, NDArray[np.float64]]
-) -> Figure:
+def draw_sensitivity(relative_errors: Sequence[float], curves: Mapping[str, Floats]) -> Figure:
     """Draw the mean Delta^2 [dB^2] over the relative error [%], one curve per parameter.
 
     Parameters
@@ -399,11 +397,7 @@ def draw_sensitivity(
     return figure
 
 
-def draw_stations(
-    true_m: NDArray[np.float64],
-    estimates_m: Mapping[str, NDArray[np.float64]],
-    measured_m: NDArray[np.float64],
-) -> Figure:
+def draw_stations(true_m: Floats, estimates_m: Mapping[str, Floats], measured_m: Floats) -> Figure:
     """Draw the first estimates on a map, and the distribution of all errors.
 
     Parameters

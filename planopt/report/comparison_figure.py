@@ -10,8 +10,8 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.report.panel import (
     BAND,
     LABEL_PT,
@@ -270,12 +270,12 @@ def draw_traces(comparison: Comparison) -> Figure | None:
     return figure
 
 
-def _trace_tables(comparison: Comparison) -> dict[str, dict[int, NDArray[np.float64]]]:
+def _trace_tables(comparison: Comparison) -> dict[str, dict[int, Floats]]:
     """Return arrays (runs, steps) by trace and setting number, for traces that change."""
-    tables: dict[str, dict[int, NDArray[np.float64]]] = {}
+    tables: dict[str, dict[int, Floats]] = {}
     names = dict.fromkeys(name for run in comparison.runs for name in run.traces)
     for name in names:
-        table: dict[int, NDArray[np.float64]] = {}
+        table: dict[int, Floats] = {}
         for number, setting in enumerate(comparison.settings):
             traces = [run.traces[name] for run in setting.runs if name in run.traces]
             if traces:
@@ -288,9 +288,7 @@ def _trace_tables(comparison: Comparison) -> dict[str, dict[int, NDArray[np.floa
     return tables
 
 
-def _scale_trace(
-    panel: Panel, comparison: Comparison, name: str, means: Sequence[NDArray[np.float64]]
-) -> None:
+def _scale_trace(panel: Panel, comparison: Comparison, name: str, means: Sequence[Floats]) -> None:
     """Set the scale of a trace; add a normalised axis if all runs have one initial value."""
     low, high = min(map(np.min, means)), max(map(np.max, means))
     logarithmic = low > 0.0 and high >= LOG_RATIO * low

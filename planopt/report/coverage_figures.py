@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.coverage.control.radio import radio_tree
 from planopt.coverage.events import Event
 from planopt.coverage.geodesic import Ground
@@ -63,7 +63,7 @@ class NetworkPicture:
     events: tuple[Event, ...]
     radio: RadioLimits | None = None  # Required links to base stations, if any
 
-    def links(self, step: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def links(self, step: int) -> tuple[Floats, Floats]:
         """Return the links (e, 2, 2) of the radio tree in a step, and unlinked agents (u, 2)."""
         here = self.run.positions_m[step, self.run.states[step] != ABSENT]
         if self.radio is None:
@@ -116,7 +116,7 @@ def draw_deployment(
     name: str,
     ground: Ground,
     obstacles: tuple[shapely.Polygon, ...],
-    places_m: NDArray[np.float64],  # (n, 2)
+    places_m: Floats,  # (n, 2)
     cost: float,
 ) -> Figure:
     """Draw the best final positions of a network's agents, their cells, and the cost."""
@@ -202,7 +202,7 @@ def _draw_area(
     return entries
 
 
-def _draw_cells(panel: Panel, ground: Ground, places_m: NDArray[np.float64]) -> Artist:
+def _draw_cells(panel: Panel, ground: Ground, places_m: Floats) -> Artist:
     look = {"colors": CELL, "linewidths": 0.7, "zorder": 2.0, "label": "border of a cell"}
     return draw_lines(panel, list(ground.borders(places_m)), **look)
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.channel.connectivity_law import above_thresholds_db, any_probability, serving_power_dbm
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import Belief
@@ -70,11 +70,11 @@ INSET_BELOW = 0.6
 """Minimum side of a window without inset, as a share of the workspace's side."""
 
 
-def cell_centres(bounds_m: Bounds) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def cell_centres(bounds_m: Bounds) -> tuple[Floats, Floats]:
     """Return x and y of the centres of nearly square cells, `NODES` along the longer side."""
     x_min, y_min, x_max, y_max = bounds_m
     side = max(x_max - x_min, y_max - y_min) / NODES
-    axes: list[NDArray[np.float64]] = []
+    axes: list[Floats] = []
     for low, high in ((x_min, x_max), (y_min, y_max)):
         count = max(2, round((high - low) / side))
         half = (high - low) / count / 2.0
@@ -82,9 +82,7 @@ def cell_centres(bounds_m: Bounds) -> tuple[NDArray[np.float64], NDArray[np.floa
     return axes[0], axes[1]
 
 
-def drawn_cells(
-    workspace: Workspace, x_m: NDArray[np.float64], y_m: NDArray[np.float64]
-) -> NDArray[np.bool_]:
+def drawn_cells(workspace: Workspace, x_m: Floats, y_m: Floats) -> Mask:
     """Return a mask (ny, nx) of the cells with a free centre, and of their neighbours."""
     centres = np.stack(np.meshgrid(x_m, y_m), axis=-1)
     places = centres.reshape(-1, 2)
@@ -107,7 +105,7 @@ def believed_rasters(
     above, _ = above_thresholds_db(powers, thresholds)
     deviations = np.stack([power.deviation_db for power in powers])
 
-    def raster(values: NDArray[np.float64]) -> Raster:
+    def raster(values: Floats) -> Raster:
         cells = np.full(drawn.shape, np.nan)
         cells[drawn] = values
         return Raster(x, y, cells)
@@ -228,7 +226,7 @@ def draw_level(
     return [Line2D([], [], color=colour, linewidth=1.2, label=label)] if label else []
 
 
-def draw_sites(panel: Panel, positions_m: NDArray[np.float64], label: str = "station") -> Artist:
+def draw_sites(panel: Panel, positions_m: Floats, label: str = "station") -> Artist:
     """Mark base stations (n, 2)."""
     look = {"marker": "^", "s": 80.0, "color": ORANGE, "edgecolors": BLACK, "linewidths": 1.0}
     return panel.scatter(*positions_m.T, zorder=PLACE_Z, label=label, **look)
@@ -270,7 +268,7 @@ def draw_measurements(panel: Panel, measurements: Measurements) -> list[Artist]:
 
 
 def draw_path(
-    panel: Panel, path_m: NDArray[np.float64], *, casing: float = 0.0, **look: Any
+    panel: Panel, path_m: Floats, *, casing: float = 0.0, **look: Any
 ) -> Sequence[Artist]:
     """Draw a path (n, 2) with a white outline of `casing` points; return the line."""
     zorder = look.pop("zorder", PATH_Z)
@@ -280,7 +278,7 @@ def draw_path(
     return panel.plot(*path_m.T, zorder=zorder, **look)
 
 
-def draw_lines(panel: Panel, lines: Sequence[NDArray[np.float64]], **look: Any) -> Artist:
+def draw_lines(panel: Panel, lines: Sequence[Floats], **look: Any) -> Artist:
     """Draw lines, each (k, 2), as one artist."""
     from matplotlib.collections import LineCollection
 
@@ -289,9 +287,7 @@ def draw_lines(panel: Panel, lines: Sequence[NDArray[np.float64]], **look: Any) 
     return drawn
 
 
-def draw_discs(
-    panel: Panel, centres_m: NDArray[np.float64], radii_m: NDArray[np.float64], **look: Any
-) -> Artist:
+def draw_discs(panel: Panel, centres_m: Floats, radii_m: Floats, **look: Any) -> Artist:
     """Draw discs around centres (n, 2)."""
     from matplotlib.collections import PatchCollection
     from matplotlib.patches import Circle
@@ -333,7 +329,7 @@ def draw_moving(panel: Panel, problem: Problem, steps: int, *, predicted: bool) 
     return artists[:1]
 
 
-def window_about(problem: Problem, positions_m: NDArray[np.float64]) -> Bounds:
+def window_about(problem: Problem, positions_m: Floats) -> Bounds:
     """Return a square around positions (n, 2), shifted into the workspace as far as possible."""
     low, high = positions_m.min(axis=0), positions_m.max(axis=0)
     side = max(
@@ -353,7 +349,7 @@ def window_about(problem: Problem, positions_m: NDArray[np.float64]) -> Bounds:
     return x, y, x + side, y + side
 
 
-def map_window(problem: Problem, positions_m: NDArray[np.float64]) -> Bounds:
+def map_window(problem: Problem, positions_m: Floats) -> Bounds:
     """Return the window around positions and stations; the workspace if the channel is learnt."""
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     margin = EDGE_MARGIN * max(x_max - x_min, y_max - y_min)
@@ -371,9 +367,7 @@ def _is_small(problem: Problem, window: Bounds) -> bool:
     return window[2] - window[0] < INSET_BELOW * (x_max - x_min)
 
 
-def show_window(
-    panel: Panel, problem: Problem, positions_m: NDArray[np.float64], window: Bounds
-) -> None:
+def show_window(panel: Panel, problem: Problem, positions_m: Floats, window: Bounds) -> None:
     """Limit a panel to a window; in a small window, draw an inset of the whole workspace."""
     show_bounds(panel, window)
     if not _is_small(problem, window):

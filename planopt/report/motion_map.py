@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
 from planopt.arrays import Floats, Mask
 from planopt.channel.posterior import Belief
@@ -82,7 +81,7 @@ def draw_belief_maps(
     panels: Sequence[Panel],
     problem: Problem,
     belief: Belief,
-    positions_m: NDArray[np.float64],  # (n, 2) positions that the maps must show
+    positions_m: Floats,  # (n, 2) positions that the maps must show
     window: Bounds,
 ) -> list[Artist]:
     """Draw the workspace on each layer of the predicted channel; return legend entries."""
@@ -121,8 +120,8 @@ def draw_true_power(figure: Figure, panel: Panel, run: Run) -> None:
 
 
 def path_curve(
-    problem: Problem, positions_m: NDArray[np.float64], drive: Drive | None, first: int = 0
-) -> tuple[NDArray[np.float64], list[int]]:
+    problem: Problem, positions_m: Floats, drive: Drive | None, first: int = 0
+) -> tuple[Floats, list[int]]:
     """Return points (k, 2) on a path, and the indices of the step positions among the points."""
     if drive is None or len(drive.inputs) <= first:
         return positions_m[first:], list(range(len(positions_m) - first))
@@ -187,12 +186,12 @@ def draw_blocked(panel: Panel, blocked: Sequence[BlockedWay]) -> list[Artist]:
     return entries
 
 
-def _draw_dotted(panel: Panel, path_m: NDArray[np.float64], label: str) -> Sequence[Artist]:
+def _draw_dotted(panel: Panel, path_m: Floats, label: str) -> Sequence[Artist]:
     look: Look = {"color": BLACK, "linewidth": 1.2, "linestyle": (0, (1, 2))}
     return draw_path(panel, path_m, zorder=PATH_Z - 0.2, label=label, **look)
 
 
-def _draw_holes(panel: Panel, path_m: NDArray[np.float64], holes: Sequence[Hole]) -> list[Artist]:
+def _draw_holes(panel: Panel, path_m: Floats, holes: Sequence[Hole]) -> list[Artist]:
     """Draw the coverage holes that a path (n, 2) crosses, with their lengths."""
     entries: list[Artist] = []
     for hole in holes:
@@ -207,7 +206,7 @@ def _draw_holes(panel: Panel, path_m: NDArray[np.float64], holes: Sequence[Hole]
     return entries
 
 
-def _part_in_hole(path_m: NDArray[np.float64], hole: Hole) -> NDArray[np.float64]:
+def _part_in_hole(path_m: Floats, hole: Hole) -> Floats:
     """Return the part of a path from half a step before a hole to half a step after it."""
     first = int(np.argmin(np.linalg.norm(path_m - np.array(hole.from_m), axis=1)))
     last = int(np.argmin(np.linalg.norm(path_m - np.array(hole.to_m), axis=1)))
@@ -267,7 +266,7 @@ def _pieces(log: StepLog, states: Mask) -> list[Floats]:
 
 
 def draw_measured(
-    panel: Panel, positions_m: NDArray[np.float64], label: str, *, on_path: bool = False
+    panel: Panel, positions_m: Floats, label: str, *, on_path: bool = False
 ) -> list[Artist]:
     """Mark measured positions (n, 2), below the paths or as small dots on them."""
     if not len(positions_m):
@@ -302,7 +301,7 @@ def draw_target(panel: Panel, target: TargetLog) -> list[Artist]:
     return [*track, end, estimates]
 
 
-def draw_expected_target(panel: Panel, target_m: NDArray[np.float64]) -> list[Artist]:
+def draw_expected_target(panel: Panel, target_m: Floats) -> list[Artist]:
     """Draw the expected position of the target after each step (N, 2)."""
     look: Look = {"color": BLACK, "linewidth": 1.4, "linestyle": "dotted", "marker": "*"}
     look |= {"markersize": 9.0, "markeredgecolor": WHITE, "markeredgewidth": 0.5}

@@ -4,8 +4,8 @@ from collections.abc import Callable, Sequence
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.planning.loop.log import StepLog
 from planopt.planning.loop.results import Run
 from planopt.planning.plan import Plan, Rung, Verdict
@@ -62,9 +62,9 @@ RUNG_LOOKS = {
 
 Series = tuple[Callable[[Panel], None], float]
 """Function that draws a panel, and its relative height."""
-Curve = tuple[NDArray[np.float64], NDArray[np.float64], str]
+Curve = tuple[Floats, Floats, str]
 """Times (n,), values (n,) and label of one robot."""
-Track = tuple[NDArray[np.float64], Drive | None]
+Track = tuple[Floats, Drive | None]
 """Positions (n + 1, 2) of a robot, and its states and inputs if it has dynamics."""
 
 
@@ -106,9 +106,7 @@ def power_series(run: Run) -> list[Series]:
     ]
 
 
-def plan_series(
-    problem: Problem, plans: Sequence[Plan], target_m: NDArray[np.float64] | None
-) -> list[Series]:
+def plan_series(problem: Problem, plans: Sequence[Plan], target_m: Floats | None) -> list[Series]:
     """Return the panels for which plans have data; `target_m` (N, 2) is the expected track."""
     panels: list[Series] = []
     if target_m is not None:
@@ -241,9 +239,7 @@ def _draw_fallbacks(panel: Panel, run: Run) -> None:
         legend_above(panel, 3)
 
 
-def _draw_rows(
-    panel: Panel, rows: Sequence[NDArray[np.float64]], label: str, **look: object
-) -> None:
+def _draw_rows(panel: Panel, rows: Sequence[Floats], label: str, **look: object) -> None:
     """Mark the times (n,) of each robot in its row; the label shows how many there are."""
     counts = [len(times) for times in rows]
     if sum(counts):
@@ -270,7 +266,7 @@ def _draw_step_times(panel: Panel, log: StepLog) -> None:
         panel.text(log.t_s[0], 0.5, "no step was released", fontsize=NOTE_PT)
 
 
-def _release_times(log: StepLog, rung: Rung) -> NDArray[np.float64]:
+def _release_times(log: StepLog, rung: Rung) -> Floats:
     """Return the times at which a fallback released a plan; the start has none."""
     return log.t_s[1:][np.array([found is rung for found in log.rung[1:]], dtype=bool)]
 
@@ -282,9 +278,7 @@ def _label_rows(panel: Panel, problem: Problem) -> None:
     panel.set_ylim(count - 0.4, -0.6)
 
 
-def _distance_series(
-    problem: Problem, tracks: Sequence[Track], t_s: NDArray[np.float64]
-) -> list[Series]:
+def _distance_series(problem: Problem, tracks: Sequence[Track], t_s: Floats) -> list[Series]:
     """Return the panel of distances, if any separation or clearance is required."""
     separated = len(problem.robots) > 1 and problem.constraints.separation_m > 0.0
     if not (separated or problem.workspace.moving):
@@ -292,15 +286,13 @@ def _distance_series(
     return [(partial(_draw_distances, problem=problem, tracks=tracks, t_s=t_s), 1.0)]
 
 
-def _draw_distances(
-    panel: Panel, problem: Problem, tracks: Sequence[Track], t_s: NDArray[np.float64]
-) -> None:
+def _draw_distances(panel: Panel, problem: Problem, tracks: Sequence[Track], t_s: Floats) -> None:
     """Draw the minimum distances during each step, and the required ones."""
     limits, motions = (
         problem.constraints,
         [driven_motion(*track, problem.planner.step_s) for track in tracks],
     )
-    curves: list[tuple[str, str, float, NDArray[np.float64]]] = []
+    curves: list[tuple[str, str, float, Floats]] = []
     if len(motions) > 1:
         least = least_separations_m(motions)
         curves.append(("two robots", BLUE, limits.separation_m, least))
@@ -335,14 +327,12 @@ def _draw_target(panel: Panel, run: Run) -> None:
     legend_above(panel)
 
 
-def _draw_path_loss(
-    panel: Panel, t_s: NDArray[np.float64], variance_db: NDArray[np.float64]
-) -> None:
+def _draw_path_loss(panel: Panel, t_s: Floats, variance_db: Floats) -> None:
     panel.plot(t_s, variance_db, color=PREDICTED, marker="o", markersize=3.5)
     dress(panel, "uncertainty of path loss", TIME, "trace M / |θ|² [dB]")
 
 
-def _draw_map_error(panel: Panel, t_s: NDArray[np.float64], rms_db: NDArray[np.float64]) -> None:
+def _draw_map_error(panel: Panel, t_s: Floats, rms_db: Floats) -> None:
     panel.plot(t_s, rms_db, color=PREDICTED, marker="o", markersize=3.5)
     dress(panel, "error of the predicted map", TIME, "RMS error [dB]")
     low, high = float(np.min(rms_db)), float(np.max(rms_db))
@@ -351,7 +341,7 @@ def _draw_map_error(panel: Panel, t_s: NDArray[np.float64], rms_db: NDArray[np.f
 
 
 def _draw_target_distance(
-    panel: Panel, problem: Problem, plans: Sequence[Plan], target_m: NDArray[np.float64]
+    panel: Panel, problem: Problem, plans: Sequence[Plan], target_m: Floats
 ) -> None:
     """Draw each robot's distance to the expected target, and its sensor's optimal distance."""
     distances = [np.linalg.norm(plan.positions_m[1:] - target_m, axis=1) for plan in plans]

@@ -19,6 +19,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.errors import InputError
 from planopt.report.maps import joined
 from planopt.report.panel import BLACK, ROBOT_COLOURS
@@ -59,10 +60,10 @@ class Track:
     """Path of a robot, evader, agent or target over the steps of a result."""
 
     name: str
-    t_s: NDArray[np.float64]  # (n + 1,)
-    positions_m: NDArray[np.float64]  # (n + 1, 2)
+    t_s: Floats  # (n + 1,)
+    positions_m: Floats  # (n + 1, 2)
     role: str = "robot"
-    plans: Sequence[NDArray[np.float64]] = ()  # (k, 2) by step; a single plan holds for all steps
+    plans: Sequence[Floats] = ()  # (k, 2) by step; a single plan holds for all steps
     notes: Sequence[str] = ()  # Text by step
 
 
@@ -88,7 +89,7 @@ class PageMap:
     window: tuple[float, float, float, float] | None = None  # Rectangle shown first
 
     @property
-    def times_s(self) -> NDArray[np.float64]:
+    def times_s(self) -> Floats:
         """Return the times of the longest track, one per position of the slider."""
         return max((track.t_s for track in self.tracks), key=len)
 
@@ -160,7 +161,7 @@ def plain(text: object) -> str:
     return escape(str(text), quote=False)
 
 
-def rounded(values: Iterable[float] | NDArray[np.float64], digits: int) -> list[Any]:
+def rounded(values: Iterable[float] | Floats, digits: int) -> list[Any]:
     """Return rounded numbers as nested lists, with None for NaN and infinities."""
     numbers = np.asarray(values, dtype=np.float64)
     kept = np.round(numbers, digits).astype(object)
@@ -272,7 +273,7 @@ def _groups(tracks: Sequence[Track]) -> list[dict[str, Any]]:
     return found
 
 
-def _points(points_m: NDArray[np.float64]) -> dict[str, list[Any]]:
+def _points(points_m: Floats) -> dict[str, list[Any]]:
     x, y = np.asarray(points_m, dtype=np.float64).reshape(-1, 2).T
     return {"x": rounded(x, METRE_DIGITS), "y": rounded(y, METRE_DIGITS)}
 

@@ -5,8 +5,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.channel.posterior import Belief
 from planopt.files.tables import Column, Data
 from planopt.planning.files.run_tables import tables_of
@@ -224,7 +224,7 @@ def _planned(plan: Plan) -> Track:
     return Track(plan.robot, plan.t_s, plan.positions_m, plans=[plan.positions_m], notes=notes)
 
 
-def _by_step(plan: Plan, values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _by_step(plan: Plan, values: Floats) -> Floats:
     """Return values at all positions of a plan, with leading NaN where values are missing."""
     missing = len(plan.t_s) - len(values)
     return np.concatenate([np.full(missing, np.nan), values])
@@ -341,7 +341,7 @@ def _charts_over_time(
     title: str,
     power: list[Mapping[str, Any]],
     chance: list[Mapping[str, Any]],
-    t_s: NDArray[np.float64],
+    t_s: Floats,
 ) -> list[Chart]:
     """Return the charts of power and probability of connection, with their thresholds."""
     ends, p_min = [float(t_s[0]), float(t_s[-1])], problem.constraints.step_p_min
@@ -358,11 +358,7 @@ def _charts_over_time(
 
 
 def _predicted(
-    number: int,
-    robot: str,
-    t_s: NDArray[np.float64],
-    mean_dbm: NDArray[np.float64],
-    deviation_db: NDArray[np.float64],
+    number: int, robot: str, t_s: Floats, mean_dbm: Floats, deviation_db: Floats
 ) -> list[Mapping[str, Any]]:
     """Return the curve of a robot's predicted power and its band."""
     known = np.isfinite(mean_dbm)
@@ -382,7 +378,7 @@ def _predicted(
     return [band, _curve(number, f"{robot}, predicted", t_s, rounded(mean_dbm, POWER_DIGITS))]
 
 
-def _curve(number: int, name: str, t_s: NDArray[np.float64], values: list[Any]) -> dict[str, Any]:
+def _curve(number: int, name: str, t_s: Floats, values: list[Any]) -> dict[str, Any]:
     """Return a curve in a robot's colour, for Plotly."""
     colour = ROBOT_COLOURS[number % len(ROBOT_COLOURS)]
     look = {"symbol": SYMBOLS[number % len(SYMBOLS)], "size": 5, "color": colour}

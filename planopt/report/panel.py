@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.errors import InputError
 from planopt.files.writing import write_whole
 
@@ -54,7 +54,7 @@ UNDATED: dict[str, dict[str, None]] = {
 }
 """File formats, with metadata that suppress the date."""
 
-Values = NDArray[np.float64] | Sequence[float]
+Values = Floats | Sequence[float]
 Look = dict[str, Any]
 """Keyword arguments of Matplotlib that define a style."""
 

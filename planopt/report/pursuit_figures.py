@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.pursuit.design import DesignTask
 from planopt.pursuit.service import Snapshot, SnapshotService, Track, mote_centres_m, snapshot
 from planopt.pursuit.simulation import Pursuit, Use
@@ -158,7 +159,7 @@ def draw_view(
 
 
 def _motes(
-    service: SnapshotService, ages_s: NDArray[np.float64], title: str, label: str
+    service: SnapshotService, ages_s: Floats, title: str, label: str
 ) -> tuple[Figure, Panel]:
     """Return a figure and a panel with the age (rows, columns) at each mote."""
     figure, (panel,) = new_figure(7.4, 6.6)

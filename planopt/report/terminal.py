@@ -6,6 +6,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.planning.plan import Plan
 from planopt.problems.problem import Problem
 
@@ -60,7 +61,7 @@ class TerminalMap:
         rows = ["|" + "".join(row) + "|" for row in picture.tolist()]
         return "\n".join([edge, *rows, edge, *step_lines(self._problem, step, plans)])
 
-    def _put(self, picture: NDArray[np.str_], places_m: NDArray[np.float64], mark: str) -> None:
+    def _put(self, picture: NDArray[np.str_], places_m: Floats, mark: str) -> None:
         """Write a character at positions; those outside are left out."""
         cell = np.array([self._cell_m, -ASPECT * self._cell_m])
         column, row = np.floor((places_m - self._corner) / cell).astype(int).T

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.errors import InputError
 from planopt.files.reading import read_text
 from planopt.files.typed_json import decoded, encoded
@@ -369,7 +369,7 @@ def step_s(row: Row) -> float:
     return row.cpu_s / max(row.steps, 1)
 
 
-def shifted_geometric_mean(times_s: NDArray[np.float64], shift_s: float) -> float:
+def shifted_geometric_mean(times_s: Floats, shift_s: float) -> float:
     """Return exp(mean(log(t + s))) - s in seconds, which is insensitive to very short times."""
     return float(np.exp(np.log(np.asarray(times_s) + shift_s).mean()) - shift_s)
 
@@ -379,9 +379,9 @@ class Profile:
     """Performance profile of planners' times (Dolan and More, 2002)."""
 
     planners: tuple[str, ...]  # Names of the planners
-    ratios: NDArray[np.float64]  # (k,) sorted ratios to the best time of a task, at least 1
+    ratios: Floats  # (k,) sorted ratios to the best time of a task, at least 1
     # (planners, k) share of tasks solved by each planner within each ratio
-    shares: NDArray[np.float64]
+    shares: Floats
 
 
 def time_profile(rows: Sequence[Row], best: Mapping[Question, float]) -> Profile:
@@ -398,8 +398,8 @@ def time_profile(rows: Sequence[Row], best: Mapping[Question, float]) -> Profile
 
 
 def performance_profile(
-    times_s: NDArray[np.float64],  # (q, s)
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    times_s: Floats,  # (q, s)
+) -> tuple[Floats, Floats]:
     """Return time ratios (k,), and the share (s, k) of tasks that a solver solves within each."""
     finite = np.where(np.isfinite(times_s), times_s, np.inf)
     fastest = finite.min(axis=1, keepdims=True) if finite.size else finite[:, :1]

@@ -5,9 +5,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit  # pyright: ignore[reportUnknownVariableType]
 
+from planopt.arrays import Floats
 from planopt.channel.calibration import FEWEST_GROUPS, ReliabilityBin, reliability
 from planopt.planning.loop.metrics import ANY, POSSIBLE
 from planopt.planning.loop.results import NOT_DONE, RunSummary
@@ -128,7 +128,7 @@ def tabulate(runs: Sequence[RunSummary], reference: Sequence[RunSummary]) -> lis
 
 
 def mean_interval(
-    values: NDArray[np.float64], possible: tuple[float, float] = ANY
+    values: Floats, possible: tuple[float, float] = ANY
 ) -> tuple[float | None, float | None]:
     """Return the clipped Student interval of the mean; None for too few values."""
     if values.size < FEWEST_GROUPS:
@@ -140,7 +140,7 @@ def mean_interval(
     return max(mean - half, least), min(mean + half, largest)
 
 
-def log_ratios(values: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.float64]:
+def log_ratios(values: Floats, others: Floats) -> Floats:
     """Return the logarithms of paired ratios, restricted to positive finite pairs."""
     both = np.isfinite(values) & np.isfinite(others) & (values > 0.0) & (others > 0.0)
     return np.log(values[both] / others[both])

@@ -11,6 +11,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Mask
 from planopt.bounds.bound import relative_gap
 from planopt.coverage.assignment import NONE
 from planopt.coverage.cost_bounds import EFFORT_S, cost_bound
@@ -134,7 +135,7 @@ def simulate(
     return TaskResult(problem, data, tables_of(problem, run), run)
 
 
-def _paths(times_s: NDArray[np.float64], positions_m: NDArray[np.float64]) -> list[dict[str, Any]]:
+def _paths(times_s: Floats, positions_m: Floats) -> list[dict[str, Any]]:
     """Return the paths of agents for JSON, from times (T,) and positions (T, n, 2)."""
     x, y = positions_m.transpose(2, 1, 0).tolist()
     rows = zip(x, y, strict=True)
@@ -339,9 +340,7 @@ def event_results(problem: CoverageProblem, run: NetworkRun) -> list[dict[str, A
     return results
 
 
-def _in_place(
-    problem: CoverageProblem, run: NetworkRun, number: int, near_m: float
-) -> NDArray[np.bool_]:
+def _in_place(problem: CoverageProblem, run: NetworkRun, number: int, near_m: float) -> Mask:
     """Return a mask (T, n) of agents within `near_m` of their targets, or at rest by an event."""
     control = problem.given.control
     here = run.positions_m[:-1]
@@ -366,7 +365,7 @@ def _settled_s(problem: CoverageProblem, run: NetworkRun) -> float | None:
     return float(run.times_s[off[-1] + 1]) if len(off) else 0.0
 
 
-def _first_s(times_s: NDArray[np.float64], which: NDArray[np.bool_]) -> float | None:
+def _first_s(times_s: Floats, which: Mask) -> float | None:
     """Return the first time at which a mask holds; None if it never does."""
     return float(times_s[which.argmax()]) if which.any() else None
 

@@ -8,9 +8,9 @@ from typing import Any, cast
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from planopt.arrays import Floats, Mask
 from planopt.channel import (
     ChannelParameters,
     ChannelPosterior,
@@ -48,8 +48,6 @@ from planopt.tasks.coverage_tables import (
     density_of,
 )
 from planopt.world.raster import Raster
-
-Floats = NDArray[np.float64]
 
 NODES = 1600
 """Approximate number of nodes of a geodesic ground without an explicit spacing."""
@@ -419,7 +417,7 @@ def starts_of(table: AgentsTable, ground: Ground, generator: np.random.Generator
     return found[: start.count]
 
 
-def has_room(ground: Ground, places_m: Floats, body_radius_m: float) -> NDArray[np.bool_]:
+def has_room(ground: Ground, places_m: Floats, body_radius_m: float) -> Mask:
     """Return a mask (k,) of positions (k, 2) at which a body fits into the ground."""
     inside = ground.allows(places_m)
     if body_radius_m == 0.0:

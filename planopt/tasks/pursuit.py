@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.errors import NoPlanError
 from planopt.files.tables import Column, Data
 from planopt.files.typed_json import finite
@@ -353,7 +353,7 @@ def _metrics(pursuit: Pursuit) -> dict[str, Any]:
     }
 
 
-def _length_m(places: NDArray[np.float64]) -> float:
+def _length_m(places: Floats) -> float:
     return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
 
 

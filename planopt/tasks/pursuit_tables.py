@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from planopt.arrays import Floats
 from planopt.errors import InputError
 from planopt.keys import SMALLEST, Distance, Length, Name, Pair, Table
 from planopt.problems.schema import TaskFile, WorldTable
@@ -195,7 +195,7 @@ class PursuitProblem(TaskProblem):
 
     def _start_m(
         self, key: str, table: PursuerTable | EvaderTable, generator: np.random.Generator
-    ) -> NDArray[np.float64]:
+    ) -> Floats:
         for _ in range(START_DRAWS if table.start_radius_m > 0.0 else 1):
             away_m = table.start_radius_m * math.sqrt(generator.uniform())
             turn = generator.uniform(0.0, 2.0 * math.pi)

@@ -9,8 +9,8 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.errors import InputError
 from planopt.files.reading import read_text
 from planopt.world.geodesy import Origin, east_north_m, require_origin
@@ -205,12 +205,12 @@ def _replaced(value: Any, plane: dict[int, list[float]]) -> Any:
     return value
 
 
-def _is_near(corners: NDArray[np.float64], origin_deg: Origin) -> bool:
+def _is_near(corners: Floats, origin_deg: Origin) -> bool:
     """Return whether coordinates are longitudes and latitudes within a degree of the origin."""
     return bool((np.abs(corners - np.array(origin_deg[:2])[::-1]) < NEAR_DEG).all())
 
 
-def _degrees_of(corners: NDArray[np.float64], code: int) -> NDArray[np.float64]:
+def _degrees_of(corners: Floats, code: int) -> Floats:
     """Return longitudes and latitudes (n, 2) of positions in a reference system."""
     try:
         pyproj: Any = import_module("pyproj")
@@ -388,7 +388,7 @@ def _obstacles(source: Any, name: str, origin_deg: Origin | None) -> Iterator[Ob
 def _projected(geometry: Any, origin_deg: Origin) -> Any:
     """Return a geometry in degrees as metres from the origin."""
 
-    def plane(degrees: NDArray[np.float64]) -> NDArray[np.float64]:
+    def plane(degrees: Floats) -> Floats:
         return east_north_m(degrees[:, 0], degrees[:, 1], origin_deg)
 
     return shapely.transform(geometry, plane)

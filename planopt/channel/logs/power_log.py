@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats, Indices
 from planopt.channel.logs.log_format import DEFAULT_FORMAT, GroupColumn, LogFormat
 from planopt.channel.logs.log_table import Cell, LogTable
 from planopt.channel.logs.readers import LogColumns, columns_of, read_table, readings_of
@@ -132,7 +132,7 @@ def measurements_of(table: LogTable, columns: LogColumns, log_format: LogFormat)
     return PowerLog(measurements, tuple(number_of), columns, unit, heard)
 
 
-def _power_unit(name: str, power: NDArray[np.float64]) -> str:
+def _power_unit(name: str, power: Floats) -> str:
     """Return the unit of powers that a column's name or the values show."""
     if name.lower().endswith("mw"):
         return "mW"
@@ -141,7 +141,7 @@ def _power_unit(name: str, power: NDArray[np.float64]) -> str:
     return DETECTED_MW if between else "dBm"
 
 
-def _from_milliwatts(cells: Sequence[Cell], power: NDArray[np.float64]) -> NDArray[np.float64]:
+def _from_milliwatts(cells: Sequence[Cell], power: Floats) -> Floats:
     """Return powers in mW converted to dBm; raise an error for a power of zero."""
     if (power <= 0.0).any():
         cell = cells[int(np.argmax(power <= 0.0))]
@@ -151,9 +151,7 @@ def _from_milliwatts(cells: Sequence[Cell], power: NDArray[np.float64]) -> NDArr
     return 10.0 * np.log10(power)
 
 
-def _position_std_m(
-    table: LogTable, columns: LogColumns, log_format: LogFormat
-) -> NDArray[np.float64]:
+def _position_std_m(table: LogTable, columns: LogColumns, log_format: LogFormat) -> Floats:
     """Return the standard deviation of each position, from its cell or else the format."""
     if columns.accuracy is None:
         return np.full(len(table.rows), log_format.position_std_m)
@@ -171,9 +169,7 @@ def _position_std_m(
     return found
 
 
-def _positions_m(
-    table: LogTable, x: NDArray[np.float64], y: NDArray[np.float64], log_format: LogFormat
-) -> NDArray[np.float64]:
+def _positions_m(table: LogTable, x: Floats, y: Floats, log_format: LogFormat) -> Floats:
     if log_format.origin_deg is None:
         return np.column_stack([x, y])
     positions_m = east_north_m(x, y, log_format.origin_deg)
@@ -200,7 +196,7 @@ def at_file_line(
 
 def read_groups(
     path: Path | str, columns: Sequence[GroupColumn], log_format: LogFormat = DEFAULT_FORMAT
-) -> NDArray[np.intp]:
+) -> Indices:
     """Return the group label of each row of a log, in order of first appearance; ``(n,)``.
 
     Parameters

@@ -4,8 +4,8 @@ from collections.abc import Iterable
 from datetime import datetime
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.channel.logs.log_table import Cell
 
 UNIX_SCALES = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3), (1e8, 1.0))
@@ -14,7 +14,7 @@ DATES = ("%d.%m.%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S", "%H:%M:%S", "%H:%M:%S.%f")
 """Accepted date formats in addition to ISO 8601."""
 
 
-def times_s(cells: Iterable[Cell]) -> NDArray[np.float64]:
+def times_s(cells: Iterable[Cell]) -> Floats:
     """Return the times in seconds; Unix times and dates count from the earliest."""
     cells = list(cells)
     first = cells[0].label()
@@ -27,7 +27,7 @@ def times_s(cells: Iterable[Cell]) -> NDArray[np.float64]:
     return numbers
 
 
-def _from_earliest(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def _from_earliest(values: Floats) -> Floats:
     return values - values.min()
 
 

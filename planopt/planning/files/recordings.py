@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
+from planopt.arrays import Floats
 from planopt.channel.channel_map import PosteriorMap, default_cell_m, serving_map
 from planopt.errors import InputError
 from planopt.files.writing import write_whole
@@ -36,9 +36,9 @@ class _Track:
     """Motion of a robot: times, poses, numbers to plot, and the plan made at each step."""
 
     robot: str
-    t_s: NDArray[np.float64]
-    positions_m: NDArray[np.float64]  # (n, 2)
-    numbers: Mapping[str, NDArray[np.float64]]  # (n,) by name
+    t_s: Floats
+    positions_m: Floats  # (n, 2)
+    numbers: Mapping[str, Floats]  # (n,) by name
     plans: Sequence[Plan]
 
 
@@ -56,7 +56,7 @@ def _tracks(result: MotionResult) -> Iterator[_Track]:
             yield _Track(run.robot, log.t_s, log.positions_m, numbers, plans)
 
 
-def _numbers(mean_dbm: NDArray[np.float64], source: Any) -> dict[str, NDArray[np.float64]]:
+def _numbers(mean_dbm: Floats, source: Any) -> dict[str, Floats]:
     return {
         "predicted_dbm": mean_dbm,
         "deviation_db": source.deviation_db,
@@ -146,7 +146,7 @@ def _pose(place: Sequence[float], heading_rad: float = 0.0) -> dict[str, Any]:
     return {"position": {"x": place[0], "y": place[1], "z": 0.0}, "orientation": turn}
 
 
-def _headings(positions_m: NDArray[np.float64]) -> list[float]:
+def _headings(positions_m: Floats) -> list[float]:
     """Return the heading at each position; a stationary robot keeps its last heading."""
     steps = np.diff(positions_m, axis=0, append=positions_m[-1:])
     found: list[float] = []
@@ -289,7 +289,7 @@ def write_rerun(path: Path, result: MotionResult) -> None:
     recording.disconnect()
 
 
-def _up(lines_m: Sequence[NDArray[np.float64]]) -> list[NDArray[np.float64]]:
+def _up(lines_m: Sequence[Floats]) -> list[Floats]:
     """Return lines with the sign of y changed."""
     return [each * np.array([1.0, -1.0]) for each in lines_m]
 

@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_459,
-    "lines of code": 52_007,
+    "lines": 70_378,
+    "lines of code": 51_927,
     "files": 290,
     "functions": 3_756,
     "docstring lines": 7_508,
-    "lines of tests": 48_600,
+    "lines of tests": 48_396,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

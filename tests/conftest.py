@@ -6,8 +6,6 @@ golden cases. The first test of every file runs, then the second of every file, 
 time is over. No list of tests has to be kept up to date.
 """
 
-from __future__ import annotations
-
 import subprocess
 import time
 from collections import Counter

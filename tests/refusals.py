@@ -5,8 +5,6 @@ tests of each message. To change messages, run the tests with ``--write-messages
 and review the difference of the table.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re

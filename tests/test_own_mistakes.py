@@ -1,7 +1,5 @@
 """Mistakes in a user's own parts, through every public door: each is an error of planopt's."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar

@@ -1,7 +1,5 @@
 """Random scenes whose objective is a sum over the steps, with their step context."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Attacks on route bounds: best known routes in random scenes, enumeration, wrong potentials."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise, permutations
 

@@ -1,7 +1,5 @@
 """Enclosures of the predicted power contain it everywhere in their discs."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Attacks on bounds of mapped information: random paths, and losses between two measurements."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Lower bounds on routes hold for every path, and are tight where the optimum is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import islice, pairwise
 

@@ -1,7 +1,5 @@
 """Attacks on bounds of sums over steps: random paths, enumeration, wrong multipliers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from sum_scene import STEP_M, random_paths, stages_in, sum_context, values_of

@@ -1,7 +1,5 @@
 """Networks that drive to a deployment of low cost."""
 
-from __future__ import annotations
-
 from itertools import permutations
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Plans through cells that change over the horizon."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Random damages to the bytes of a file: flipped, cut, doubled, overwritten, other numbers."""
 
-from __future__ import annotations
-
 import io
 import re
 import zipfile

@@ -5,8 +5,6 @@ prints two lines of JSON for each: one when it begins, one with its exit code an
 is null if there is none. Seed -1 damages nothing.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

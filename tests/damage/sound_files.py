@@ -1,7 +1,5 @@
 """Small sound inputs of every format that planopt reads, with the commands that read them."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Sequence
 from pathlib import Path

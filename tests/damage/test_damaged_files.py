@@ -1,7 +1,5 @@
 """Randomly damaged files of every format: a result or one line of ours, soon, and nothing else."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

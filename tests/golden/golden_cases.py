@@ -10,8 +10,6 @@ what rounding changes on other processors; all other values agree exactly. A bet
 difference.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json

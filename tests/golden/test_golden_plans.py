@@ -1,7 +1,5 @@
 """Results of every task agree with their references (:mod:`golden_cases`)."""
 
-from __future__ import annotations
-
 import pytest
 from golden_cases import CASES, SHARE, differences, read_references, result
 

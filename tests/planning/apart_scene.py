@@ -1,7 +1,5 @@
 """Robots that must keep apart, and carts that cross their ways."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Sequence
 from pathlib import Path

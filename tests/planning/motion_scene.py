@@ -1,7 +1,5 @@
 """The small problem of terms with a robot that cannot turn or stop at will."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Problems under each rule of connectivity, and a small drawn channel where the rules bind."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 from pathlib import Path

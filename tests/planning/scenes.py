@@ -5,8 +5,6 @@ and parameters are known, so that nothing is fitted. `GOOD` is far above the thr
 below, so that the bound changes about half-way between two readings.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A free strip whose power is known at every metre, with a station above its middle."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

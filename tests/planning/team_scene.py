@@ -1,7 +1,5 @@
 """A small run and small plans of two robots that track, and of one that maps."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from terms_scene import TRACKING, terms_problem

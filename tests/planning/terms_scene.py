@@ -1,7 +1,5 @@
 """A small problem whose objective is a sum of terms, and situations in it."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A plan within a budget of time, and the last fallbacks."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from time import perf_counter, sleep
 

@@ -1,7 +1,5 @@
 """What a candidate costs, what the verifier says of it, and how it is written out."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

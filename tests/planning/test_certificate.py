@@ -1,7 +1,5 @@
 """Excuses of missed steps, certificates of teams, and coverage holes, with their words."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import asdict, replace

@@ -1,7 +1,5 @@
 """The bound on a run's length (equation 6.8), and direct drives from rest to rest."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

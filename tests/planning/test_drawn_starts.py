@@ -1,7 +1,5 @@
 """Starts drawn with the seed, targets that stay free, and parameters that are not estimated."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

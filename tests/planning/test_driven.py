@@ -1,7 +1,5 @@
 """Plans of robots with dynamics for sums of terms: verified, stoppable, settled."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import casadi as ca

@@ -1,7 +1,5 @@
 """Robots with dynamics on the way to a goal, and under every rule of connectivity."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

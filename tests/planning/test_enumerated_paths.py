@@ -1,7 +1,5 @@
 """Plans of coupled terms beside every way of a few steps in evenly spaced directions."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Plans for sums of terms: no worse than their guesses, fallbacks, invariances."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import casadi as ca

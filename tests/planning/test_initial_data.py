@@ -1,7 +1,5 @@
 """Ground truth, measured places and first beliefs of a seed."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Robots that drifted to where they must not be are led away, and say so."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import shapely

@@ -1,7 +1,5 @@
 """What must change nothing: a redundant obstacle, another unit of length; and what must order."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

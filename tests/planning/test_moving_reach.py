@@ -1,7 +1,5 @@
 """Obstacles that move on the way to a goal, and that come and go."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """A loop of one's own with Planner: the run that simulate makes, step by step, and its errors."""
 
-from __future__ import annotations
-
 import pickle
 import tracemalloc
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Planners from outside plug in by name: registered, or by the entry points of a package."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from time import perf_counter
 from types import SimpleNamespace

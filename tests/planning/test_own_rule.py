@@ -1,7 +1,5 @@
 """A rule of connectivity of one's own, against the average written as one, and by hand."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import ClassVar
 

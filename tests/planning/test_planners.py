@@ -1,7 +1,5 @@
 """Baselines, strategies of communication, and bounds on tracking."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 

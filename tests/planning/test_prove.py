@@ -1,7 +1,5 @@
 """Proven bounds of plans: their keys, their proof again from files, and what they never claim."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Proven bounds of sums over steps: their certificate, and terms that have none."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import dataclass, fields, replace
 from pathlib import Path

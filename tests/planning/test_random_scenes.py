@@ -1,7 +1,5 @@
 """Closed loops over random scenes, in small: no fault, and nothing that the checker rejects."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

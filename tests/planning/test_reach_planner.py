@@ -1,7 +1,5 @@
 """One receding-horizon step on small scenes, and its fallbacks."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The way to a goal under each rule of connectivity: who crosses a gap, who may, who is slack."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from time import process_time
 

@@ -1,7 +1,5 @@
 """Attempts of one step: judged, and repeated with what the verifier objects to built in."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import partial
 

@@ -1,7 +1,5 @@
 """What solutions and runs offer people: pictures, files, tables, and back from files."""
 
-from __future__ import annotations
-
 import csv
 import importlib
 import io

@@ -1,7 +1,5 @@
 """One plan of a problem, its scene, and clear answers if there is no good one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Keys of the term tracking: weights of steps, and what counts of the covariance."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

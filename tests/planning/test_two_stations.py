@@ -1,7 +1,5 @@
 """Plans, runs and saved runs of problems with two stations."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path

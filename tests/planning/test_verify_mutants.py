@@ -5,8 +5,6 @@ Each mutant is a change of a few characters in `verify.py`, `searches.py`, `moti
 and each mutant another one for at least one of them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Two stations at the two ends of a rectangle, of which neither serves all of it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

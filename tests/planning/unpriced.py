@@ -1,7 +1,5 @@
 """The same problem with a task in which being out of contact has no price."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from planopt import Problem

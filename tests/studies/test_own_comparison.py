@@ -1,7 +1,5 @@
 """Comparisons that a problem file carries: what they run, and what is seen of them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A task of another package: the one of docs/extend.md, installed as a distribution."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Readings replace predictions at their positions: kinds of readings, several stations, draws."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A problem with what an explanation proposes."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -4,8 +4,6 @@ All fading is multipath: at every place the power is normal about the path loss,
 and steps are independent.
 """
 
-from __future__ import annotations
-
 import copy
 from pathlib import Path
 from typing import Any

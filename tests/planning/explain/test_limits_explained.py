@@ -1,7 +1,5 @@
 """A gap without connection, and a moving obstacle that cannot be dodged."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A goal that no way leads to: the key that is at odds, and the least change that opens one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from time import process_time
 

@@ -1,7 +1,5 @@
 """A bound that cannot be met: by how much, and what would let it be met."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

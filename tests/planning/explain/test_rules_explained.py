@@ -1,7 +1,5 @@
 """Rules over a whole plan that cannot be kept: the least changes have closed forms."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import scipy.optimize

@@ -1,7 +1,5 @@
 """Realised costs against exact geometry, and the clairvoyant against closed forms."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

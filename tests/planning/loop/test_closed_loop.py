@@ -1,7 +1,5 @@
 """The closed loop: arrival, standstill, what is measured, and a log that agrees with itself."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 
 import numpy as np

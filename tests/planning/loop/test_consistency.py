@@ -1,7 +1,5 @@
 """NEES and NIS of the filters of a run: another filter's, and what the law says of them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

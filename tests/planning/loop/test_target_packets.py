@@ -1,7 +1,5 @@
 """The station's filter where packets have estimates, and where they come late."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 

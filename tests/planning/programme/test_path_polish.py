@@ -1,7 +1,5 @@
 """The programme over any path value against SciPy, and what its structures have in common."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

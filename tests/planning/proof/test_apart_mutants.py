@@ -1,7 +1,5 @@
 """Every small falsification of how distances from what moves are judged changes a judgement."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A robot that stays at a measured position: rules, verdicts, searches, refinement and runs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The verdict on motions: edited drives, and distances from moving discs."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

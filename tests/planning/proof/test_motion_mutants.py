@@ -1,7 +1,5 @@
 """Falsifications of how the verifier judges states and inputs: each changes a judgement."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 
 import casadi as ca

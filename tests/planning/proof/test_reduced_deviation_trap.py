@@ -5,8 +5,6 @@ they are, and nobody knows that today. A bound of 90 % asked with the reduced de
 some 84 % of all channels. Fields are drawn from the prior, measured, predicted and planned for.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.special import ndtr

@@ -1,7 +1,5 @@
 """The verifier under each rule: closed forms, sampled channels, and what has happened before."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

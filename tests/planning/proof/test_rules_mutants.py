@@ -4,8 +4,6 @@ A mutant replaces the functions of its module wherever the verifier uses them; t
 the tests of `test_rules.py` must fail.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from functools import partial
 from importlib import import_module

@@ -1,7 +1,5 @@
 """The verifier's searches, against networkx, exact geometry and brute force."""
 
-from __future__ import annotations
-
 import networkx as nx
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The verifier with several stations: what it computes, and what it must reject."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 As in `test_rules_mutants.py`; at least one of the tests of `test_serving.py` must fail.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from functools import partial
 from importlib import import_module

@@ -1,7 +1,5 @@
 """The verifier against dense sampling, plain kriging and mixtures of channels."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Fans of paths: free, at full speed where they can be, past the station, and the best of them."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, replace
 
 import numpy as np

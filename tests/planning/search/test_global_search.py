@@ -1,7 +1,5 @@
 """The global start: a lattice path that keeps the bound wherever one can."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import networkx as nx

@@ -1,7 +1,5 @@
 """The last start: places just in reach that the lattice comes to too late."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

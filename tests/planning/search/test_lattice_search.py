@@ -1,7 +1,5 @@
 """The lattice search against enumeration, and against a dynamic programme by nodes."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from types import SimpleNamespace
 

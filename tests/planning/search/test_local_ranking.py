@@ -1,7 +1,5 @@
 """Values and slopes of many paths at once: those of the exact objective value, one by one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

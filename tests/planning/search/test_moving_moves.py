@@ -1,7 +1,5 @@
 """Searches beside what moves: against enumeration, and against the same without it."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

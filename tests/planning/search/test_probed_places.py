@@ -1,7 +1,5 @@
 """Ways to places that are tried: free, within the step length, and round obstacles."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

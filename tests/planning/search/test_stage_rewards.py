@@ -1,7 +1,5 @@
 """Rewards of lattice nodes: those of the path's worth, cut off where nothing is known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Robots in the middle of what they have measured drive out of it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

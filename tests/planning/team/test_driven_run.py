@@ -1,7 +1,5 @@
 """Closed loops of robots that cannot turn or stop at will; saved, and judged again from disk."""
 
-from __future__ import annotations
-
 import copy
 from pathlib import Path
 

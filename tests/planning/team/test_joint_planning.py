@@ -1,7 +1,5 @@
 """Teams that count the others' measurements, and weigh terms by themselves."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Planning, driving and checking under each rule of connectivity."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

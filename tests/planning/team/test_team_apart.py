@@ -1,7 +1,5 @@
 """Robots that keep apart from each other and from moving obstacles, at all times."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

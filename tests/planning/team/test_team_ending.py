@@ -1,7 +1,5 @@
 """How runs end: connected, with nothing left to learn, stalled, or after their steps."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

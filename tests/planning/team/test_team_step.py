@@ -1,7 +1,5 @@
 """One step of a team: room for each other, plans of a run, several stations."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Where a search for connection is steered to, and that it ends."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import networkx

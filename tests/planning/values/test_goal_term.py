@@ -1,7 +1,5 @@
 """A goal among other terms: the way there, its worth, arrival, and what keeps it from arriving."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The fewest steps to hold, against all subsets."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from planopt.planning.plan import History

@@ -1,7 +1,5 @@
 """The worth that a solver sees: its derivatives, and how near it is to the exact worth."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 import pytest

@@ -1,7 +1,5 @@
 """The worth of a plan is what the loop collects that drives it: one measuring rule for both."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from terms_scene import LEARNING, context_of, terms_problem

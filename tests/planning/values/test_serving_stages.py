@@ -1,7 +1,5 @@
 """Stages of several stations: value, gradient and Hessian by finite differences."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np

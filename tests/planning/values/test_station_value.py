@@ -1,7 +1,5 @@
 """What paths are worth with two stations: against draws, single stations and written-out sums."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

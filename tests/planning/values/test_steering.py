@@ -1,7 +1,5 @@
 """The two layers: the place of the highest J_CH, and the way there round obstacles."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

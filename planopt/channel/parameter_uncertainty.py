@@ -123,7 +123,9 @@ def marginalise(
         return MarginalPosterior(
             (condition(parameters, measurements, exact_limit=exact_limit),), np.ones(1)
         )
-    exact = _exact_part(measurements)
+    placed = measurements.by_place()
+    rows = np.flatnonzero(~placed.censored)
+    exact = placed.take(rows[thinned(len(rows), MOST_DENSE)])
     every = np.ones(len(exact), dtype=np.bool_)
     model = mean_model(exact.positions_m, every, parameters.station, allows.n_pl_reason is None)
     data = likelihood_data(model, exact, parameters)
@@ -172,13 +174,6 @@ def marginalise(
             condition(component, measurements, exact_limit=exact_limit, similar=similar)
         )
     return MarginalPosterior(tuple(components), weights[kept] / weights[kept].sum())
-
-
-def _exact_part(measurements: Measurements) -> Measurements:
-    """Return the uncensored measurements, or `MOST_DENSE` of them if there are more."""
-    measurements = measurements.by_place()
-    rows = np.flatnonzero(~measurements.censored)
-    return measurements.take(rows[thinned(len(rows), MOST_DENSE)])
 
 
 def _design(data: LikelihoodData, centre: Floats, box: Floats) -> Floats:

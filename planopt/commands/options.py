@@ -26,6 +26,9 @@ def option(name: str, metavar: str | None, text: str, **settings: Any) -> Any:
 ProblemArgument = Annotated[
     str, typer.Argument(metavar="PROBLEM", help="A problem file, or a name that `list` shows.")
 ]
+ResultArgument = Annotated[
+    Path, typer.Argument(metavar="PATH", help="The folder given as --out, or its JSON file.")
+]
 OutOption = Annotated[Path | None, option("--out", "DIR", "Folder to save the results in.")]
 JsonOption = Annotated[
     bool, option("--json", None, "Print one JSON object on standard output, nothing else.")

@@ -3,17 +3,13 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
-from planopt.commands.options import JsonOption, option
+from planopt.commands.options import JsonOption, ResultArgument, option
 from planopt.commands.output import progress, show
 from planopt.errors import InputError
 
 
 def export_path(
-    result: Annotated[
-        Path, typer.Argument(metavar="PATH", help="The folder given as --out, or its JSON file.")
-    ],
+    result: ResultArgument,
     out: Annotated[
         Path, option("--out", "FILE", "Ends in .json, .geojson, .plan, .csv, .mcap or .rrd.")
     ],

@@ -6,15 +6,13 @@ import shutil
 import sys
 from collections.abc import Callable, Sequence
 from inspect import signature
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
-
-import typer
 
 from planopt.commands.options import (
     AnimationOption,
     JsonOption,
     PlanningOptions,
+    ResultArgument,
     option,
     with_options,
 )
@@ -141,22 +139,13 @@ def _shown_plans(problem: Problem) -> Callable[[int, Sequence[Plan]], None]:
         return lambda step, plans: say("\n".join(step_lines(problem, step, plans)))
     columns, rows = shutil.get_terminal_size()
     drawn = TerminalMap(problem, columns - 2, rows - 3 - len(problem.robots))
-
-    def show_frame(step: int, plans: Sequence[Plan]) -> None:
-        say(drawn.frame(step, plans), clear=True)
-
-    return show_frame
+    return lambda step, plans: say(drawn.frame(step, plans), clear=True)
 
 
 REJECTED = 3
 
 
-def check(
-    path: Annotated[
-        Path, typer.Argument(metavar="PATH", help="The folder given as --out, or its JSON file.")
-    ],
-    json: JsonOption = False,
-) -> int:
+def check(path: ResultArgument, json: JsonOption = False) -> int:
     """Verify saved results from their files alone. Exit codes: 0 accepted, 3 rejected."""
     from planopt.files.typed_json import encoded
     from planopt.planning.certificate import excused_in_words, excused_steps

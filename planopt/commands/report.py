@@ -1,20 +1,10 @@
 """``planopt report``: the HTML page of a saved result."""
 
-from pathlib import Path
-from typing import Annotated
-
-import typer
-
-from planopt.commands.options import JsonOption
+from planopt.commands.options import JsonOption, ResultArgument
 from planopt.commands.output import progress, show
 
 
-def report(
-    result: Annotated[
-        Path, typer.Argument(metavar="PATH", help="The folder given as --out, or its JSON file.")
-    ],
-    json: JsonOption = False,
-) -> int:
+def report(result: ResultArgument, json: JsonOption = False) -> int:
     """Write report.html next to a saved result: map, time slider, charts and tables."""
     from planopt.files.writing import write_text
     from planopt.report.page import PAGE_FILE, page_html

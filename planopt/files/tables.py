@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from planopt.errors import InputError
 from planopt.files.reading import read_text
-from planopt.files.writing import write_text
 
 LARGEST = 1e9
 """Maximum magnitude of positions, times, powers and parameters in a saved file."""
@@ -76,12 +75,6 @@ def table_text(columns: Sequence[Column], data: Data) -> str:
     writer.writerow(names_of(columns))
     writer.writerows(zip(*(_cells(data[column.name]) for column in columns), strict=True))
     return text.getvalue()
-
-
-def write_tables(folder: Path, tables: Mapping[str, tuple[Sequence[Column], Data]]) -> None:
-    """Write tables into a folder, by file name."""
-    for name, (columns, data) in tables.items():
-        write_text(folder / name, table_text(columns, data))
 
 
 def _cells(values: NDArray[Any]) -> list[Any]:

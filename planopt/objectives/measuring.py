@@ -29,17 +29,11 @@ FEW_KNOWN = 64
 """Number of measurements up to which all are compared, since a neighbour search costs more."""
 
 
-def closing_m(spacing_m: float) -> float:
-    """Return the distance to an earlier measurement below which no measurement is taken."""
-    return max(spacing_m - SPACING_TOLERANCE_M, SAME_PLACE_M)
-
-
 @dataclass(frozen=True, eq=False)
 class MeasuringRule:
     """Rule that decides at which positions of a path a measurement is taken."""
 
-    # Distance to an earlier measurement below which none is taken; :func:`closing_m`
-    spacing_m: float
+    spacing_m: float  # Distance to an earlier measurement below which none is taken
     # (n, 2) earlier measuring positions by station; all stations must be measured
     known_m: tuple[Floats, ...]
 
@@ -51,7 +45,7 @@ class MeasuringRule:
             places = posterior.measurements.positions_m
             if not any(np.array_equal(places, other) for other in known):
                 known.append(places)
-        return MeasuringRule(closing_m(spacing_m), tuple(known))
+        return MeasuringRule(max(spacing_m - SPACING_TOLERANCE_M, SAME_PLACE_M), tuple(known))
 
     @property
     def open_m(self) -> float:

@@ -25,7 +25,6 @@ from planopt.planning.programme.path_polish import (
     lines_with_violated,
     moving_count,
     polish_path,
-    tail_count,
 )
 from planopt.planning.programme.solver import MotionShape, PathShape
 from planopt.planning.proof.context import SEARCH_ERROR_DB, is_search_exact, obstacles_ahead
@@ -199,7 +198,8 @@ class Refinement:
 
     def _tail(self, discs: MovingDiscs) -> int:
         """Return the number of lines for discs that move after the plan; 0 for plans to a goal."""
-        return 0 if self._to_goal else tail_count(discs, self._problem.planner.horizon)
+        ends = self._to_goal or discs.steps <= self._problem.planner.horizon
+        return 0 if ends else moving_count(discs)
 
     def _nlp_for(self, discs: MovingDiscs) -> PathNlp:
         """Return the solver with enough lines for these moving discs, built on first use."""

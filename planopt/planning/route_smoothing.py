@@ -290,7 +290,8 @@ class RouteSmoothing:
         self._seen = corridor
         places = plan.positions_m if self._moves_steps else plan.positions_m[-1:]
         path = np.vstack([places[:1], corridor.path_m(places[0])[1:-1], self._problem.goal_m])
-        found = cleared(self._index, self._clearance_m, self._inside_goal(path), self._spacing_m)
+        spacing_m = FINEST * self._raster.spacing_m
+        found = cleared(self._index, self._clearance_m, self._inside_goal(path), spacing_m)
         if found is None:
             if np.isfinite(self._cost_m):
                 return plan
@@ -302,10 +303,6 @@ class RouteSmoothing:
         self._cost_m = min(self._cost_m, self._cost_of(route))
         other = self.driven(plan, route) if self._moves_steps else self.with_route(plan, route)
         return other if other is not None and other.objective < plan.objective else plan
-
-    @property
-    def _spacing_m(self) -> float:
-        return FINEST * self._raster.spacing_m
 
     def _cost_of(self, route_m: Floats) -> float:
         return float(self._raster.legs_m(route_m[:-1], route_m[1:]).sum())

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from planopt.errors import A_FOLDER, InputError, path_of
 from planopt.files.compare import differences, in_words
-from planopt.files.tables import Column, Data, comparable, dataframe, write_tables
+from planopt.files.tables import Column, Data, comparable, dataframe, table_text
 from planopt.files.writing import replaced_results, strict_text, write_text, write_whole
 from planopt.problems.tasks import task_of
 
@@ -90,7 +90,8 @@ class Result(ABC):
         with replaced_results(path_of("folder", folder, A_FOLDER), self.task.files) as new:
             for name, arrays in files.arrays.items():
                 write_whole(new / name, partial(np.savez_compressed, allow_pickle=False, **arrays))
-            write_tables(new, files.tables)
+            for name, table in files.tables.items():
+                write_text(new / name, table_text(*table))
             record = {**files.data, "problem_file": self.task.tables(self.problem)}
             write_text(new / files.file, strict_text(record))
 

@@ -241,7 +241,9 @@ def _paired(
     known = [m for m in metrics if any(cell != MISSING for cell in cells[m])]
     if not known:
         return []
-    shown = [m for m in known if any(_differs(each.rows.get(m)) for each in settings[1:])]
+    rows = {m: [each.rows[m] for each in settings[1:] if m in each.rows] for m in known}
+    ends = "paired_difference", "difference_low", "difference_high"
+    shown = [m for m in known if any(getattr(row, end) for row in rows[m] for end in ends)]
     same = [metric_name(metric).words for metric in known if metric not in shown]
     intervals = [cell for m in shown for cell in cells[m][1:] if cell != MISSING]
     apart = sum(cell.endswith("*") for cell in intervals)
@@ -254,11 +256,6 @@ def _paired(
         table.append([*name, *(cells[metric][number] for metric in shown)])
     alike = textwrap.wrap(f"equal in all settings: {', '.join(same)}", WIDTH) if same else []
     return [*textwrap.wrap(title, WIDTH), *_in_blocks(table, len(names[0])), *alike, ""]
-
-
-def _differs(row: Row | None) -> bool:
-    """Return True if a metric differs from the first setting's on any seed."""
-    return row is not None and any((row.paired_difference, row.difference_low, row.difference_high))
 
 
 def _difference(row: Row | None) -> str:

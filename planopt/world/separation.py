@@ -38,7 +38,8 @@ def convex_pieces(polygon: shapely.Polygon) -> tuple[Floats, ...]:
     # stays convex (Hertel and Mehlhorn 1983: at most four times the minimum number of pieces). No
     # vertices are added, so pieces share whole edges.
     outline = _ring(polygon)
-    if not polygon.interiors and _is_convex(outline):
+    corners = zip(outline[-2:] + outline[:-2], outline[-1:] + outline[:-1], outline, strict=True)
+    if not polygon.interiors and all(_is_convex_turn(*corner) for corner in corners):
         return (_corners(outline),)
     triangles = [
         _ring(shapely.Polygon(triangle.exterior))
@@ -61,11 +62,6 @@ def _is_convex_turn(before: Vertex, at: Vertex, after: Vertex) -> bool:
     chord_x, chord_y = after[0] - before[0], after[1] - before[1]
     cross = chord_x * (before[1] - at[1]) - chord_y * (before[0] - at[0])
     return before != after and cross >= -FLAT_M * math.hypot(chord_x, chord_y)
-
-
-def _is_convex(ring: list[Vertex]) -> bool:
-    """Return whether the simple counter-clockwise `ring` is convex."""
-    return all(_is_convex_turn(ring[i - 2], ring[i - 1], vertex) for i, vertex in enumerate(ring))
 
 
 def _corners(ring: list[Vertex]) -> Floats:

@@ -185,11 +185,6 @@ def moving_count(discs: MovingDiscs) -> int:
     return min(MOVING_LINES, len(discs))
 
 
-def tail_count(discs: MovingDiscs, horizon: int) -> int:
-    """Return the number of lines for discs that move after the plan's end; 0 if none moves."""
-    return moving_count(discs) if discs.steps > horizon else 0
-
-
 def lines_about(
     problem: Problem, pieces: PackedPieces, discs: MovingDiscs, path_m: Floats, count: int
 ) -> SeparatingLines:

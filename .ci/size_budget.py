@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_378,
-    "lines of code": 51_927,
-    "files": 290,
-    "functions": 3_756,
-    "docstring lines": 7_508,
-    "lines of tests": 48_396,
+    "lines": 70_263,
+    "lines of code": 51_866,
+    "files": 281,
+    "functions": 3_748,
+    "docstring lines": 7_489,
+    "lines of tests": 48_400,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

@@ -13,6 +13,7 @@ from planopt.coverage.assignment import propagate_flags as propagate_flags
 from planopt.coverage.assignment import table_demand as table_demand
 from planopt.coverage.assignment import trade_off_demand as trade_off_demand
 from planopt.coverage.beliefs import Belief as Belief
+from planopt.coverage.beliefs import faulty_reading as faulty_reading
 from planopt.coverage.control.movers import Gains as Gains
 from planopt.coverage.control.movers import LawMover as LawMover
 from planopt.coverage.control.movers import RecedingMover as RecedingMover
@@ -38,7 +39,6 @@ from planopt.coverage.density import GaussianMixture as GaussianMixture
 from planopt.coverage.density import RasterDensity as RasterDensity
 from planopt.coverage.density import UniformDensity as UniformDensity
 from planopt.coverage.density import checked_mass as checked_mass
-from planopt.coverage.deploy import Deployer as Deployer
 from planopt.coverage.events import Event as Event
 from planopt.coverage.events import Sensing as Sensing
 from planopt.coverage.events import free_ring_places as free_ring_places
@@ -80,10 +80,10 @@ from planopt.coverage.network import inverted as inverted
 from planopt.coverage.network import minima_estimates as minima_estimates
 from planopt.coverage.network import minima_round as minima_round
 from planopt.coverage.network import running_round as running_round
+from planopt.coverage.optima import Deployer as Deployer
 from planopt.coverage.optima import best_deployment as best_deployment
 from planopt.coverage.optima import draw_start as draw_start
 from planopt.coverage.optima import settle as settle
-from planopt.coverage.outliers import faulty_reading as faulty_reading
 from planopt.coverage.simulation import ABSENT as ABSENT
 from planopt.coverage.simulation import NetworkController as NetworkController
 from planopt.coverage.simulation import NetworkRun as NetworkRun

@@ -31,12 +31,12 @@ from planopt.coverage.control.movers import (
     rolled_out,
 )
 from planopt.coverage.control.radio import radio_tree
-from planopt.coverage.deploy import Deployer
 from planopt.coverage.events import Event, Sensing, event_places, signals
 from planopt.coverage.geodesic import Ground
 from planopt.coverage.ground import neighbour_network
 from planopt.coverage.limits import Motion
 from planopt.coverage.network import Counting, LinkModel, Network, Tally, tally_step
+from planopt.coverage.optima import Deployer
 from planopt.errors import InputError
 
 ABSENT = -2

@@ -49,9 +49,8 @@ from planopt.planning.proof.searches import build_goal_grid
 from planopt.planning.refinement import Refinement, goal_value
 from planopt.planning.reservations import reserved_path
 from planopt.planning.scene import Scene, first_moves, retime
-from planopt.planning.search.global_search import GlobalSearch, GlobalStart
+from planopt.planning.search.global_search import Ahead, GlobalSearch, GlobalStart, find_pivot
 from planopt.planning.search.guess_search import Guess
-from planopt.planning.search.pivot import Ahead, find_pivot
 from planopt.planning.search.timed_search import TimedPath
 from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M
 from planopt.planning.values.context import Aim, StepContext, step_context

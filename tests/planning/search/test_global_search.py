@@ -22,8 +22,7 @@ from scenes import (
 from planopt.objectives.reach import outage_share
 from planopt.planning.plan import BEGINNING
 from planopt.planning.search import global_search
-from planopt.planning.search.global_search import FORBIDDEN, GlobalStart
-from planopt.planning.search.pivot import Ahead
+from planopt.planning.search.global_search import FORBIDDEN, Ahead, GlobalStart
 
 
 def found(problem, power_at=good_everywhere) -> GlobalStart:

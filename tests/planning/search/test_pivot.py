@@ -6,8 +6,13 @@ import shapely
 from scenes import small_problem
 
 from planopt.planning.scene import build_scene
-from planopt.planning.search.global_search import GlobalStart
-from planopt.planning.search.pivot import LATTICE_DETOUR, LOOKAHEAD_STEPS, Ahead, find_pivot
+from planopt.planning.search.global_search import (
+    LATTICE_DETOUR,
+    LOOKAHEAD_STEPS,
+    Ahead,
+    GlobalStart,
+    find_pivot,
+)
 from planopt.planning.tolerances import STEP_PAD_M
 from planopt.world import lattice_paths, route_from
 

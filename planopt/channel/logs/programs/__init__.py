@@ -1,1 +1,0 @@
-"""Declarations of the logs that known programs write, one module each."""

@@ -13,11 +13,11 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_263,
-    "lines of code": 51_866,
-    "files": 281,
+    "lines": 70_251,
+    "lines of code": 51_857,
+    "files": 279,
     "functions": 3_748,
-    "docstring lines": 7_489,
+    "docstring lines": 7_487,
     "lines of tests": 48_400,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""

@@ -1,4 +1,4 @@
-"""``planopt path``: the path of a saved plan or run for other programs."""
+"""``planopt path`` and ``report``: files for other programs, and the page of a saved result."""
 
 from pathlib import Path
 from typing import Annotated
@@ -52,4 +52,27 @@ def export_path(
     save_path(path, out, place, altitude)
     data = {"file": str(out), "robot": path.robot, "positions": len(path.t_s)}
     show(json, data, f"{out}: {len(path.t_s)} positions of {path.robot}")
+    return 0
+
+
+def report(result: ResultArgument, json: JsonOption = False) -> int:
+    """Write report.html next to a saved result: map, time slider, charts and tables."""
+    from planopt.files.writing import write_text
+    from planopt.report.page import PAGE_FILE, page_html
+    from planopt.report.page_content import comparison_page
+    from planopt.studies.comparison import Comparison
+    from planopt.tasks.calls import load_result
+
+    with progress("reading"):
+        found = load_result(result)
+    with progress("drawing"):
+        if isinstance(found, Comparison):
+            page = comparison_page(found)
+        else:
+            page = found.task.page(found)
+        file = (result if result.is_dir() else result.parent) / PAGE_FILE
+        write_text(file, page_html(page))
+    steps = 0 if page.map is None else len(page.map.times_s) - 1
+    data = {"file": str(file), "title": page.title, "steps": steps}
+    show(json, data, f"{file}: {page.title}")
     return 0

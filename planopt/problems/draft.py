@@ -15,9 +15,8 @@ from planopt.channel.channel_map import default_cell_m, measured_bounds_m
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.fit import fit_channel, floor_pile_dbm
 from planopt.channel.estimation.station_fit import MIN_UNCENSORED, fit_channel_and_station
-from planopt.channel.logs.column_names import alias
 from planopt.channel.logs.log_format import LogFormat, parse_station
-from planopt.channel.logs.log_table import LogTable
+from planopt.channel.logs.log_table import LogTable, alias
 from planopt.channel.logs.power_log import (
     FEWEST_READINGS,
     PowerLog,

@@ -15,8 +15,7 @@ import numpy as np
 
 from planopt.arrays import Floats, Mask
 from planopt.channel.logs.bag_messages import Recorded, read_messages
-from planopt.channel.logs.column_names import ALIASES
-from planopt.channel.logs.log_table import LogTable, fold
+from planopt.channel.logs.log_table import ALIASES, LogTable, fold
 from planopt.errors import InputError
 
 LONGEST_GAP_S, STANDING_M = 5.0, 1.0

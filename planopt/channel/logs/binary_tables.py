@@ -9,8 +9,7 @@ from itertools import count
 from pathlib import Path
 from typing import Any, cast
 
-from planopt.channel.logs.column_names import is_position
-from planopt.channel.logs.log_table import LogTable
+from planopt.channel.logs.log_table import LogTable, is_position
 from planopt.errors import InputError
 from planopt.files.reading import (
     LARGEST_BINARY_BYTES,

@@ -7,9 +7,8 @@ from pathlib import Path
 from planopt.channel.logs.bag_messages import is_recording
 from planopt.channel.logs.bag_table import read_recording
 from planopt.channel.logs.binary_tables import Ranked, read_parquet, read_sqlite, table_of_frame
-from planopt.channel.logs.column_names import alias
 from planopt.channel.logs.log_format import LogFormat
-from planopt.channel.logs.log_table import LogTable, fold, read_delimited
+from planopt.channel.logs.log_table import LogTable, alias, fold, read_delimited
 from planopt.channel.measurements import Frame
 from planopt.errors import InputError
 from planopt.parts import Registry

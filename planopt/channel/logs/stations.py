@@ -5,8 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from planopt.channel.logs.column_names import alias
-from planopt.channel.logs.log_table import Cell, LogTable
+from planopt.channel.logs.log_table import Cell, LogTable, alias
 from planopt.channel.logs.readers import read_table
 from planopt.channel.parameters import Station
 from planopt.errors import InputError, listed

@@ -13,11 +13,11 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_251,
-    "lines of code": 51_857,
+    "lines": 70_229,
+    "lines of code": 51_855,
     "files": 279,
-    "functions": 3_748,
-    "docstring lines": 7_487,
+    "functions": 3_749,
+    "docstring lines": 7_488,
     "lines of tests": 48_400,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""

@@ -226,10 +226,8 @@ ThresholdOption = Annotated[
 
 MOST_FOLDS = 10
 """Maximum number of folds; each fold holds out one or more groups."""
-
 SEED = 0
 """Random seed of the assignment of groups to folds."""
-
 NAME_WIDTH = 13
 """Width of the column of predictor names."""
 
@@ -376,7 +374,6 @@ def _words(ratio: dict[str, Any], form: str) -> str:
 FIT_FILE = "fit.json"
 FIT = (FIT_FILE, "fit.png", "fit_*.png", "held_out.png", "reliability.png")
 """Files of a fit, including figures."""
-
 STATUS_WORDS = {
     "ok": "the log determines all parameters",
     "weak": "a parameter is poorly determined or implausible",

@@ -38,12 +38,10 @@ TOLERANCES = {
 
 REPEATED = TOLERANCES | dict.fromkeys(("bound", "gap"), Tolerance(1e-3, 1e-3))
 """Tolerances of results whose bounds are proven anew by an iteration, not from a certificate."""
-
 ACCEPTED = frozenset(
     ("bound_wall_s", "iterations", "rung", "solve_s", "step_s", "termination", "wall_s")
 )
 """Keys of wall times, iteration counts, fallbacks and solver states, which are not recomputed."""
-
 TAKEN = frozenset(
     (
         *("aim", "blocked", "crossings", "drive", "explanation", "kkt_residual"),

@@ -24,13 +24,11 @@ KEYS: dict[DynamicsName, tuple[str, ...]] = {
     "unicycle": ("turn_rate_max_rad_s", "speed_min_m_s", "start_heading_rad"),
 }
 """Keys specific to each type of dynamics."""
-
 NEEDED: dict[DynamicsName, str] = {
     "double_integrator": "acceleration_max_m_s2",
     "unicycle": "turn_rate_max_rad_s",
 }
 """Key required by each type of dynamics."""
-
 LEAST_LIMIT = 1e-6
 """Minimum limit of acceleration (m/s^2) or turn rate (rad/s); solvers divide by its square."""
 

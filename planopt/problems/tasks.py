@@ -15,7 +15,6 @@ GROUP = "planopt.tasks"
 """Entry-point group of external tasks."""
 MOTION = ("reach", "track", "learn", "map", "connect", "custom")
 """Tasks of motion planning, which share their tables; the first one is the default."""
-
 OWN = {
     **dict.fromkeys(MOTION, "planopt.tasks.motion:TASK"),
     "coverage": "planopt.tasks.coverage:TASK",

@@ -46,7 +46,6 @@ LETTER_IN, HANDLE_IN, LINE_IN = 0.068, 0.6, 0.19
 """Widths of a legend's character and handle and height of a line, in inches."""
 DPI = 110
 """Resolution of pixel formats in dpi."""
-
 UNDATED: dict[str, dict[str, None]] = {
     ".png": {},
     ".svg": {"Date": None},

@@ -96,13 +96,11 @@ UNITS = {
 
 BANDS = {"nis": ("nis_low", "nis_high", "range of 95 % of consistent filters")}
 """Metrics with an expected range: names of the metrics of both bounds, and a description."""
-
 SYMBOLS = {
     "trace_p": "P: covariance of the target position that the station estimates",
     "log_det_m": "M: covariance of the estimated path loss parameters θ",
 }
 """Explanations of symbols, by a metric whose name contains the symbol."""
-
 BAND_ENDS = {end: metric for metric, (*ends, _) in BANDS.items() for end in ends}
 """Metrics that are bounds of another metric's range, and so have no column of their own."""
 

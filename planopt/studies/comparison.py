@@ -48,7 +48,6 @@ COMPARISON = (
     *("comparison.png", "reliability.png", "traces.png", "report.html"),
 )
 """Names of all files of a comparison, including figures."""
-
 MACHINE = frozenset(("program", "python", "machine"))
 """Keys of the manifest that describe the software and the machine."""
 

@@ -284,7 +284,6 @@ BACKENDS: Mapping[str, Callable[..., Iterator[Any]]] = {
     "ray": _on_ray,
 }
 """Backends by name: ``loky`` for this machine, others for the package that manages a cluster."""
-
 PACKAGES = {"dask": "distributed", "ray": "ray"}
 """Package that a backend requires in addition to joblib."""
 

@@ -67,7 +67,6 @@ BINDING_WORDS = {
     "capture_radius": "the capture radius",
 }
 """Descriptions of the active constraints in text."""
-
 SYMBOLS = {words for words in REQUIREMENT_WORDS if words[:2] in ("y ", "a ")}
 """Requirements whose descriptions contain the symbols a, x or y."""
 ACTIVE = 1e-6

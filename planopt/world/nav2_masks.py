@@ -25,7 +25,6 @@ NAV2_FILES = (
     LAUNCH,
 )
 """Names of all files that belong to the masks."""
-
 FREE, OCCUPIED = 254, 0
 """Grey values of free and of occupied cells."""
 HEAVIEST = 99

@@ -155,7 +155,6 @@ def _with_line(
 
 WEAK_SHARE = 0.5
 """Relative standard error above which a parameter is poorly determined."""
-
 WORDS: dict[str, tuple[str, str]] = {
     "n_pl": ("path loss exponent n_PL", ""),
     "shadow_std_db": ("deviation of shadowing", "dB"),

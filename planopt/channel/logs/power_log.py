@@ -24,7 +24,6 @@ from planopt.world.geodesy import (
 
 RANGES_M = ((-LARGEST_COORDINATE_M, LARGEST_COORDINATE_M, "m"),) * 2
 """Range and unit of x and of y in metres."""
-
 RANGES_DEG = (
     (-LARGEST_LONGITUDE_DEG, LARGEST_LONGITUDE_DEG, "degrees"),
     (-LARGEST_LATITUDE_DEG, LARGEST_LATITUDE_DEG, "degrees"),

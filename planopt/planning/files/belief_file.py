@@ -187,13 +187,8 @@ def _read_station(path: Path, prefix: str, arrays: Arrays) -> SavedBelief:
         if stored.name not in arrays:
             raise fault(stored.name, "is missing")
         found = arrays[stored.name]
-        wanted = [count if size == "n" else size for size in stored.shape]
-        fits = found.ndim == len(wanted) and all(
-            size in (None, own) for size, own in zip(wanted, found.shape, strict=True)
-        )
-        if not fits or found.dtype.kind not in stored.kind:
-            message = f"an array of shape {found.shape} and type {found.dtype} does not fit"
-            raise fault(stored.name, message)
+        sizes = [count if size == "n" else size for size in stored.shape]
+        _require_fit(path, prefix + stored.name, found, stored.kind, sizes)
         if not ((found >= stored.least) & (found <= stored.largest)).all():
             raise fault(stored.name, f"has a number outside {stored.least:g} to {stored.largest:g}")
     numbers = arrays["parameters"].tolist()
@@ -218,6 +213,18 @@ def _read_station(path: Path, prefix: str, arrays: Arrays) -> SavedBelief:
         known_before_step=known,
         arrays=arrays,
     )
+
+
+def _require_fit(
+    path: Path, key: str, array: NDArray[Any], kinds: str, sizes: Sequence[object]
+) -> None:
+    """Raise an `InputError` unless an array has one of these kinds and sizes; None is any size."""
+    fits = array.ndim == len(sizes) and all(
+        size in (None, own) for size, own in zip(sizes, array.shape, strict=True)
+    )
+    if not fits or array.dtype.kind not in kinds:
+        message = f"an array of shape {array.shape} and type {array.dtype} does not fit"
+        raise InputError(message, file=path, key=key, remedy=REMEDY)
 
 
 BOUND_FILE = "bound.npz"
@@ -266,14 +273,8 @@ def _certificate(path: Path, arrays: Arrays, number: int) -> Potential | Tilts |
             key = f"{number}_{name}"
             if key not in arrays:
                 raise InputError("the array is missing", file=path, key=key, remedy=REMEDY)
-            array = arrays[key]
-            fits = array.ndim == len(sizes) and all(
-                size in (None, own) for size, own in zip(sizes, array.shape, strict=True)
-            )
-            if not fits or array.dtype.kind not in kind or not array.size:
-                message = f"an array of shape {array.shape} and type {array.dtype} does not fit"
-                raise InputError(message, file=path, key=key, remedy=REMEDY)
-            found[name] = array.astype(np.float64 if kind == "f" else np.intp)
+            _require_fit(path, key, arrays[key], kind if arrays[key].size else "", sizes)
+            found[name] = arrays[key].astype(np.float64 if kind == "f" else np.intp)
         if made is Tilts:
             found |= {"levels": int(found["levels"]), "value": float(found["value"])}
         return made(**found)

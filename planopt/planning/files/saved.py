@@ -65,7 +65,6 @@ PLAN_OR_RUN = (
     "report.html",
 )
 """Files of a plan or run, including figures; a folder contains either a plan or a run."""
-
 FORMAT = 3
 """Version of ``plan.json`` and ``run.json``."""
 HALF_PAIR = re.compile(r"\\u[dD][89a-fA-F]")

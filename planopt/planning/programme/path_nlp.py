@@ -43,7 +43,6 @@ Method = Literal["ipopt", "scp"]
 """Interior-point method, or sequential convex programming."""
 METHODS: dict[str, Method] = {"auto": "ipopt", "nlp": "ipopt", "scp": "scp"}
 """Solution method of each planner that refines guesses."""
-
 CURVATURE: dict[Structure, Callable[[int], int]] = {
     "stagewise": lambda n: 3 * n,
     "chain": lambda n: 7 * n - 4,

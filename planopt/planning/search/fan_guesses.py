@@ -78,12 +78,10 @@ HEADINGS = 16
 """Number of directions of the fan."""
 TURNS_RAD = (0.0, 0.5, -0.5, 1.0, -1.0)
 """Total turns of the fan's paths as multiples of pi, spread evenly over the steps."""
-
 ASIDE_RAD = tuple(
     side * turn for turn in (0.0, 0.4, 0.8, 1.2, 1.6, 2.2, 2.8) for side in (1.0, -1.0)
 )[1:]
 """Turns to try at a blocked step, smallest first."""
-
 SAMPLES = (0.5, 1.0)
 """Positions along a step at which the raster is read, as fractions of the step."""
 

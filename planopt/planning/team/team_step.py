@@ -43,14 +43,12 @@ from planopt.world.moving_discs import NOTHING_MOVES, MovingDiscs
 
 Steer = Callable[[StepContext], SteeringPath | None]
 """Function that maps a step context to the robot's steering path."""
-
 STEERINGS: Mapping[Steers, Callable[[Problem, Ground, Any], Any]] = {
     "variance": Steering,
     "connection": ConnectionSteering,
     "goal": GoalSteering,
 }
 """Classes that find the steering path of a term, constructed from problem, ground and term."""
-
 PlanOne = Callable[[int, MovingDiscs, Floats, Mapping[int, Plan]], Plan]
 """Function that plans for one robot: number, moving discs, reservation, earlier plans."""
 

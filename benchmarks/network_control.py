@@ -201,7 +201,7 @@ def failures(first_seed: int, runs: int, agents: int) -> dict[str, list[float]]:
                 Motion(each.places_m[there], each.velocities_m_s[there], each.headings_rad[there])
                 for each in (now, decided.motion)
             )
-            contacts += len(verify_moves(scene.ground.free, before, after, problem.given.limits))
+            contacts += len(verify_moves(scene.ground.free, before, after, problem.config.limits))
         excluded = set(np.flatnonzero(decided.beliefs[0].excluded.any(axis=0)).tolist())
         found_faulty[kind] += broken in excluded
         wrongly += len(excluded - {broken})

@@ -48,7 +48,7 @@ def escaped(line: str) -> str:
 
 
 def require_text(text: str, what: str) -> None:
-    """Raise an InputError if UTF-8 cannot encode `text`, as for a file name with invalid bytes."""
+    """Raise an InputError if UTF-8 cannot encode `text`, e.g. a file name with invalid bytes."""
     try:
         text.encode()
     except UnicodeEncodeError:
@@ -58,7 +58,7 @@ def require_text(text: str, what: str) -> None:
 
 
 def path_of(key: str, value: Any, remedy: str) -> Path:
-    """Return a file path supplied by the user; raise an InputError for one that is not valid."""
+    """Return the user's file path; raise an InputError if it is invalid."""
     try:
         return Path(value)
     except TypeError:
@@ -66,7 +66,7 @@ def path_of(key: str, value: Any, remedy: str) -> Path:
 
 
 def listed(names: Iterable[str]) -> str:
-    """Return the first names, and the number of the others, as text for a message."""
+    """Return text for a message: the first names and the number of further names."""
     known = list(names)
     shown = ", ".join(_cut(name, LONGEST_WORD // 5) for name in known[:LISTED])
     more = len(known) - LISTED
@@ -90,7 +90,7 @@ _PREDICATE = re.compile(
 
 
 def _sentence(where: list[str], message: str) -> str:
-    """Return location and message as text; the location supplies a message's missing subject."""
+    """Return location and message as one sentence; the location may be the message's subject."""
     if where and _PREDICATE.match(message):
         *before, subject = where
         words = f"{subject} {message}"

@@ -167,7 +167,7 @@ def shown(value: object) -> str:
     try:
         return reprlib.repr(value)
     except ValueError:  # Python refuses to print integers with thousands of digits
-        return "a huge number"
+        return "an integer that is too large"
 
 
 def nearest(word: str, known: Sequence[str]) -> str:
@@ -186,7 +186,7 @@ def _sorted_words(key: str) -> str:
 
 
 def _allowed(fault: ErrorDetails, field: FieldInfo | None) -> str:
-    """Return the values that a faulty key allows, as text for the message."""
+    """Return text on the values that a faulty key allows."""
     kind = fault["type"]
     if kind in _RANGE_TYPES and field is not None and (bounds := _bounds_of(field)):
         words = {"gt": "more than", "ge": "at least", "lt": "less than", "le": "at most"}
@@ -216,7 +216,7 @@ _LIMITS = {"greater_than": "gt", "greater_than_equal": "ge", "less_than": "lt"}
 
 
 def _within(fault: ErrorDetails, field: FieldInfo) -> str:
-    """Return an example and the meaning of a number that is out of range."""
+    """Return a valid example and the key's meaning for a number out of range."""
     bounds = _bounds_of(field)
     limit = _LIMITS.get(fault["type"], "le")
     # Elements of an array have their own limits.
@@ -435,7 +435,7 @@ class Part(metaclass=Documented):
 
     @classmethod
     def of_keys(cls, table: Any) -> dict[str, Any]:
-        """Return the field values in a validated table; subclasses add the remaining fields."""
+        """Return the field values in a validated table, for subclasses to complete."""
         names = (each.name for each in fields(cls) if each.name not in cls.not_keys)
         return {name: getattr(table, name) for name in names}
 

@@ -57,7 +57,7 @@ def _is_import(frame: FrameType) -> bool:
 
 
 def _hint(package: str, name: str) -> str:
-    """Return the end of a message: the location of a name, or the most similar name."""
+    """Return a hint for a message: the location of a name, or the most similar name."""
     if name.startswith("_"):
         return ""
     import difflib

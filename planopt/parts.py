@@ -23,7 +23,7 @@ Part = TypeVar("Part")
 
 
 def part_of(key: str, value: object, kind: type[Part], remedy: str | None = None) -> Part:
-    """Return `value` if it is of the required type, else raise an InputError."""
+    """Return `value` if it has the required type; raise an InputError otherwise."""
     if not isinstance(value, kind):
         words = f"give {kind.__name__}(...)" if remedy is None else remedy
         got = (
@@ -63,7 +63,7 @@ def require_name(name: object, of: str, taken: Collection[str] = (), *, key: str
 
 
 class Registry:
-    """Parts that problem files can name: built-in, registered in this process, or from packages."""
+    """Registry of parts by name: built-in, registered in this process, or from packages."""
 
     def __init__(self, of: str, key: str, own: Mapping[str, Any], group: str = "") -> None:
         self.of, self.key, self.group = of, key, group

@@ -32,7 +32,7 @@ def plain(value: Any) -> Any:
 
 
 def make_plain(data: Any, *files: str) -> None:
-    """Convert the fields of a frozen dataclass to plain values, and those in `files` to paths."""
+    """Convert the fields of a frozen dataclass to plain values, or to paths if in `files`."""
     for part in fields(data):
         if not part.init:
             continue

@@ -185,13 +185,13 @@ def test_a_path_may_be_a_list(base) -> None:
         {"achieved": lambda self, p, history: p},
         {"achieved": lambda self, p: 1.0},
         {"achieved": lambda self, p, history: history.x},
-        {"asked": lambda self, p_min: "much"},
-        {"asked": lambda self, p_min: self.nowhere},
+        {"requirement": lambda self, p_min: "much"},
+        {"requirement": lambda self, p_min: self.nowhere},
         {"achieved": lambda self, p, history: p.sum(axis=-1)},
         {"achieved": lambda self, p, history: -p.mean(axis=-1)},
         {"achieved": lambda self, p, history: p.mean(axis=-1) * np.nan},
         {"achieved": lambda self, p, history: 1.0 - p.mean(axis=-1)},
-        {"asked": lambda self, p_min: 1.0 + p_min},
+        {"requirement": lambda self, p_min: 1.0 + p_min},
     ],
 )
 def test_wrong_methods_of_a_rule(base, methods) -> None:
@@ -208,9 +208,9 @@ def test_a_rule_may_count_something_else(base) -> None:
     own_class(
         OwnRule,
         achieved=lambda self, p, history: p.sum(axis=-1),
-        asked=lambda self, p_min: 1.5,
+        requirement=lambda self, p_min: 1.5,
         unit="steps",
-        asks_p_min=False,
+        uses_p_min=False,
     )
     rule = planopt.ConnectivityRule("wrong")
     plan = solve(replace(base, constraints=replace(base.constraints, rule=rule)), seed=0).plan
@@ -457,7 +457,7 @@ MISTAKES = [
     (lambda _, v: CasadiMap(**{**MAP, **v}), MAPS),
     (with_map, (X + U / 0, X + U * ca.sqrt(U[0]), X + U + 0.5)),
     (with_truth, TRUTHS),
-    (rule_named, ({"asks_p_min": False}, {})),
+    (rule_named, ({"uses_p_min": False}, {})),
     (mapped, ({0: "belief"}, {1: 3}, {2: "1"}, {3: None}, {2: True})),
     (lambda _, v: casadi_term(v, 2), (3.0, ca.SX.sym("x"))),
     (lambda _, v: casadi_term(v, 2), (lambda path: path.nowhere,)),

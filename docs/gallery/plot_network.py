@@ -43,7 +43,7 @@ animate_network(picture(leak), moving)
 # any horizon are the laws with the speed clipped, one curve. With 0.25 m/s^2 agents are slower, and
 # a plan that sees its braking ahead is ahead of one that sees the next step alone.
 content = planopt.load("coverage_plain")
-agents = content.given.agents
+agents = content.config.agents
 limit = {"speed_max_m_s": 2.0}
 runs = {}
 for word, more, planner, horizon in (
@@ -52,13 +52,13 @@ for word, more, planner, horizon in (
     ("1 step, acceleration limit", {"acceleration_max_m_s2": 0.25}, "receding", 1),
     ("10 steps, acceleration limit", {"acceleration_max_m_s2": 0.25}, "receding", 10),
 ):
-    control = content.given.control.model_copy(
+    control = content.config.control.model_copy(
         update={"duration_s": 60.0, "stop_when_settled": False}
     )
-    given = content.given.model_copy(
+    config = content.config.model_copy(
         update={"agents": agents.model_copy(update=limit | more), "control": control}
     )
-    changed = replace(content, given=given)
+    changed = replace(content, config=config)
     run = planopt.simulate(changed, planner=planner, horizon=horizon, seed=3).value
     runs[word] = run
     print(f"{word}: mean H {run.costs.mean():.5g}, last {run.costs[-1]:.5g}")

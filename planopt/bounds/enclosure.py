@@ -127,7 +127,7 @@ class PowerModel:
         return value, (-slope / variance**2).T, 1.0 / least
 
     def probability(self, threshold_dbm: float) -> Array:
-        """Return P(power >= threshold) at the centre of each disc; (n,)."""
+        """Return P(power >= threshold) at the centre of each disc as an array (n,)."""
         return ndtr((self.mean_db - threshold_dbm) / np.sqrt(self.variance_db2))
 
     def _largest_probability(self, threshold_dbm: float) -> Array:

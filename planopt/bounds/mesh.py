@@ -72,7 +72,7 @@ class Mesh:
 
 
 def sides_of(corners: Indices) -> Indices:
-    """Return the sides of triangles (t, 3) as pairs of end nodes; (3 t, 2)."""
+    """Return the sides of triangles (t, 3) as pairs of end nodes as an array (3 t, 2)."""
     return np.vstack([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [0, 2]]])
 
 

@@ -80,7 +80,7 @@ def best_place(problem: StageProblem, seconds: float) -> BestPlace:
 
 
 def best_of(problem: StageProblem, places_m: Array, makers: Makers) -> tuple[Array, float]:
-    """Return the best of positions (n, 2), each moved within reach, and its value, or -inf."""
+    """Return the best position and its value after moving positions (n, 2) within reach."""
     moves = places_m - problem.start_m
     longest = np.maximum(np.hypot(*moves.T), problem.step_m)
     places = problem.start_m + moves * (problem.step_m / longest)[:, None]

@@ -36,7 +36,7 @@ class PairedSteps:
         longest_m: float,
         costs: tuple[float, float, float],
     ) -> PairedSteps:
-        """Return the pairs of cells of a level; `costs`: per metre, per move, standstill length."""
+        """Return a level's cell pairs; `costs` are per metre, per move, and standstill length."""
         cells = np.vstack(active)
         corner = cells.min(axis=0, initial=0)
         rows, columns = (cells.max(axis=0, initial=0) + 1 - corner).tolist()
@@ -63,7 +63,7 @@ class PairedSteps:
         return cls(active, corner, (rows, columns), pairs)
 
     def best(self, stage: int, values: Array, *, ahead: bool) -> Array:
-        """Return the best sum of a pair and of the value of the cell at its other end.
+        """Return, for each cell, the largest sum of a pair's reward and its other cell's value.
 
         With `ahead`, values are those of the stage before `stage` and the result is for `stage`;
         otherwise the reverse.
@@ -79,5 +79,5 @@ class PairedSteps:
 
 
 def _shifted(size: int, by: int) -> slice:
-    """Return the slice of a line of `size` places whose places, less `by`, are on the line too."""
+    """Return the slice of indices below `size` that stay in range after subtracting `by`."""
     return slice(max(by, 0), size + min(by, 0))

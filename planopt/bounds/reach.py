@@ -28,7 +28,7 @@ def why_unbounded(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> s
 
 
 def why_not_enclosed(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> str:
-    """Return the reason why the first robot's probabilities or moves have no bounds, else ""."""
+    """Return the reason why the first robot's probabilities or moves are unbounded, else ""."""
     if problem.constraints.rule.parameter_uncertainty != "path_loss":
         return "no bound is implemented for constraints.parameter_uncertainty = all"
     if any((posterior.measurements.receiver != 0).any() for posterior in posteriors):

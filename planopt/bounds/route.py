@@ -151,7 +151,7 @@ def route_bounds(problem: RouteProblem, seconds: float) -> Iterator[RouteBound]:
 
 
 def _refined(corners: Indices, gain: Array, loose: Array, count: int, nodes: int) -> Indices:
-    """Return about `count` triangles to refine: those of large gain, then loose ones nearby."""
+    """Return about `count` triangles to refine: first by gain, then loose ones nearby."""
     order = np.argsort(-gain)
     reached = np.cumsum(gain[order]) < SCORE_SHARE * float(gain.sum())
     enough = int(np.count_nonzero(reached)) + 1
@@ -166,7 +166,7 @@ def _refined(corners: Indices, gain: Array, loose: Array, count: int, nodes: int
 
 
 def verified_value(problem: RouteProblem, potential: Potential) -> float:
-    """Return the bound in metres that a potential proves, certified without a solver; 0 if none."""
+    """Return the bound in metres that a potential proves, without a solver; 0 without proof."""
     nodes_m, corners = potential.nodes_m, potential.corners
     arrays = (nodes_m, potential.at_nodes, potential.at_sides)
     is_whole = (
@@ -242,7 +242,7 @@ def _touches_goal(problem: RouteProblem, nodes_m: Array, corners: Indices) -> Ma
 
 
 def _largest(area: Array, corners: Indices, chosen: Mask, room: int) -> Indices:
-    """Return the largest chosen triangles, so few that refinement adds at most `room` triangles."""
+    """Return the largest chosen triangles whose refinement adds at most `room` triangles."""
     order = np.argsort(np.where(chosen, -area, 0.0))
     return corners[order[: min(int(chosen.sum()), max(1, room // 3))]]
 
@@ -254,7 +254,7 @@ def _known_costs(
     mesh: Mesh,
     corners: Indices,
 ) -> tuple[Mask, Array, Array]:
-    """Return a mask (t,) of the open triangles, and their :func:`metre_costs`, by a cache."""
+    """Return a mask (t,) of the open triangles, and their cached :func:`metre_costs`."""
     keys = [tuple(row) for row in corners.tolist()]
     new = np.array([k for k, key in enumerate(keys) if key not in mesh.known], dtype=np.intp)
     if len(new):
@@ -347,7 +347,7 @@ def _best_potential(
 
 
 def _certified_value(potential: Potential, is_open: Mask, cost: Array, at_goal: Mask) -> float:
-    """Return the bound that a potential proves for corner costs (t, 3); 0 if it proves none."""
+    """Return the bound that a potential proves for corner costs (t, 3); 0 without proof."""
     unknown, *slopes = _slopes(potential.nodes_m, potential.corners)
     values = np.concatenate([potential.at_nodes, potential.at_sides])[unknown[is_open]]
     with np.errstate(all="ignore"):

@@ -45,7 +45,7 @@ MOST_MEASUREMENTS = 1000
 
 @dataclass(frozen=True, eq=False)
 class SummedTerms:
-    """Bounds of all terms of a robot's objective, or the reason why there are none."""
+    """Bounds of all terms of a robot's objective, or the reason for missing bounds."""
 
     each: tuple[tuple[float, StageBounds], ...] = ()  # Weights and bounds
     reason: str = ""
@@ -164,7 +164,7 @@ def quantity_makers(
 
 
 def or_nothing(make: Callable[[Discs], UpperBounds], discs: Discs) -> UpperBounds:
-    """Return the upper bounds of `make` over discs, also if there are no discs."""
+    """Return the upper bounds of `make` over discs; empty without discs."""
     return make(discs) if len(discs.centre_m) else constant_bounds(discs, 0.0)
 
 

@@ -107,7 +107,7 @@ class Level:
     cut: list[tuple[Indices, Array]]
 
     def offsets_m(self, stage: int) -> Array:
-        """Return the centres of the active cells relative to the start; (n, 2)."""
+        """Return the centres of the active cells relative to the start as an array (n, 2)."""
         return (self.active[stage].astype(np.float64) + 0.5) * self.side_m
 
 
@@ -164,7 +164,7 @@ def untilted(problem: StageProblem) -> Tilt:
 
 
 def kept_cells(level: Level, through: Sequence[Array], limit: float) -> list[Cells]:
-    """Return the cells of the next level: quarters of those whose bound exceeds `limit`."""
+    """Return the next level's cells: the quarters of cells whose bound exceeds `limit`."""
     return [
         divided(level.problem, cells[~(bound <= limit)], 0.5 * level.side_m, stage)
         for stage, (cells, bound) in enumerate(zip(level.active, through, strict=True), 1)
@@ -184,7 +184,7 @@ def first_cells(problem: StageProblem) -> list[Cells]:
 
 
 def divided(problem: StageProblem, cells: Cells, side: float, stage: int) -> Cells:
-    """Return those quarters of `cells`, with sides of length `side`, that a path may contain."""
+    """Return the quarters of `cells`, with sides `side`, that a feasible path may visit."""
     quarters = np.array([[0, 0], [0, 1], [1, 0], [1, 1]])
     return open_cells(problem, (2 * cells[:, None] + quarters).reshape(-1, 2), side, stage)
 

@@ -38,7 +38,7 @@ class GroupedRatio:
     high: float
 
     def share(self) -> GroupedRatio:
-        """Return the ratio with the upper end of its interval clipped to one."""
+        """Return the ratio as a share: the upper end of its interval is at most one."""
         return GroupedRatio(self.value, self.low, min(self.high, 1.0))
 
     def root(self) -> GroupedRatio:
@@ -63,7 +63,7 @@ def grouped_ratio(numerators: Floats, denominators: Floats) -> GroupedRatio:
     groups, total = len(numerators), float(denominators.sum())
     if groups < 2 or total <= 0.0:
         raise InputError(
-            f"an interval cannot be computed from {groups} groups with a total weight of {total:g}",
+            f"the interval is undefined for {groups} groups with a total weight of {total:g}",
             remedy="give at least two groups with a positive weight",
         )
     ratio = float(numerators.sum()) / total
@@ -115,7 +115,7 @@ def reliability(
     if not predicted.shape == realised.shape == group_of.shape:
         raise InputError(
             f"there are {predicted.size} predictions, {realised.size} outcomes and "
-            f"{group_of.size} group labels; their numbers must be equal"
+            f"{group_of.size} group labels; these numbers should be equal"
         )
     bins: list[ReliabilityBin] = []
     for low, high in pairwise(EDGES):

@@ -117,7 +117,7 @@ class TileMap:
         return trend.reshape(*self.mean_db.shape, 2)
 
     def _mark(self, posterior: ChannelPosterior, wanted: Mask) -> tuple[Indices, Indices]:
-        """Return the tiles that one new measurement affects, with its index for each tile."""
+        """Return the tiles affected by one new measurement, with the measurement's index."""
         # All other affected tiles are marked dirty.
         measured, last = posterior.measurements, self._last
         before = 0 if last is None else len(last.measurements)
@@ -185,7 +185,7 @@ class TileMap:
         tiles: Indices,  # (k,)
         newcomers: Indices,  # (k,)
     ) -> None:
-        """Put the new measurement of each tile in place of the tile's farthest measurement."""
+        """Replace each tile's farthest measurement by its new measurement."""
         # Removing measurement j from P = U^-1 subtracts w w' with w = P e_j / sqrt(P_jj). Adding
         # one with covariance c to the others adds v v' with v = [1; -P c] / sqrt(delta), delta its
         # variance given the others. The kriging terms change along the same directions.

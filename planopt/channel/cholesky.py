@@ -31,7 +31,7 @@ PUT_ROWS = 64
 
 
 def lower_factor(matrix: Floats) -> Floats:
-    """Return the lower Cholesky factor L of a positive definite `matrix` = L L'; (n, n)."""
+    """Return the lower Cholesky factor L (n, n) of a positive definite `matrix` = L L'."""
     return np.tril(_half_factor(matrix, overwrite=False))
 
 
@@ -75,7 +75,7 @@ def solve_lower(lower: Floats, right: Floats) -> Floats:
 
 
 def lower_inverse(lower: Floats) -> Floats:
-    """Return the inverse of a lower triangular matrix in Fortran order; (n, n)."""
+    """Return the inverse of a lower triangular matrix in Fortran order as an array (n, n)."""
     inverted, info = INVERT_LOWER(lower, lower=1)
     if info != 0:
         raise AssertionError("a Cholesky factor has no zero on its diagonal")
@@ -122,7 +122,7 @@ def symmetric_product(half: Floats, columns: Floats) -> Floats:
 
 
 def inverse(lower: Floats) -> Floats:
-    """Return the symmetric inverse of L L' for a lower triangular L; (n, n)."""
+    """Return the symmetric inverse of L L' for a lower triangular L as an array (n, n)."""
     if not len(lower):
         # LAPACK prints a warning for an empty matrix.
         return np.zeros_like(lower)

@@ -134,7 +134,7 @@ def above_thresholds_db(
 
 
 def any_margin_db(above_db: Floats, deviation_db: Floats, p_min: float) -> Floats:
-    """Return the common rise (n,) of the thresholds that makes P(connected to any) = `p_min`."""
+    """Return the common threshold increase (n,) for which P(connected to any) = `p_min`."""
     wanted = bound_quantile(p_min)
     shared = bound_quantile(-math.expm1(math.log1p(-p_min) / len(above_db)))
     low: Floats = (above_db - wanted * deviation_db).max(axis=0)
@@ -160,7 +160,7 @@ def any_margin_db(above_db: Floats, deviation_db: Floats, p_min: float) -> Float
 
 @dataclass(frozen=True, eq=False)
 class KnownPower:
-    """Lower and upper bounds of the power where readings decide whether a robot connects."""
+    """Lower and upper bounds of the power where readings determine the connection."""
 
     rows: Indices  # (k,) indices of the positions
     # (k,) bounds of the power; equal for an exact reading, minus infinity for a censored one
@@ -178,7 +178,7 @@ class KnownPower:
 
 
 def known_power(station: ChannelPosterior, positions_m: Floats, threshold_dbm: float) -> KnownPower:
-    """Return power bounds at those of positions (n, 2) where readings agree (equation 3.12)."""
+    """Return power bounds at positions, out of (n, 2), with consistent readings (equation 3.12)."""
     places, read = station.index.within(positions_m, SAME_PLACE_M)
     least, most = _power_bounds_dbm(station, read)
     rows, first = np.unique(places, return_index=True)
@@ -216,7 +216,7 @@ class ConnectivityLaw:
         return serving_prediction(powers, self.thresholds_dbm, self.p_min)
 
     def known(self, positions_m: Floats) -> list[KnownPower]:
-        """Return, for each station, the power that readings determine at positions (n, 2)."""
+        """Return each station's power at positions (n, 2) where readings determine it."""
         return [
             known_power(station, positions_m, threshold)
             for station, threshold in zip(self.posteriors, self.thresholds_dbm, strict=True)
@@ -246,7 +246,7 @@ class ConnectivityLaw:
         ]
 
     def predicted(self, positions_m: Floats, predict: Predictor = predict) -> Prediction:
-        """Return the predicted serving power, smooth because readings do not replace it."""
+        """Return the predicted serving power, a smooth function of position without readings."""
         return self.combined([predict(station, positions_m) for station in self.posteriors])
 
     def power(self, positions_m: Floats, predict: Predictor = predict) -> Prediction:
@@ -347,7 +347,7 @@ def mixture_quantile_dbm(weights: Floats, parts: list[Prediction], p_min: float)
 def connected_to_any(
     posteriors: Sequence[ChannelPosterior], positions_m: ArrayLike, threshold_dbm: float
 ) -> Floats:
-    """Return P(power >= threshold from at least one of independent stations); ``(n,)``.
+    """Return P(power >= threshold from at least one of independent stations) as an array ``(n,)``.
 
     Parameters
     ----------

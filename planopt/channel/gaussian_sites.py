@@ -73,7 +73,7 @@ def truncated_normal(upper: Floats, width: Floats) -> TruncatedNormal:
 
 
 def _half_line(upper: Floats) -> TruncatedNormal:
-    """Return mean and variance of standard normal variables, given that they are <= `upper`."""
+    """Return mean and variance of standard normal variables truncated above at `upper`."""
     hazard = np.sqrt(2.0 / np.pi) / np.asarray(erfcx(-np.sqrt(0.5) * upper), dtype=np.float64)
     return TruncatedNormal(
         np.asarray(log_ndtr(upper), dtype=np.float64), -hazard, 1.0 - hazard * (upper + hazard)

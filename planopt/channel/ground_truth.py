@@ -257,7 +257,7 @@ def multipath_field_db(
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """Measured powers, and the reach within which the nearest power is the ground truth."""
+    """Measured powers; the nearest power within a reach is the ground truth."""
 
     measured: Measurements
     within_m: float
@@ -267,7 +267,7 @@ class Readings:
         return PlaceTree(self.measured.positions_m)
 
     def nearest(self, places_m: Floats) -> tuple[Indices, Mask]:
-        """Return the row of the reading nearest to each place (n, 2), and if it is in reach."""
+        """Return the nearest reading to each position (n, 2), and a mask of readings in reach."""
         rows, away_m = self._tree.nearest(places_m, 1)
         return rows[:, 0], away_m[:, 0] <= self.within_m
 
@@ -309,7 +309,7 @@ def raster_truth(
     multipath: Multipath | None,
     generator: np.random.Generator,
 ) -> Truth:
-    """Return the ground truth from a map of path gains, for example a ray tracer's.
+    """Return the ground truth from a map of path gains, such as the output of a ray tracer.
 
     Parameters
     ----------

@@ -49,7 +49,7 @@ days held out, this raises the RMSE of the channel itself from 6.48 to 6.53 dB."
 def predictors_of(
     fit: Callable[[Measurements], ChannelFit],
 ) -> Callable[[Measurements], dict[str, Predictor]]:
-    """Return a function that learns all predictors to compare from training measurements.
+    """Return a function that learns all compared predictors from training measurements.
 
     The predictors are the fitted channel, path loss alone and the baselines; `fit` is called once.
     """
@@ -279,7 +279,7 @@ def held_out_report(
     data = as_measurements(measurements)
     if groups.shape != (len(data),):
         raise InputError(
-            f"has {groups.size} labels for {len(data)} measurements; their numbers must be equal",
+            f"has {groups.size} labels, should have one for each of {len(data)} measurements",
             key="groups",
         )
     threshold = float(np.median(data.power_dbm)) if threshold_dbm is None else threshold_dbm
@@ -336,7 +336,7 @@ def part_between(
     low: float,
     high: float,
 ) -> Floats:
-    """Return the share (n,) of each PIT value in [low, high); the last interval includes 1."""
+    """Return the share (n,) of each PIT value in [low, high), or in [low, 1] if `high` is 1."""
     inside = (pit >= low) & ((pit < high) | (high >= 1.0))
     below = np.clip(pit, low, high) - low
     # A PIT of 0 lies entirely in the first interval.
@@ -349,7 +349,7 @@ def held_out_predictions(
     fold_of: Indices,  # (n,)
     learn: Callable[[Measurements], Mapping[str, Predictor]],
 ) -> dict[str, Prediction]:
-    """Predict every measurement by predictors learnt without its fold."""
+    """Predict every measurement with predictors learnt from the other folds."""
     folds = np.unique(fold_of)
     if fold_of.shape != (len(measurements),) or len(folds) < 2:
         raise InputError(

@@ -142,7 +142,7 @@ def sample_power(
     *,
     latent: bool = False,
 ) -> Floats:
-    """Draw powers at `positions_m` from the posterior, in dBm; ``(count, h)``.
+    """Draw powers at `positions_m` from the posterior, in dBm as an array ``(count, h)``.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def sample_power(
 def predict_readings(
     posterior: ChannelPosterior | MarginalPosterior, readings: Measurements
 ) -> Prediction:
-    """Predict the powers that further measurements would read.
+    """Predict the powers of further measurements.
 
     Parameters
     ----------
@@ -219,9 +219,9 @@ class SampledDistribution:
     def __post_init__(self) -> None:
         if self.draws.ndim != 1 or len(self.draws) < 2:
             raise InputError(
-                f"is too small: {self.draws.shape[0]} draws",
+                f"is {self.draws.shape[0]}, should be at least 2",
                 key="count",
-                remedy="give a count of at least 2",
+                remedy="give a larger number of draws",
             )
 
     @property
@@ -306,7 +306,7 @@ class Traffic:
             )
         if not 0.0 <= self.waiting_bits < math.inf or not self.waiting_bits <= self.buffer_bits:
             raise InputError(
-                f"is {self.waiting_bits!r}, but the buffer holds {self.buffer_bits!r} bits",
+                f"is {self.waiting_bits!r}, but the buffer size is {self.buffer_bits!r} bits",
                 key="waiting_bits",
                 remedy="give at least 0 bits and at most buffer_bits",
             )
@@ -432,7 +432,7 @@ def delivered_data(
 
 
 def longest_run(sizes: Floats, missed: Mask, begun: float = 0.0) -> Floats:
-    """Return the largest sum of `sizes` over a run of `missed` steps; both arrays are (..., N)."""
+    """Return the largest sum of `sizes` over consecutive `missed` steps; both are (..., N)."""
     # `begun` is added to a sequence that begins with the first step.
     longest, run = np.zeros(missed.shape[:-1]), np.full(missed.shape[:-1], begun)
     for step in range(missed.shape[-1]):

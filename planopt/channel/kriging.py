@@ -88,7 +88,7 @@ def kriging_terms(
 
 
 def predict_noiseless(posterior: ChannelPosterior, more: Measurements) -> Prediction:
-    """Predict measurements without multipath, but with receiver offsets and position errors."""
+    """Predict measurements with receiver offsets and position errors, but without multipath."""
     parameters = posterior.parameters
     origins = measured_origins(more, parameters)
     gamma = regressors(more.positions_m, parameters.station)
@@ -147,7 +147,7 @@ class LocalChannel:
         used: Indices,  # (..., m) indices of the measurements
         offsets: OffsetsGivenTheta | None = None,
     ) -> LocalChannel:
-        """Return the channel conditional on the subset `used` of the measurements."""
+        """Return the channel conditional on the measurements with indices `used`."""
         parameters = posterior.parameters
         offsets = offsets or offsets_given_theta(posterior)
         origins = posterior.origins.at(used).without_offsets()
@@ -207,7 +207,7 @@ class LocalChannel:
 
     @cached_property
     def _weighted(self) -> Floats:
-        """Inverse covariance times the columns [power, regressors]; (..., m, 3)."""
+        """Inverse covariance times the columns [power, regressors] as an array (..., m, 3)."""
         if not len(self.offsets.receivers):
             return self.inverse @ self.columns
         return np.asarray(np.linalg.solve(self.covariance_db2, self.columns), dtype=np.float64)
@@ -290,7 +290,7 @@ def nearest_to_path(posterior: ChannelPosterior, path_m: Floats, count: int) -> 
 
 @dataclass(frozen=True, eq=False)
 class LocalGrid:
-    """Grid positions with precomputed kriging terms, all from one local channel."""
+    """Grid positions with kriging terms precomputed from one local channel."""
 
     positions_m: Floats  # (g, 2)
     root_weight: Floats  # (g,) square roots of the weights

@@ -116,7 +116,7 @@ def vecchia_information(
 
 @dataclass(frozen=True)
 class ReceiverOffset:
-    """Estimated offset of a receiver's readings from those of receiver 0."""
+    """Estimated offset of a receiver's readings from receiver 0."""
 
     receiver: int  # Number of the receiver
     offset_db: float

@@ -189,7 +189,7 @@ def as_measurements(data: Measurements | Table) -> Measurements:
 
 
 def as_received(data: Measurements | Table) -> Measurements:
-    """Convert like `as_measurements`, and raise an error for a power that no receiver reports."""
+    """Convert a table to measurements; raise an error for powers that no receiver reports."""
     received = as_measurements(data)
     power = received.power_dbm
     within = (power >= LEAST_POWER_DBM) & (power <= LARGEST_POWER_DBM)

@@ -58,7 +58,7 @@ class PlaceTree:
 
 @dataclass(frozen=True, eq=False)
 class PlaceIndex:
-    """Nearest-neighbour index of measured positions, with a tree of the earliest ones."""
+    """Nearest-neighbour index of measured positions, with a tree of earlier positions."""
 
     positions_m: Floats  # (n, 2)
     tree: PlaceTree | None = None  # None if there are few positions
@@ -69,7 +69,7 @@ class PlaceIndex:
         return PlaceIndex(positions_m).grown(positions_m)
 
     def grown(self, positions_m: Floats) -> PlaceIndex:
-        """Return the index extended to all of `positions_m`, whose first rows the index has."""
+        """Return the index extended to `positions_m`, whose first rows are already in it."""
         treed = self._treed
         keep = len(positions_m) - treed <= max(MOST_UNTREED, UNTREED_SHARE * treed)
         return PlaceIndex(positions_m, self.tree if keep else PlaceTree(positions_m))
@@ -130,7 +130,7 @@ class PlaceIndex:
 
     @cached_property
     def _late_tree(self) -> PlaceTree | None:
-        """Tree of the positions outside the main tree; None if the main tree has all."""
+        """Tree of the positions outside the main tree; None if there are none."""
         late = self.positions_m[self._treed :]
         return PlaceTree(late) if len(late) else None
 
@@ -201,7 +201,7 @@ def surrounding_windows(
 
 
 def _coarse_to_fine(coordinates: Floats, blocks: tuple[Indices, ...]) -> list[int]:
-    """Return the order of blocks: the most central, then always the farthest from the others."""
+    """Return the order of blocks: the most central, then repeatedly the farthest one."""
     if not blocks:
         return []
     centres = np.array([coordinates[own].mean(axis=0) for own in blocks])
@@ -218,7 +218,7 @@ def _coarse_to_fine(coordinates: Floats, blocks: tuple[Indices, ...]) -> list[in
 
 
 def _nearest_to(coordinates: Floats, own: Indices, others: Indices, count: int) -> Indices:
-    """Return, ascending, the `count` indices in `others` that are nearest to any of `own`."""
+    """Return the `count` indices in `others` nearest to any of `own`, in ascending order."""
     for reach, distance in ((PRESELECTED * count, _beyond_box_m2), (count, _to_any_m2)):
         if len(others) > reach:
             squared_m2 = distance(coordinates[own], coordinates[others])
@@ -234,6 +234,6 @@ def _beyond_box_m2(own: Floats, others: Floats) -> Floats:
 
 
 def _to_any_m2(own: Floats, others: Floats) -> Floats:
-    """Return the squared distance (m,) of each of `others` from the nearest of `own`."""
+    """Return the squared distance (m,) of each point in `others` from its nearest in `own`."""
     apart = others[:, None] - own
     return np.einsum("mbk,mbk->mb", apart, apart).min(axis=1)

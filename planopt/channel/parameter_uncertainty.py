@@ -320,7 +320,7 @@ def sensitivity_curves(
     positions_m: Floats,
     relative_errors: Sequence[float],
 ) -> dict[str, Floats]:
-    """Return the mean squared prediction error by error of each parameter (Fig. 1 of [GM11]).
+    """Return the mean squared prediction error against each parameter's error ([GM11], Fig. 1).
 
     Parameters
     ----------

@@ -104,7 +104,7 @@ def _embedding(
     shape: tuple[int, int],
     step: float,  # Cell side in decorrelation distances
 ) -> tuple[tuple[int, int], Floats, float]:
-    """Return the torus' shape, a quarter of its eigenvalues, and the share of negative ones."""
+    """Return the torus' shape, a quarter of its eigenvalues, and the negative share."""
     ny, nx = shape
     torus = (2 * ny, 2 * nx)
     while True:
@@ -212,7 +212,7 @@ def _correlation(places_m: Floats, decorrelation_m: float) -> Floats:
 
 
 def _stencil(axis_m: Floats, at_m: Floats) -> Indices:
-    """Return indices of the `STENCIL` nodes around each coordinate; fewer on a short axis."""
+    """Return indices of `STENCIL` nodes around each coordinate, or fewer on a short axis."""
     size = min(STENCIL, len(axis_m))
     first = np.searchsorted(axis_m, at_m) - size // 2
     return np.clip(first, 0, len(axis_m) - size)[:, None] + np.arange(size)

@@ -50,7 +50,7 @@ def run(
         str | None, option("--planners", "A,B", "Names; else all that a problem allows.")
     ] = None,
     horizons: Annotated[
-        str | None, option("--horizons", "N,N", "Steps ahead; else the own, 5 and 20.")
+        str | None, option("--horizons", "N,N", "Horizons; default: the problem's, 5 and 20.")
     ] = None,
     seeds: Annotated[int, option("--seeds", None, "How many, for plans.", min=0)] = 3,
     run_seeds: Annotated[int, option("--run-seeds", None, "For closed loops.", min=0)] = 1,
@@ -225,7 +225,7 @@ def _freeze(rows: list[Row], manifest: Manifest, file: Path, replace: bool, json
     changed = [case for case in known if references[case] != known[case]]
     if changed and not replace:
         raise InputError(
-            f"has {len(changed)} references that would change: " + "; ".join(changes),
+            f"has changed references ({len(changed)}): " + "; ".join(changes),
             file=file,
             remedy="add --replace to overwrite them, and explain each change in the commit message",
         )

@@ -32,13 +32,12 @@ Value = TypeVar("Value")
 
 def compare(
     problems: Annotated[
-        list[str],
-        typer.Argument(metavar="PROBLEM...", help="Problem files, or names that `list` shows."),
+        list[str], typer.Argument(metavar="PROBLEM...", help="Problem files, or names from `list`.")
     ],
-    horizons: Annotated[str | None, option("--horizons", "N,N,...", "Steps ahead.")] = None,
+    horizons: Annotated[str | None, option("--horizons", "N,N,...", "Horizons in steps.")] = None,
     planners: Annotated[str | None, option("--planners", "A,B", f"Any of {PLANNERS}.")] = None,
     costs_to_go: Annotated[
-        str | None, option("--costs-to-go", "A,B", "geodesic, connected (both); task reach.")
+        str | None, option("--costs-to-go", "A,B", "geodesic, connected or both; task reach.")
     ] = None,
     sweep: Annotated[
         list[str] | None,
@@ -54,7 +53,7 @@ def compare(
         option(
             "--seeds",
             "N|A:B",
-            "How many random seeds, or A to B - 1; 30, or those of the problem's own comparison.",
+            "Number of seeds, or seeds A to B - 1; default: the problem's comparison, or 30.",
         ),
     ] = None,
     first_seed: Annotated[int | None, FirstSeedOption] = None,
@@ -63,7 +62,7 @@ def compare(
         str, option("--backend", "NAME", "Where processes run: loky, dask or ray.")
     ] = "loky",
     parquet: Annotated[
-        bool, option("--parquet", None, "Save the runs as Parquet too, runs.parquet in --out.")
+        bool, option("--parquet", None, "Also save the runs as runs.parquet in --out.")
     ] = False,
     out: OutOption = None,
     json: JsonOption = False,
@@ -205,7 +204,7 @@ def listed(
     text: str | None, option: str, kind: Callable[[str], Value]
 ) -> tuple[Value, ...] | None: ...
 def listed(text: str | None, option: str, kind: Callable[[str], Value]) -> tuple[Value, ...] | None:
-    """Return the distinct values of a list such as ``1,2,5``; None if it is not given."""
+    """Return the distinct values of a list such as ``1,2,5``; None for no list."""
     if text is None:
         return None
     values: list[Value] = []

@@ -38,7 +38,7 @@ DEGENERATE = 3
 
 @dataclass(frozen=True)
 class LogFit:
-    """A power log and the channel fitted to it."""
+    """Power log with its fitted channel."""
 
     measurements: Measurements
     found: ChannelFit
@@ -59,7 +59,7 @@ def read_and_fit(options: LogOptions) -> LogFit:
 
     if options.stations is not None:
         remedy = "give --each COLUMN as well, or --station X,Y"
-        raise InputError("belongs to --each", key="--stations", remedy=remedy)
+        raise InputError("needs --each", key="--stations", remedy=remedy)
     if options.station is None:
         raise InputError(
             "is missing", key="--station", remedy="give X,Y in metres, or unknown to locate it"
@@ -69,7 +69,7 @@ def read_and_fit(options: LogOptions) -> LogFit:
 
 
 def fit_each(options: LogOptions) -> tuple[dict[str, LogFit], dict[str, int]]:
-    """Return the fit of each transmitter, and the number of readings of those with too few."""
+    """Return each transmitter's fit, and the reading counts of transmitters with too few."""
     from planopt.channel.logs.log_format import parse_station
     from planopt.channel.logs.power_log import FEWEST_READINGS, transmitters_of
     from planopt.channel.logs.stations import read_stations
@@ -279,7 +279,7 @@ def held_out(log: Path, fitted: LogFit, text: str, threshold_dbm: float | None) 
     except InputError as error:
         # A row number would refer to a subset of the log.
         raise InputError(
-            f"the fit without some of the groups failed: {error.message}",
+            f"the fit without the held-out groups failed: {error.message}",
             file=log,
             key="--hold-out",
             remedy=error.remedy,
@@ -313,7 +313,7 @@ def held_out_words(data: dict[str, Any]) -> list[str]:
     lines = [
         f"cross-validation by {data['columns']}: {data['groups']} groups in {data['folds']} folds, "
         + (
-            "in brackets: 95 % intervals over the groups"
+            "95 % intervals over the groups in brackets"
             if data["groups"] >= FEWEST_GROUPS
             else f"no intervals for fewer than {FEWEST_GROUPS} groups"
         ),
@@ -424,8 +424,8 @@ def fit(
             remedy = "add --hold-out COLUMN"
             raise InputError("needs --hold-out", key="--threshold", remedy=remedy)
     if options.each is not None and hold_out is not None:
-        remedy = "hold out readings of one transmitter, with --where"
-        raise InputError("is for one transmitter", key="--hold-out", remedy=remedy)
+        remedy = "select one transmitter by --where COLUMN=VALUE"
+        raise InputError("cannot be combined with --each", key="--hold-out", remedy=remedy)
     report, fits, left_out = None, dict[str, LogFit](), dict[str, int]()
     with results_folder(out) as folder:
         with progress("fitting"):

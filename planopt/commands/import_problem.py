@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 @with_options(FormatOptions)
 def import_problem(
     options: FormatOptions,
-    log: Annotated[Path, option("--log", "FILE", "Power log: CSV, or of a known program.")],
+    log: Annotated[Path, option("--log", "FILE", "Power log: CSV or a known program's log.")],
     start: Annotated[
         str, option("--start", "X,Y", "Start of the robot in metres, or LAT,LON with --origin.")
     ],

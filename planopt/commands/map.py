@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class _Mapped:
-    """Map of a log or of a problem, with the channel fits it is based on."""
+    """Map of a log or a problem, with its channel fits."""
 
     maps: PosteriorMap
     fits: Sequence[dict[str, Any]]  # JSON of each station's fit

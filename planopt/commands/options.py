@@ -24,17 +24,17 @@ def option(name: str, metavar: str | None, text: str, **settings: Any) -> Any:
 
 
 ProblemArgument = Annotated[
-    str, typer.Argument(metavar="PROBLEM", help="A problem file, or a name that `list` shows.")
+    str, typer.Argument(metavar="PROBLEM", help="Problem file, or a name from `list`.")
 ]
 ResultArgument = Annotated[
     Path, typer.Argument(metavar="PATH", help="The folder given as --out, or its JSON file.")
 ]
-OutOption = Annotated[Path | None, option("--out", "DIR", "Folder to save the results in.")]
+OutOption = Annotated[Path | None, option("--out", "DIR", "Folder for the results.")]
 JsonOption = Annotated[
     bool, option("--json", None, "Print one JSON object on standard output, nothing else.")
 ]
 AnimationOption = Annotated[
-    bool, option("--animation", None, "Save the run as an animation too, run.gif in --out.")
+    bool, option("--animation", None, "Also save an animation, run.gif in --out.")
 ]
 WorkersOption = Annotated[int, option("--workers", None, "Number of processes.", min=1)]
 FirstSeedOption = option("--first-seed", None, "First random seed.", min=0)
@@ -76,13 +76,13 @@ class FormatOptions:
     ] = None
     floor: Annotated[
         float | None,
-        option("--floor", "DBM", "Receiver sensitivity: powers at or below are upper limits."),
+        option("--floor", "DBM", "Receiver sensitivity: lower or equal powers are upper limits."),
     ] = None
     resolution: Annotated[
         float, option("--resolution", "DB", "Rounding step of the powers in the log.")
     ] = 0.0
     position_error: Annotated[
-        float, option("--position-error", "M", "Standard deviation of either coordinate (GPS).")
+        float, option("--position-error", "M", "Standard deviation of x and y (GPS error).")
     ] = 0.0
     accuracy: Annotated[
         str | None,
@@ -129,7 +129,7 @@ class LogOptions(FormatOptions):
     """Options of the commands that fit the channel to a power log."""
 
     log: Annotated[
-        Path, typer.Argument(metavar="LOG", help="A power log; for map also a problem file.")
+        Path, typer.Argument(metavar="LOG", help="Power log; map accepts a problem file too.")
     ]
     station: Annotated[
         str | None,
@@ -155,7 +155,7 @@ class LogOptions(FormatOptions):
         option(
             "--station-method",
             "NAME",
-            "How an unknown station is found: joint (likelihood) or line (least squares).",
+            "Method to locate a station: joint (likelihood) or line (least squares).",
         ),
     ] = None
     forgetting: Annotated[

@@ -24,7 +24,7 @@ NONE = -1
 
 
 def demanded(demand: Demand, agents: int) -> int:
-    """Evaluate a demand for a number of agents; raise `InputError` for an invalid value."""
+    """Return the demand for a network of `agents` agents; raise `InputError` if it is invalid."""
     wanted = demand(agents)
     if wanted != int(wanted) or not 0 <= wanted <= agents:
         raise InputError(
@@ -107,14 +107,14 @@ def propagate_flags(
     n, most = network.count, np.broadcast_to(np.asarray(wanted, dtype=np.intp), (network.count,))
     if distances_m.shape != (n,) or (most < 0).any():
         raise InputError(
-            f"has {len(distances_m)} distances for {n} agents; their numbers must be equal",
+            f"has {len(distances_m)} distances, should have one for each of {n} agents",
             key="distances_m",
         )
     if np.any(loss) and rounds is None:
         raise InputError(
-            f"is {loss!r}: with losses, the number of rounds must be given",
+            f"is {loss!r}, but the number of rounds is missing",
             key="loss",
-            remedy="give a loss from 0 to below 1, and rounds",
+            remedy="give rounds if messages can be lost",
         )
     order = np.argsort(distances_m, kind="stable")
     rank = np.empty(n, dtype=np.intp)
@@ -125,7 +125,7 @@ def propagate_flags(
     history = [np.isin(own, lists)]
 
     def merge(sender: Indices, receiver: Indices) -> Mask:
-        """Merge the senders' lists into the receivers' lists, truncated to `most` (n,) entries."""
+        """Merge the senders' lists into the receivers' lists; keep at most `most` (n,) entries."""
         nonlocal lists
         sizes = np.bincount(lists // n, minlength=n)
         begin, length = np.cumsum(sizes) - sizes, sizes[sender]
@@ -163,7 +163,7 @@ class Assignment:
 
 
 def fair_shares(demands: Indices, agents: int) -> Indices:
-    """Return the number of agents for each event: the demand, cut if demands exceed `agents`."""
+    """Return the number of agents per event: the demand, reduced if demands exceed `agents`."""
     # Agents go one by one to the event with the smallest fulfilled share of its demand (max-min
     # fairness in lexicographic order). Ties go to the smaller demand, then to the smaller event
     # number.
@@ -214,7 +214,7 @@ def accepted(distances_m: Floats, demands: Indices) -> Assignment:
 
 
 def optimal_assignment(distances_m: Floats, demands: Indices) -> Assignment:
-    """Return the assignment of minimum total distance, from distances (n, k) to events."""
+    """Return the assignment that minimises the total of distances (n, k) to events."""
     # The linear programme has an integral optimum: its matrix is totally unimodular.
     _check(distances_m, demands)
     seats = np.repeat(np.arange(len(demands)), demands)
@@ -241,7 +241,7 @@ def _check(distances_m: Floats, demands: Indices) -> None:
     if not (np.isfinite(distances_m) & (distances_m >= 0.0)).all():
         raise InputError("has a distance that is negative, NaN or infinite", key="distances_m")
     if (demands < 0).any():
-        raise InputError(f"has the negative entry {int(demands.min())}", key="demands")
+        raise InputError(f"contain the negative number {int(demands.min())}", key="demands")
     if demands.sum() > len(distances_m):
         raise InputError(
             f"add up to {int(demands.sum())} agents, but there are {len(distances_m)}",

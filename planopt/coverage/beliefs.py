@@ -133,7 +133,7 @@ class Belief:
         return int(self.chosen.max(initial=NONE))
 
     def groups(self, agents: Mask) -> list[tuple[Estimate, Indices]]:
-        """Return each estimate that agents of a mask (n,) hold, with these agents' numbers."""
+        """Return each distinct estimate among the agents of a mask (n,), with these agents."""
         found = [
             (estimate, np.flatnonzero(agents & (self.chosen == number)))
             for number, estimate in enumerate(self.estimates)
@@ -197,7 +197,7 @@ def share_readings(
     work = np.concatenate((now, belief.held[:, partly]), axis=1)
 
     def merge(senders: Indices, receivers: Indices) -> Mask:
-        """Add to each receiver's readings its new reading and the readings of its senders."""
+        """Add each receiver's new reading and its senders' readings to its own readings."""
         changed, order = np.zeros(count, dtype=np.bool_), np.argsort(receivers, kind="stable")
         first = np.flatnonzero(np.diff(receivers[order], prepend=NONE))
         if len(first):
@@ -240,7 +240,7 @@ def doubt_sensors(
     asks: Mask,
     step: int,
 ) -> Belief:
-    """Test the readings of a step by all asking agents, and drop knowledge that they refute."""
+    """Test a step's readings at all requesting agents, and drop refuted knowledge."""
     doubts, since = belief.doubts.copy(), belief.since.copy()
     now = belief.held & (belief.steps == step)
     for rows, agents in _groups(now, asks & now.any(axis=1)):
@@ -274,7 +274,7 @@ def doubt_sensors(
 
 
 def _groups(held: Mask, agents: Mask) -> list[tuple[Mask, list[int]]]:
-    """Return the distinct rows of the mask `held` (n, r), each with the agents that have it."""
+    """Return the distinct rows of the mask `held` (n, r), each with its agents."""
     groups: dict[bytes, list[int]] = {}
     for agent in np.flatnonzero(agents).tolist():
         groups.setdefault(held[agent].tobytes(), []).append(agent)
@@ -284,7 +284,7 @@ def _groups(held: Mask, agents: Mask) -> list[tuple[Mask, list[int]]]:
 def estimate_event(
     belief: Belief, sensing: Sensing, hull: ConvexRegion, asks: Mask, step: int, time_step_s: float
 ) -> Belief:
-    """Update the estimate of each requesting agent from the readings that this agent holds."""
+    """Update the estimate of each requesting agent from the agent's own readings."""
     moves = sensing.speed_std_m_s is not None
     fresh = belief.held if moves else belief.held[:, belief.steps == step]
     # Agents with equal readings have equal estimates.
@@ -342,7 +342,7 @@ def share_estimates(
     known = np.column_stack((belief.chosen, belief.heard, belief.since, belief.doubts[:, doubted]))
 
     def merge(senders: Indices, receivers: Indices) -> Mask:
-        """Keep, of each receiver and its senders, the highest rank, latest times, most doubts."""
+        """Keep the highest rank, latest times and most doubts of each receiver and its senders."""
         before = known.copy()
         np.maximum.at(known, receivers, before[senders])
         return np.asarray((known != before).any(axis=1), dtype=np.bool_)
@@ -387,7 +387,7 @@ def choose_teams(
     states: Indices,  # (n,) event that each agent responded to in the last step
     hysteresis_m: float,
 ) -> Response:
-    """Assign agents to events; each decides from its belief and lists of nearest agents."""
+    """Assign agents to events, each by its own belief and its lists of nearest agents."""
     agents, events = len(counts), len(beliefs)
     known = np.array([belief.known for belief in beliefs]).reshape(events, agents).T
     distances = np.full((agents, events), np.inf)

@@ -79,7 +79,7 @@ class Prices:
 
 
 def cost_bound(ground: Ground, places_m: Floats, effort_s: float = EFFORT_S) -> float:
-    """Return a lower bound of the cost of any deployment of as many agents; 0 if none is known.
+    """Return a lower bound of the cost of all deployments of equally many agents, or 0.
 
     Parameters
     ----------
@@ -137,7 +137,7 @@ def certified(
     prices_m2: Floats,  # (m,) at most the square of the sensing range
     count: int,
 ) -> float:
-    """Return the lower bound, at least 0, that the cells' prices prove, whatever the prices."""
+    """Return the lower bound, at least 0, that arbitrary prices of the cells prove."""
     half, settled = 0.5 * sides_m, 0.0
     gains = _largest_gains(middles_m, half, cells, prices_m2)
     for _ in range(SPLITS):
@@ -160,7 +160,7 @@ def _sums(numbers: Indices, values: Floats | Mask, count: int) -> Floats:
 
 
 def _first_prices(ground: Ground, places_m: Floats) -> Prices:
-    """Return initial prices: squared radii of discs that cost as much as a deployment's cells."""
+    """Return initial prices: squared radii of discs with the cost of a deployment's cells."""
     # The second nearest agent, which a single one lacks, is not used.
     agents = np.repeat(places_m, 2, axis=0) if len(places_m) == 1 else places_m
     two, count = ground.two_nearest(agents), len(agents)
@@ -223,7 +223,7 @@ def _cells(ground: Ground, middles_m: Floats, sides_m: Floats) -> Cells:
 
 
 def _cells_of_nodes(ground: GeodesicGround, middles_m: Floats, sides_m: Floats) -> Cells:
-    """Return the nodes of a ground, merged to one cell per square."""
+    """Return the nodes of a ground, merged into one cell per square."""
     places, weight = ground.ends_m, ground.mass
     square = np.asarray(KDTree(middles_m).query(places)[1], dtype=np.intp)  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
     count = len(middles_m)
@@ -243,7 +243,7 @@ def _cells_of_nodes(ground: GeodesicGround, middles_m: Floats, sides_m: Floats) 
 def _pairs(
     middles_m: Floats, half_m: Floats, cells: Cells, prices_m2: Floats
 ) -> Iterator[tuple[Indices, Indices]]:
-    """Yield pairs (box, cell) that include each cell closer to a box than the root of its price."""
+    """Yield (box, cell) pairs; all cells nearer to a box than the root of their price occur."""
     # The price in m^2 is the squared distance up to which an agent gains from the cell.
     radius, middle = np.sqrt(prices_m2), 0.5 * (cells.low_m + cells.high_m)
     extent = 0.5 * np.linalg.norm(cells.high_m - cells.low_m, axis=1)

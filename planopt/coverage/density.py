@@ -95,7 +95,7 @@ class GaussianMixture:
 
     def __post_init__(self) -> None:
         if not self.weights.any():
-            raise InputError("has only zeros", key="density.weights")
+            raise InputError("are all 0", key="density.weights", remedy="give a positive weight")
 
     def at(self, places_m: Floats) -> Floats:
         """Return the density (m,) at positions (m, 2)."""
@@ -243,7 +243,7 @@ class RasterDensity:
                 remedy="give finite densities of at least 0",
             )
         if not values.any():
-            raise InputError("is zero everywhere in the region", key="density")
+            raise InputError("is 0 everywhere", key="density", remedy="give a positive value")
         side_x, side_y = self.raster.cell_m
         middle = self._middle_m
         x = self.raster.x_m[0] - middle[0] + side_x * (np.arange(len(self.raster.x_m) + 1) - 0.5)
@@ -376,7 +376,7 @@ def _gauss(nodes: int) -> tuple[Floats, Floats]:
 
 
 def _between(edges: Floats, start: Floats, end: Floats) -> tuple[Indices, Indices]:
-    """Return pairs of an interval and of a grid line that lies strictly inside the interval."""
+    """Return pairs of an interval and a grid line strictly inside it."""
     low, high = np.minimum(start, end), np.maximum(start, end)
     begin = np.searchsorted(edges, low, side="right")
     counts = np.maximum(np.searchsorted(edges, high, side="left") - begin, 0)
@@ -386,7 +386,7 @@ def _between(edges: Floats, start: Floats, end: Floats) -> tuple[Indices, Indice
 
 
 def _parts(count: int, cuts: list[tuple[Indices, Floats]]) -> tuple[Indices, Floats, Floats]:
-    """Cut boundary pieces at parameters in [0, 1]; return piece, start and end of each part."""
+    """Cut boundary pieces at parameters in [0, 1]; return each part's piece, start and end."""
     every = np.arange(count)
     piece = np.concatenate((every, every, *(c[0] for c in cuts)))
     share = np.concatenate((np.zeros(count), np.ones(count), *(c[1] for c in cuts)))

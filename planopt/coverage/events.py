@@ -136,7 +136,7 @@ class Event:
     velocity_m_s: tuple[float, float] = (0.0, 0.0)
 
     def place_at(self, time_s: float) -> Floats:
-        """Return the event's position at a time; (2,)."""
+        """Return the event's position at a time as an array (2,)."""
         moved_s = max(time_s - self.appears_s, 0.0)
         return np.array(self.place_m) + moved_s * np.array(self.velocity_m_s)
 

@@ -176,11 +176,11 @@ def _seen(
 
 
 def _in_one_part(whole: shapely.Polygon, obstacles: Sequence[shapely.Polygon]) -> shapely.Polygon:
-    """Return the region without obstacles; raise `InputError` if it is not connected."""
+    """Return the region minus the obstacles; raise `InputError` if it is not connected."""
     left: shapely.Geometry = whole
     for number, obstacle in enumerate(obstacles):
         if not (shapely.is_valid(obstacle) and obstacle.area > 0.0):
-            raise InputError("has an outline that crosses itself", key=f"world.obstacles[{number}]")
+            raise InputError("has a self-intersecting outline", key=f"world.obstacles[{number}]")
         left = left.difference(obstacle)
     parts = _parts(left)
     if not parts:
@@ -204,7 +204,7 @@ def _shrunk(free: shapely.Polygon, clearance_m: float) -> shapely.Polygon:
     parts = _parts(free.buffer(-clearance_m, join_style="mitre"))
     if len(parts) != 1:
         raise InputError(
-            f"is {clearance_m:g} m, which divides the region into {len(parts)} separate parts",
+            f"is {clearance_m:g} m, which leaves {len(parts)} separate parts of the region",
             key="world.clearance_m",
             remedy="give a smaller clearance, or a smaller agents.body_radius_m",
         )
@@ -249,12 +249,12 @@ def _nodes(
     moments = UniformDensity().moments(polygon_boundaries(pieces, nodes))
     mass = weight * moments.mass
     if not mass.sum() > 0.0:
-        raise InputError("is zero everywhere in the region", key="density")
+        raise InputError("is 0 everywhere", key="density", remedy="give a positive value")
     return nodes, mass, float(weight @ moments.second)
 
 
 def polygon_boundaries(pieces: NDArray[np.object_], nodes_m: Floats) -> Boundary:
-    """Return the boundaries of polygons relative to `nodes_m` (m, 2); holes count negative."""
+    """Return the boundaries of polygons relative to `nodes_m` (m, 2); holes are clockwise."""
     rings, piece = shapely.get_rings(shapely.orient_polygons(pieces), return_index=True)
     corners, ring = shapely.get_coordinates(rings, return_index=True)
     cell = piece[ring]
@@ -324,7 +324,7 @@ def geodesic_cells(ground: GeodesicGround, agents_m: Floats) -> GeodesicCells:
 
 
 def geodesic_targets(ground: GeodesicGround, agents_m: Floats, cells: GeodesicCells) -> Floats:
-    """Return a target for each agent, on a free straight line toward the centre of its cell."""
+    """Return a target per agent, on a free straight line toward the centre of its cell."""
     # The step is the mean over the cell of path length times initial path direction; without
     # obstacles that is ``C - p``. It ends before an obstacle or slides to the nearest free
     # position. It is halved until it lowers the cost of the agent's own cell, so moving all agents

@@ -96,7 +96,7 @@ class MoveLimits:
                 "cannot be combined with agents.acceleration_max_m_s2: agents have either a "
                 "turn rate or an acceleration limit",
                 key="agents.turn_rate_max_rad_s",
-                remedy="leave one of both limits out",
+                remedy="leave out one of the two limits",
             )
 
     @property

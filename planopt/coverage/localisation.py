@@ -45,7 +45,7 @@ class EventSensor:
 
     @property
     def best_distance_m(self) -> float:
-        """Return the distance at which a reading says most about an event's position."""
+        """Return the distance at which a reading is most informative about an event's position."""
         return self.scale_m / math.sqrt(3.0)
 
 
@@ -178,7 +178,7 @@ def _grid(region: ConvexRegion) -> Floats:
 
 
 def _starts(sensor: EventSensor, readings: Readings, grid: Floats, strength_known: bool) -> Floats:
-    """Return event parameters (b, 5) at the best non-adjacent grid positions."""
+    """Return initial event parameters (b, 5) at the best non-adjacent grid positions."""
     shape = sensor.profile(np.linalg.norm(grid[:, None] - readings.positions_m, axis=2))
     strength = np.full(len(grid), sensor.strength)
     if not strength_known:
@@ -262,7 +262,7 @@ def _refined(
 
 
 def _inside(region: ConvexRegion, positions: Floats) -> Floats:
-    """Return positions (j, 2) projected into the region, onto one side after the other."""
+    """Return positions (j, 2) projected into the region, side by side."""
     moved = positions.copy()
     for _ in range(3):
         for normal, offset in zip(region.normals, region.offsets_m, strict=True):
@@ -280,7 +280,7 @@ def _covariance(information: Floats) -> Floats:
 
 
 def _rivals(places: Floats, misfits: Floats, covariance: Floats, region: ConvexRegion) -> Floats:
-    """Return other maxima (r, 2), nearly as likely as the best one but far from it."""
+    """Return other likelihood maxima (r, 2), nearly as likely as the best one but distant."""
     width = 4.0 * float(np.sqrt(np.diag(covariance).max()))
     width = max(width if np.isfinite(width) else 0.0, 1e-6 * region.radius_m)
     found = [places[0]]

@@ -67,7 +67,7 @@ def flood(
     loss: Loss = 0.0,  # One value, or (m,) values by directed link
     generator: np.random.Generator | None = None,
 ) -> int:
-    """Flood content over directed links; return the number of messages, including lost ones."""
+    """Flood content over directed links; return the number of sent messages."""
     # An agent sends to a neighbour until the neighbour has acknowledged its present content.
     losses = np.broadcast_to(np.asarray(loss, dtype=np.float64), sender.shape)
     pending, messages, done = begins[sender], 0, 0
@@ -137,7 +137,7 @@ def elect_leader(network: Network, identities: Indices) -> tuple[int, int]:
         np.maximum.at(after, receiver[sent], best[sender[sent]])
         talking, best = after > best, after
     if (best != best[leader]).any():
-        raise InputError("do not connect all agents: the network is divided", key="links")
+        raise InputError("do not connect all agents: the network is disconnected", key="links")
     return leader, messages
 
 

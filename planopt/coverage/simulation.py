@@ -78,7 +78,7 @@ class Scene:
         return (self.joins_s <= time_s) & (time_s < self.leaves_s)
 
     def members(self, time_s: float, places_m: Floats, before: Mask) -> Mask:
-        """Return a mask ``(n,)`` of the members at a time; bodies wait to join until there is room.
+        """Return a mask ``(n,)`` of the members at a time; agents join only where bodies fit.
 
         Positions have shape ``(n, 2)``; `before` is the result of the previous step.
         """
@@ -92,7 +92,7 @@ class Scene:
         return members
 
     def has_settled(self, time_s: float, residual_m: float, known: Mask, members: Mask) -> bool:
-        """Return True if all agents are settled and no event or membership will change."""
+        """Return True if all agents have settled and no event or membership will change."""
         # All agents are at their targets, exactly the active events are detected (`known`, (k,)),
         # no agent waits to join, no event moves, and no event or membership changes later.
         there = np.array([each.is_there(time_s) for each in self.events], dtype=np.bool_)
@@ -312,7 +312,7 @@ class NetworkController:
         return foreseen_aims(scene.ground, targets_m, pending, responds, scene.partition)
 
     def _network(self, motion: Motion, who: Indices) -> Network:
-        """Return the links of the members: to Voronoi neighbours, and of the radio tree."""
+        """Return the links between members: Voronoi neighbours, and the radio tree."""
         here = motion.places_m[who]
         network, mover = neighbour_network(self.scene.ground.hull, here), self._mover
         if not isinstance(mover, RecedingMover) or mover.radio is None:

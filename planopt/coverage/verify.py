@@ -173,7 +173,7 @@ def _below(predicted: Prediction, threshold_dbm: float) -> Floats:
 
 
 def _fails(law: LinkLaw, lengths_m: Floats, threshold_dbm: float) -> Floats:
-    """Return, for each length, the largest failure probability of links that are no longer."""
+    """Return the largest failure probability of links up to each length."""
 
     def below(distance_m: Floats) -> Floats:
         slope = -10.0 * np.log10(distance_m)

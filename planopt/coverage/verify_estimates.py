@@ -45,7 +45,7 @@ def estimate_fault(
     std_m: float,
     inner: bool,  # Whether the estimate is inside the region, not on its border
 ) -> str | None:
-    """Return why an estimate does not follow from its readings; None if it does."""
+    """Return the reason why an estimate contradicts its readings; None if it agrees."""
     # The standard deviation may exceed the recomputed one, since it includes rival positions.
     moves, loud = model.speed_std_m_s is not None, not model.strength_known
 

@@ -36,7 +36,7 @@ class ConvexRegion:
     area_m2: float  # Area in square metres
 
     def excess_m(self, places_m: Floats) -> Floats:
-        """Return how far positions (n, 2) are beyond any side; (n,), negative inside."""
+        """Return the largest distance (n,) of positions (n, 2) beyond a side; negative inside."""
         return (places_m @ self.normals.T - self.offsets_m).max(axis=1)
 
     def contains(self, places_m: Floats) -> Mask:

@@ -8,7 +8,7 @@ from planopt.objectives.terms.expression import casadi_term as casadi_term
 from planopt.objectives.terms.term import Term as Term
 from planopt.planning.candidates import released as released
 from planopt.planning.certificate import BlockedError as BlockedError
-from planopt.planning.certificate import BlockedWay as BlockedWay
+from planopt.planning.certificate import BlockedPath as BlockedPath
 from planopt.planning.plan import Rung as Rung
 from planopt.planning.plan import Termination as Termination
 from planopt.planning.proof.rule import OwnRule as OwnRule

@@ -76,7 +76,7 @@ def differences(
     accepted: frozenset[str] = ACCEPTED,
     tolerances: Mapping[str, Tolerance] = TOLERANCES,
 ) -> Iterator[Difference]:
-    """Yield every leaf that differs, and every key that only one of the two documents has."""
+    """Yield every different leaf, and every key missing from one of the two documents."""
     if name in accepted:
         return
     if isinstance(saved, Mapping) and isinstance(found, Mapping):
@@ -104,7 +104,7 @@ def differences(
 
 
 def in_words(file: str, found: Iterable[Difference], source: str = "found") -> list[str]:
-    """Return a line per difference; of those that differ only in an index, return a few lines."""
+    """Return a line per difference, but only a few for differences in the same column."""
     by_kind: dict[str, list[Difference]] = {}
     for one in found:
         by_kind.setdefault(_INDEX.sub("[]", one.key), []).append(one)

@@ -57,7 +57,7 @@ def names_of(columns: Iterable[Column]) -> tuple[str, ...]:
 
 
 def table_of(columns: Iterable[Column], log: object, **values: NDArray[Any]) -> Data:
-    """Return a log as a table; columns in `values` replace those of the log."""
+    """Return a log as a table; columns in `values` override the log's columns."""
     return {
         column.name: values[column.name]
         if column.name in values
@@ -118,7 +118,7 @@ def read_rows(path: Path, header: Sequence[str]) -> Iterable[tuple[int, list[str
 
 
 def _value(column: Column, cell: str) -> float | int | str:
-    """Return the value of a cell; raise a ValueError that describes what is wrong with the cell."""
+    """Return the value of a cell; raise a ValueError that describes the cell's fault."""
     if column.kind == "text":
         return cell
     if not cell and not column.required:

@@ -50,7 +50,7 @@ def finite(value: float | None) -> float | None:
 
 
 def decoded(kind: type[Value], data: object) -> Value:
-    """Return the value of type `kind` that :func:`encoded` converted to `data`."""
+    """Return the value of type `kind` from JSON data; inverse of :func:`encoded`."""
     return cast("Value", _decoded(kind, data))
 
 

@@ -138,7 +138,7 @@ def writable_folder(path: Path) -> Path:
     except OSError as error:
         fault = error.strerror or error
         hint = "(choose another --out)"
-        raise OutputError(f"{path} is not a folder that can be written: {fault} {hint}") from error
+        raise OutputError(f"{path} is not a writable folder: {fault} {hint}") from error
 
 
 Tables = Mapping[str, Any]

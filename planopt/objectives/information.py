@@ -62,7 +62,7 @@ class Information:
             less = np.diagonal(covariance_factor(moments.covariance), axis1=-2, axis2=-1)
         elif moments.parameters.multipath_std_db <= 0.0:
             raise InputError(
-                "is 0, with which measurements are exact and their information is infinite",
+                "is 0: measurements are then exact, and their information is infinite",
                 key="multipath_std_db",
                 remedy='give multipath above 0 dB, or use form = "path" or "average"',
             )
@@ -242,7 +242,7 @@ class PathUncertainty:
 
 
 def map_criterion(posterior: ChannelPosterior, region: Region) -> Floats:
-    """Return G (2, 2); tr(G M) is the map variance due to the path-loss covariance M."""
+    """Return G (2, 2) such that tr(G M) is the map variance due to path-loss covariance M."""
     # G = sum_g w_g varphi(g) varphi(g)', with varphi(g) from the posterior before the path.
     trend = kriging_terms(posterior, region.grid_m).trend
     return trend.T @ (region.weight[:, None] * trend)
@@ -265,7 +265,7 @@ def square_root(matrix: Floats) -> Floats:
 
 
 def _by_universal(moments: Moments, by_universal: Floats) -> Pull:
-    """Return adjoints of S and B from those of S + B M B', with M the path-loss covariance."""
+    """Return adjoints of S and B from adjoints of S + B M B' (M: path-loss covariance)."""
     by_trend = 2.0 * (by_universal @ (moments.trend @ moments.theta_covariance))
     return Pull(by_covariance=by_universal, by_trend=by_trend)
 
@@ -301,7 +301,7 @@ def _half_log_noise(path: LocalPath) -> PathDerivatives:
 def _bent_variances(
     batch: CovarianceDerivatives, left: Floats, along: Floats, weight: Floats
 ) -> Floats:
-    """Return the weighted relative second derivatives of squared pivots; ``(2 h, 2 h)``."""
+    """Return the weighted relative second derivatives ``(2 h, 2 h)`` of squared pivots."""
     # L_ii^2 is the minimum of y' S y over y with y_i = 1 and y_k = 0 for k > i. The minimiser is
     # L_ii n_i, with n_i row i of N = L^-1 = `left`. The first derivative is L_ii^2 n_i' dS n_i, the
     # second L_ii^2 (n_i' d^2 S n_i - 2 sum_{k<i} (N dS n_i)_k (N dS' n_i)_k). For coordinate p of

@@ -31,7 +31,7 @@ FEW_KNOWN = 64
 
 @dataclass(frozen=True, eq=False)
 class MeasuringRule:
-    """Rule that decides at which positions of a path a measurement is taken."""
+    """Rule that selects the positions of a path at which the robot measures."""
 
     spacing_m: float  # Distance to an earlier measurement below which none is taken
     # (n, 2) earlier measuring positions by station; all stations must be measured
@@ -74,7 +74,7 @@ class MeasuringRule:
         return found
 
     def takes(self, paths_m: Floats) -> Mask:
-        """Return a mask of the positions of paths, visited in order, that yield a measurement."""
+        """Return a mask of the path positions that yield a measurement if visited in order."""
         # Shapes: paths_m (..., N, 2); returns (..., N).
         if not paths_m.size:
             return np.zeros(paths_m.shape[:-1], dtype=np.bool_)
@@ -149,11 +149,11 @@ class Gates:
     _own: Floats
 
     def jacobian(self) -> Floats:
-        """Return gate derivatives w.r.t. path coordinates x_1, y_1, ..; ``(c, N, 2 N)``."""
+        """Return derivatives ``(c, N, 2 N)`` of the gates w.r.t. path coordinates x_1, y_1, ..."""
         return self.value[..., None] * self._log_slopes()
 
     def curvature(self, by_gate: Floats) -> Floats:
-        """Return the Hessian of one path's gates, weighted by `by_gate` (N,); ``(2 N, 2 N)``."""
+        """Return the Hessian ``(2 N, 2 N)`` of one path's gates, weighted by `by_gate` (N,)."""
         steps = len(by_gate)
         by_log = by_gate * self.value[0]
         slopes = self._log_slopes()[0]
@@ -174,7 +174,7 @@ class Gates:
         return found
 
     def _log_slopes(self) -> Floats:
-        """Return the derivatives of log gates w.r.t. path coordinates; ``(c, N, 2 N)``."""
+        """Return the derivatives ``(c, N, 2 N)`` of log gates w.r.t. path coordinates."""
         steps = int(self.value.shape[1])
         found = np.zeros((len(self.value), steps, steps, 2))
         every = np.arange(steps)
@@ -187,7 +187,7 @@ class Gates:
 
 
 def _log_gate(squared_m2: Floats, rule: MeasuringRule) -> Floats:
-    """Return the log of a gate s and two derivatives w.r.t. squared distance; ``(3, ...)``."""
+    """Return ``(3, ...)``: the log of a gate s, and two derivatives w.r.t. squared distance."""
     # s = u^3 (10 - 15 u + 6 u^2) rises from 0 (closed) to 1 (fully open) with two continuous
     # derivatives. If s = 0, log s is minus infinity and the derivatives are set to 0, like those of
     # the gate itself.
@@ -207,7 +207,7 @@ def _log_gate(squared_m2: Floats, rule: MeasuringRule) -> Floats:
 
 
 def _squared_between_m2(paths_m: Floats) -> Floats:
-    """Return squared distances between a path's positions and its earlier ones; ``(c, N, N)``."""
+    """Return squared distances ``(c, N, N)`` to earlier positions of a path; inf elsewhere."""
     steps = paths_m.shape[1]
     x, y = paths_m[..., 0], paths_m[..., 1]
     found = (x[:, :, None] - x[:, None]) ** 2

@@ -79,12 +79,12 @@ class Moments:
 
     @cached_property
     def gated_part(self) -> Floats:
-        """Matrix S - kappa I to multiply by gates, with kappa = `blind_db2`; ``(..., N, N)``."""
+        """Matrix S - kappa I ``(..., N, N)`` to multiply by gates, with kappa = `blind_db2`."""
         return self.whole_covariance - self.blind_db2 * np.eye(self.whole_covariance.shape[-1])
 
     @cached_property
     def covariance(self) -> Floats:
-        """Covariance of gated measurements for known path loss; ``(..., N, N)``."""
+        """Covariance of gated measurements for known path loss as an array ``(..., N, N)``."""
         if self.gate is None:
             return self.whole_covariance
         both = self.gate[..., :, None] * self.gate[..., None, :]
@@ -92,12 +92,12 @@ class Moments:
 
     @cached_property
     def trend(self) -> Floats:
-        """Path-loss regressors of gated measurements; ``(..., N, 2)``."""
+        """Path-loss regressors of gated measurements as an array ``(..., N, 2)``."""
         return self.whole_trend if self.gate is None else self.gate[..., None] * self.whole_trend
 
     @cached_property
     def universal(self) -> Floats:
-        """Covariance of gated measurements for uncertain path loss; ``(..., N, N)``."""
+        """Covariance of gated measurements for uncertain path loss as an array ``(..., N, N)``."""
         return self.covariance + self.trend @ self.theta_covariance @ self.trend.swapaxes(-1, -2)
 
     @cached_property
@@ -112,7 +112,7 @@ class Moments:
 
     @cached_property
     def noise_db2(self) -> Floats:
-        """Noise variance of each gated measurement; ``(..., N)``."""
+        """Noise variance of each gated measurement as an array ``(..., N)``."""
         noise = np.full(self.positions_m.shape[:-1], self.parameters.multipath_std_db**2)
         if self.gate is None:
             return noise
@@ -120,14 +120,14 @@ class Moments:
 
     @cached_property
     def whole_across(self) -> NDArray[np.floating]:
-        """Weighted covariances of ungated measurements with map positions; ``(..., N, g)``."""
+        """Weighted covariances ``(..., N, g)`` of ungated measurements with map positions."""
         if self.map_covariance is None:
             raise AssertionError("the spatial average needs a map")
         return self.map_covariance()
 
     @cached_property
     def across(self) -> NDArray[np.floating]:
-        """Weighted covariances of measurements with map positions; ``(..., N, g)``."""
+        """Weighted covariances of measurements with map positions as an array ``(..., N, g)``."""
         across = self.whole_across
         return across if self.gate is None else self.gate.astype(across.dtype)[..., None] * across
 
@@ -182,7 +182,7 @@ def known_places(posterior: ChannelPosterior, grid_m: Floats) -> KnownPlaces:
 
 
 def cross_covariance_db2(posterior: ChannelPosterior, path_m: Floats, known: KnownPlaces) -> Floats:
-    """Return covariances of measurements on a path with the power at map positions; ``(N, g)``."""
+    """Return covariances ``(N, g)`` of measurements on a path with the power at map positions."""
     # Shapes: path_m (N, 2).
     # c(q) = k_h(q) - Phi' U^-1 phi(q) + B M varphi(q) (equation 4.6).
     parameters = posterior.parameters
@@ -317,7 +317,7 @@ class LocalPaths:
 
     @cached_property
     def power(self) -> Prediction:
-        """Power prediction at every position, path by path; ``(c N,)``."""
+        """Power prediction at every position, path by path as an array ``(c N,)``."""
         own = np.arange(self.shape[1])
         terms = KrigingTerms(
             self._data_db, self.trend.reshape(-1, 2), self.covariance[:, own, own].ravel()
@@ -346,7 +346,7 @@ class LocalPaths:
         return distance, kernel, across.reshape(*self.shape, -1)
 
     def pull_of_power(self, by_mean: Floats, by_deviation: Floats) -> Pull:
-        """Return the adjoints of the moments, given those of mean and deviation ``(c, N)``."""
+        """Return the adjoints of the moments from adjoints of mean and deviation ``(c, N)``."""
         channel, own = self.channel, np.arange(self.shape[1])
         deviation = self.power.deviation_db.reshape(self.shape)
         by_variance = np.zeros((*self.shape, self.shape[1]))
@@ -419,7 +419,7 @@ class LocalPaths:
 def _single_kernel(
     a: Floats, b: Floats, parameters: ChannelParameters, added_m2: Floats | None = None
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Return distances and shadowing covariances between positions `a` and `b`; ``(n, m)``."""
+    """Return distances and shadowing covariances ``(n, m)`` between positions `a` and `b`."""
     # Shapes: a (n, 2); b (m, 2); added_m2 (m,), added to the squared distances.
     # Offsets from the mean of `a` are rounded to float32, so coordinates near 3e6 keep their
     # digits.

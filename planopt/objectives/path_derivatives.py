@@ -78,7 +78,7 @@ class CovarianceDerivatives:
 
     @property
     def owner(self) -> Indices:
-        """Index of the position that each coordinate belongs to."""
+        """Index of each coordinate's position."""
         steps, count = len(self.value), len(self.first)
         return np.repeat(np.arange(steps), count // steps)
 
@@ -255,7 +255,7 @@ def add_own_blocks(hessian: Floats, own: Floats) -> None:
 
 
 def by_positions(found: PathDerivatives, gates: Gates | None) -> PathDerivatives:
-    """Return derivatives w.r.t. positions alone, from those w.r.t. positions and gates."""
+    """Return derivatives w.r.t. positions from derivatives w.r.t. positions and gates."""
     if gates is None:
         return found
     steps = len(found.gradient) // 3
@@ -305,7 +305,7 @@ def by_lengths(
 
 
 def length_jacobian(lengths: Derivatives) -> Floats:
-    """Return the derivatives of all step lengths w.r.t. all coordinates, ``(h, 2 h)``."""
+    """Return the derivatives ``(h, 2 h)`` of all step lengths w.r.t. all coordinates."""
     steps = len(lengths.value)
     found, k = np.zeros((steps, steps, 2)), np.arange(steps)
     found[k, k] = lengths.gradient

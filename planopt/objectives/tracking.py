@@ -90,7 +90,7 @@ class FilteredTracking:
 
 
 def left(received: Floats, settings: FilteredTracking) -> Floats:
-    """Return the weighted sum over steps of a criterion of the target's position covariance."""
+    """Return the weighted sum over steps of the covariance criterion after received packets."""
     # The filter runs in place, because searches evaluate hundreds of paths over all steps.
     # Shapes: received (..., k), information of the packets per axis in 1 / m^2.
     weight, steps = settings.tracking.weight, Axis.of(settings)
@@ -198,7 +198,7 @@ class Retreats:
 def retreats_of(
     connected_m: Floats, target_chance: Floats, settings: FilteredTracking, longest_m: float
 ) -> Retreats:
-    """Return alternatives to a path's end: known connected and expected target positions."""
+    """Return retreats from a path's end: connected positions and expected target positions."""
     # Shapes: connected_m (n, 2); target_chance (k,).
     tracking = settings.tracking
     target = tracking.target_m
@@ -215,7 +215,7 @@ def retreats_of(
 def recourse_costs(
     paths_m: Floats, chance: Floats, retreats: Retreats, others: Floats, settings: FilteredTracking
 ) -> Floats:
-    """Return the expected cost of paths whose ends are probed (equation 4.22); ``(c,)``."""
+    """Return the expected costs ``(c,)`` of paths with probed ends (equation 4.22)."""
     # Shapes: paths_m (c, N, 2); chance (c, N), probability of connection after each step; others
     # (k,), expected information of the other robots' packets, per m^2.
     steps, tracking = chance.shape[1], settings.tracking
@@ -233,7 +233,7 @@ def recourse_costs(
 
 
 def last_arrivals(paths_m: Floats) -> Indices:
-    """Return the index of the step with which each path (c, N, 2) reaches its end; ``(c,)``."""
+    """Return the index (c,) of the step that reaches the end of each path (c, N, 2)."""
     count, steps, _ = paths_m.shape
     moving = np.linalg.norm(paths_m - paths_m[:, -1:], axis=2) > SAME_PLACE_M
     return steps - np.argmax(np.hstack([moving[:, ::-1], np.ones((count, 1), bool)]), axis=1)
@@ -268,7 +268,7 @@ def discounted(settings: FilteredTracking) -> FilteredTracking:
 def delayed_costs(
     paths_m: Floats, chance: Floats, retreats: Retreats, others: Floats, settings: FilteredTracking
 ) -> Floats:
-    """Return :func:`recourse_costs` if packets contain estimates (equation 4.23); ``(c,)``."""
+    """Return :func:`recourse_costs` ``(c,)`` for packets with estimates (equation 4.23)."""
     held, tracking = settings.held, settings.tracking
     if held is None:
         raise AssertionError("packets have measurements")
@@ -333,7 +333,7 @@ def _variance_on_path(
     others: Floats,  # (k,) information of the others' packets
     settings: FilteredTracking,
 ) -> Floats:
-    """Return the station's covariance entries after each step of each path; ``(3, N, c)``."""
+    """Return the station's covariance entries ``(3, N, c)`` after each step of each path."""
     held = settings.held
     if held is None:
         raise AssertionError("packets have measurements")

@@ -169,7 +169,7 @@ class Scorer:
     def candidate(
         self, path_m: Floats, rung: Rung, termination: Termination, drive: Drive | None = None
     ) -> Candidate:
-        """Return a path as a candidate, evaluated but not verified."""
+        """Return an unverified candidate for a path, with its objective value."""
         # A failed solve may return NaN.
         found = self.objective(path_m, drive) if np.isfinite(path_m).all() else -self.sense * np.inf
         return Candidate(path_m, found, found, rung, termination, drive=drive)
@@ -190,7 +190,7 @@ class Scorer:
         return replace(candidate, found=found)
 
     def standing(self, horizon: int) -> Candidate:
-        """Return a candidate that waits or, if that is unsafe, one that avoids collisions."""
+        """Return a waiting candidate, or a collision-avoiding one if waiting is unsafe."""
         # Alternatives: the reservation, which others avoid, and a path out of obstacles.
         place = np.tile(self.position_m, (horizon, 1))
         found = self.assessed(self.candidate(place, Rung.STOP, Termination.NO_PATH))
@@ -267,7 +267,7 @@ def released(scorer: Scorer, path_m: Floats, begun_s: float) -> Plan:
 
 
 def held(context: VerifierContext, path: list[Floats]) -> Floats:
-    """Return the positions (N, 2) of a path that follows `path` and then waits at its end."""
+    """Return positions (N, 2) that follow `path` and then stay at its end."""
     horizon = context.problem.planner.horizon
     last = path[-1] if path else context.position_m
     return np.asarray([*path, *[last] * (horizon - len(path))])[:horizon]
@@ -297,7 +297,7 @@ def best_of(
 
 
 def with_effort(chosen: Candidate, candidates: Sequence[Candidate]) -> Candidate:
-    """Return the chosen candidate with the solver time and iterations of all candidates."""
+    """Return the chosen candidate with the total solver time and iterations of all candidates."""
     refined = [c for c in candidates if c.termination is not Termination.LATTICE_ONLY]
     return replace(
         chosen,
@@ -308,7 +308,7 @@ def with_effort(chosen: Candidate, candidates: Sequence[Candidate]) -> Candidate
 
 
 def shifted_path(scorer: Scorer, warm: Plan | None) -> Floats | None:
-    """Return the rest of the last verified plan and a final waiting step as positions (N, 2)."""
+    """Return positions (N, 2): the remainder of the last verified plan, then a waiting step."""
     # None if the plan is unverified, no longer drivable, or for a robot with dynamics.
     if warm is None or warm.verdict is not Verdict.VERIFIED or warm.drive is not None:
         return None
@@ -334,7 +334,7 @@ def without_guess(scorer: Scorer, warm: Plan | None) -> Candidate:
 
 
 def _driven_without_guess(scorer: Scorer, warm: Plan | None) -> Candidate:
-    """Return the rest of the last plan if it is verified, else a stop now or after that rest."""
+    """Return the remainder of the last plan if verified, else a stop before or after it."""
     problem, horizon = scorer.problem, scorer.problem.planner.horizon
     shifted = shifted_drive(problem, warm)
     rest: Candidate | None = None

@@ -40,21 +40,21 @@ class Hole:
 
 
 @dataclass(frozen=True, eq=False)
-class BlockedWay:
+class BlockedPath:
     """Cheapest path of a robot to its goal if all paths violate a hard connectivity bound.
 
     Attributes
     ----------
     robot
         Name of the robot.
-    way_m
+    path_m
         ``(n, 2)`` positions from the robot to the goal.
     holes
         Stretches that violate the bound, in path order.
     """
 
     robot: str
-    way_m: Floats
+    path_m: Floats
     holes: tuple[Hole, ...]
 
 
@@ -69,7 +69,7 @@ class BlockedError(NoPlanError):
         The cheapest path of each blocked robot.
     """
 
-    def __init__(self, message: str, blocked: tuple[BlockedWay, ...]) -> None:
+    def __init__(self, message: str, blocked: tuple[BlockedPath, ...]) -> None:
         super().__init__(message)
         self.blocked = blocked
 
@@ -85,7 +85,7 @@ def required_margins_db(problem: Problem, power: Prediction) -> Floats:
 
 
 def holes_along(places_m: Floats, connectivity: Floats, is_below: Mask) -> tuple[Hole, ...]:
-    """Return the coverage holes of a path with known probabilities of connection."""
+    """Return the coverage holes of a path from its probabilities of connection."""
     # Shapes: places_m (n, 2), positions of the path; connectivity (n,), P(connected); is_below
     # (n,), whether P(connected) violates the bound.
     lengths = np.linalg.norm(np.diff(places_m, axis=0), axis=1)
@@ -135,7 +135,7 @@ def holes_in_words(problem: Problem, holes: Sequence[Hole], verb: str = "crosses
     return [
         *lines,
         f"total length with P(connected) below {p_min:g}: {total:.0f} m (each metre "
-        f"expected out of contact adds {price:g} m to the cost)",
+        f"expected out of contact adds {price:g} m to the priced length)",
     ]
 
 
@@ -158,7 +158,7 @@ class RuleResult:
     ----------
     connectivity
         Name of the rule.
-    achieved, asked
+    achieved, required
         Achieved value, and the required minimum (for ``outage``, the allowed maximum).
     unit
         ``probability``, ``m``, ``s``, ``Mbit`` or ``steps``.
@@ -171,7 +171,7 @@ class RuleResult:
 
     connectivity: str
     achieved: float
-    asked: float
+    required: float
     unit: str
     method: str
     slack_db: float = 0.0
@@ -179,13 +179,13 @@ class RuleResult:
     @property
     def missing(self) -> float:
         """Return the shortfall in the rule's unit; negative if the rule is satisfied."""
-        short = self.asked - self.achieved
+        short = self.required - self.achieved
         return -short if RULES.find(self.connectivity).greatest else short
 
     @property
     def is_missed(self) -> bool:
         """Return whether the rule is violated by more than rounding errors."""
-        return self.missing > RULE_TOLERANCE * max(1.0, abs(self.asked))
+        return self.missing > RULE_TOLERANCE * max(1.0, abs(self.required))
 
     @property
     def words(self) -> str:
@@ -195,7 +195,7 @@ class RuleResult:
         most = "most" if RULES.find(self.connectivity).greatest else "least"
         return (
             f"connectivity rule {self.connectivity}: {self.achieved:.4g}{unit}; required: at "
-            f"{most} {self.asked:.4g}{unit} (computed by: {self.method}){slack}"
+            f"{most} {self.required:.4g}{unit} (computed by: {self.method}){slack}"
         )
 
 
@@ -286,9 +286,9 @@ def plan_message(certificate: Certificate, positions_m: Floats) -> str:
         else:
             parts.append(
                 f"P(connected) is below the required value at {steps}, up to {worst:.2f} dB below "
-                f"the power needed. This is allowed if a detour costs more: length plus outage "
-                f"price is {path_m:.4g} m for the planned route, and {best_m:.4g} m for the "
-                "cheapest route in the verifier's own search"
+                f"the power needed. This is allowed if a detour costs more: the priced length is "
+                f"{path_m:.4g} m for the planned route, and {best_m:.4g} m for the cheapest "
+                "route of the verifier"
             )
     if np.linalg.norm(positions_m[1:] - positions_m[0], axis=1).max() <= STANDSTILL_M:
         parts.append("the plan stands still")
@@ -322,8 +322,8 @@ class Excused:
         why = "nothing excuses it"
         if self.excuse == "price":
             why = (
-                f"length plus outage price of the route is {self.path_cost_m:.1f} m, and "
-                f"{self.best_cost_m:.1f} m for the cheapest route in the verifier's own search"
+                f"the route has a priced length of {self.path_cost_m:.1f} m, and the verifier's "
+                f"cheapest route has {self.best_cost_m:.1f} m"
             )
         elif self.excuse == "slack":
             why = "within constraints.slack_max_db"
@@ -348,14 +348,14 @@ MOST_EXCUSED = 3
 
 
 def excused_in_words(steps: Sequence[Excused]) -> list[str]:
-    """Return lines about the first steps that violate p_min, and the number of further steps."""
+    """Return text on the first steps that violate p_min, and the number of further ones."""
     lines = [one.words for one in steps[:MOST_EXCUSED]]
     more = len(steps) - MOST_EXCUSED
     return [*lines, f"and {more} more steps below p_min"] if more > 0 else lines
 
 
 def _excused(proof: Certificate, number: int, step: int) -> Excused:
-    """Return the excuse of a violating step, by its index `number` and its run step `step`."""
+    """Return the excuse of violating step `step` of the run, the entry `number` of the proof."""
     missed_db = proof.relaxation_db[number]
     if proof.excess_m is not None:
         return Excused(step, missed_db, "price", proof.path_cost_m, proof.best_cost_m)
@@ -369,7 +369,7 @@ def _excused(proof: Certificate, number: int, step: int) -> Excused:
 
 
 def worst_of(certificates: Sequence[Certificate]) -> Certificate:
-    """Return the worst value of every entry as a certificate that lists no violating steps."""
+    """Return a certificate with the worst value of every entry and no violating steps."""
     # Costs are those of the plan, and of the step, with the largest excess over the cheapest path.
     paths = [
         (one.excess_m, one.path_cost_m, one.best_cost_m)

@@ -105,7 +105,7 @@ class Crossing:
     def why(self) -> str:
         """Return the cost of the path, and the alternative that stays connected."""
         cost = (
-            f"The planned route has a cost of {self.cost_m:.0f} m: its length plus "
+            f"The planned route has a priced length of {self.cost_m:.0f} m: its length plus "
             f"{self.outage_price:g} m for each metre expected out of contact."
         )
         if self.outside_m < SHORTEST_IN_WORDS_M and not self.at_goal:

@@ -77,7 +77,7 @@ def _paths(
         return score_probability((mean_power_dbm(truth, places_m) - threshold) / unknown)
 
     def informing(places_m: Floats, step: int) -> Floats:
-        """Return packet information from positions (n, 2), multiplied by the initial variance."""
+        """Return the information of packets from positions (n, 2), times the initial variance."""
         sensed = sensing_information(sensor, places_m, ahead[step])
         # Per coordinate, so that it adds to the inverse of the initial variance.
         return 0.5 * problem.targets[0].position_std_m ** 2 * sensed
@@ -112,7 +112,7 @@ clairvoyant_log_paths = partial(_paths, knows_multipath=True, saturates=True)
 
 
 def best_nodes(road_map: RoadMap, first: int, rewards: Floats) -> Indices:
-    """Return the nodes (T,) after each step of the lattice path with the largest sum of rewards."""
+    """Return the nodes (T,) of the lattice path with the largest sum of rewards."""
     # Shapes: rewards (T, n).
     rows, columns, lattice = road_map.rows, road_map.columns, road_map.lattice
 

@@ -130,7 +130,7 @@ def leaving_path(
 
 
 def _inside_m(index: ObstacleIndex, places_m: Floats) -> tuple[Floats, ObstacleIndex]:
-    """Return depths (n,) in the obstacles around the first position, and the other obstacles."""
+    """Return depths (n,) in obstacles that contain the first position, and the others."""
     # The group contains the obstacles around the first position and all that intersect them.
     points = np.asarray(shapely.points(places_m), np.object_)
     about = index.tree.query(points[0], predicate="within")
@@ -247,7 +247,7 @@ def _is_free(problem: Problem, index: ObstacleIndex, places_m: Floats, clearance
 
 
 def free_target_path(problem: Problem, draw_path: Callable[[], Floats]) -> Floats:
-    """Return the drawn states (n + 1, 4) of a target, whose path is free if that is required."""
+    """Return random states (n + 1, 4) of a target; obstacles are avoided if this is required."""
     if not problem.targets[0].stays_free:
         return draw_path()
     index = index_obstacles(problem.workspace)

@@ -38,7 +38,7 @@ MERGED_STEPS = 2.0
 def driven_starts(
     scorer: Scorer, context: StepContext, starts: list[Guess], warm: Plan | None
 ) -> list[Guess]:
-    """Return guesses that satisfy the dynamics, best first; unsafe ones are last."""
+    """Return initial guesses that satisfy the dynamics, best first, and unsafe guesses last."""
     problem = scorer.problem
     dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
     found: list[Guess] = []
@@ -54,7 +54,7 @@ def driven_starts(
 
 
 def last_drive(problem: Problem, warm: Plan | None) -> Drive | None:
-    """Return the remainder of the previous plan, then braking; None without a verified plan."""
+    """Return the previous plan's remainder followed by braking; None without a verified plan."""
     shifted = shifted_drive(problem, warm)
     if shifted is None or warm is None or warm.verdict is not Verdict.VERIFIED:
         return None
@@ -101,7 +101,7 @@ class FallbackCascade:
         warm: Plan | None,
         budget: Budget,
     ) -> Candidate:
-        """Return the first verified candidate of the guesses and fallbacks, else the safest one."""
+        """Return the first verified candidate from guesses and fallbacks, else the safest one."""
         candidates: list[Candidate] = []
         verified: list[Candidate] = []
         for number, start in enumerate(starts):
@@ -149,7 +149,7 @@ class FallbackCascade:
         return best_of(scorer, candidates, warm)
 
     def _is_settled(self, starts: list[Guess], number: int, verified: list[Candidate]) -> bool:
-        """Return whether guess `number` cannot be expected to yield a better verified candidate."""
+        """Return whether guess `number` is unlikely to yield a better verified candidate."""
         if self._driven:
             return False
         if number >= min(self._followed, len(starts)):
@@ -191,7 +191,7 @@ class FallbackCascade:
         verified: list[Candidate],
         budget: Budget,
     ) -> list[Candidate]:
-        """Refine the best candidate again, with measurements and separating lines near its path."""
+        """Refine the best candidate again, with data and separating lines chosen near its path."""
         if self.refinement is None:
             return []
         best = max(verified, key=scorer.score)

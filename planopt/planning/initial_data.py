@@ -163,7 +163,7 @@ def _fitted_truth(
 
 
 def draw_truth(problem: Problem, generator: np.random.Generator, station: int = 0) -> Truth | None:
-    """Return one station's ground truth; None if there is none or if it is fitted to a log."""
+    """Return one station's ground truth; None if it is missing or fitted to a log."""
     setup, radio = problem.channel.truth, problem.stations[station]
     if isinstance(setup, RasterTruth):
         setup = raster_truth_of(setup, radio)
@@ -232,7 +232,7 @@ def _require_quantity(setup: RasterTruth, raster: Raster) -> None:
 
 
 def _python_truth(problem: Problem, setup: ArrayTruth | FunctionTruth, station: int) -> Truth:
-    """Return a station's ground truth from arrays or from a function of position."""
+    """Return a station's ground truth from user-defined arrays or a function of position."""
     if isinstance(setup, ArrayTruth):
         x, y, values = (_numbers(key, getattr(setup, key)) for key in ("x_m", "y_m", "power_dbm"))
         several = values.ndim == 3
@@ -291,7 +291,7 @@ def _numbers(key: str, values: object) -> Floats:
 def with_measurements(
     problem: Problem, measurements: UserMeasurements | None
 ) -> tuple[Problem, tuple[Measurements, ...] | None]:
-    """Return the problem without measurements of its own, and the user's, one table per station."""
+    """Return the problem without its own measurements, and the user's as a table per station."""
     # Without user measurements, return the unchanged problem and None.
     if measurements is None:
         return problem, None
@@ -339,7 +339,7 @@ def learn(problem: Problem, measurements: Measurements, station: int = 0) -> Bel
 def _given(
     problem: Problem, known: GivenParameters, measurements: Measurements, station: int
 ) -> tuple[ChannelFit, ChannelPosterior]:
-    """Return a channel's fit and posterior for known parameters; unknown path loss is fitted."""
+    """Return fit and posterior for known parameters; unknown path-loss parameters are fitted."""
     radio = problem.stations[station]
     path_loss_known = known.k_pl_db is not None
     parameters = ChannelParameters(

@@ -191,7 +191,7 @@ class Plan:
 
 
 def share_gained(gain: float, lattice: float, refined: float) -> float:
-    """Return a gain relative to the lattice objective; NaN if this objective is close to zero."""
+    """Return a gain relative to the lattice objective; NaN for an objective close to zero."""
     if gain == 0.0:
         return 0.0
     return gain / abs(lattice) if abs(lattice) >= LEAST_BASE * abs(refined) > 0.0 else math.nan
@@ -262,7 +262,7 @@ def history_of(
 
 
 def _circled(track_m: Floats, step_length_m: float, gave_way: Sequence[bool]) -> bool:
-    """Return whether a track (n + 1, 2) ever stayed near one position without giving way."""
+    """Return whether a track (n + 1, 2) stayed near one position without giving way to others."""
     if len(track_m) <= CIRCLING_STEPS:
         return False
     windows = np.lib.stride_tricks.sliding_window_view(track_m, CIRCLING_STEPS + 1, axis=0)
@@ -275,7 +275,7 @@ def _circled(track_m: Floats, step_length_m: float, gave_way: Sequence[bool]) ->
 
 
 def data_of_steps_mbit(problem: Problem, first: int, count: int) -> Floats:
-    """Return the data (count,) that connected steps after step `first` deliver by the deadline."""
+    """Return the data (count,) in Mbit that each step after `first` can deliver by the deadline."""
     rule, step_s = problem.constraints.rule, problem.planner.step_s
     if rule.deadline_s is None or rule.rate_mbit_s is None:
         return np.zeros(count)
@@ -284,7 +284,7 @@ def data_of_steps_mbit(problem: Problem, first: int, count: int) -> Floats:
 
 
 def data_pace_mbit(problem: Problem, history: History, count: int) -> float:
-    """Return the data required in `count` steps: the missing data, spread over the time left."""
+    """Return the data in Mbit required in `count` steps, at a constant rate until the deadline."""
     rule = problem.constraints.rule
     data_mbit, deadline_s, rate_mbit_s = rule.data_mbit, rule.deadline_s, rule.rate_mbit_s
     left_s = (deadline_s or 0.0) - history.steps * problem.planner.step_s

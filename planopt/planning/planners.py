@@ -61,7 +61,7 @@ def planner_for(problem: Problem, ground: Ground, generator: np.random.Generator
         made = make(problem, ground, generator)
     if not callable(getattr(made, "plan", None)):
         raise InputError(
-            f"is {kind.name}, but {class_name(made)} does not define the method plan",
+            f"is {kind.name!r}, but {class_name(made)} does not define the method plan",
             key=KEY,
             remedy="define plan(self, context, scorer, warm=None), which returns released(...)",
         )
@@ -86,7 +86,7 @@ Score = Callable[[StepContext, Floats], Floats]
 
 
 def as_ranked(context: StepContext, paths_m: Floats) -> Floats:
-    """Return the approximate objective values (c,) by which searches rank paths (c, N, 2)."""
+    """Return the approximate objective values (c,) of paths (c, N, 2), for ranking."""
     return LocalRanking(context, paths_m)(paths_m)
 
 
@@ -260,7 +260,7 @@ class LawnmowerPlanner:
 
 
 def lawn_tour(road_map: RoadMap, first: int, apart_m: float) -> Indices:
-    """Return the successive nodes of a tour in lanes over all space reachable from `first`."""
+    """Return the nodes of a tour in lanes over all free space reachable from `first`."""
     # The lane spacing is `apart_m`, rounded to rows of nodes.
     tour = [first]
     low, high = int(road_map.rows.min()), int(road_map.rows.max())
@@ -281,7 +281,7 @@ def lawn_tour(road_map: RoadMap, first: int, apart_m: float) -> Indices:
 
 
 def lane_rows(low: int, high: int, apart: float) -> list[int]:
-    """Return evenly spaced lattice rows for lanes, about `apart` rows from each other."""
+    """Return evenly spaced lattice rows for lanes, about `apart` rows apart."""
     rows = high - low + 1
     count = min(max(math.ceil(rows / apart), FEWEST_LANES), rows)
     middles = low + (np.arange(count) + 0.5) * rows / count - 0.5
@@ -316,7 +316,7 @@ def informed_disk(parameters: ChannelParameters) -> ChannelParameters:
 
 
 def unaware(parameters: ChannelParameters) -> ChannelParameters:
-    """Return a channel that loses no packet."""
+    """Return a channel without packet losses."""
     return replace(parameters, k_pl_db=parameters.k_pl_db + CERTAIN_DB)
 
 
@@ -364,7 +364,7 @@ class StrategyPlanner:
         return released(scorer, path, begun)
 
     def _home(self, context: StepContext) -> Floats | None:
-        """Return the shortest path (N, 2) to the station; None if a plan can reach contact."""
+        """Return the shortest path (N, 2) to the station; None if contact is within the horizon."""
         believed, station = context.posterior, self._problem.stations[0]
         k_pl_db, n_pl = believed.theta
         slant = 10.0 ** ((k_pl_db - station.threshold_dbm) / (10.0 * n_pl))

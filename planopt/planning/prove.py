@@ -73,7 +73,7 @@ def proven_plans(
 def with_sum_bound(
     problem: Problem, belief: Belief, plan: Plan, aim: Aim, seconds: float, robots: int
 ) -> Plan:
-    """Return the first robot's plan or a better one near it, with a bound on its sum of terms."""
+    """Return the first robot's plan, or a better plan nearby, with a bound on its objective."""
     begun, index = monotonic(), index_obstacles(problem.workspace)
     start = plan.positions_m[0] if plan.drive is None else plan.drive.states[0]
     base = verifier_context(problem, index, belief.posteriors, start)

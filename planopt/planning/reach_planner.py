@@ -25,7 +25,7 @@ from planopt.planning.candidates import (
 )
 from planopt.planning.certificate import (
     BlockedError,
-    BlockedWay,
+    BlockedPath,
     goal_in_words,
     holes_on,
     named_holes,
@@ -233,7 +233,7 @@ class ReachPlanner:
             f"{constraints.rule.slack_max_db:g}: the cheapest crosses {', '.join(named)}"
         )
         words = "; ".join([blocked, *goal_in_words(self.problem, holes)])
-        return BlockedError(words, (BlockedWay(self.problem.robots[0].name, places, holes),))
+        return BlockedError(words, (BlockedPath(self.problem.robots[0].name, places, holes),))
 
     def _guesses(
         self,
@@ -300,7 +300,7 @@ class ReachPlanner:
         yield replace(lattice, rung=Rung.RELAXED) if lattice.relaxes else lattice
 
     def _sooner(self, scorer: Scorer, path_m: Floats) -> Floats | None:
-        """Return a path's positions (N, 2) at full speed if that reaches the goal sooner."""
+        """Return positions (N, 2) along a path, at full speed if this reaches the goal sooner."""
         problem = self.problem
         away = np.linalg.norm(path_m - np.asarray(problem.goal_m), axis=1)
         there = np.flatnonzero(away <= problem.constraints.goal_radius_m)
@@ -315,7 +315,7 @@ def _course(
     outlook: Outlook,
     search: Callable[[Floats, GlobalStart], tuple[GlobalStart, Floats, TimedPath] | None],
 ) -> Course | None:
-    """Return the path that `search` finds for a robot as a course; None if there is none."""
+    """Return the path found by `search` as a course; None if there is none."""
     begun = perf_counter()
     found = None if outlook.start is None else search(outlook.state[:2], outlook.start)
     if found is None:
@@ -326,7 +326,7 @@ def _course(
 
 
 def eased(problem: Problem) -> Problem:
-    """Return the problem with thresholds lowered by the allowed slack, and no slack left."""
+    """Return the problem without slack, with thresholds lowered by the allowed slack."""
     rule = problem.constraints.rule
     if not rule.slack_max_db:
         return problem
@@ -339,7 +339,7 @@ def eased(problem: Problem) -> Problem:
 
 
 def _moves(scorer: Scorer, path_m: Floats) -> bool:
-    """Return whether any step of a path moves, so that a refinement is useful."""
+    """Return whether any step of a path moves; only then is a refinement useful."""
     steps = np.diff(np.vstack([scorer.position_m, path_m]), axis=0)
     return bool((np.linalg.norm(steps, axis=1) > STANDSTILL_M).any())
 
@@ -478,7 +478,7 @@ class DrivenReach:
         warm: Plan | None,
         budget: Budget,
     ) -> Candidate:
-        """Return the best candidate refined from initial guesses with different waypoints."""
+        """Return the best refinement of initial guesses with different terminal waypoints."""
         scorer = replace(scorer, objective=cost)
         if stops_at_goal(self._problem, scorer.state):
             rung = Rung.LATTICE if self._problem.planner.name in METHODS else Rung.PLAN
@@ -499,7 +499,7 @@ class DrivenReach:
         return self._cascade.first_verified(step, scorer, charged, warm, budget)
 
     def _charge(self, cost: ReachCost, pivot: Pivot, drive: Drive) -> GoalCharge:
-        """Return the parameters of the goal cost, charged at each step if the goal is near."""
+        """Return the parameters of the goal cost, which applies to each step near the goal."""
         problem, horizon = self._problem, len(drive.inputs)
         away = np.linalg.norm(resting_places_m(drive)[1:] - pivot.position_m, axis=1)
         arrived = np.flatnonzero(away <= problem.constraints.goal_radius_m)

@@ -166,7 +166,7 @@ def goal_value(
 
 
 def arrival_step(problem: Problem, path_m: Floats) -> int | None:
-    """Return the step (1..N) from which a path (N, 2) to a goal waits; None if it never does."""
+    """Return the step (1..N) after which a path (N, 2) waits at its goal; None if it never does."""
     # A guess that waits at its end has arrived; over the whole horizon it never would.
     standing = np.linalg.norm(path_m - path_m[-1], axis=1) <= STANDSTILL_M
     arrival = len(path_m) - int(np.argmin(standing[::-1])) if not standing.all() else 0
@@ -197,7 +197,7 @@ class Refinement:
         self._nlp_for(obstacles_ahead(problem, 0))
 
     def _tail(self, discs: MovingDiscs) -> int:
-        """Return the number of lines for discs that move after the plan; 0 for plans to a goal."""
+        """Return the number of lines for discs that move after the plan's end; 0 for goal plans."""
         ends = self._to_goal or discs.steps <= self._problem.planner.horizon
         return 0 if ends else moving_count(discs)
 
@@ -333,7 +333,7 @@ class Refinement:
     def _repaired(
         self, task: PathTask, context: StepContext, candidate: Candidate
     ) -> PathTask | None:
-        """Return the task with separating lines for collisions; None if there are none."""
+        """Return the task with new separating lines at collisions; None without collisions."""
         if candidate.sound or not np.isfinite(candidate.path_m).all():
             return None
         discs, tail = context.moving, self._tail(context.moving)

@@ -22,7 +22,7 @@ from planopt.world.moving_discs import MovingDiscs, joined_discs, predicted_disc
 
 
 def reserved_path(position_m: Floats, last_path_m: Floats | None, horizon: int) -> Floats:
-    """Return the reserved positions of a single integrator over the horizon; ``(N + 1, 2)``."""
+    """Return the reserved positions ``(N + 1, 2)`` of a single integrator over the horizon."""
     # Shapes: position_m (2,); last_path_m (N + 1, 2).
     if last_path_m is None:
         return np.tile(position_m, (horizon + 1, 1))
@@ -30,7 +30,7 @@ def reserved_path(position_m: Floats, last_path_m: Floats | None, horizon: int) 
 
 
 def reserved_motion(problem: Problem, number: int, state: Floats, last: Plan | None) -> TimedMotion:
-    """Return the motion reserved by robot `number`: the rest of its last plan, then braking."""
+    """Return the motion reserved by robot `number`: its last plan's remainder, then braking."""
     step_s, steps = problem.planner.step_s, steps_ahead(problem)
     if last is None:
         dynamics = problem.robots[number].dynamics
@@ -79,13 +79,13 @@ def with_separations(problem: Problem, driven: int, plans: Sequence[Plan]) -> li
 
 
 def least_separations_m(motions: Sequence[TimedMotion]) -> Floats:
-    """Return the minimum distance between any two robots in each step; ``(n,)``."""
+    """Return the minimum distance between any two robots in each step as an array ``(n,)``."""
     steps = motions[0].steps
     return np.min([step_distances_m(a, b, steps) for a, b in combinations(motions, 2)], axis=0)
 
 
 def least_moving_clearances_m(problem: Problem, motions: Sequence[TimedMotion]) -> Floats:
-    """Return the minimum true distance of robots to moving obstacles in each step; ``(n,)``."""
+    """Return the minimum true distances ``(n,)`` of robots to moving obstacles, by step."""
     steps, clearance = motions[0].steps, problem.constraints.clearance_m
     obstacles = problem.workspace.moving
     discs = predicted_discs(obstacles, 0.0, problem.planner.step_s, steps, clearance)

@@ -32,7 +32,7 @@ from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex, index_obstacles, inside_bounds, segments_clear
 
 MetreCost = Callable[[Floats], Floats]
-"""Function that maps positions (n, 2) to the cost per metre there; (n,)."""
+"""Function that maps positions (n, 2) to the cost per metre there as an array (n,)."""
 PIECES = 128
 """Number of pieces into which smoothing divides a route."""
 OFFSETS = np.array([-1.0, 0.0, 1.0])
@@ -60,7 +60,7 @@ def smooth_route(
     clearance_m: float,
     corners_m: Floats,  # (n, 2)
 ) -> Floats:
-    """Return a smoothed route (m, 2) between the same ends."""
+    """Return a smoothed route (m, 2) between the same end points."""
     total = float(np.linalg.norm(np.diff(corners_m, axis=0), axis=1).sum())
     longest = max(total / PIECES, FINEST * raster.spacing_m)
     route = stops_along(_taut(raster, index, clearance_m, corners_m), longest)
@@ -113,7 +113,7 @@ def _moved_out(index: ObstacleIndex, distance_m: float, places_m: Floats) -> Flo
 
 
 class CostRaster:
-    """Raster of costs per metre, computed where needed and interpolated."""
+    """Raster of costs per metre, computed on demand and interpolated."""
 
     def __init__(self, metre_cost: MetreCost, bounds_m: tuple[float, float, float, float]) -> None:
         self._metre_cost = metre_cost
@@ -181,7 +181,7 @@ def _moved(
     route_m: Floats,
     unit_m: float,
 ) -> Floats:
-    """Return the cheapest route after one pass of sideways moves; its ends stay."""
+    """Return the cheapest route after one pass of sideways moves with fixed end points."""
     along = np.zeros_like(route_m)
     along[1:-1] = route_m[2:] - route_m[:-2]
     along /= np.maximum(np.linalg.norm(along, axis=1), 1e-12)[:, None]
@@ -226,7 +226,7 @@ STEP_PASSES = 6
 def smooth_steps(
     leg_value: Callable[[Floats, Floats], Floats], places_m: Floats, longest_m: float
 ) -> Floats:
-    """Return positions (k + 1, 2) moved to reduce the cost of the legs; first and last stay."""
+    """Return positions (k + 1, 2) moved to reduce the legs' cost, with fixed end points."""
     # `leg_value` maps starts and ends (n, k, 2) of legs to costs (n, k), some infinite.
     places = places_m.copy()
     choices, still = len(ROUND), len(ROUND) // 2
@@ -421,7 +421,7 @@ class RouteSmoothing:
         return np.array(found[::-1]), rest[number][1:]
 
     def _thinned(self, route_m: Floats) -> list[int]:
-        """Return indices of vertices about a step apart that collision-free legs connect."""
+        """Return indices of vertices about one step apart, connected by collision-free legs."""
         # The numbers count from the vertex after the first. There are at most `WINDOW`.
         lengths = np.linalg.norm(np.diff(route_m, axis=0), axis=1)
         along = np.concatenate([[0.0], lengths.cumsum()])

@@ -117,7 +117,7 @@ def build_scenes(
 
 
 def _why_no_path(problem: Problem, spacing_m: float, place_m: Floats) -> str:
-    """Return text on why no path exists: closed obstacles, or too coarse a lattice."""
+    """Return the reason why no path exists: enclosing obstacles, or too coarse a lattice."""
     start_m = tuple(place_m.tolist())
     what = "the start" if start_m == problem.robots[0].start_m else "the position"
     robot = replace(problem.robots[0], start_m=start_m)
@@ -226,7 +226,7 @@ def stops_along(corners_m: Floats, longest_m: float) -> Floats:
 
 
 def retime(start_m: Floats, path_m: Floats, beyond_m: Floats, step_m: float) -> Floats:
-    """Return N positions `step_m` apart along the polyline of a path and its route; ``(N, 2)``."""
+    """Return N positions (N, 2) `step_m` apart along the polyline of a path and its route."""
     # Shapes: start_m (2,), position of the robot; path_m (N, 2), its path; final waiting steps mean
     # arrival; beyond_m (b, 2).
     horizon = len(path_m)

@@ -364,7 +364,7 @@ class Planner:
         target_m: Sequence[ArrayLike | None] | Floats | None,
         obstacles: Obstacle | Sequence[Obstacle],
     ) -> tuple[Plan, ...]:
-        """Check all arguments, record the outcome of the last step, and return new plans."""
+        """Validate all arguments, record the outcome of the last step, and return new plans."""
         count = len(self.problem.robots)
         for key, given in (
             ("states", states),
@@ -405,7 +405,7 @@ class Planner:
         return tuple(self._robots.plan())
 
     def _state(self, number: int, given: ArrayLike) -> Floats:
-        """Return the validated state of a robot."""
+        """Return a robot's state from user input, after validation."""
         robot = self.problem.robots[number]
         key = f"states[{number}]" if len(self.problem.robots) > 1 else "state"
         names = robot.dynamics.state_names
@@ -433,7 +433,7 @@ class Planner:
     def _implausible(
         self, states: Sequence[Floats], measured: Sequence[Sequence[Measurements]]
     ) -> Iterator[str]:
-        """Yield warnings about implausible powers and about robots far from their plans."""
+        """Yield warnings about implausible powers and robots far from their plans."""
         for taken in (each for stations in measured for each in stations):
             yield from measured_warnings(taken)
         for number, (state, plans) in enumerate(zip(states, self._robots.plans, strict=True)):
@@ -477,7 +477,7 @@ def _links(given: Sequence[bool] | Mask) -> list[bool]:
     for number, value in enumerate(values):
         if not isinstance(value, bool | np.bool_):
             raise InputError(
-                f"is {value!r}, should be a truth value",
+                f"is {value!r}, should be a Boolean",
                 key=f"connected[{number}]",
                 remedy="give True or False",
             )

@@ -89,7 +89,7 @@ class TargetWatch:
 
 
 def watch_target(problem: Problem, generator: np.random.Generator) -> TargetWatch | None:
-    """Return a drawn target path with an initial estimate; None for a problem without a target."""
+    """Return a random target path with an initial estimate; None without a target."""
     if _sensor(problem) is None or not problem.targets:
         return None
     target = problem.targets[0]
@@ -142,7 +142,7 @@ def aim_of(watch: TargetWatch | None, robot: int, steps: int) -> Aim:
 
 
 def _held(watch: TargetWatch, robot: int) -> Held | None:
-    """Return a robot's measurements that the station lacks; None unless packets carry estimates."""
+    """Return a robot's unsent measurements; None unless packets carry estimates."""
     if watch.packets != "estimates":
         return None
     count = len(watch.sent)
@@ -166,7 +166,7 @@ def counted(
     positions_m: Floats,  # (n, 2) positions of the robots
     delivered: Mask,  # (n,) whether a robot's packet reaches the station
 ) -> TargetWatch:
-    """Return the target and all filters one step later, updated with measurements."""
+    """Return target and filters after one more step, updated with measurements."""
     seen = np.asarray(np.isfinite(measured_m).all(axis=1), dtype=np.bool_)
     measured = np.where(seen[:, None], measured_m, positions_m)
     robots = tuple(
@@ -213,7 +213,7 @@ def _counted(
 
 
 def learn_measured(problem: Problem, belief: Belief, measured: Sequence[Measurements]) -> Belief:
-    """Return a belief updated with new measurements, except those within the spacing."""
+    """Return a belief updated with new measurements beyond the spacing."""
     if not any(len(each) for each in measured):
         return belief
     rule = MeasuringRule.of(belief.posteriors, problem.channel.measure_spacing_m)
@@ -312,7 +312,7 @@ class Stepper:
         return plans
 
     def _know(self, problem: Problem) -> None:
-        """Use the workspace of `problem` from now on, with a new planner."""
+        """Adopt the workspace of `problem`, and create a new planner."""
         self._plan_step = self._planning(problem, [driven[-1] for driven in self.states])
         self.problem = problem
         self.owns = [problem_of_robot(problem, number) for number in range(len(problem.robots))]
@@ -337,7 +337,7 @@ class Stepper:
         connected: Sequence[bool] | Mask,
         target_m: Floats | None = None,  # (robots, 2)
     ) -> None:
-        """Record the outcome of a step; an error leaves all robots unchanged."""
+        """Record the outcome of a step; if an error is raised, all robots stay unchanged."""
         beliefs = self._learnt(measured)
         links = np.vstack([self.connected, np.asarray(connected, dtype=np.bool_)])
         watch = self.watches[-1]
@@ -366,7 +366,7 @@ class Stepper:
         ]
 
     def _goes_on(self, number: int, state: Floats) -> bool:
-        """Return whether a robot may continue its previous plan from its current state."""
+        """Return whether a robot's state allows its previous plan to continue."""
         # Off its plan, a robot cannot drive the remainder, and other robots do not avoid it.
         plan, robot = self._warm[number], self.problem.robots[number]
         if plan is None:

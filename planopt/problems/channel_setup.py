@@ -235,7 +235,7 @@ LOG_KEYS = tuple(LogKeys.model_fields)
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredTruth(Part):
-    """Ground truth: the nearest reading of a log, and nothing where no reading is near.
+    """Ground truth: the nearest reading of a log within a distance.
 
     The table has the keys of a log's format, as ``channel.measurements`` has. A robot measures
     nothing at positions without a reading, and metrics of connection leave their steps out.
@@ -263,7 +263,7 @@ class MeasuredTruth(Part):
         return LoggedMeasurements(self.file, self.log_format, self.transmitter_column)
 
     def to_keys(self) -> dict[str, Any]:
-        """Return the keys of the table, with those of the log's format."""
+        """Return the keys of the table and of the log's format."""
         return {**super().to_keys(), **self.log_format.to_keys()}
 
     @classmethod
@@ -406,7 +406,7 @@ class MeasurementsTable(LogKeys):
 
     count: int | None = Field(default=None, ge=0, le=100_000, description=COUNT_WORDS)
     file: FilePath | None = None
-    """Log of initial measurements, relative to the problem file: CSV, or of a known program."""
+    """Log of initial measurements, relative to the problem file: CSV or a known program's log."""
     transmitter_column: str | None = Field(default=None, min_length=1)
     """Column of the log that names the transmitter. Each station uses the rows that name it, by
     stations.transmitter or else its name."""

@@ -314,7 +314,7 @@ def _check_own_channels(problem: Problem) -> None:
         problem,
         [radio.name for radio in problem.stations],
         "name",
-        "is {value!r}, the same as that of stations[{other}]",
+        "is {value!r}, the same as stations[{other}].name",
         'give each station its own name, e.g. "north"',
     )
     if isinstance(truth, RasterTruth):

@@ -270,7 +270,7 @@ def _read(
 def _with_origin(
     table: LogTable, x: str, y: str, log_format: LogFormat, map_path: Path | None, notes: _Notes
 ) -> LogFormat:
-    """Return the format with the first position as origin; with a map, raise an error instead."""
+    """Return the format with the first position as origin; raise an error if there is a map."""
     table.index(x)
     table.index(y)
     if not table.rows:
@@ -294,7 +294,7 @@ def _with_origin(
 def _transmitters(
     table: LogTable, column: str | None, settings: DraftSettings, notes: _Notes
 ) -> tuple[str | None, list[str]]:
-    """Return the column of transmitters and the labels of those that become stations."""
+    """Return the transmitter column and the labels of transmitters that become stations."""
     if column is None:
         column = alias(table, "transmitter")
         if column is None:
@@ -339,7 +339,7 @@ def _readings(table: LogTable, log_format: LogFormat, column: str | None, label:
 
 
 def _with_details(log_format: LogFormat, logs: Sequence[PowerLog], notes: _Notes) -> LogFormat:
-    """Return the format completed by receiver floor and rounding step, if powers reveal them."""
+    """Return the format completed by receiver floor and rounding step, if detectable."""
     power = np.concatenate([each.measurements.power_dbm for each in logs])
     if logs[0].power_unit != "dBm":
         notes.assume(f"powers are in {logs[0].power_unit}")
@@ -474,7 +474,7 @@ def _workspace(
     origin_deg: Origin | None,
     notes: _Notes,
 ) -> Workspace:
-    """Return the world: the extent of the grid, else of log, start and goal with a margin."""
+    """Return the world with the grid's extent; without grid, log, start and goal plus a margin."""
     if grid is not None and map_path is not None:
         unknown = float(grid.unknown.mean())
         notes.warn(*grid_warnings(map_path.name, grid))
@@ -513,7 +513,7 @@ def _check_alignment(
             notes.warn(
                 f"{blocked:.1%} of the measurements on the map are in occupied or unknown "
                 "cells (check --origin LAT,LON,ANGLE; ANGLE is the direction of the map's x axis "
-                "in degrees to the left of east)"
+                "in degrees counter-clockwise from east)"
             )
 
 

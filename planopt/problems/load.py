@@ -237,7 +237,7 @@ def require_motion(problem: Problem) -> None:
 def _overridden(
     problem: Problem, horizon: int | None, planner: str | None, cost_to_go: str | None
 ) -> Problem:
-    """Return a copy of `problem` with changed settings, each validated on its own."""
+    """Return a copy of `problem` with changed settings, each validated separately."""
     changes = {"horizon": horizon, "name": planner}
     changes = {name: value for name, value in changes.items() if value is not None}
     # The constructor of the changed part validates it.
@@ -287,19 +287,19 @@ def with_changes(problem: AnyProblem, changes: Mapping[str, object]) -> AnyProbl
 
 def _of_change(error: InputError, given: str) -> InputError:
     """Return the error about a changed problem, with the changes in its message."""
-    message = f"{error.message}; the value was changed by {given}"
+    message = f'{error.message}; this comes from the setting "{given}"'
     return InputError(message, key=error.key, remedy=error.remedy)
 
 
 def _places(tables: dict[str, Any], key: str) -> list[tuple[Any, str | int]]:
-    """Return the container of each value that a dotted key selects, and its key or index there."""
+    """Return container and key (or index) of each value that a dotted key selects."""
     found: list[tuple[Any, str | int]] = [({"": tables}, "")]
     for part in key.split("."):
         match = _PART.fullmatch(part)
         if match is None:
             raise InputError(
                 "is not a key of a problem file",
-                key=key,
+                key=key or "''",
                 remedy="write it like robots[0].speed_max_m_s",
             )
         found = [(_entered(table, name, key), match[1]) for table, name in found]
@@ -312,10 +312,9 @@ def _places(tables: dict[str, Any], key: str) -> list[tuple[Any, str | int]]:
             ]
             if index != "*" and any(int(index) >= len(entries) for entries in entered):
                 raise InputError(
-                    f"has the index of a missing entry: there are {len(entered[0])} entries, "
-                    "counted from 0",
+                    f"has the index of a missing entry; the number of entries is {len(entered[0])}",
                     key=key,
-                    remedy=f"give an index up to {len(entered[0]) - 1}, or [*] for all",
+                    remedy=f"give an index from 0 to {len(entered[0]) - 1}, or [*] for all",
                 )
     return found
 
@@ -331,7 +330,7 @@ def _entered(table: Any, name: str | int, key: str) -> dict[str, Any]:
         )
     if not isinstance(value, dict):
         raise InputError(
-            f"has no meaning: {name} is not a table", key=key, remedy=f"remove what follows {name}"
+            f"is not a key: {name} is not a table", key=key, remedy=f"remove the part after {name}"
         )
     return cast("dict[str, Any]", value)
 

@@ -292,7 +292,7 @@ class ConnectivityRule(Part):
                     ) from error
                 except TypeError as error:
                     raise InputError(
-                        f"do not match the fields of the rule {self.connectivity}: {error}",
+                        f"do not match the fields of the rule {self.connectivity!r}: {error}",
                         key="constraints.settings",
                         remedy="give one number for each field of the rule, and no others",
                     ) from error
@@ -399,7 +399,7 @@ class Constraints(Part):
     @property
     def requires_connection(self) -> bool:
         """Return True if the connection is constrained."""
-        return self.p_min > 0.0 or not self.rule.kind.asks_p_min
+        return self.p_min > 0.0 or not self.rule.kind.uses_p_min
 
     @property
     def step_p_min(self) -> float:

@@ -220,7 +220,7 @@ class Problem:
 
     @property
     def term_setting(self) -> TermSetting:
-        """Return the properties of the problem on which the choice and checks of terms depend."""
+        """Return the properties of the problem that affect the choice and checks of terms."""
         return TermSetting(
             self.planner.horizon,
             len(self.stations),
@@ -303,7 +303,7 @@ def problem_from_tables(data: object, *, folder: Path, file: Path | None) -> Pro
 
 
 def problem_at(problem: Problem, steps: int) -> Problem:
-    """Return `problem` with the obstacles known after some steps; unchanged if all are known."""
+    """Return `problem` with the obstacles known after `steps` steps."""
     workspace = problem.workspace
     if not workspace.timed:
         return problem

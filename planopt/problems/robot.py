@@ -181,9 +181,9 @@ def _start_rest(dynamics: Dynamics, given: object) -> tuple[float, ...]:
         return (0.0,) * len(rest)
     if values is None or len(values) != len(rest) or not _are_finite(values):
         raise InputError(
-            f"has start_rest = {given!r}, should have one finite number for each of {listed(rest)}",
+            f"has start_rest = {given!r}, should have the length {len(rest)} and finite numbers",
             key=Robot.at,
-            remedy=f"start_rest is the initial state of a {dynamics.kind} without its position",
+            remedy=f"start_rest is the initial state of a {dynamics.kind} without x and y",
         )
     return tuple(float(value) for value in values)
 

@@ -207,7 +207,7 @@ def _reach_fault(tables: ProblemFile) -> str | None:
             )
         if robot.weights:
             return (
-                f'the task "reach" has no terms, so robots[{number}].weights has no meaning: leave '
+                f'the task "reach" has no terms, so robots[{number}].weights has no effect: leave '
                 'it out, or choose another problem.task and add a term of kind "goal"'
             )
     if tables.objective.terms:
@@ -250,7 +250,7 @@ def _terms_fault(tables: ProblemFile) -> str | None:
             return fault
         if not leads and robot.goal_m is not None:
             return (
-                f"robots[{number}].goal_m has no meaning, since objective.terms has no term of "
+                f"robots[{number}].goal_m has no effect, since objective.terms has no term of "
                 f'kind "goal": leave it out, or add such a term'
             )
     if not leads and tables.constraints.goal_radius_m != Constraints.goal_radius_m:
@@ -320,8 +320,8 @@ def _same_name(table: str, entries: Sequence[Robot] | Sequence[MovingObstacle]) 
     for number, name in enumerate(names):
         if names.index(name) < number:
             return (
-                f"{table}[{number}].name is {name!r}, the same as that of "
-                f"{table}[{names.index(name)}]: give each its own name"
+                f"{table}[{number}].name is {name!r}, the same as "
+                f"{table}[{names.index(name)}].name: give each its own name"
             )
     return None
 

@@ -166,7 +166,7 @@ def planner_kind(name: str) -> PlannerKind:
 
 
 def names_with(trait: str) -> str:
-    """Return a text that lists the built-in planners with a trait."""
+    """Return the names of the built-in planners with a trait, as text."""
     *first, last = [name for name, kind in OWN.items() if getattr(kind, trait)]
     return f"{', '.join(first)} or {last}"
 
@@ -177,7 +177,7 @@ Coordination = Literal["joint", "decoupled"]
 
 
 def known_planner(name: str) -> str:
-    """Return the name of a planner; raise a validation error if there is no such planner."""
+    """Return the name of a planner; raise a validation error for an unknown name."""
     known = planner_names()
     if name not in known:
         listed = ", ".join(f"'{each}'" for each in known[:-1])

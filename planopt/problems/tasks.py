@@ -36,13 +36,13 @@ class TaskProblem:
 
     Attributes
     ----------
-    given
+    config
         Validated tables of the problem file.
     file
         Source file, or None.
     """
 
-    given: Any = field(repr=False)
+    config: Any = field(repr=False)
     file: Path | None
 
     has_goal: ClassVar[bool] = False
@@ -52,47 +52,47 @@ class TaskProblem:
     @property
     def name(self) -> str:
         """Name of the problem."""
-        return self.given.problem.name
+        return self.config.problem.name
 
     @property
     def task(self) -> str:
         """Name of the problem's task."""
-        return self.given.problem.task
+        return self.config.problem.task
 
     @property
     def description(self) -> str:
         """Return the one-sentence description of the problem."""
-        return self.given.problem.description
+        return self.config.problem.description
 
     @property
     def obstacles(self) -> tuple[Obstacle, ...]:
         """Return the obstacles in the table ``world``; empty for a task without it."""
-        return getattr(getattr(self.given, "world", None), "obstacles", ())
+        return getattr(getattr(self.config, "world", None), "obstacles", ())
 
     @property
     def has_figures(self) -> bool:
         """Return True if figures are drawn (key ``report.figures``)."""
-        return self.given.report.figures
+        return self.config.report.figures
 
     def tables(self) -> dict[str, Any]:
         """Return the complete tables of the problem, which refer to no other files."""
-        return self.given.model_dump(mode="json", by_alias=True, exclude_none=True)
+        return self.config.model_dump(mode="json", by_alias=True, exclude_none=True)
 
     def words(self) -> Sequence[str]:
         """Return a text summary of the problem, line by line."""
         return (f"{self.name}: {self.description}", f"  task        {self.task}")
 
     def with_planner(self, horizon: int | None = None, planner: str | None = None) -> Self:
-        """Return the problem with another planner; its horizon is 1 unless it looks ahead."""
-        now = self.given.planner
+        """Return the problem with another planner; planners without look-ahead have horizon 1."""
+        now = self.config.planner
         model = cast("Any", type(now))
         changes = {"horizon": horizon, "name": planner}
-        given = {name: value for name, value in changes.items() if value is not None}
+        changed = {name: value for name, value in changes.items() if value is not None}
         with located(model, None, "planner"):
-            table = model.model_validate({**now.model_dump(), **given})
+            table = model.model_validate({**now.model_dump(), **changed})
         if table.name != LOOKING_AHEAD:
             table = table.model_copy(update={"horizon": 1})
-        return replace(self, given=self.given.model_copy(update={"planner": table}))
+        return replace(self, config=self.config.model_copy(update={"planner": table}))
 
 
 def task_named(name: object) -> Any:

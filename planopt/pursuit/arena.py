@@ -97,7 +97,7 @@ class Arena:
         return np.clip(places_m, self.bounds_m[:2], self.bounds_m[2:])
 
     def route_m(self, place_m: Floats, goal_m: Floats) -> Floats:
-        """Return the waypoints (k, 2) of the shortest path to a goal, the goal being last."""
+        """Return the waypoints (k, 2) of the shortest path to a goal, including the goal."""
         # A goal outside free space is replaced by the nearest free point.
         goal_m = self.free_m(goal_m)
         if self.obstacles is None:
@@ -177,7 +177,7 @@ def arena_of(workspace: Workspace, clearance_m: float) -> Arena:
 
 
 def _ring_detour(ring_m: Floats) -> float:
-    """Return a ring's largest ratio of shorter arc to chord, over chords right of the ring."""
+    """Return a ring's largest ratio of shorter arc to chord, for chords right of the ring."""
     # For points at s and t on two edges, the arc is a concave function of (s, t) and the chord a
     # convex one, so nested golden-section searches find the largest ratio.
     ahead = np.roll(ring_m, -1, axis=0) - ring_m

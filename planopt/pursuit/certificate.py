@@ -56,8 +56,8 @@ class Inequality:
 
     def __str__(self) -> str:
         unit = f" {self.unit}" if self.unit else ""
-        relation = f"{self.margin:.4g}{unit} below" if self.holds else "which is not below"
-        return f"{self.words}: {self.left:.6g}{unit}, {relation} {self.right:.6g}{unit}"
+        relation = f"{self.margin:.4g}{unit} below" if self.holds else "not below"
+        return f"{self.words}: {self.left:.6g}{unit} is {relation} {self.right:.6g}{unit}"
 
 
 ROUNDING = 1e-9
@@ -117,7 +117,7 @@ class Case:
 
     @property
     def contraction(self) -> float:
-        """Return the distance after a stage with fresh records per metre of distance before."""
+        """Return the ratio of the distances after and before a stage with fresh records."""
         ratio = self.evader_m_s / self.pursuer_m_s
         return ratio + self.error * (1.0 + ratio)
 
@@ -170,7 +170,7 @@ def premises(theorem: Theorem, case: Case) -> list[Inequality]:
 
 
 def stages(theorem: Theorem, case: Case, before_m: Floats) -> list[tuple[Floats, Floats]]:
-    """Return the next bound (k,) and the duration (k,) of each kind of stage, from bounds (k,)."""
+    """Return next bounds (k,) and durations (k,) of each kind of stage, for bounds (k,)."""
     # The bound is on W, for the Lemma on the sampled distance. All premises must hold. Snapshots
     # are bounded by level instead.
     age_m = np.maximum(case.moved * before_m, case.evader_m_s * case.least_age_s)
@@ -201,7 +201,7 @@ def next_bound_m(theorem: Theorem, case: Case, before_m: Floats) -> Floats:
 
 
 def floor_m(theorem: Theorem, case: Case) -> float:
-    """Return the largest distance bound that a stage may not reduce; infinite if premises fail."""
+    """Return the largest distance bound without guaranteed reduction; infinite without premises."""
     if not all(each.holds for each in premises(theorem, case)):
         return math.inf
     if theorem is Theorem.SNAPSHOTS:
@@ -242,7 +242,7 @@ def capture_time_s(theorem: Theorem, case: Case, distance_m: float, radius_m: fl
 
 @dataclass(frozen=True)
 class DesignData:
-    """A network design and the pursuit it is made for."""
+    """Network design with the pursuit for which it was made."""
 
     evader_speed_m_s: float
     pursuer_speed_m_s: float
@@ -307,7 +307,7 @@ def certify(
 
 @dataclass(frozen=True)
 class Claim:
-    """Guarantee that a saved run claims by one theorem for its first pursuer and first evader."""
+    """Guarantee of one theorem, claimed by a saved run for its first pursuer and first evader."""
 
     theorem: Theorem
     distances: Distances

@@ -54,7 +54,9 @@ class NoDesignError(NoPlanError):
 
     def __init__(self, inequality: Inequality, bits_per_axis: int) -> None:
         self.inequality, self.bits_per_axis = inequality, bits_per_axis
-        super().__init__(f"no network serves this pursuit: with c = {bits_per_axis}, {inequality}")
+        super().__init__(
+            f"no design meets the requirements; with c = {bits_per_axis}, {inequality}"
+        )
 
 
 def mean_blocks_per_frame(border_relays: bool, levels: int) -> float:
@@ -271,7 +273,7 @@ def sensitivities(
 
 @dataclass(frozen=True)
 class _Found:
-    """Slot width, rate divisor and active requirements."""
+    """Slot width and rate divisor of a design, with its active requirements."""
 
     slot_width_s: float
     rate_divisor: int
@@ -279,7 +281,7 @@ class _Found:
 
 
 class _FailedError(Exception):
-    """Failed inequality, with the number of preceding inequalities that hold."""
+    """Error for a violated inequality, with the number of preceding inequalities that hold."""
 
     def __init__(self, inequality: Inequality, held: int) -> None:
         self.inequality = inequality
@@ -406,7 +408,7 @@ def _widest_s(task: DesignTask, bits: int) -> float:
 
 
 def _left(task: DesignTask, bits: int) -> float:
-    """Return 1 minus the contraction per stage."""
+    """Return one minus the contraction factor per stage."""
     return task.room(bits) + task.margin
 
 

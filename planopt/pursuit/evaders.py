@@ -63,7 +63,7 @@ class Wandering(Table):
     """Standard deviation of the heading change within a second, in rad."""
 
     def begin(self, generator: np.random.Generator) -> Decide:
-        """Return a random-walk decision function; a blocked step takes the next free heading."""
+        """Return a random-walk decision function that replaces blocked headings by free ones."""
         heading = generator.uniform(0.0, 2.0 * np.pi)
 
         def decide(view: EvaderView) -> Floats:

@@ -90,7 +90,7 @@ class Guarantee:
 
     @cached_property
     def floor_m(self) -> float:
-        """Return the largest distance bound that may not decrease; infinite if premises fail."""
+        """Return the largest bound without guaranteed decrease; infinite without premises."""
         if self.levels is not None:
             return self.levels.floor_m() if self.holds else math.inf
         floor_m = _floor_m(self.stages) if self.holds else math.inf
@@ -257,7 +257,7 @@ def staleness(chase: Chase, bounds: ServiceBounds) -> float:
 
 
 def _follow(chase: Chase, bounds: ServiceBounds) -> Stage:
-    """Return a driving stage with records whose age and error the sampled distance bounds."""
+    """Return a driving stage for records with age and error bounded by the sampled distance."""
 
     def drive(bound_m: Floats) -> tuple[Floats, Floats]:
         sampled_m = _least_distance_m(chase, bounds, bound_m)

@@ -60,7 +60,7 @@ class LevelBounds:
 
     @cached_property
     def _waited(self) -> tuple[Floats, Floats]:
-        """Return, by level, the distance bound after a wait and the longest wait."""
+        """Return the distance bound after a wait and the longest wait, by level."""
         # A record is older than the one in use only at levels whose cells are as small as errors.
         unseen_m = (1.0 - self.lag) * self._unseen_m
         level = np.searchsorted(unseen_m, self._error_m, side="right") - 1
@@ -95,7 +95,7 @@ class LevelBounds:
         return left_m + self.evader_m_s * self.delay_s
 
     def floor_m(self) -> float:
-        """Return the largest distance bound that a stage may not reduce."""
+        """Return the largest distance bound without guaranteed reduction."""
         # Below the age limit of a level W changes by a constant, above it W / alpha plus a constant
         # has one fixed point; the constant is negative if and only if this point is below the
         # limit.

@@ -35,7 +35,7 @@ class Motion(Protocol):
 
     @property
     def turning_s(self) -> float:
-        """Return the maximum delay by turning, compared with a straight drive."""
+        """Return the maximum delay due to turning, compared with a straight drive."""
         ...
 
     def start(self, place_m: Floats) -> Floats:
@@ -147,7 +147,7 @@ class Driver(Protocol):
         ...
 
     def aim_m(self, view: PursuerView) -> Floats:
-        """Return the point (2,) to which the pursuer drives."""
+        """Return the pursuer's current target point (2,)."""
         ...
 
 

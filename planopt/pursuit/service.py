@@ -8,7 +8,7 @@ sends once: one hop takes one frame.
 
 Flooding is also simulated frame by frame, with the load of every mote. A block is one record; each
 mote sends it once, in the frame after first receiving it. A slot carries a limited number of
-blocks; further blocks wait, those of coarse levels longest.
+blocks; further blocks wait, longest at coarse levels.
 """
 
 import math
@@ -130,7 +130,7 @@ class SnapshotService:
         return np.asarray((self.cells(positions_m, fine) + 0.5) * side_m, dtype=np.float64)
 
     def error_bound_m(self, level: int) -> float:
-        """Return half the diagonal of the sub-cell that a report of `level` names."""
+        """Return half the diagonal of a sub-cell, the error bound of reports of `level`."""
         fine = max(0, level - self.bits_per_axis)
         return math.sqrt(0.5) * self.mote_spacing_m * (1 << fine)
 
@@ -176,7 +176,7 @@ class Snapshot:
         return np.asarray((np.abs(own - self.cells) <= 1).all(axis=1), dtype=np.bool_)
 
     def level_map(self) -> NDArray[np.int8]:
-        """Return the level (n, n) from which each mote takes its report; rows are y."""
+        """Return the level (n, n) of each mote's report; rows are y."""
         # The level is -1 if none shows the object, which happens only on endless grids.
         side = self.service.motes_per_side
         found = np.full((side, side), -1, dtype=np.int8)
@@ -274,7 +274,7 @@ MOST_SIMULATED_LEVELS = 7
 
 
 def peak_blocks_per_frame(border_relays: bool, levels: int) -> int:
-    """Return a slot capacity in blocks at which no record has to wait."""
+    """Return a slot capacity in blocks that is sufficient to send all records at once."""
     # For up to eight levels this is the peak load, beyond it the bound of eight blocks per level:
     # of the nine heads whose records a mote relays, at most eight are at the same hop distance.
     counted = PEAK_BLOCKS[border_relays]
@@ -439,7 +439,7 @@ class _Round:
 
 
 def _heard_next(sending: Mask) -> Mask:
-    """Return a mask of the motes that send or have a sending neighbour."""
+    """Return a mask of the motes that send or receive a block."""
     wide = sending.copy()
     wide[..., 1:] |= sending[..., :-1]
     wide[..., :-1] |= sending[..., 1:]

@@ -72,7 +72,7 @@ class Use:
 
     @property
     def distance_m(self) -> float:
-        """Return the pursuer's distance from the evader's position at the sample time."""
+        """Return the pursuer's distance from the evader's sampled position."""
         return float(np.linalg.norm(self.place_m - self.sampled_m))
 
 
@@ -104,7 +104,7 @@ class Pursuit:
         return np.array([self.away_m(use, distances) + speed * use.age_s for use in own])
 
     def away_m(self, use: Use, distances: Distances) -> float:
-        """Return the pursuer's distance from the sampled evader at the first use of a record."""
+        """Return the pursuer's distance from the sampled position at the first use of a record."""
         if distances is Distances.STRAIGHT:
             return use.distance_m
         return float(self.scene.arena.distances_m(use.place_m, use.sampled_m[None])[0])
@@ -186,7 +186,7 @@ class PursuitController:
         left = np.setdiff1d(np.arange(len(self.scene.evaders)), list(captured))
         if not len(left):
             raise InputError(
-                "has all evaders: the pursuit is over",
+                "contains all evaders, so the pursuit is over",
                 key="captured",
                 remedy="call no further steps",
             )

@@ -204,7 +204,7 @@ def _drives(
     spot: Floats,
     drive: Floats,
 ) -> Drives:
-    """Return steps that rest for a fraction `spot`, drive for `drive`, and rest until the end."""
+    """Return steps that rest for a fraction `spot`, drive for a fraction `drive`, then rest."""
     part = np.linspace(0.0, 1.0, ARC_PIECES + 1 if arc.any() else 2)
     driven = np.broadcast_to(part[:, None], (len(here), len(part), 1)) * move[:, None]
     if arc.any():
@@ -271,7 +271,7 @@ def _position_faults(data: PursuitData, robot: Robot, places_m: Floats) -> Itera
 
 
 def _report_faults(data: PursuitData, log: PursuitLog) -> Iterator[Violation]:
-    """Yield reports that no mote could have sent, and first uses that violate rule R."""
+    """Yield impossible reports, and first uses that violate rule R."""
     service, reports = data.service, log.reports
     if not len(reports.time_s):
         return
@@ -317,7 +317,7 @@ def _mote(service: Service, places_m: Floats) -> NDArray[np.int64]:
 
 
 def _aim_faults(data: PursuitData, log: PursuitLog) -> Iterator[Violation]:
-    """Yield aims that are neither the last reported nor the pursuer's own position."""
+    """Yield aims other than the last reported position and the pursuer's own position."""
     # Among obstacles aims are path vertices, and a predicting pursuer chooses its own.
     if data.obstacles or data.planner not in ("drive", "retarget"):
         return

@@ -86,7 +86,7 @@ PARAMETERS = {
 def draw_belief(problem: Problem, belief: Belief) -> Figure:
     """Draw predicted power [dBm], its standard deviation [dB], P(connected) and the p_min contour.
 
-    With several stations, power and standard deviation are those of the serving station.
+    With several stations, power and standard deviation belong to the serving station.
 
     Parameters
     ----------
@@ -208,7 +208,7 @@ def _draw_path_loss(
     hollow = {"marker": "v", "facecolors": "none", "edgecolors": VERMILLION, "linewidths": 1.0}
     for label, selection, look in (
         ("measured", ~measurements.censored, exact),
-        ("at most this (censored)", measurements.censored, hollow),
+        ("upper limit (censored)", measurements.censored, hollow),
     ):
         if selection.any():
             power = measurements.power_dbm[selection]
@@ -250,7 +250,7 @@ def _draw_covariance(
         bins = empirical_correlation(positions, residual, extent)
         near = bins.lag_m <= shown
         lag, pairs = bins.lag_m[near], bins.pairs[near]
-        panel.scatter(lag, bins.covariance_db2[near], s=22.0, color=BLACK, label="mean of a bin")
+        panel.scatter(lag, bins.covariance_db2[near], s=22.0, color=BLACK, label="bin mean")
         counts[0].bar(lag, pairs, width=0.8 * extent / BINS, color=OBSTACLE_EDGE)
     lags = np.linspace(0.0, shown, LINE_POINTS)
     shadow, decorrelation = parameters.shadow_std_db**2, parameters.decorrelation_m
@@ -281,7 +281,7 @@ def _draw_covariance(
 
 
 def _with_error(fit: ChannelFit, name: str) -> str:
-    """Return an estimate as text, with its standard error if known."""
+    """Return an estimate as text, with its standard error if available."""
     value, error = getattr(fit.parameters, name), fit.standard_errors.get(name, math.inf)
     if not math.isfinite(error):
         return f"{value:.3g}"
@@ -307,7 +307,7 @@ def draw_calibration(scores: Mapping[str, HeldOutScore]) -> Figure:
     entries: list[Artist] = []
     for number, (name, one) in enumerate(scores.items()):
         levels = [(level, each.value, each.low, each.high) for level, each in one.coverage.items()]
-        label = f"{name}: rmse {one.rmse_db.value:.2f} dB"
+        label = f"{name}: RMSE {one.rmse_db.value:.2f} dB"
         look = curve_look(number)
         entries.append(draw_intervals(coverage, *(100.0 * np.array(levels).T), label=label, **look))
         steps = {"baseline": None, "color": look["color"], "linewidth": 1.6, "label": name}
@@ -320,7 +320,7 @@ def draw_calibration(scores: Mapping[str, HeldOutScore]) -> Figure:
     pit.set_xlim(0.0, 1.0)
     pit.set_ylim(0.0, None)
     dress(coverage, "coverage", "level of the interval [%]", "measurements inside [%]")
-    words = "predicted probability of less than measured [1]"
+    words = "predicted probability of a lower power [1]"
     dress(pit, "probability integral transform", words, "measurements [%]")
     legend_below(figure, entries, 4)
     head(figure, "calibration on held-out measurements")
@@ -357,9 +357,9 @@ def draw_reliability(series: Mapping[str, Sequence[ReliabilityBin]], title: str)
     difference.set_xlim(-0.6, len(edges) - 0.4)
     least = 100.0 * min(low for low, _ in edges)
     diagram.set_xlim(min(least, 100.0 * EDGES[-2]) - 1.0, 101.0)
-    dress(diagram, "reliability", "predicted P(connected) [%]", "truly connected [%]")
+    dress(diagram, "reliability", "predicted P(connected) [%]", "observed connection [%]")
     words = "bin of predicted P(connected) [%]", "difference [percentage points]"
-    dress(difference, "truly connected less predicted", *words)
+    dress(difference, "observed minus predicted connection", *words)
     legend_below(figure, entries, 4)
     head(figure, title)
     return figure
@@ -391,9 +391,9 @@ def draw_sensitivity(relative_errors: Sequence[float], curves: Mapping[str, Floa
     for number, (name, curve) in enumerate(curves.items()):
         panel.plot(percent, curve, label=PARAMETERS.get(name, name), **curve_look(number))
     panel.set_ylim(0.0, None)
-    dress(panel, "", "error in one parameter [%]", "mean squared error Δ² [dB²]")
+    dress(panel, "", "error of one parameter [%]", "mean squared error Δ² [dB²]")
     legend_below(figure, panel.get_legend_handles_labels()[0], 2)
-    head(figure, "error of the predicted map by the error in one parameter")
+    head(figure, "map error caused by an error of one parameter")
     return figure
 
 
@@ -432,10 +432,10 @@ def draw_stations(true_m: Floats, estimates_m: Mapping[str, Floats], measured_m:
         scene.scatter(*true_m.T, s=14.0, color=BLACK, label="true", zorder=3),
         scene.scatter(*found_m.T, s=22.0, label="estimated", zorder=4, **hollow),
         # The legend needs a larger dot than the map.
-        scene.scatter([], [], color=MEASURED, marker=MARKERS[0], label="measured here"),
+        scene.scatter([], [], color=MEASURED, marker=MARKERS[0], label="measured position"),
     ]
     scene.set_aspect("equal", adjustable="datalim")
-    dress(scene, f"{shown}: from true to estimated", X_LABEL, Y_LABEL)
+    dress(scene, f"{shown}: true and estimated positions", X_LABEL, Y_LABEL)
     for number, (name, found) in enumerate(estimates_m.items()):
         ordered = np.sort(np.hypot(*(found - true_m).T))
         # The empirical distribution steps up by one transmitter at each error.
@@ -445,8 +445,8 @@ def draw_stations(true_m: Floats, estimates_m: Mapping[str, Floats], measured_m:
         errors.plot(np.repeat(ordered, 2), 100.0 * shares, label=f"{name}: {words}", **look)
     log_scale(errors, "x")
     errors.set_ylim(0.0, 100.0)
-    dress(errors, "error of position", "distance to the true position [m]", "transmitters [%]")
+    dress(errors, "position error", "distance to the true position [m]", "transmitters [%]")
     legend_inside(errors, "upper left")
     legend_below(figure, entries, 3)
-    head(figure, f"{len(true_m)} transmitters, located by the power received from them")
+    head(figure, f"{len(true_m)} transmitters located by their received power")
     return figure

@@ -168,12 +168,12 @@ def draw_comparison(comparison: Comparison) -> Figure:
     if same:
         names = {name: metric_name(name) for name in same}
         equal = [f"{n.words} {n.scale * same[key]:g} {n.unit}" for key, n in names.items()]
-        words.append("\n".join(textwrap.wrap(f"the same in every run: {', '.join(equal)}", 110)))
+        words.append("\n".join(textwrap.wrap(f"equal in all runs: {', '.join(equal)}", 110)))
     for line in words:
         entries += panels[-1].plot([], [], linestyle="none", label=line)
     legend_below(figure, entries, 4)
-    intervals = interval_words(comparison, "cut at the frame")
-    head(figure, f"{_title(comparison)}; mean, {intervals}, single runs faint")
+    intervals = interval_words(comparison, "as bars (clipped by the frame)")
+    head(figure, f"{_title(comparison)}; means, {intervals}; faint dots: single runs")
     return figure
 
 
@@ -237,7 +237,7 @@ def _draw_step_times(panel: Panel, layout: Layout) -> list[Artist]:
         times_s = (None, None) if row is None else (row.p50_step_s, row.p95_step_s)
         median, slow = 1e3 * np.array(times_s, dtype=np.float64)
         entries.append(_draw_mean(panel, slot, median, median, slow))
-    dress(panel, "step time: median, up to 95 % quantile", layout.label, "step time [ms]")
+    dress(panel, "step time: median and 95 % quantile", layout.label, "step time [ms]")
     log_scale(panel, "y")
     return entries
 
@@ -266,7 +266,7 @@ def draw_traces(comparison: Comparison) -> Figure | None:
         dress(panel, metric_name(name).words, "steps driven [1]", metric_label(name))
         _scale_trace(panel, comparison, name, [traces.mean(axis=0) for traces in table.values()])
     legend_below(figure, entries, 2)
-    head(figure, f"{_title(comparison)}; mean, {interval_words(comparison, 'bands')}")
+    head(figure, f"{_title(comparison)}; means, {interval_words(comparison, 'as bands')}")
     return figure
 
 

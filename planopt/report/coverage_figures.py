@@ -37,7 +37,6 @@ from planopt.report.panel import (
     legend_inside,
     log_scale,
     new_figure,
-    spaced,
 )
 
 if TYPE_CHECKING:
@@ -108,7 +107,7 @@ def draw_network(picture: NetworkPicture) -> Figure:
         log_scale(panels[3], "y")
         dress(panels[3], "largest distance to an agent's target", TIME, "distance [m]")
     legend_below(figure, entries, 10)
-    head(figure, f"{spaced(picture.name)}: H {run.costs[0]:.4g} to {run.costs[-1]:.4g}")
+    head(figure, f"{picture.name}: coverage cost {run.costs[0]:.4g} to {run.costs[-1]:.4g}")
     return figure
 
 
@@ -123,10 +122,10 @@ def draw_deployment(
     figure, (panel,) = new_figure(6.6, 6.4)
     entries = _draw_area(panel, ground, obstacles, None)
     entries.append(_draw_cells(panel, ground, places_m))
-    entries.append(panel.scatter(*places_m.T, s=18.0, color=BLUE, zorder=3, label="covers"))
+    entries.append(panel.scatter(*places_m.T, s=18.0, color=BLUE, zorder=3, label="covering agent"))
     dress(panel, f"coverage cost H {cost:.4g}", X_LABEL, Y_LABEL, grid=False)
     legend_below(figure, entries, 3)
-    head(figure, spaced(name))
+    head(figure, name)
     return figure
 
 
@@ -146,7 +145,7 @@ def draw_step_times(agents: Sequence[int], times_s: Mapping[str, Sequence[float]
     for number, (name, times) in enumerate(times_s.items()):
         panel.plot(sizes, times, label=name, **curve_look(number))
     log_scale(panel, "x", "y")
-    dress(panel, "a step of the network", "agents [1]", "processor time [s]")
+    dress(panel, "computation per step", "agents [1]", "CPU time [s]")
     legend_inside(panel, "upper left")
     return figure
 
@@ -154,7 +153,7 @@ def draw_step_times(agents: Sequence[int], times_s: Mapping[str, Sequence[float]
 def animate_network(picture: NetworkPicture, path: Path) -> None:
     """Write a GIF of a run: agents, cells, links, events, responders, and curves over time.
 
-    The curves beside the map show the coverage cost, messages in a step and responding agents.
+    The curves next to the map show coverage cost, messages per step and responding agents.
     """
     run, eventful = picture.run, bool(picture.events)
     times_s, sent = run.times_s[:-1], run.messages.sum(axis=1)
@@ -162,9 +161,9 @@ def animate_network(picture: NetworkPicture, path: Path) -> None:
     figure, (panel, *others) = new_figure(11.0, 7.2, rows)
     entries = _draw_area(panel, picture.ground, picture.obstacles, picture.radio)
     dress(panel, "", X_LABEL, Y_LABEL, grid=False)
-    head(figure, spaced(picture.name))
+    head(figure, picture.name)
     curves = [(run.costs, "coverage cost H", COST), (sent, "messages in a step", "messages [1]")]
-    curves.append(((run.states >= 0).sum(axis=1), "agents that respond", "agents [1]"))
+    curves.append(((run.states >= 0).sum(axis=1), "responding agents", "agents [1]"))
     for other, (values, title, label) in zip(others, curves, strict=False):
         other.plot(times_s, values, color=CELL, linewidth=1.0)
         if values is run.costs:
@@ -203,7 +202,7 @@ def _draw_area(
 
 
 def _draw_cells(panel: Panel, ground: Ground, places_m: Floats) -> Artist:
-    look = {"colors": CELL, "linewidths": 0.7, "zorder": 2.0, "label": "border of a cell"}
+    look = {"colors": CELL, "linewidths": 0.7, "zorder": 2.0, "label": "cell boundary"}
     return draw_lines(panel, list(ground.borders(places_m)), **look)
 
 
@@ -219,10 +218,10 @@ def _draw_state(panel: Panel, picture: NetworkPicture, step: int) -> list[Artist
     places = [event.place_at(time_s) for event in picture.events if event.is_there(time_s)]
     estimates = run.estimates_m[step]
     for label, positions, colour, marker, size in (
-        ("no connection", unlinked, PURPLE, "x", 45.0),
-        ("covers", here[states == -1], BLUE, "o", 18.0),
-        ("responds", here[states >= 0], ORANGE, "o", 30.0),
-        ("absent", here[states == ABSENT], CELL, "x", 20.0),
+        ("disconnected agent", unlinked, PURPLE, "x", 45.0),
+        ("covering agent", here[states == -1], BLUE, "o", 18.0),
+        ("responding agent", here[states >= 0], ORANGE, "o", 30.0),
+        ("absent agent", here[states == ABSENT], CELL, "x", 20.0),
         ("event", np.array(places).reshape(-1, 2), VERMILLION, "*", 170.0),
         ("estimate", estimates[np.isfinite(estimates).all(axis=1)], BLACK, "+", 110.0),
     ):
@@ -239,7 +238,7 @@ def _draw_paths(panel: Panel, picture: NetworkPicture, begin: int, end: int) -> 
         return []
     paths = run.positions_m[begin : end + 1].transpose(1, 0, 2)
     responds = (run.states[begin] >= 0) | (run.states[end] >= 0)
-    look = {"linewidths": 0.9, "alpha": 0.55, "zorder": 2.0, "label": "path so far"}
+    look = {"linewidths": 0.9, "alpha": 0.55, "zorder": 2.0, "label": "path"}
     return [draw_lines(panel, list(paths), colors=list(np.where(responds, ORANGE, BLUE)), **look)]
 
 
@@ -259,7 +258,7 @@ def _draw_teams(panel: Panel, picture: NetworkPicture) -> None:
         wanted = run.wanted[:, number].astype(np.float64)
         panel.plot(times_s, wanted, color=colour, linewidth=1.0, linestyle="--")
     panel.set_ylim(0.0, None)
-    dress(panel, "agents that respond (dashed: required)", TIME, "agents [1]")
+    dress(panel, "responding agents (dashed: required)", TIME, "agents [1]")
     if len(picture.events) > 1:
         legend_inside(panel, "upper right")
 
@@ -277,7 +276,7 @@ def _draw_errors(panel: Panel, picture: NetworkPicture) -> None:
     if np.isfinite(run.estimates_m).any():
         log_scale(panel, "y")
     panel.set_xlim(float(times_s[0]), float(times_s[-1]))
-    dress(panel, "error of the estimate (dashed: its std)", TIME, "distance [m]")
+    dress(panel, "estimation error (dashed: standard deviation)", TIME, "distance [m]")
 
 
 def _shade_events(panel: Panel, picture: NetworkPicture) -> None:

@@ -74,7 +74,7 @@ def draw_draft(draft: Draft) -> Figure:
         )
         if read.censored.any():
             look = {"facecolors": "none", "edgecolors": VERMILLION, "linewidths": 0.5}
-            label = "at most this power"
+            label = "upper limit (censored)"
             spots = read.positions_m[read.censored]
             entries.append(panel.scatter(*spots.T, s=14.0, zorder=PATH_Z, label=label, **look))
         entries += draw_places(panel, draft.problem)

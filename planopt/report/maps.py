@@ -83,7 +83,7 @@ def cell_centres(bounds_m: Bounds) -> tuple[Floats, Floats]:
 
 
 def drawn_cells(workspace: Workspace, x_m: Floats, y_m: Floats) -> Mask:
-    """Return a mask (ny, nx) of the cells with a free centre, and of their neighbours."""
+    """Return a mask (ny, nx) of cells with a free centre or a free neighbour."""
     centres = np.stack(np.meshgrid(x_m, y_m), axis=-1)
     places = centres.reshape(-1, 2)
     free = inside_bounds(workspace, places)
@@ -136,7 +136,7 @@ def draw_ground(panel: Panel, workspace: Workspace, title: str) -> None:
 
 
 def joined(polygons: Sequence[shapely.Polygon]) -> list[shapely.Polygon]:
-    """Return the polygons with shared sides removed, such as those of a grid's tiles."""
+    """Return the polygons without shared sides, for instance between tiles of a grid."""
     found = shapely.union_all(list(polygons))
     return [each for each in shapely.get_parts(found) if isinstance(each, shapely.Polygon)]
 
@@ -311,7 +311,7 @@ def draw_moving(panel: Panel, problem: Problem, steps: int, *, predicted: bool) 
         radii = np.full(len(times), obstacle.radius_m)
         faded = {"alpha": np.linspace(DARKEST, PALEST, len(times)), "linewidths": 1.0}
         artists.append(
-            draw_discs(panel, centres, radii, label="moving obstacle, paler later", **faded)
+            draw_discs(panel, centres, radii, label="moving obstacle (later: paler)", **faded)
         )
         if predicted and growth_m(obstacle, times).any():
             grown = radii + growth_m(obstacle, times)

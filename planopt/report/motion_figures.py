@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from planopt.channel.posterior import Belief
-from planopt.planning.certificate import BlockedWay
+from planopt.planning.certificate import BlockedPath
 from planopt.planning.loop.results import Run, Solution
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.report.maps import draw_ground, draw_moving, draw_places, map_window, window_about
@@ -139,7 +139,7 @@ def _draw_courier(run: Run) -> Figure:
     before, during = np.split(measured, [run.first_measurements])
     entries = [
         *draw_places(panel, problem),
-        *draw_measured(panel, before, "measured before"),
+        *draw_measured(panel, before, "measured before the run"),
         *draw_measured(panel, during, "measured during the run", on_path=True),
         *draw_moving(panel, problem, len(log.t_s) - 1, predicted=False),
         *draw_connected_track(panel, log),
@@ -152,7 +152,7 @@ def _draw_courier(run: Run) -> Figure:
 
 
 def _draw_team(run: Run) -> Figure:
-    """Draw all robots on the final belief of the first one, and the time series of the run."""
+    """Draw all robots on the first robot's final belief, and the time series of the run."""
     problem = run.problem
     plans = [released[-1] for released in run.plans if released]
     shown = [one.log.positions_m for one in run.runs] + [plan.positions_m for plan in plans]
@@ -166,7 +166,7 @@ def _draw_team(run: Run) -> Figure:
     t_s = run.runs[0].log.t_s
     before = run.beliefs[0].posterior.measurements.positions_m[: run.first_measurements]
     for panel in maps:
-        drawn = draw_measured(panel, before, "measured before")
+        drawn = draw_measured(panel, before, "measured before the run")
         drawn += draw_moving(panel, problem, len(t_s) - 1, predicted=False)
         drawn += draw_tracks(panel, problem, run.runs)
         drawn += draw_plans(panel, problem, plans, 1)
@@ -196,10 +196,10 @@ def draw_run_series(run: Run) -> Figure:
 
 
 def draw_no_plan(
-    problem: Problem, belief: Belief, message: str, blocked: Sequence[BlockedWay]
+    problem: Problem, belief: Belief, message: str, blocked: Sequence[BlockedPath]
 ) -> Figure:
-    """Draw the cheapest paths of a problem without plan, and the holes that forbid them."""
-    positions = np.concatenate([one.way_m for one in blocked])
+    """Draw the cheapest paths of a problem without plan, with their coverage holes."""
+    positions = np.concatenate([one.path_m for one in blocked])
     figure, (panel,) = new_figure(10.0, 9.6, maps_only=True)
     window = window_about(problem, positions)
     entries = draw_belief_maps(figure, [panel], problem, belief, positions, window)

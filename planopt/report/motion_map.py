@@ -12,7 +12,7 @@ import shapely
 
 from planopt.arrays import Floats, Mask
 from planopt.channel.posterior import Belief
-from planopt.planning.certificate import BlockedWay, Hole
+from planopt.planning.certificate import BlockedPath, Hole
 from planopt.planning.loop.log import RobotRun, StepLog, TargetLog
 from planopt.planning.loop.metrics import true_serving_dbm
 from planopt.planning.loop.results import Run
@@ -177,12 +177,12 @@ def draw_plans(panel: Panel, problem: Problem, plans: Sequence[Plan], first: int
     return entries
 
 
-def draw_blocked(panel: Panel, blocked: Sequence[BlockedWay]) -> list[Artist]:
-    """Draw the cheapest paths that a hard chance constraint forbids, and the holes on them."""
+def draw_blocked(panel: Panel, blocked: Sequence[BlockedPath]) -> list[Artist]:
+    """Draw the cheapest paths forbidden by a hard chance constraint, with their holes."""
     entries: list[Artist] = []
     for one in blocked:
-        entries += _draw_dotted(panel, one.way_m, "cheapest path, forbidden")
-        entries += _draw_holes(panel, one.way_m, one.holes)
+        entries += _draw_dotted(panel, one.path_m, "cheapest path (violates a constraint)")
+        entries += _draw_holes(panel, one.path_m, one.holes)
     return entries
 
 
@@ -197,7 +197,7 @@ def _draw_holes(panel: Panel, path_m: Floats, holes: Sequence[Hole]) -> list[Art
     for hole in holes:
         part = _part_in_hole(path_m, hole)
         look = {"color": VERMILLION, "linewidth": 5.0, "solid_capstyle": "butt"}
-        label = "crosses a coverage hole"
+        label = "coverage hole on the path"
         entries += draw_path(panel, part, casing=7.0, zorder=PATH_Z - 0.3, label=label, **look)
         x, y = part[len(part) // 2]
         box = {"boxstyle": "round,pad=0.15", "fc": WHITE, "ec": "none", "alpha": 0.8}
@@ -255,7 +255,7 @@ def draw_connected_track(panel: Panel, log: StepLog) -> list[Artist]:
 
 
 def _pieces(log: StepLog, states: Mask) -> list[Floats]:
-    """Return the maximal parts of a path along which the flag `states` (steps,) stays set."""
+    """Return the maximal parts of a path with flags `states` (steps,) all set."""
     changes = np.flatnonzero(np.diff(states)) + 1
     bounds = [0, *changes.tolist(), len(states)] if len(states) else [0]
     return [
@@ -286,7 +286,7 @@ def draw_relaxed(panel: Panel, log: StepLog) -> list[Artist]:
     look = {"marker": "D", "s": 60.0, "color": PURPLE, "linewidths": 0.0, "zorder": PATH_Z - 0.1}
     if not len(positions):
         return []
-    return [panel.scatter(*positions.T, label="bound relaxed", **look)]
+    return [panel.scatter(*positions.T, label="P(connected) below p_min", **look)]
 
 
 def draw_target(panel: Panel, target: TargetLog) -> list[Artist]:
@@ -305,7 +305,7 @@ def draw_expected_target(panel: Panel, target_m: Floats) -> list[Artist]:
     """Draw the expected position of the target after each step (N, 2)."""
     look: Look = {"color": BLACK, "linewidth": 1.4, "linestyle": "dotted", "marker": "*"}
     look |= {"markersize": 9.0, "markeredgecolor": WHITE, "markeredgewidth": 0.5}
-    label = "target as expected"
+    label = "expected target"
     return list(draw_path(panel, target_m, zorder=PATH_Z + 0.1, label=label, **look))
 
 

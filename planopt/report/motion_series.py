@@ -167,7 +167,7 @@ def _draw_run_connectivity(panel: Panel, run: Run) -> None:
         log, steps = one.log, one.log.relaxation_db > 0.0
         curves.append((log.t_s, log.connectivity, one.robot if several else "_chance"))
         relaxed += zip(log.t_s[steps].tolist(), log.connectivity[steps].tolist(), strict=True)
-    _draw_connectivity(panel, run.problem, curves, relaxed, "P(connected), one step ahead")
+    _draw_connectivity(panel, run.problem, curves, relaxed, "P(connected) predicted one step ahead")
 
 
 def _draw_planned_connectivity(panel: Panel, problem: Problem, plans: Sequence[Plan]) -> None:
@@ -197,8 +197,8 @@ def _draw_connectivity(
         lowest = min(lowest, p_min)
     if relaxed:
         look = {"marker": "D", "s": 28.0, "color": PURPLE, "edgecolors": BLACK}
-        panel.scatter(*np.array(relaxed).T, zorder=3.0, label="bound relaxed", **look)
-    dress(panel, title, TIME, "P [1]")
+        panel.scatter(*np.array(relaxed).T, zorder=3.0, label="P(connected) below p_min", **look)
+    dress(panel, title, TIME, "P(connected) [1]")
     # The axis follows the values but does not magnify values that are all close to 1.
     panel.set_ylim(lowest - 0.02, 1.02)
     legend_above(panel)
@@ -214,8 +214,8 @@ def _draw_connection(panel: Panel, run: Run) -> None:
             if len(times):
                 panel.scatter(times, np.full(len(times), float(number)), s=20.0, **look)
     share = np.mean([one.metrics.true_connected_share for one in run.runs])
-    words = f"{100.0 * share:.1f} % of the steps; x: not" if run.rungs else "no step was driven"
-    dress(panel, f"truly connected ({words})", TIME, "", grid=False)
+    words = f"{100.0 * share:.1f} % of steps; x: outage" if run.rungs else "no step was driven"
+    dress(panel, f"true connection ({words})", TIME, "", grid=False)
     _label_rows(panel, run.problem)
 
 
@@ -233,14 +233,14 @@ def _draw_fallbacks(panel: Panel, run: Run) -> None:
     look = {"s": 80.0, "facecolors": "none", "edgecolors": BLACK, "linewidths": 1.3}
     _draw_rows(panel, rows, "not verified", **look)
     rate = f"{100.0 * run.verified_rate:.0f} % verified" if run.rungs else "no step was driven"
-    dress(panel, f"fallbacks, {rate}", TIME, "", grid=False)
+    dress(panel, f"released plans by fallback; {rate}", TIME, "", grid=False)
     _label_rows(panel, run.problem)
     if run.rungs:
         legend_above(panel, 3)
 
 
 def _draw_rows(panel: Panel, rows: Sequence[Floats], label: str, **look: object) -> None:
-    """Mark the times (n,) of each robot in its row; the label shows how many there are."""
+    """Mark the times (n,) of each robot in its row; the label shows their number."""
     counts = [len(times) for times in rows]
     if sum(counts):
         at = np.repeat(np.arange(len(rows), dtype=np.float64), counts)
@@ -258,7 +258,7 @@ def _draw_step_times(panel: Panel, log: StepLog) -> None:
                 look |= {"s": 34.0, "zorder": 3.0}
             label = f"{spaced(rung)} ({len(times)})"
             panel.scatter(times, milliseconds[np.isin(log.t_s, times)], label=label, **look)
-    dress(panel, "planning time of a step, by fallback", TIME, "step time [ms]")
+    dress(panel, "planning time per step, by fallback", TIME, "step time [ms]")
     if len(log.t_s) > 1:
         log_scale(panel, "y")
         legend_above(panel)
@@ -267,7 +267,7 @@ def _draw_step_times(panel: Panel, log: StepLog) -> None:
 
 
 def _release_times(log: StepLog, rung: Rung) -> Floats:
-    """Return the times at which a fallback released a plan; the start has none."""
+    """Return the times at which a fallback released a plan, except for the start."""
     return log.t_s[1:][np.array([found is rung for found in log.rung[1:]], dtype=bool)]
 
 
@@ -287,7 +287,7 @@ def _distance_series(problem: Problem, tracks: Sequence[Track], t_s: Floats) -> 
 
 
 def _draw_distances(panel: Panel, problem: Problem, tracks: Sequence[Track], t_s: Floats) -> None:
-    """Draw the minimum distances during each step, and the required ones."""
+    """Draw the minimum distances during each step, and the required distances."""
     limits, motions = (
         problem.constraints,
         [driven_motion(*track, problem.planner.step_s) for track in tracks],
@@ -304,7 +304,7 @@ def _draw_distances(panel: Panel, problem: Problem, tracks: Sequence[Track], t_s
         steps = np.append(least[:1], least)
         panel.plot(t_s, steps, color=colour, drawstyle="steps-pre", label=label)
         panel.axhline(required, color=colour, linestyle="dashed")
-    dress(panel, "least distance (dashed: required)", TIME, "distance [m]")
+    dress(panel, "minimum distance (dashed: required)", TIME, "distance [m]")
     panel.set_ylim(min(0.0, *(float(least.min()) for *_, least in curves)), None)
     legend_above(panel)
 
@@ -317,12 +317,12 @@ def _draw_target(panel: Panel, run: Run) -> None:
     arrived = run.target.delivered.any(axis=1)
     for label, selection, fill in (
         ("packets arrived", arrived, PREDICTED),
-        ("none arrived", ~arrived, WHITE),
+        ("no packet arrived", ~arrived, WHITE),
     ):
         if selection.any():
             look = {"s": 22.0, "facecolors": fill, "edgecolors": PREDICTED, "zorder": 3.0}
             panel.scatter(t_s[1:][selection], trace[1:][selection], label=label, **look)
-    dress(panel, "uncertainty of the target", TIME, "trace P [m²]")
+    dress(panel, "uncertainty of the target position", TIME, "trace P [m²]")
     log_scale(panel, "y")
     legend_above(panel)
 
@@ -348,7 +348,7 @@ def _draw_target_distance(
     times = [plan.t_s[1:] for plan in plans]
     _draw_robots(panel, [(t, d, "_distance") for t, d in zip(times, distances, strict=True)])
     sensor = next(term.sensor for term in problem.terms if term.sensor is not None)
-    label = f"sensor is best at {sensor.sweet_spot_m:g} m"
+    label = f"best sensor distance: {sensor.sweet_spot_m:g} m"
     panel.axhline(sensor.sweet_spot_m, color=BLACK, linestyle="dashed", label=label)
     dress(panel, "distance to the target", TIME, "distance [m]")
     panel.set_ylim(0.0, None)

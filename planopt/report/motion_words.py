@@ -30,14 +30,14 @@ COLUMNS = 2
 ORIGINS = {
     "plan": "refined path",
     "cold_retry": "path refined from another initial guess",
-    "lattice": "unrefined path of the lattice search",
-    "relaxed": "path with steps below the required P(connected)",
+    "lattice": "lattice path without refinement",
+    "relaxed": "path across a coverage hole",
     "direct": "shortest path",
-    "give_way": "evasion that lets other robots pass",
+    "give_way": "evasive path that lets other robots pass",
     "shifted": "last plan, shifted by one step",
-    "stop": "standing still or braking",
-    "leave": "step away from an obstacle or robot that is too close",
-    "reserved": "rest of the last plan",
+    "stop": "stop",
+    "leave": "retreat from an obstacle or robot that is too close",
+    "reserved": "remainder of the last plan",
 }
 """Text about the origin of a released path, by the name of the fallback in JSON."""
 
@@ -177,7 +177,7 @@ def run_in_words(run: Run) -> list[str]:
     lines = [
         f"{robots}; plans verified: {run.verified_rate:.1%}; {measured} measurements in {steps} "
         "steps" + (" of all robots" if len(run.runs) > 1 else ""),
-        f"origin of the executed steps: {origins or 'none'}",
+        f"executed steps by type of path: {origins or 'none'}",
         *in_columns([*_metrics_in_words(run)]),
         *symbols_in_words(metric for metric, value in run.metrics.items() if not isnan(value)),
         *_unverified_in_words(run),
@@ -227,9 +227,9 @@ def _unverified_in_words(run: Run) -> list[str]:
 def _costs_in_words(run: Run) -> list[str]:
     """Return the costs of a run and its clairvoyant bound, and reasons for steps below p_min."""
     lines = [
-        f"cost of the run: {shown_number(run.costs['realised_cost_m'], ' m')} (path length plus "
-        f"{run.problem.reach.outage_price:g} m for each metre out of contact)",
-        "cost of the clairvoyant (lattice search that knows the true mean power): "
+        f"priced length of the run: {shown_number(run.costs['realised_cost_m'], ' m')} (length "
+        f"plus {run.problem.reach.outage_price:g} m for each metre out of contact)",
+        "priced length of the clairvoyant (lattice search that knows the true mean power): "
         f"{shown_number(run.costs['clairvoyant_cost_m'], ' m')}",
     ]
     proofs = [plan.certificate for made in run.plans for plan in made]
@@ -237,7 +237,7 @@ def _costs_in_words(run: Run) -> list[str]:
     if excess_m:
         lines.append(
             f"{len(excess_m)} of {len(proofs)} plans have steps below the required P(connected); "
-            f"their cost is at most {max(*excess_m, 0.0):.1f} m above the verifier's cheapest path"
+            f"their priced length is at most {max(*excess_m, 0.0):.1f} m above the verifier's best"
         )
     return lines + [
         f"{made[0].robot}, {line}" if len(run.plans) > 1 else line
@@ -323,7 +323,7 @@ def planned_in_words(clearance_m: float | None, connectivity: float | None) -> s
     clear = (
         f"clearance from obstacles {shown_number(clearance_m, ' m')}" if known else "no obstacles"
     )
-    return f"{clear}; lowest predicted P(connected) of a step {shown_number(connectivity)}"
+    return f"{clear}; lowest predicted P(connected) of all steps {shown_number(connectivity)}"
 
 
 def apart_in_words(separation_m: float | None, moving_clearance_m: float | None) -> tuple[str, ...]:

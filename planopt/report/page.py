@@ -184,7 +184,7 @@ def _template(name: str) -> str:
 
 
 def _script_json(data: object) -> str:
-    """Return JSON that cannot end the script element that contains it."""
+    """Return JSON text without sequences that end a script element."""
     text = json.dumps(data, allow_nan=False, separators=(",", ":"))
     for sign in "<>&":
         text = text.replace(sign, f"\\u{ord(sign):04x}")

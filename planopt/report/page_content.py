@@ -353,7 +353,7 @@ def _charts_over_time(
     limits = {"yaxis": {"range": [-0.03, 1.03]}}
     return [
         Chart(title, power, TIME, "power [dBm]", over_time=True),
-        Chart("Predicted P(connected)", chance, TIME, "P [1]", over_time=True, layout=limits),
+        Chart("Predicted connection", chance, TIME, "P(connected)", over_time=True, layout=limits),
     ]
 
 
@@ -485,7 +485,7 @@ def _settings(settings: Mapping[str, Any], seed: object) -> list[PageTable]:
 
 
 def _flat(table: Mapping[str, Any], head: str = "") -> Iterator[tuple[str, object]]:
-    """Yield the keys of nested tables with their values; long lists are shortened."""
+    """Yield keys and values of nested tables; long lists are shortened."""
     for key, value in table.items():
         if isinstance(value, Mapping):
             yield from _flat(cast("Mapping[str, Any]", value), f"{head}{key}.")

@@ -85,12 +85,12 @@ def draw_pursuit(name: str, pursuit: Pursuit) -> Figure:
     ages.set_ylim(0.0, None)
     distances.set_ylim(0.0, None)
     dress(ages, "age of the record in use", "time [s]", "age [s]")
-    dress(distances, "true distance to the evader (dashed: capture)", "time [s]", "distance [m]")
+    dress(distances, "true distance (dashed: capture radius)", "time [s]", "distance [m]")
     legend_below(figure, entries, 5)
     outcome = f"not captured in {pursuit.times_s[-1]:.1f} s"
     if pursuit.outcome == "captured":
         outcome = f"captured after {pursuit.capture_time_s:.1f} s"
-    head(figure, f"{spaced(name)}: {outcome}")
+    head(figure, f"{name}: {outcome}")
     return figure
 
 
@@ -115,7 +115,7 @@ def draw_knowledge(known: Snapshot, track: Track) -> Figure:
     """Draw the age of every mote's report of one object, and the object's path."""
     levels = known.level_map()
     ages_s = np.where(levels >= 0, known.ages_s[np.maximum(levels, 0)], np.nan)
-    figure, panel = _motes(known.service, ages_s, "what every mote knows", "age of the report [s]")
+    figure, panel = _motes(known.service, ages_s, "latest report at each mote", "age [s]")
     path, reported = track.positions_m, known.reported_m[np.unique(levels[levels >= 0])]
     look = {"linestyle": "none", "marker": "o"}
     entries = [
@@ -138,7 +138,7 @@ def draw_view(
     # Visibility is mutual: a level that shows one mote to another also shows the reverse.
     seen = snapshot(service, Track(np.zeros(1), here_m[None]), time_s)
     ages_s = np.asarray(seen.ages_s[seen.level_map()], dtype=np.float64)
-    figure, panel = _motes(service, ages_s, "the snapshot of one mote", "age of its records [s]")
+    figure, panel = _motes(service, ages_s, "snapshot at one mote", "age of its records [s]")
     look = {"linestyle": "none", "marker": "o"}
     entries: list[Artist] = []
     for track in tracks:
@@ -149,11 +149,11 @@ def draw_view(
         since = np.array([known.sampled_m[level], track.at(np.array(time_s))])
         entries += [
             *panel.plot(*square.T, color=ORANGE, linewidth=2.0, label="reported sub-cell"),
-            *panel.plot(*since.T, color=VERMILLION, linewidth=1.4, label="its path since"),
+            *panel.plot(*since.T, color=VERMILLION, linewidth=1.4, label="path since the sample"),
             *panel.plot(*since[1:].T, color=VERMILLION, label="object now", **look),
         ]
     look["marker"] = "s"
-    entries += panel.plot(*here_m[:, None], color=BLUE, label="the mote", **look)
+    entries += panel.plot(*here_m[:, None], color=BLUE, label="mote", **look)
     legend_below(figure, entries, 4)
     return figure
 
@@ -187,7 +187,7 @@ def animate_pursuit(name: str, pursuit: Pursuit, path: Path) -> None:
     half_m = 0.53 * float((high - low).max()) + pursuit.scene.capture_radius_m
     x, y = (0.5 * (low + high)).tolist()
     show_bounds(panel, (x - half_m, y - half_m, x + half_m, y + half_m))
-    head(figure, spaced(name))
+    head(figure, name)
     count = len(pursuit.times_s)
     animate(figure, path, count, lambda step: _draw_frame(panel, pursuit, step), entries)
 
@@ -236,10 +236,10 @@ def draw_design(task: DesignTask, data: Mapping[str, Any]) -> Figure:
         times_s = [row["capture_time_s"] for row in front]
         energies_j = [row["energy_per_capture_j"] for row in front]
         panels[2].plot(times_s, energies_j, **{**curve_look(0), "markersize": 4.0})
-        words = "longest time to capture [s]", "energy per capture [J]"
-        dress(panels[2], "energy against time, by the Lemma", *words)
-    binding = spaced(" and ".join(data["binding"])) or "nothing"
-    head(figure, f"{spaced(data['problem'])}: {data['cost_w']:.4g} W, binding: {binding}")
+        words = "maximum time to capture [s]", "energy per capture [J]"
+        dress(panels[2], "energy against capture time (Lemma III.3)", *words)
+    binding = spaced(" and ".join(data["binding"])) or "none"
+    head(figure, f"{data['problem']}: {data['cost_w']:.4g} W, active constraint: {binding}")
     return figure
 
 
@@ -256,7 +256,7 @@ def _draw_power(panel: Panel, task: DesignTask, data: Mapping[str, Any]) -> None
         panel.plot(1e3 * slots_s, powers, **look)
     look = {"color": BLACK, "marker": "*", "markersize": 14.0, "linestyle": "none"}
     panel.plot([1e3 * data["slot_width_s"]], [data["cost_w"]], label="chosen", **look)
-    dress(panel, "power by slot width and compression", "slot width [ms]", "power [W]")
+    dress(panel, "power against slot width", "slot width [ms]", "power [W]")
     legend_inside(panel)
 
 
@@ -269,4 +269,4 @@ def _draw_sensitivities(panel: Panel, data: Mapping[str, Any]) -> None:
     panel.axvline(0.0, color=BLACK, linewidth=0.8)
     panel.set_yticks(places, [QUANTITIES[name] for name, _ in found])
     what = "energy" if data["objective_name"] == "energy_per_capture_j" else "power"
-    dress(panel, "effect of one per cent more", f"change of the least {what} [%]", "")
+    dress(panel, "effect of a 1 % increase", f"change of the minimum {what} [%]", "")

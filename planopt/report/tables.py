@@ -49,10 +49,10 @@ METRIC_NAMES = {
     "predicted_min_connectivity": MetricName(
         "lowest predicted P(connected)", "1", digits=3, most=1.0
     ),
-    "time_averaged_trace_p": MetricName("tr P, mean over time", "m2", digits=3),
-    "trace_p": MetricName("tr P", "m2", digits=3),
+    "time_averaged_trace_p": MetricName("tr P, mean over time", "m²", digits=3),
+    "trace_p": MetricName("tr P", "m²", digits=3),
     "target_lost": MetricName("target lost", "%", 100.0, most=100.0),
-    "final_trace_p": MetricName("final tr P", "m2", digits=3),
+    "final_trace_p": MetricName("final tr P", "m²", digits=3),
     "time_averaged_normalised_trace_p": MetricName(
         "tr P / initial tr P, mean over time", "1", digits=4
     ),
@@ -62,16 +62,16 @@ METRIC_NAMES = {
     "nees": MetricName("NEES of the station", "1", digits=2),
     "nis": MetricName("NIS of the robots", "1", digits=2),
     "delivered": MetricName("packets delivered", "%", 100.0, most=100.0),
-    "mean_squared_error_db2": MetricName("mean squared map error", "dB2", digits=2),
+    "mean_squared_error_db2": MetricName("mean squared map error", "dB²", digits=2),
     "rms_db": MetricName("RMS map error", "dB", digits=2),
     "rms_without_multipath_db": MetricName("RMS map error without multipath", "dB", digits=2),
-    "path_loss_variance_db2": MetricName("mean variance of the path loss", "dB2", digits=3),
+    "path_loss_variance_db2": MetricName("mean variance of the path loss", "dB²", digits=3),
     "anmse_db": MetricName("normalised squared map error (ANMSE)", "dB", digits=2),
     "measured_steps": MetricName("number of steps with a measurement", "1"),
     "trace_m_db": MetricName("tr M / |θ|²", "dB", digits=2),
     "log_det_m": MetricName("log det M", "nats", digits=2),
-    "min_separation_m": MetricName("least distance between robots", "m", digits=3),
-    "min_moving_clearance_m": MetricName("least distance to moving obstacles", "m", digits=3),
+    "min_separation_m": MetricName("minimum distance between robots", "m", digits=3),
+    "min_moving_clearance_m": MetricName("minimum distance to moving obstacles", "m", digits=3),
     "polish_gain": MetricName("objective gain by refinement", "%", 100.0, 2),
     "cost_first": MetricName("initial coverage cost", "1", digits=None),
     "cost_last": MetricName("final coverage cost", "1", digits=None),
@@ -89,8 +89,8 @@ METRIC_NAMES = {
 
 UNITS = {
     ending: ending.replace("_", "/")
-    for ending in ("m_s", "m2_s", "m2", "m4", "db2", "m", "s", "w", "j", "db", "dbm")
-} | {"w": "W", "j": "J", "db": "dB", "dbm": "dBm", "db2": "dB2"}
+    for ending in ("m_s", "m2_s", "m²", "m4", "db2", "m", "s", "w", "j", "db", "dbm")
+} | {"w": "W", "j": "J", "db": "dB", "dbm": "dBm", "db2": "dB²"}
 """Units by the ending of a key, for metrics that are not listed; longer endings first."""
 
 
@@ -106,7 +106,7 @@ BAND_ENDS = {end: metric for metric, (*ends, _) in BANDS.items() for end in ends
 
 
 def metric_name(metric: str) -> MetricName:
-    """Return the name of a metric; for a metric that is not listed, from its key."""
+    """Return the name of a metric; for an unlisted metric, derive it from the key."""
     if metric in METRIC_NAMES:
         return METRIC_NAMES[metric]
     for ending, unit in UNITS.items():
@@ -122,7 +122,7 @@ def metric_label(metric: str) -> str:
 
 
 def symbols_in_words(metrics: Iterable[str]) -> list[str]:
-    """Return a line that explains the symbols in the names of metrics, if they have any."""
+    """Return a line that explains symbols in the names of metrics; empty without symbols."""
     listed = " ".join(metrics)
     words = [words for metric, words in SYMBOLS.items() if metric in listed]
     return ["; ".join(words)] if words else []
@@ -170,14 +170,14 @@ def comparison_text(comparison: Comparison) -> str:
     shown = GOAL_COLUMNS if to_goal else _columns(comparison.rows)
     title = (
         f"{', '.join(problem.name for problem in problems)}: {len(comparison.runs)} runs in "
-        f"{comparison.wall_s:.1f} s; the table has means over runs, {interval_words(comparison)}"
+        f"{comparison.wall_s:.1f} s; means over runs, {interval_words(comparison)}"
     )
     if comparison.resumed:
         title += f"; {comparison.resumed} runs were reused from an earlier call"
     if to_goal:
         title += (
-            "; time to goal and cost ratio: only runs that arrived; cost ratio: realised cost / "
-            "cost of a lattice path planned with the known channel"
+            ". Time to goal and cost ratio are means over runs that arrived. Cost ratio: realised "
+            "cost / cost of a lattice path planned with the known channel"
         )
     header, *lines = _names(comparison, to_goal=to_goal)
     metrics = [name for _, name in shown]
@@ -218,7 +218,7 @@ def _names(comparison: Comparison, *, to_goal: bool) -> list[list[str]]:
 
 
 def _listed(comparison: Comparison) -> list[str]:
-    """Return a line that describes each numbered setting; none if at most one key is swept."""
+    """Return a line for each numbered setting; empty if at most one key is swept."""
     names, several = short_keys(comparison.runs), bool(comparison.others)
     if len(names) < 2:
         return []
@@ -335,7 +335,7 @@ def reliability_lines(
     """Return the table of predicted and observed connection, one line per bin."""
     if not bins:
         return []
-    title = f"predicted P(connected), and the observed share of connected {what}"
+    title = f"calibration of P(connected): mean prediction and observed share of connected {what}"
     with_intervals = any(one.interval for one in bins)
     columns = [
         ["predicted P", *(f"{one.low:g} to {one.high:g}" for one in bins)],

@@ -46,7 +46,7 @@ class TerminalMap:
             self._put(self._ground, np.array(places, dtype=np.float64).reshape(-1, 2), mark)
 
     def frame(self, step: int, plans: Sequence[Plan]) -> str:
-        """Return the frame of a step, and keep the robots' positions as driven."""
+        """Return the frame of a step, and store the robots' positions."""
         picture = self._ground.copy()
         for number, plan in enumerate(plans):
             length = plan.positions_m[-1] - plan.positions_m[0]
@@ -62,7 +62,7 @@ class TerminalMap:
         return "\n".join([edge, *rows, edge, *step_lines(self._problem, step, plans)])
 
     def _put(self, picture: NDArray[np.str_], places_m: Floats, mark: str) -> None:
-        """Write a character at positions; those outside are left out."""
+        """Write a character at all positions inside the picture."""
         cell = np.array([self._cell_m, -ASPECT * self._cell_m])
         column, row = np.floor((places_m - self._corner) / cell).astype(int).T
         inside = (row >= 0) & (row < picture.shape[0]) & (column >= 0) & (column < picture.shape[1])

@@ -154,7 +154,7 @@ class CasadiMap(Dynamics):
         return tuple(there - here for there, here in zip(after, state, strict=True))
 
     def change_at_rest(self, state: Floats, step_s: float) -> Floats:
-        """Return the least change (s,) that the rest input causes in any state at a position."""
+        """Return the smallest change (s,) under the rest input over all states at a position."""
         # Searches start from `state` and from zeros; a guess counts if the map is not finite.
         low, high = np.array(self.state_bounds)[2:].T
         free = low < high
@@ -192,7 +192,7 @@ class CasadiMap(Dynamics):
         return np.tile(np.array(self.rest_input), (steps, 1))
 
     def following(self, state: Floats, path_m: Floats, step_s: float) -> Floats:
-        """Return inputs that follow a path, selected by comparing input values over two steps."""
+        """Return inputs that follow a path, found by comparing input values over two steps."""
         pursuit = PurePursuit(np.vstack([state[:2], path_m]))
         ranges = [
             np.linspace(max(low, rest - 1.0), min(high, rest + 1.0), INPUT_VALUES)
@@ -220,7 +220,7 @@ class CasadiMap(Dynamics):
         """Return None, as a straight drive is unknown for a general map."""
 
     def curves(self, states: Floats, inputs: Floats, step_s: float) -> list[StepCurve]:
-        """Return the path of each step as a polyline, with a bound on the distance from it."""
+        """Return the path of each step as a polyline, with an error bound."""
         count = self.substeps * DENSER if self.continuous else 1
         before, control = tuple(states.T), tuple(inputs.T)
         samples = [before, *self._samples(before, control, step_s, count)]
@@ -304,7 +304,7 @@ def check_casadi_map(dynamics: CasadiMap) -> None:
         if not _are_numbers(given, shape):
             pairs = "a pair (least, largest)" if len(shape) == 2 else "a finite number"
             each = f" for each of {', '.join(names)}" if names else " above 0, e.g. 2.0"
-            raise InputError(f"is {given!r}", key=key, remedy=f"give {pairs}{each}")
+            raise InputError(f"is invalid: {given!r}", key=key, remedy=f"give {pairs}{each}")
     if dynamics.speed_max_m_s <= 0.0:
         raise InputError(
             f"is {dynamics.speed_max_m_s!r}, should be above 0",

@@ -110,7 +110,7 @@ class Dynamics(Protocol):
         ...
 
     def may_reach(self, state: Floats, places_m: Floats, duration_s: float, slack_m: float) -> Mask:
-        """Return a mask of positions (n, 2) that the robot may reach within `slack_m` in time."""
+        """Return a mask of positions (n, 2) that may be reached to within `slack_m` in time."""
         return np.ones(len(places_m), dtype=np.bool_)
 
     def curves(self, states: Floats, inputs: Floats, step_s: float) -> list[StepCurve]:
@@ -122,7 +122,7 @@ class Dynamics(Protocol):
         ...
 
     def unit_m(self, step_s: float) -> tuple[float, ...]:
-        """Return the displacement in metres that a unit of each state component causes per step."""
+        """Return the displacement per step in metres caused by a unit of each state component."""
         ...
 
 
@@ -140,7 +140,7 @@ class RestsByInput(Protocol):
     input_bounds: tuple[tuple[float, float], ...]
 
     def change_at_rest(self, state: Floats, step_s: float) -> Floats:
-        """Return the least change (s,) that the rest input causes in any state at a position."""
+        """Return the smallest change (s,) under the rest input over all states at a position."""
         ...
 
 
@@ -232,7 +232,7 @@ def state_after(dynamics: Dynamics, state: Floats, control: Floats, step_s: floa
 
 
 def dynamics_defect_m(positions_m: Floats, start_m: Floats, step_length_m: float) -> float:
-    """Return how far a path misses `start_m` or a step exceeds `step_length_m`, in metres."""
+    """Return the largest violation of `start_m` or of `step_length_m` by a path, in metres."""
     lengths = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)
     jump = float(np.linalg.norm(positions_m[0] - start_m))
     # NumPy's maximum propagates NaN; Python's does not.
@@ -240,7 +240,7 @@ def dynamics_defect_m(positions_m: Floats, start_m: Floats, step_length_m: float
 
 
 def braked_motion(path_m: Floats, drive: Drive | None, step_s: float) -> TimedMotion:
-    """Return the motion along a plan (N + 1, 2), followed by braking if `drive` is given."""
+    """Return the motion along a plan (N + 1, 2), followed by braking if there is a `drive`."""
     if drive is None:
         return TimedMotion(path_m)
     dynamics, last = drive.dynamics, drive.states[-1]

@@ -75,7 +75,7 @@ class SingleIntegrator(Dynamics):
         return np.tile(offset / (steps * step_s), (steps, 1))
 
     def curves(self, states: Floats, inputs: Floats, step_s: float) -> list[StepCurve]:
-        """Return the path of each step, a line segment."""
+        """Return each step's path as a line segment."""
         ends = states + step_s * inputs
         return [PointCurve(np.array(pair), 0.0) for pair in zip(states, ends, strict=True)]
 
@@ -222,13 +222,13 @@ class DoubleIntegrator(Dynamics):
         return np.repeat([control, -control], half, axis=0)
 
     def may_reach(self, state: Floats, places_m: Floats, duration_s: float, slack_m: float) -> Mask:
-        """Return a mask of positions in acceleration range of the position after coasting."""
+        """Return a mask of positions in range of acceleration from the position after coasting."""
         offset = places_m - (state[:2] + duration_s * state[2:])
         radius = 0.5 * self.acceleration_max_m_s2 * duration_s**2
         return np.hypot(offset[:, 0], offset[:, 1]) <= radius + slack_m
 
     def curves(self, states: Floats, inputs: Floats, step_s: float) -> list[StepCurve]:
-        """Return the path of each step, a parabola."""
+        """Return each step's path as a parabola."""
         half = 0.5 * step_s * step_s
         return [
             Parabola(state[:2], step_s * state[2:], half * control)
@@ -379,7 +379,7 @@ class Unicycle(Dynamics):
         return inputs
 
     def may_reach(self, state: Floats, places_m: Floats, duration_s: float, slack_m: float) -> Mask:
-        """Return a mask of positions that the limited turn rate does not exclude."""
+        """Return a mask of positions that are not excluded by the limited turn rate."""
         # Lateral range v (1 - cos w t) / w up to a quarter turn; nothing behind.
         rate = self.turn_rate_max_rad_s
         turning_s = min(duration_s, 0.5 * math.pi / rate)
@@ -394,7 +394,7 @@ class Unicycle(Dynamics):
         return reached
 
     def curves(self, states: Floats, inputs: Floats, step_s: float) -> list[StepCurve]:
-        """Return the path of each step, a circular arc."""
+        """Return each step's path as a circular arc."""
         return [
             Arc(state[:2], float(state[2]), step_s * float(speed), step_s * float(rate))
             for state, (speed, rate) in zip(states, inputs, strict=True)

@@ -262,7 +262,7 @@ def answer(case: Case, shared: Any) -> Row:
 
 
 def within_bound(row: Row) -> Row:
-    """Return a row, marked as rejected if its plan is better than its proven bound permits."""
+    """Return a row, marked as rejected if its objective violates its proven bound."""
     if row.gap is None or row.gap >= -GAP_TOLERANCE or row.verdict != Verdict.VERIFIED.value:
         return row
     words = f"the plan is better than its proven bound {row.bound:.6g}: the gap is {row.gap:.2g}"

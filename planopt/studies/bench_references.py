@@ -109,7 +109,7 @@ def reference_of(row: Row, made_by: str) -> Reference:
 def frozen(
     known: References, rows: Iterable[Row], made_by: str
 ) -> tuple[dict[Case, Reference], list[str]]:
-    """Return the references, updated by the rows that did not fail, and a list of changes."""
+    """Return the references, updated by all successful rows, and a list of changes."""
     references = dict(known)
     changes: list[str] = []
     for row in rows:
@@ -143,7 +143,7 @@ def bounds_known(references: References, rows: Iterable[Row] = ()) -> dict[Quest
 
 
 def _is_looser(new: Reference, old: Reference) -> bool:
-    """Return whether a bound proves no more than the known one."""
+    """Return whether a new bound is no tighter than the known bound."""
     if new.bound is None or old.bound is None:
         return new.bound is None
     return new.bound <= old.bound if new.sense == "min" else new.bound >= old.bound
@@ -170,7 +170,7 @@ def best_known(references: References, rows: Iterable[Row] = ()) -> dict[Questio
 
 
 def regressions(row: Row, reference: Reference) -> list[str]:
-    """Return descriptions of the respects in which a row is worse than its reference."""
+    """Return descriptions of all metrics in which a row is worse than its reference."""
     found: list[str] = []
     order = [verdict.value for verdict in Verdict]
     if row.outcome != reference.outcome:
@@ -317,7 +317,7 @@ def claims(row: Row) -> bool:
 
 
 def is_wrong(row: Row, best: Mapping[Question, float]) -> bool:
-    """Return whether a claim is false: rejected, far from the best, or "no plan" despite one."""
+    """Return whether a claim is false: rejected, far from the best, or an existing plan denied."""
     if row.outcome == NO_PLAN:
         return row.question in best
     if row.verdict == Verdict.VERIFIED.value and row.accepted is False:
@@ -370,7 +370,7 @@ def step_s(row: Row) -> float:
 
 
 def shifted_geometric_mean(times_s: Floats, shift_s: float) -> float:
-    """Return exp(mean(log(t + s))) - s in seconds, which is insensitive to very short times."""
+    """Return the shifted geometric mean exp(mean(log(t + s))) - s of times, in seconds."""
     return float(np.exp(np.log(np.asarray(times_s) + shift_s).mean()) - shift_s)
 
 
@@ -400,7 +400,7 @@ def time_profile(rows: Sequence[Row], best: Mapping[Question, float]) -> Profile
 def performance_profile(
     times_s: Floats,  # (q, s)
 ) -> tuple[Floats, Floats]:
-    """Return time ratios (k,), and the share (s, k) of tasks that a solver solves within each."""
+    """Return time ratios (k,), and each solver's share (s, k) of tasks solved within them."""
     finite = np.where(np.isfinite(times_s), times_s, np.inf)
     fastest = finite.min(axis=1, keepdims=True) if finite.size else finite[:, :1]
     some = np.isfinite(fastest)

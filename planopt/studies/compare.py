@@ -173,7 +173,7 @@ class Variant:
 
 @dataclass(frozen=True)
 class Lists:
-    """Lists of values to combine; None stands for the problem's own value."""
+    """Lists of values to combine; None means the problem's own value."""
 
     horizons: Sequence[int] | None = None
     planners: Sequence[str] | None = None
@@ -194,7 +194,7 @@ def own_settings(problems: Sequence[AnyProblem], lists: Lists) -> ComparisonSett
 
 
 def default_seeds(own: ComparisonSettings | None, problems: Sequence[AnyProblem] = ()) -> range:
-    """Return the default seeds: those of the table ``compare`` if it is used, one for designs."""
+    """Return the default seeds: from the table ``compare`` if it is used, one for designs."""
     if problems and all(task_of(problem).simulate is None for problem in problems):
         return range(1)
     return seeds_of(DEFAULT_SEEDS if own is None else own.seeds, "compare.seeds")
@@ -281,7 +281,7 @@ def variants_of(problems: Sequence[AnyProblem], lists: Lists) -> list[Variant]:
             (each.sweep, *task_of(one).labels(one)) for each in found for one in each.settings
         ]
         if any(setting in settings[:n] for n, setting in enumerate(settings)):
-            raise InputError("contains a setting twice", remedy="leave it out", **where)
+            raise InputError("contains a setting twice", remedy="remove the duplicate", **where)
     return found
 
 

@@ -167,7 +167,7 @@ class Comparison:
 
 
 def save_no_comparison(problem: Problem | TaskProblem, message: str, folder: Path) -> None:
-    """Save the result that there is no plan, in place of the previous comparison."""
+    """Save a result without a plan, in place of the previous comparison."""
     tables = task_of(problem).tables(problem)
     data = {**no_comparison_json(problem.name, message), "problem_file": tables}
     with replaced_results(folder, COMPARISON) as new:
@@ -175,7 +175,7 @@ def save_no_comparison(problem: Problem | TaskProblem, message: str, folder: Pat
 
 
 def load_comparison(path: Path) -> Comparison | None:
-    """Return a saved comparison; None if the folder or file contains another kind of result."""
+    """Return a saved comparison; None for another kind of result."""
     folder = path.parent if path.name == COMPARISON_FILE else path
     others = (folder / name for name in (PLAN_FILE, RUN_FILE))
     named = path.name == COMPARISON_FILE
@@ -185,7 +185,7 @@ def load_comparison(path: Path) -> Comparison | None:
 
 
 def comparison_reasons(path: Path) -> list[str] | None:
-    """Return differences of a saved comparison from its runs; None if there is none."""
+    """Return the contradictions between a saved comparison and its runs; None without one."""
     comparison = load_comparison(path)
     if comparison is None:
         return None

@@ -110,7 +110,7 @@ def digest_of_tables(tables: Mapping[str, Any]) -> str:
 
 
 def _deciding(tables: Mapping[str, Any]) -> Any:
-    """Return the tables that affect a run, with the content of the files that the problem names."""
+    """Return the tables that affect a run, with the content of the problem's files."""
     return _with_contents({key: each for key, each in tables.items() if key not in UNDECIDING})
 
 
@@ -128,7 +128,7 @@ def _with_contents(value: Any, name: str = "") -> Any:
 
 @cache
 def program() -> tuple[tuple[str, str], ...]:
-    """Return package versions and a digest of the source, which changes without a new version."""
+    """Return package versions, and a digest of the source code."""
     package = Path(__file__).parents[1]
     source = b"".join(path.read_bytes() for path in sorted(package.rglob("*.py")))
     return (
@@ -205,7 +205,7 @@ def _recorded(
     *,
     elsewhere: bool,
 ) -> Generator[list[tuple[Result, bool]]]:
-    """Yield results, store those computed on other machines, and finally remove partial files."""
+    """Yield results, store results from other machines, and finally remove partial files."""
     record.tidy()
     try:
         for group, found in zip(groups, results, strict=True):
@@ -252,7 +252,7 @@ def _on_dask(
 def _on_ray(
     work: Callable[..., Any], jobs: Sequence[tuple[Any, ...]], workers: int
 ) -> Generator[Any]:
-    """Yield results of Ray tasks one by one, which Ray's joblib backend cannot do."""
+    """Yield results of Ray tasks one by one; Ray's joblib backend lacks this."""
     # Usage statistics are disabled unless the user enables them.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     ray = cast("Any", import_module("ray"))

@@ -227,7 +227,7 @@ def _moved(model: TargetModel, matrix: Floats) -> Floats:
 
 
 def _gain(model: TargetModel, moved: Floats) -> tuple[Floats, Floats]:
-    """Return the gain of process noise on the information, and the gain's inner factor (2, 2)."""
+    """Return the gain of process noise, and the gain's inner factor (2, 2)."""
     noise_gain, theta = model.noise_gain, model.acceleration_covariance_m2_s4
     seen = noise_gain.T @ moved @ noise_gain
     inner = np.asarray(np.linalg.inv(np.eye(2) + seen @ theta), dtype=np.float64)

@@ -198,7 +198,7 @@ def check(path: Path | str) -> CheckResult:
     """
     from planopt.studies.comparison import comparison_reasons
 
-    given = path_of("path", path, "give a folder: save a result before")
+    given = path_of("path", path, "give the folder of a saved result")
     try:
         reasons = comparison_reasons(given)
     except NoPlanError as error:
@@ -244,7 +244,7 @@ def load_result(path: Path | str) -> Solution | Run | Comparison | TaskResult:
     """
     from planopt.studies.comparison import load_comparison
 
-    given = path_of("path", path, "give the folder that a result was saved in")
+    given = path_of("path", path, "give the folder of a saved result")
     comparison = load_comparison(given)
     if comparison is not None:
         return comparison

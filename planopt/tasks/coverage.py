@@ -120,7 +120,7 @@ def simulate(
     starts_m = problem.starts(generator)
     motions = () if saved is None else _motions_of(saved[STEPS_FILE], len(starts_m))
     run = simulate_network(problem.scene, starts_m, problem.mover, generator, on_step, motions)
-    planner, events = problem.given.planner, event_results(problem, run)
+    planner, events = problem.config.planner, event_results(problem, run)
     outcome, reason = outcome_of(problem, run, events)
     data = {
         "horizon": planner.horizon,
@@ -164,7 +164,7 @@ def faults(result: TaskResult) -> list[str]:
     """Return the constraint violations that the verifier finds in the moves of a run."""
     run: NetworkRun = result.value
     problem = cast("CoverageProblem", result.problem)
-    world, limits = problem.given.world, problem.given.limits
+    world, limits = problem.config.world, problem.config.limits
     moving = (run.positions_m, run.velocities_m_s, run.headings_rad)
     if not all(np.isfinite(each).all() for each in moving):
         return [f"{STEPS_FILE}: a position, velocity or heading is not finite"]
@@ -192,7 +192,7 @@ def faults(result: TaskResult) -> list[str]:
 
 def _estimate_faults(problem: CoverageProblem, run: NetworkRun) -> list[str]:
     """Return faults of estimates and standard deviations, recomputed from all readings."""
-    table, sensing, reasons = problem.given.sensor, problem.scene.sensing, list[str]()
+    table, sensing, reasons = problem.config.sensor, problem.scene.sensing, list[str]()
     if table is None or sensing is None:
         return reasons
     known, hull = table.strength_known, problem.scene.ground.hull
@@ -227,7 +227,7 @@ def solve(problem: CoverageProblem, *, seed: int, prove_s: float = EFFORT_S) -> 
     ground, starts_m = problem.scene.ground, problem.starts(generator)
     found = best_deployment(ground, len(starts_m), STARTS, generator, first_m=starts_m)
     bound = cost_bound(ground, found.places_m, prove_s)
-    body_m = problem.given.limits.body_radius_m
+    body_m = problem.config.limits.body_radius_m
     cost = ground.cover(found.places_m).cost
     fits = bool(has_room(ground, found.places_m, body_m).all())
     fits &= overlapping(found.places_m, body_m) is None
@@ -299,7 +299,7 @@ def metrics(problem: CoverageProblem, run: NetworkRun) -> dict[str, Any]:
 
 
 def event_results(problem: CoverageProblem, run: NetworkRun) -> list[dict[str, Any]]:
-    """Return each event's times of detection, service and end, and its estimation error."""
+    """Return the times of detection, service and end of each event, and its estimation error."""
     results = list[dict[str, Any]]()
     times_s = run.times_s[:-1]
     near_m = problem.scene.settled_m + ON_TARGET_M
@@ -341,11 +341,11 @@ def event_results(problem: CoverageProblem, run: NetworkRun) -> list[dict[str, A
 
 
 def _in_place(problem: CoverageProblem, run: NetworkRun, number: int, near_m: float) -> Mask:
-    """Return a mask (T, n) of agents within `near_m` of their targets, or at rest by an event."""
+    """Return a mask (T, n) of agents within `near_m` of their targets, or at rest at an event."""
     control = problem.given.control
     here = run.positions_m[:-1]
     in_place = np.linalg.norm(run.targets_m - here, axis=2) <= near_m
-    body_m = problem.given.limits.body_radius_m
+    body_m = problem.config.limits.body_radius_m
     if body_m == 0.0:
         return in_place
     share = float(control.gains.shares(np.array([True]), control.time_step_s)[0])
@@ -378,7 +378,7 @@ def tables_of(problem: CoverageProblem, run: NetworkRun) -> dict[str, Data]:
     states = np.array([words[state] for state in run.states.ravel().tolist()], dtype=np.str_)
 
     def by_agent(values: NDArray[Any], end: Any = np.nan) -> NDArray[Any]:
-        """Flatten values of steps and agents by agent; `end` fills a missing last step."""
+        """Return values of steps and agents as one column by agent; `end` fills the last step."""
         missing = np.full((steps + 1 - len(values), agents), end, dtype=values.dtype)
         return np.concatenate((values, missing)).T.ravel()
 
@@ -561,6 +561,6 @@ TASK = Task(
     animate=_animate,
     pictures=(RUN_PICTURE, PLAN_PICTURE),
     steps=lambda problem: round(
-        problem.given.control.duration_s / problem.given.control.time_step_s
+        problem.config.control.duration_s / problem.config.control.time_step_s
     ),
 )

@@ -69,14 +69,14 @@ MEMORY_STEPS = 10
 class CoverageProblem(TaskProblem):
     """Problem of the task coverage."""
 
-    given: CoverageFile
+    config: CoverageFile
     scene: Scene
     density: Density
     station_map: StationMap | None = None  # Estimated links to stations; None for the path loss law
 
     def starts(self, generator: np.random.Generator) -> Floats:
         """Return validated starting positions (n, 2): free, separated and linked to a station."""
-        table, ground, joins = self.given.agents, self.scene.ground, self.scene.joins_s
+        table, ground, joins = self.config.agents, self.scene.ground, self.scene.joins_s
         body_m, starts = table.body_radius_m, starts_of(table, ground, generator)
         listed = isinstance(table.start, PlacesTable)
 
@@ -117,7 +117,7 @@ class CoverageProblem(TaskProblem):
     @property
     def radio(self) -> RadioLimits | None:
         """Return the radio requirement; None if there is none."""
-        table = self.given.radio
+        table = self.config.radio
         if table is None:
             return None
         spread = np.diag([table.k_pl_std_db**2, table.n_pl_std**2])
@@ -128,8 +128,8 @@ class CoverageProblem(TaskProblem):
     @property
     def mover(self) -> Mover:
         """Return the control law or planner that moves the agents."""
-        planner = self.given.planner
-        control, limits = self.given.control, self.given.limits
+        planner = self.config.planner
+        control, limits = self.config.control, self.config.limits
         if planner.name != "law":
             deploys = planner.name == "deploy"
             return RecedingMover(
@@ -144,7 +144,7 @@ class CoverageProblem(TaskProblem):
                 key="planner.name",
                 remedy="use receding or deploy",
             )
-        return LawMover(control.gains, control.time_step_s, self.given.agents.speed_max_m_s)
+        return LawMover(control.gains, control.time_step_s, self.config.agents.speed_max_m_s)
 
     def tables(self) -> dict[str, Any]:
         """Return the complete tables, with defaults and rasters inline."""
@@ -168,16 +168,16 @@ class CoverageProblem(TaskProblem):
 
     def words(self) -> Sequence[str]:
         """Return a text summary of the problem, line by line."""
-        given, limit = self.given, self.given.agents.speed_max_m_s
+        config, limit = self.config, self.config.agents.speed_max_m_s
         speed = "without a speed limit" if limit is None else f"at most {limit:g} m/s"
-        counted = given.counting.method
+        counted = config.counting.method
         lines = [
             f"{self.name}: {self.description}",
-            f"  task        coverage, planner {given.planner.name}, steps of "
-            f"{given.control.time_step_s:g} s, at most {given.control.duration_s:g} s",
+            f"  task        coverage, planner {config.planner.name}, steps of "
+            f"{config.control.time_step_s:g} s, at most {config.control.duration_s:g} s",
             f"  region      {self.scene.ground.area_m2:g} m^2, {len(self.obstacles)} obstacles, "
-            f"density {given.density.kind}",
-            f"  agents      {given.agents.start.number}, {speed}; counting method: {counted}",
+            f"density {config.density.kind}",
+            f"  agents      {config.agents.start.number}, {speed}; counting method: {counted}",
         ]
         for event in self.scene.events:
             x, y = event.place_m
@@ -188,19 +188,19 @@ class CoverageProblem(TaskProblem):
         return lines
 
 
-def build(given: CoverageFile, folder: Path, file: Path | None) -> CoverageProblem:
+def build(config: CoverageFile, folder: Path, file: Path | None) -> CoverageProblem:
     """Build the problem from validated tables."""
-    density, control, sensing = density_of(given.density, folder), given.control, _sensing(given)
-    ground = _ground(given.world, density, given.agents.body_radius_m)
-    agents = given.agents.start.number
-    joins, leaves = _times(given, agents)
-    given.control.gains.shares(np.array([True]), control.time_step_s)
+    density, control, sensing = density_of(config.density, folder), config.control, _sensing(config)
+    ground = _ground(config.world, density, config.agents.body_radius_m)
+    agents = config.agents.start.number
+    joins, leaves = _times(config, agents)
+    config.control.gains.shares(np.array([True]), control.time_step_s)
     if control.duration_s < control.time_step_s:
         raise InputError("is shorter than one step, control.time_step_s", key="control.duration_s")
     events: list[Event] = []
     demands: list[Demand] = []
-    for number, table in enumerate(given.events):
-        key, event = f"events[{number}]", _event(given, number, ground)
+    for number, table in enumerate(config.events):
+        key, event = f"events[{number}]", _event(config, number, ground)
         if event.name in [each.name for each in events]:
             raise InputError(f"is {event.name!r}, the name of another event", key=f"{key}.name")
         if sensing is None:
@@ -212,22 +212,22 @@ def build(given: CoverageFile, folder: Path, file: Path | None) -> CoverageProbl
         events.append(event)
         demands.append(demand_of(table.demand, f"{key}.demand", sensing, ground.area_m2, agents))
     _require_agents(events, joins, leaves)
-    if given.assignment.stand_off and agents < LEAST_ON_RING:
+    if config.assignment.stand_off and agents < LEAST_ON_RING:
         raise InputError(
             f"needs at least {LEAST_ON_RING} agents to locate an event, but there are {agents}",
             key="assignment.stand_off",
             remedy="add agents, or set stand_off = false",
         )
-    mapped = None if given.radio is None else station_map_of(given.radio, ground, folder)
-    scene = _scene(given, ground, tuple(events), tuple(demands), sensing, joins, leaves)
-    problem = CoverageProblem(given, file, scene, density, mapped)
+    mapped = None if config.radio is None else station_map_of(config.radio, ground, folder)
+    scene = _scene(config, ground, tuple(events), tuple(demands), sensing, joins, leaves)
+    problem = CoverageProblem(config, file, scene, density, mapped)
     problem.starts(np.random.default_rng(0))
     assert problem.mover  # Raises for limits that the planner does not support
     return problem
 
 
 def _scene(
-    given: CoverageFile,
+    config: CoverageFile,
     ground: Ground,
     events: tuple[Event, ...],
     demands: tuple[Demand, ...],
@@ -235,8 +235,8 @@ def _scene(
     joins_s: Floats,
     leaves_s: Floats,
 ) -> Scene:
-    """Return the scene that the network simulator takes."""
-    control, rules, body_m = given.control, given.assignment, given.agents.body_radius_m
+    """Return the scene for the network simulator."""
+    control, rules, body_m = config.control, config.assignment, config.agents.body_radius_m
     settled_m = control.settled_m
     if settled_m is None:
         settled_m = SETTLED_SHARE * math.sqrt(ground.area_m2 / len(joins_s))
@@ -254,14 +254,14 @@ def _scene(
         control.partition,
         control.gains,
         rules.hysteresis_m,
-        given.counting,
-        given.links,
+        config.counting,
+        config.links,
         rules.flag_rounds,
         control.time_step_s,
         control.duration_s,
         settled_m,
         control.stop_when_settled,
-        2.0 * body_m + given.limits.longest_stop_m if body_m > 0.0 else None,
+        2.0 * body_m + config.limits.longest_stop_m if body_m > 0.0 else None,
         body_m,
     )
 
@@ -309,10 +309,10 @@ def _ground(world: WorldTable, density: Density, body_radius_m: float) -> Ground
     return geodesic_ground(outline, shapes, spacing_m, density, keep_m)
 
 
-def _times(given: CoverageFile, agents: int) -> tuple[Floats, Floats]:
+def _times(config: CoverageFile, agents: int) -> tuple[Floats, Floats]:
     """Return the times at which agents join and leave, (n,) each."""
     joins, leaves = np.zeros(agents), np.full(agents, np.inf)
-    for number, table in enumerate(given.changes):
+    for number, table in enumerate(config.changes):
         for agent in table.agents:
             if not 0 <= agent < agents:
                 raise InputError(
@@ -329,20 +329,20 @@ def _times(given: CoverageFile, agents: int) -> tuple[Floats, Floats]:
                 remedy="give a later time",
             )
     for time_s in np.concatenate(([0.0], leaves[np.isfinite(leaves)])).tolist():
-        if time_s < given.control.duration_s and not ((joins <= time_s) & (time_s < leaves)).any():
-            raise InputError(f"leaves no active agent at {time_s:g} s", key="changes")
+        if time_s < config.control.duration_s and not ((joins <= time_s) & (time_s < leaves)).any():
+            raise InputError(f"leave no active agent at {time_s:g} s", key="changes")
     return joins, leaves
 
 
-def _sensing(given: CoverageFile) -> Sensing | None:
+def _sensing(config: CoverageFile) -> Sensing | None:
     """Return the event sensor with its detection rules; None without a sensor."""
-    table = given.sensor
+    table = config.sensor
     if table is None:
         return None
     sensor = EventSensor(table.noise_std, table.strength, table.scale_m)
-    memory_s, moving = table.memory_s, any(any(each.velocity_m_s) for each in given.events)
+    memory_s, moving = table.memory_s, any(any(each.velocity_m_s) for each in config.events)
     if memory_s is None and moving:
-        memory_s = MEMORY_STEPS * given.control.time_step_s
+        memory_s = MEMORY_STEPS * config.control.time_step_s
     return Sensing(
         sensor,
         table.strength_known,
@@ -353,16 +353,16 @@ def _sensing(given: CoverageFile) -> Sensing | None:
     )
 
 
-def _event(given: CoverageFile, number: int, ground: Ground) -> Event:
+def _event(config: CoverageFile, number: int, ground: Ground) -> Event:
     """Return an event; raise `InputError` if its path leaves the allowed area."""
-    table, key = given.events[number], f"events[{number}]"
+    table, key = config.events[number], f"events[{number}]"
     ends_s = math.inf if table.ends_s is None else table.ends_s
     if ends_s <= table.appears_s:
         raise InputError(
             "should be later than appears_s", key=f"{key}.ends_s", remedy="give a later time"
         )
     event = Event(table.name, table.place_m, table.appears_s, ends_s, table.velocity_m_s)
-    last_s = min(ends_s, max(given.control.duration_s, table.appears_s))
+    last_s = min(ends_s, max(config.control.duration_s, table.appears_s))
     path = np.linspace(event.place_at(table.appears_s), event.place_at(last_s), 65)
     out = np.flatnonzero(~ground.allows(path))
     if len(out):

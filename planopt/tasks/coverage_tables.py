@@ -464,8 +464,7 @@ def demand_of(
     if isinstance(table, CapTable):
         if table.remaining >= agents:
             raise InputError(
-                f"is {table.remaining}, so that no agent can respond: the number of agents is "
-                f"{agents}",
+                f"is {table.remaining}, which leaves none of the {agents} agents to respond",
                 key=f"{key}.remaining",
                 remedy="add agents, or reduce it",
             )

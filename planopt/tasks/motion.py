@@ -179,7 +179,7 @@ class MotionTask(Task):
         states: States = (),
         prove_s: float = 0.0,
     ) -> dict[str, Any]:
-        """Return the regression suite's row for a plan, or for the first steps of a run."""
+        """Return the regression-suite row for a plan, or for the first steps of a run."""
         if kind == "run":
             return _run_answer(problem, seed, shared, states)
         from planopt.planning.solve import proven, solve_on

@@ -62,11 +62,11 @@ def simulate(
     generator = np.random.default_rng(seed)
     pursuit = simulate_pursuit(problem.scene(generator), generator, on_step)
     shares = list(_stage_shares(problem, pursuit))
-    given, planner = problem.given, problem.given.planner
+    config, planner = problem.config, problem.config.planner
     times_s = pursuit.times_s.tolist()
     captures = zip(pursuit.capture_s.tolist(), pursuit.captors.tolist(), strict=True)
-    names = [each.name for each in (*given.pursuers, *given.evaders)]
-    roles = ["pursuer"] * len(given.pursuers) + ["evader"] * len(given.evaders)
+    names = [each.name for each in (*config.pursuers, *config.evaders)]
+    roles = ["pursuer"] * len(config.pursuers) + ["evader"] * len(config.evaders)
     paths = (*pursuit.pursuers, *pursuit.evaders_m)
     kept = [share <= 1.0 + RATIO_ROUNDING for _, share in shares]
     data: dict[str, Any] = {
@@ -86,7 +86,7 @@ def simulate(
                 "capture_time_s": finite(caught_s),
                 "captor": None if captor < 0 else names[captor],
             }
-            for table, (caught_s, captor) in zip(given.evaders, captures, strict=True)
+            for table, (caught_s, captor) in zip(config.evaders, captures, strict=True)
         ],
         "robots": [
             {
@@ -109,11 +109,11 @@ def _controller(problem: PursuitProblem, *, seed: int) -> PursuitController:
 
 def _missed_guarantee(problem: PursuitProblem) -> Inequality | None:
     """Return the first violated inequality of the required theorem; None if all hold."""
-    rules = problem.given.pursuit
+    rules = problem.config.pursuit
     if rules.guarantee is None:
         return None
-    for pursuer in range(len(problem.given.pursuers)):
-        for evader in range(len(problem.given.evaders)):
+    for pursuer in range(len(problem.config.pursuers)):
+        for evader in range(len(problem.config.evaders)):
             each = problem.guarantees(pursuer, evader)[Theorem(rules.guarantee)]
             for one in (*each.inequalities, each.captures(rules.capture_radius_m)):
                 if not one.holds:
@@ -123,7 +123,7 @@ def _missed_guarantee(problem: PursuitProblem) -> Inequality | None:
 
 def _stage_shares(problem: PursuitProblem, pursuit: Pursuit) -> Iterator[tuple[Theorem, float]]:
     """Yield a theorem and the largest ratio of a stage's distance bound to the theorem's limit."""
-    if problem.given.planner.name != "drive":
+    if problem.config.planner.name != "drive":
         return
     for pursuer in range(len(pursuit.scene.pursuers)):
         for evader in range(len(pursuit.scene.evaders)):
@@ -139,8 +139,8 @@ def _guarantee_json(
     problem: PursuitProblem, pursuit: Pursuit, shares: Sequence[tuple[Theorem, float]]
 ) -> dict[str, Any]:
     """Return the first pair's guarantee as JSON data, with the largest ratio of bound to limit."""
-    radius_m, uses = problem.given.pursuit.capture_radius_m, pursuit.uses
-    alone = len(problem.given.pursuers) == len(problem.given.evaders) == 1
+    radius_m, uses = problem.config.pursuit.capture_radius_m, pursuit.uses
+    alone = len(problem.config.pursuers) == len(problem.config.evaders) == 1
     theorems: dict[str, Any] = {}
     for theorem, each in problem.guarantees(0, 0).items():
         if theorem not in THEOREMS:
@@ -160,7 +160,7 @@ def _guarantee_json(
             "largest_share_of_bound": largest or None,
         }
     return {
-        "applies": problem.given.planner.name == "drive",
+        "applies": problem.config.planner.name == "drive",
         "detour": problem.arena.detour,
         "theorems": theorems,
     }
@@ -206,19 +206,19 @@ def claims(result: TaskResult) -> tuple[Claim, ...]:
 def verifier_data(result: TaskResult) -> tuple[PursuitData, PursuitLog]:
     """Return the problem and the log of a simulated result for the verifier."""
     problem, pursuit = cast("PursuitProblem", result.problem), cast("Pursuit", result.value)
-    given = problem.given
+    config = problem.config
     keys = {"name", "start_m", "start_radius_m", "speed_max_m_s", "turn_rate_max_rad_s"}
     data = PursuitData(
-        tuple(Robot(**each.model_dump(include=keys)) for each in given.pursuers),
-        tuple(Robot(**each.model_dump(include=keys)) for each in given.evaders),
-        Service(**given.network.model_dump()),
-        given.pursuit.capture_radius_m,
-        given.pursuit.step_s,
-        given.pursuit.max_steps,
-        given.planner.name,
-        None if given.world is None else given.world.bounds_m,
+        tuple(Robot(**each.model_dump(include=keys)) for each in config.pursuers),
+        tuple(Robot(**each.model_dump(include=keys)) for each in config.evaders),
+        Service(**config.network.model_dump()),
+        config.pursuit.capture_radius_m,
+        config.pursuit.step_s,
+        config.pursuit.max_steps,
+        config.planner.name,
+        None if config.world is None else config.world.bounds_m,
         tuple(each.polygon for each in problem.obstacles),
-        given.pursuit.clearance_m,
+        config.pursuit.clearance_m,
     )
     return data, PursuitLog(
         pursuit.times_s,
@@ -247,8 +247,8 @@ def _reports(pursuit: Pursuit) -> Reports:
 
 def _tables(problem: PursuitProblem, pursuit: Pursuit) -> dict[str, Data]:
     """Return the tables ``steps.csv`` and ``records.csv``."""
-    given, reports = problem.given, _reports(pursuit)
-    pursuers, evaders = ([each.name for each in table] for table in (given.pursuers, given.evaders))
+    config, reports = problem.config, _reports(pursuit)
+    pursuers, evaders = ([one.name for one in table] for table in (config.pursuers, config.evaders))
     count, rows = len(pursuers) + len(evaders), len(pursuit.times_s)
     states = (*pursuit.pursuers, *pursuit.evaders_m)
     headings = [s[:, 2] if s.shape[1] > 2 else np.full(rows, np.nan) for s in states]
@@ -391,5 +391,5 @@ TASK = Task(
     figures=_figures,
     animate=_animate,
     pictures=(PICTURE,),
-    steps=lambda problem: problem.given.pursuit.max_steps,
+    steps=lambda problem: problem.config.pursuit.max_steps,
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
@@ -48,10 +49,10 @@ PICTURE = "design.png"
 
 REQUIREMENT_WORDS = {
     "payload of a slot below what it carries": "bits to send in a slot",
-    "y = v_e period below 1": "movement of the evader between rounds, y",
-    "a of the error over 1 - y below 1": "distance left after a stage, a",
-    "growth while waiting below 1": "growth of the distance while waiting",
-    "floor below the capture radius": "distance that the pursuer certainly reaches",
+    "y = v_e period below 1": "y",
+    "a of the error over 1 - y below 1": "a, for the position error divided by 1 - y",
+    "growth while waiting below 1": "growth of the distance during a wait",
+    "floor below the capture radius": "guaranteed final distance",
     "time to capture below the deadline": "time to capture",
     "a + x below 1": "a + x",
     "a + x + margin below 1": "a + x + margin",
@@ -67,8 +68,12 @@ BINDING_WORDS = {
     "capture_radius": "the capture radius",
 }
 """Descriptions of the active constraints in text."""
-SYMBOLS = {words for words in REQUIREMENT_WORDS if words[:2] in ("y ", "a ")}
-"""Requirements whose descriptions contain the symbols a, x or y."""
+SYMBOLS = {
+    "a": "remaining distance after a drive to a fresh report",
+    "x": "movement of the evader during the age of a report",
+    "y": "movement of the evader between rounds",
+}
+"""Meanings of the symbols in descriptions of requirements."""
 ACTIVE = 1e-6
 """Margin, as a share of the limit, below which a requirement is shown as active."""
 LEAST_EFFECT = 0.005
@@ -163,7 +168,7 @@ class DesignFile(TaskFile):
 class DesignProblem(TaskProblem):
     """Problem of the task pursuit_design."""
 
-    given: DesignFile
+    config: DesignFile
     design: DesignTask
     method: Method
     theorem: Theorem  # Theorem of the guarantee
@@ -191,10 +196,10 @@ class DesignProblem(TaskProblem):
         )
 
 
-def build(given: DesignFile, folder: Path, file: Path | None) -> DesignProblem:
+def build(config: DesignFile, folder: Path, file: Path | None) -> DesignProblem:
     """Build the problem from validated tables."""
-    pursuit, method = given.pursuit, METHODS[given.design.method]
-    name = given.design.method
+    pursuit, method = config.pursuit, METHODS[config.design.method]
+    name = config.design.method
     for key in REQUIREMENTS:
         value = getattr(pursuit, key)
         if value is None and key in method.needs:
@@ -210,14 +215,14 @@ def build(given: DesignFile, folder: Path, file: Path | None) -> DesignProblem:
                 key=f"pursuit.{key}",
                 remedy=f"leave it out, or use the method {' or '.join(fitting)}",
             )
-    if given.design.guarantee is not None and method is not METHODS["capture_in_time"]:
+    if config.design.guarantee is not None and method is not METHODS["capture_in_time"]:
         raise InputError(
             f'cannot be chosen for design.method = "{name}", which always uses the lemma',
             key="design.guarantee",
             remedy='leave it out, or use design.method = "capture_in_time"',
         )
     timed = method is METHODS["capture_in_time"]
-    theorem = Theorem(given.design.guarantee or ("snapshots" if timed else "lemma"))
+    theorem = Theorem(config.design.guarantee or ("snapshots" if timed else "lemma"))
     chase = Chase(pursuit.evader_speed_m_s, pursuit.pursuer_speed_m_s, pursuit.stage_delay_s)
     if not chase.slower_evader.holds:
         raise InputError(
@@ -226,15 +231,15 @@ def build(given: DesignFile, folder: Path, file: Path | None) -> DesignProblem:
             remedy="no network guarantees the capture of an evader as fast as its pursuer",
         )
     task = DesignTask(
-        given.network,
+        config.network,
         chase,
-        given.design.margin,
-        given.design.bits_per_axis,
+        config.design.margin,
+        config.design.bits_per_axis,
         pursuit.first_distance_m,
         pursuit.capture_radius_m,
         pursuit.deadline_s,
     )
-    return DesignProblem(given, file, task, method, theorem)
+    return DesignProblem(config, file, task, method, theorem)
 
 
 def solve(problem: DesignProblem, *, seed: int) -> TaskResult:
@@ -254,10 +259,10 @@ def solve(problem: DesignProblem, *, seed: int) -> TaskResult:
 
 def _proof(problem: DesignProblem, design: Design) -> tuple[Requirement, ...]:
     """Return the requirements on a design as evaluated by the independent verifier."""
-    given = problem.given
-    values = given.pursuit.model_dump() | given.network.model_dump()
-    values["margin"] = given.design.margin
-    values["slot_blocks"] = given.network.least_slot_blocks
+    config = problem.config
+    values = config.pursuit.model_dump() | config.network.model_dump()
+    values["margin"] = config.design.margin
+    values["slot_blocks"] = config.network.least_slot_blocks
     data = DesignData(**{key.name: values[key.name] for key in fields(DesignData)})
     return certify(
         data, problem.theorem, design.slot_width_s, design.rate_divisor, design.bits_per_axis
@@ -282,7 +287,7 @@ def _unproved(late: tuple[float, ...] | None, blocks: int) -> str:
 
 def _question(problem: DesignProblem) -> dict[str, Any]:
     return {
-        "planner": problem.given.design.method,
+        "planner": problem.config.design.method,
         "sense": "min",
         "objective_name": "energy_per_capture_j" if problem.method.of_energy else "cost_w",
     }
@@ -324,7 +329,7 @@ def _design_json(
         "objective": objective,
         "bound": bound,
         "gap": relative_gap(objective, bound, "min"),
-        "bound_method": "all numbers of bits, the best slot width for each",
+        "bound_method": "the best slot widths for all numbers of bits",
         "relaxed_cost_w": _relaxed_cost_w(problem),
         "slot_width_s": design.slot_width_s,
         "rate_divisor": design.rate_divisor,
@@ -438,16 +443,16 @@ def _front(problem: DesignProblem) -> list[dict[str, Any]]:
 def in_words(result: TaskResult) -> Sequence[str]:
     """Return a text summary of a design, line by line."""
     problem, data = cast("DesignProblem", result.problem), result.data
-    names = cast("list[str]", data["binding"])
+    names, divisor = cast("list[str]", data["binding"]), data["rate_divisor"]
     binding = " and ".join(BINDING_WORDS.get(name, name) for name in names)
+    rounds = f"one round every {divisor} round lengths" if divisor > 1 else "rounds without pauses"
     lines = [
         f"{problem.name}: {data['verdict']}, {problem.method.words}",
         f"  power {data['cost_w']:.6g} W: TDMA slots of {1e3 * data['slot_width_s']:.4g} ms, "
-        f"{data['bits_per_axis']} bits per coordinate, rate divisor {data['rate_divisor']} (a "
-        "round starts every so many round lengths)",
-        f"  limited by: {binding or 'nothing (an interior optimum)'}",
+        f"{data['bits_per_axis']} bits per coordinate, {rounds}",
+        f"  active constraint: {binding or 'none (an interior optimum)'}",
     ]
-    lines.append(f"  proven optimal by evaluating {data['bound_method']}")
+    lines.append(f"  proven optimal by comparing {data['bound_method']}")
     if data["relaxed_cost_w"] is not None:
         lines.append(f"  lower bound with continuous bits {data['relaxed_cost_w']:.6g} W")
     if data["capture_time_s"] is not None:
@@ -464,7 +469,7 @@ def in_words(result: TaskResult) -> Sequence[str]:
     if data["message"]:
         lines.append(f"  not verified: {data['message']}")
     else:
-        lines.append(f"  verified: a slot carries {blocks} blocks, so that every report is on time")
+        lines.append(f"  verified: a slot carries {blocks} blocks, so every report is on time")
     effects = sorted(data["sensitivities"].items(), key=lambda item: -abs(item[1]))
     what = "energy" if problem.method.of_energy else "power"
     shown = ", ".join(
@@ -481,7 +486,7 @@ def _requirements_in_words(requirements: Sequence[dict[str, Any]]) -> list[str]:
     def shown(value: float | None, unit: str) -> str:
         return "-" if value is None else f"{value:.4g} {unit}".strip()
 
-    table = [["requirement (checked by the verifier)", "value", "limit", "margin", ""]]
+    table = [["requirement (checked by the verifier)", "value", "upper limit", "margin", ""]]
     for each in requirements:
         sides = [shown(each[key], each["unit"]) for key in ("left", "right", "margin")]
         if each["margin"] is not None and 0.0 <= each["margin"] <= ACTIVE * abs(each["right"]):
@@ -489,10 +494,8 @@ def _requirements_in_words(requirements: Sequence[dict[str, Any]]) -> list[str]:
         words = str(REQUIREMENT_WORDS.get(each["words"], each["words"]))
         table.append([words, *sides, "" if each["holds"] else "violated"])
     lines = aligned(table, 1)
-    if any(each["words"] in SYMBOLS for each in requirements):
-        lines.append("a: distance left after driving to a fresh report; x, y: movement of the")
-        lines.append("evader during the age of a report (x) or between rounds (y); all per metre")
-    return lines
+    used = {s for s in SYMBOLS if any(re.search(rf"(^|\+ |\) ){s}\b", row[0]) for row in table)}
+    return lines + [f"{s}: {SYMBOLS[s]}, per metre of distance" for s in sorted(used)]
 
 
 def _figures(result: TaskResult) -> dict[str, Figure]:

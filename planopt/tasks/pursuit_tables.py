@@ -159,32 +159,32 @@ class PursuitFile(TaskFile):
 class PursuitProblem(TaskProblem):
     """Problem of the task pursuit."""
 
-    given: PursuitFile
+    config: PursuitFile
     service: SnapshotService
     arena: Arena
 
     def scene(self, generator: np.random.Generator) -> Scene:
         """Return the scene of one run with drawn starts and lost rounds."""
-        given, rules = self.given, self.given.pursuit
+        config, rules = self.config, self.config.pursuit
         starts, begins = (
             [
                 self._start_m(f"{key}[{index}].start_m", each, generator)
                 for index, each in enumerate(tables)
             ]
-            for key, tables in (("pursuers", given.pursuers), ("evaders", given.evaders))
+            for key, tables in (("pursuers", config.pursuers), ("evaders", config.evaders))
         )
-        lost, probability = None, given.network.loss_probability
+        lost, probability = None, config.network.loss_probability
         if probability > 0.0:
-            shape = (given.network.levels + 1, LOST_ROUNDS)
+            shape = (config.network.levels + 1, LOST_ROUNDS)
             lost = generator.random(shape) < probability
         return Scene(
             tuple(
-                Pursuer(start, each.motion(self.arena), given.planner.policy)
-                for start, each in zip(starts, given.pursuers, strict=True)
+                Pursuer(start, each.motion(self.arena), config.planner.policy)
+                for start, each in zip(starts, config.pursuers, strict=True)
             ),
             tuple(
                 Evader(start, each.speed_max_m_s, each.behaviour)
-                for start, each in zip(begins, given.evaders, strict=True)
+                for start, each in zip(begins, config.evaders, strict=True)
             ),
             SnapshotRecords(self.service, lost),
             rules.capture_radius_m,
@@ -213,9 +213,9 @@ class PursuitProblem(TaskProblem):
         """Return the guarantees of one pursuer that chases one evader."""
         # A stage takes one step (and one turn of a unicycle) longer than straight driving; each
         # path corner adds the same delay. With obstacles, the distance with the lower floor counts.
-        motion = self.given.pursuers[pursuer].motion(self.arena)
-        speed = max(self.given.evaders[evader].speed_max_m_s, LEAST_SPEED_M_S)
-        delay_s = (1 + self.arena.corners) * (self.given.pursuit.step_s + motion.turning_s)
+        motion = self.config.pursuers[pursuer].motion(self.arena)
+        speed = max(self.config.evaders[evader].speed_max_m_s, LEAST_SPEED_M_S)
+        delay_s = (1 + self.arena.corners) * (self.config.pursuit.step_s + motion.turning_s)
         chase, bounds = Chase(speed, motion.speed_max_m_s, delay_s), self.service.bounds
         if self.arena.obstacles is None:
             found = capture_guarantees(chase, bounds)
@@ -227,7 +227,7 @@ class PursuitProblem(TaskProblem):
                 )
                 for theorem in kinds[Distances.PATHS]
             }
-        lost = self.given.network.loss_probability
+        lost = self.config.network.loss_probability
         if lost > 0.0:
             none_lost = Inequality("share of lost records", lost, 0.0)
             found = {
@@ -238,19 +238,19 @@ class PursuitProblem(TaskProblem):
 
     def words(self) -> Sequence[str]:
         """Return a text summary of the problem, line by line."""
-        given, service = self.given, self.service
+        config, service = self.config, self.service
         side = service.motes_per_side
         lines = [
             f"{self.name}: {self.description}",
-            f"  task        pursuit, planner {given.planner.name}, "
-            f"at most {given.pursuit.max_steps} steps of {given.pursuit.step_s:g} s",
+            f"  task        pursuit, planner {config.planner.name}, "
+            f"at most {config.pursuit.max_steps} steps of {config.pursuit.step_s:g} s",
             f"  network     {side} x {side} sensor nodes (motes), {service.mote_spacing_m:g} m "
             f"apart, TDMA frames of {service.frame_s:g} s",
             f"  reports     {service.bits_per_axis} bits for each coordinate of a position",
-            f"  capture     at a distance of {given.pursuit.capture_radius_m:g} m or less",
+            f"  capture     at a distance of {config.pursuit.capture_radius_m:g} m or less",
             f"  world       {len(self.obstacles)} obstacles",
         ]
-        for each in (*given.pursuers, *given.evaders):
+        for each in (*config.pursuers, *config.evaders):
             evades = isinstance(each, EvaderTable)
             kind = f"{each.behaviour.kind}, " if evades else ""
             lines.append(
@@ -265,29 +265,29 @@ LEAST_SPEED_M_S = 1e-9
 """Speed assumed for a static evader, since the theorems divide by evader speed."""
 
 
-def build(given: PursuitFile, folder: Path, file: Path | None) -> PursuitProblem:
+def build(config: PursuitFile, folder: Path, file: Path | None) -> PursuitProblem:
     """Build the problem from validated tables."""
-    service = SnapshotService(**given.network.model_dump(exclude={"loss_probability"}))
+    service = SnapshotService(**config.network.model_dump(exclude={"loss_probability"}))
     arena = Arena()
-    if given.world is not None:
-        workspace = Workspace(given.world.bounds_m, given.world.obstacles)
-        arena = arena_of(workspace, given.pursuit.clearance_m)
-    _require_covered(given, service)
-    problem = PursuitProblem(given, file, service, arena)
+    if config.world is not None:
+        workspace = Workspace(config.world.bounds_m, config.world.obstacles)
+        arena = arena_of(workspace, config.pursuit.clearance_m)
+    _require_covered(config, service)
+    problem = PursuitProblem(config, file, service, arena)
     problem.scene(np.random.default_rng(0))
     return problem
 
 
-def _require_covered(given: PursuitFile, service: SnapshotService) -> None:
-    if given.network.endless:
+def _require_covered(config: PursuitFile, service: SnapshotService) -> None:
+    if config.network.endless:
         return
-    if given.world is None:
+    if config.world is None:
         raise InputError(
             "is false, but no [world] keeps the evader on the mote grid",
             key="network.endless",
             remedy="set it to true, or give world.bounds_m within the grid",
         )
-    x_min, y_min, x_max, y_max = given.world.bounds_m
+    x_min, y_min, x_max, y_max = config.world.bounds_m
     if min(x_min, y_min) < 0.0 or max(x_max, y_max) > service.side_m:
         raise InputError(
             f"leaves the mote grid, the square from (0, 0) to ({service.side_m:g}, "

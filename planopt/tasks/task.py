@@ -95,8 +95,8 @@ class Task:
     """
 
     model: type[Table]
-    build: Callable[[Any, Path, Path | None], Any] = lambda given, folder, file: TaskProblem(
-        given, file
+    build: Callable[[Any, Path, Path | None], Any] = lambda config, folder, file: TaskProblem(
+        config, file
     )
     solve: Callable[..., Any] | str | None = None
     simulate: Callable[..., Any] | str | None = None
@@ -200,7 +200,7 @@ class Task:
 
     def no_plan(self, action: Action, problem: Any, seed: int, error: NoPlanError) -> Any:
         """Return the result of an action for which no plan exists."""
-        planner = getattr(problem.given, "planner", None)
+        planner = getattr(problem.config, "planner", None)
         data: dict[str, Any] = {
             "problem": problem.name,
             "horizon": getattr(planner, "horizon", None),
@@ -223,7 +223,7 @@ class Task:
 
     def labels(self, problem: Any) -> tuple[int, str, str | None]:
         """Return horizon, planner and cost-to-go, the labels of a setting in comparisons."""
-        table = getattr(problem.given, "planner", None)
+        table = getattr(problem.config, "planner", None)
         return getattr(table, "horizon", 1), getattr(table, "name", ""), None
 
     def has_horizon(self, problem: Any) -> bool:
@@ -231,7 +231,7 @@ class Task:
         return True
 
     def compared_costs_to_go(self, problem: Any) -> Sequence[str | None]:
-        """Return the costs-to-go compared by default; None stands for the problem's own."""
+        """Return the costs-to-go compared by default; None means the problem's own."""
         return (None,)
 
     def shared(self, problem: Any, seed: int) -> Any:
@@ -262,7 +262,7 @@ class Task:
         """Return the planners of the regression suite, or the task's name for its solver."""
         if self.function("solve" if kind == "plan" else "simulate") is None:
             return ()
-        table: Table | None = getattr(problem.given, "planner", None)
+        table: Table | None = getattr(problem.config, "planner", None)
         if kind == "plan" or table is None:
             return (problem.task,)
         known = get_args(type(table).model_fields["name"].annotation)
@@ -382,7 +382,7 @@ def _numbers(metrics: Mapping[str, Any]) -> dict[str, float]:
 
 
 def _scalars(data: Mapping[str, Any]) -> dict[str, float]:
-    """Return the numeric values of a design or deployment, as metrics for a comparison."""
+    """Return the numeric values of a design or deployment as metrics for comparisons."""
     return {
         name: value
         for name, value in data.items()

@@ -112,7 +112,7 @@ def _nearest_m(index: ObstacleIndex, shapes: NDArray[np.object_]) -> Floats:
 
 
 def _spread(values: Floats, where: Mask) -> Floats:
-    """Return `values` placed at the true entries of `where` (n,), with NaN elsewhere."""
+    """Return an array (n,) with `values` at the true entries of `where`, and NaN elsewhere."""
     spread = np.full(where.shape, np.nan)
     spread[where] = values
     return spread

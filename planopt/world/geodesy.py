@@ -61,7 +61,7 @@ def require_origin(origin_deg: tuple[float, ...], key: str, shown: object = None
                 f"cannot read {origin_deg if shown is None else shown!r}",
                 key=key,
                 remedy="write LAT,LON in degrees, south and west negative; LAT,LON,ANGLE if the x "
-                "axis points ANGLE degrees to the left of east",
+                "axis is rotated by ANGLE degrees from east, counter-clockwise",
             )
 
 

@@ -98,7 +98,7 @@ def moves_from(
     reach_m: float,
     clearance_m: float,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Mask]:
-    """Return the nodes (iy, ix) in reach, and a mask of those on collision-free straight paths."""
+    """Return the nodes (iy, ix) in reach, and a mask of the nodes on collision-free lines."""
     ny, nx = lattice.shape
     place = (position_m - lattice.origin_m) / lattice.spacing_m
     reach = (reach_m + REACH_TOLERANCE_M) / lattice.spacing_m
@@ -186,7 +186,7 @@ def _ends(
 def _unsure(
     near: NearPairs, moves: Mask, stride: int, places_m: Floats, clearance_m: float, obstacles: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return start node and obstacle of the moves that the Lipschitz bound does not decide."""
+    """Return start node and obstacle of moves that are undecided by the Lipschitz bound."""
     # Shapes: moves (nodes,).
     # A move is undecided only if both ends are among the pairs, because an end outside the pairs is
     # farther away than clearance plus move length.
@@ -295,7 +295,7 @@ def cheapest_paths(
 
 
 def route_from(road_map: RoadMap, cost_to_go: CostToGo, node: int, length_m: float) -> Indices:
-    """Return the node numbers along the first `length_m` of the cheapest path from `node`."""
+    """Return the nodes along the first `length_m` of the cheapest path from `node`."""
     nodes = [node]
     travelled = 0.0
     while travelled < length_m:

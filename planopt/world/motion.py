@@ -40,7 +40,7 @@ class StepCurve(Protocol):
 
     @property
     def within_m(self) -> float:
-        """Largest distance of the robot from the position that :meth:`at` returns."""
+        """Largest distance of the robot from the position :meth:`at`."""
         ...
 
     def at(self, share: Floats) -> Floats:
@@ -192,7 +192,7 @@ def _polyline_m(index: ObstacleIndex, places_m: Floats) -> float:
 
 
 def _edges(polygon: shapely.Polygon) -> tuple[Floats, Floats]:
-    """Return the start and end points of all edges, including those of holes."""
+    """Return the start and end points of all edges, including edges of holes."""
     rings = [shapely.get_coordinates(ring) for ring in shapely.get_rings(polygon)]
     return (
         np.concatenate([ring[:-1] for ring in rings]),
@@ -218,7 +218,7 @@ def arc_segment_distances_m(
     first = math.atan2(start_m[1] - centre[1], start_m[0] - centre[0])
 
     def on_arc(angles: Floats) -> Mask:
-        """Return a mask of the directions from the arc's centre that the arc covers."""
+        """Return a mask of directions from the arc's centre within the arc."""
         gone = (angles - first) if turn_rad > 0.0 else (first - angles)
         return np.mod(gone, 2.0 * math.pi) <= abs(turn_rad)
 
@@ -234,7 +234,7 @@ def arc_segment_distances_m(
         return t, np.linalg.norm(place - near, axis=1)
 
     def radial(places: Floats) -> Floats:
-        """Return the radial distance of `places` to the arc; inf beside the arc."""
+        """Return the radial distance of `places` to the arc; inf outside its sector."""
         offset = places - centre
         away = np.abs(np.hypot(offset[:, 0], offset[:, 1]) - radius)
         return np.where(on_arc(np.arctan2(offset[:, 1], offset[:, 0])), away, math.inf)
@@ -373,7 +373,7 @@ def chord_distances_m(first: TimedMotion, second: TimedMotion) -> Floats:
 
 
 def least_gap(first: TimedMotion, second: TimedMotion, taken_m: Floats) -> tuple[float, int]:
-    """Return the least distance of two motions minus `taken_m` (n,), and the step of that."""
+    """Return the least distance of two motions minus `taken_m` (n,), and its step."""
     # Steps are evaluated in the order of their lower bounds.
     steps = len(taken_m)
     one, other = first.lasting(steps), second.lasting(steps)

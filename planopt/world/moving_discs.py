@@ -120,7 +120,7 @@ def centres_at(obstacle: MovingObstacle, times_s: Floats) -> Floats:
 
 
 def growth_m(obstacle: MovingObstacle, ahead_s: Floats) -> Floats:
-    """Return the radius growth (n,) due to uncertainty for steps that end in `ahead_s` seconds."""
+    """Return the radius growth (n,) due to uncertainty over steps that end in `ahead_s` seconds."""
     deviation = np.hypot(obstacle.position_std_m, 0.5 * obstacle.acceleration_std_m_s2 * ahead_s**2)
     return deviation * math.sqrt(-2.0 * math.log((1.0 - obstacle.probability) / 2.0))
 
@@ -152,7 +152,7 @@ def predicted_discs(
 
 
 def _turn_m(obstacle: MovingObstacle, times_s: Floats) -> Floats:
-    """Return, for each step, the largest distance of the centre from the step's chord; (n - 1,)."""
+    """Return the largest distances (n - 1,) of the centre from the chord of each step."""
     # Both are linear between turns, so the distance is largest at a turn.
     known = np.asarray(obstacle.times_s)
     turns = known[(known > times_s[0]) & (known < times_s[-1])]

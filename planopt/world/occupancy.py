@@ -124,7 +124,7 @@ class OccupancyGrid:
 def grid_obstacles(
     grid: OccupancyGrid, name: str, unknown: UnknownCells = "occupied"
 ) -> tuple[Obstacle, ...]:
-    """Return obstacles that cover exactly those cells of a grid that robots must not enter.
+    """Return obstacles that cover exactly the forbidden cells of a grid.
 
     Corners of the bounds that a rotated grid does not cover count as unknown.
     """
@@ -197,7 +197,7 @@ def _edges(closed: Mask) -> _Edges:
 
 
 def _found(key: Indices, by_key: Indices, wanted: Indices) -> Indices:
-    """Return the index of each wanted key in `key`; -1 for a key that is absent."""
+    """Return the index of each wanted key in `key`; -1 for a missing key."""
     at = by_key[np.minimum(np.searchsorted(key, wanted, sorter=by_key), key.size - 1)]
     return np.where(key[at] == wanted, at, -1)
 
@@ -215,7 +215,7 @@ def _components(closed: Mask) -> Indices:
 
 
 def _spread(size: int) -> Indices:
-    """Return new indices of `size` rows or columns, with an empty row or column between tiles."""
+    """Return new indices of `size` rows or columns, with an empty one between tiles."""
     line = np.arange(size, dtype=np.intp)
     return line + line // TILE_CELLS
 
@@ -441,7 +441,7 @@ def _shown(value: object) -> str:
 
 
 def _one_of(table: dict[str, object], key: str, allowed: tuple[str, ...]) -> str:
-    """Return the word at `key`, which must be one of `allowed`; by default, the first of these."""
+    """Return the word at `key`, which must be one of `allowed`; default: the first of them."""
     value = table.get(key, allowed[0])
     word = {"true": "1", "false": "0"}.get(str(value).lower(), value)
     if not isinstance(word, str) or word not in allowed:

@@ -223,7 +223,7 @@ def _require_map(held: Mapping[str, tuple[str, ...]], variable: str) -> None:
 def _floats(values: NDArray[Any], attributes: Mapping[str, Any], path: Path, name: str) -> Floats:
     """Return values as floats, scaled by their attributes; missing values are NaN."""
     if values.dtype.kind not in "iuf":
-        raise InputError(f"has the type {values.dtype}, should be numeric", key=name)
+        raise InputError(f"has type {values.dtype}", key=name, remedy="give numbers")
     require_array_size(path, name, *values.shape)
     floats = values.astype(np.float64)
     missing = np.zeros(floats.shape, dtype=np.bool_)
@@ -292,7 +292,7 @@ def write_geotiff(path: Path, rasters: Mapping[str, Raster], origin_deg: Origin 
 
 
 def read_geotiff(path: Path, variable: str, origin_deg: Origin | None = None) -> Raster:
-    """Return the band described as `variable`, or the only band if this has no description."""
+    """Return the band described as `variable`, or the only band if it has no description."""
     # GDAL's virtual formats and sidecar files could open further files.
     rasterio = import_rasterio(path)
     content = read_bytes(path)
@@ -527,11 +527,7 @@ def npz_arrays(path: Path, names: tuple[str, ...]) -> list[Floats]:
                 f"the file has no variable {name!r}", remedy=f"it has {listed(npz_names(path))}"
             )
         if arrays[name].dtype.kind not in "biuf":
-            raise InputError(
-                f"has the type {arrays[name].dtype}, should be numeric",
-                key=name,
-                remedy="give numbers",
-            )
+            raise InputError(f"has type {arrays[name].dtype}", key=name, remedy="give numbers")
         with np.errstate(all="ignore"):  # overflow from longer floats
             found.append(arrays[name].astype(np.float64))
     return found

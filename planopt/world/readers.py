@@ -176,7 +176,7 @@ def _in_metres(data: Any, origin_deg: Origin) -> Any:
 
 
 def _positions(value: Any) -> Iterator[Any]:
-    """Yield each list in GeoJSON coordinates that contains no other list, such as a position."""
+    """Yield the innermost lists of GeoJSON coordinates, which should be positions."""
     if isinstance(value, dict):
         for key, each in cast("dict[str, Any]", value).items():
             if key in ("coordinates", "features", "geometry", "geometries"):
@@ -195,7 +195,7 @@ def _is_position(value: list[Any]) -> bool:
 
 
 def _replaced(value: Any, plane: dict[int, list[float]]) -> Any:
-    """Return GeoJSON with each position, found by object identity, replaced by that in `plane`."""
+    """Return GeoJSON with each position, found by object identity, replaced from `plane`."""
     if id(value) in plane:
         return plane[id(value)]
     if isinstance(value, dict):

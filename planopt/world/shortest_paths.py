@@ -90,7 +90,7 @@ def shortest_paths(
 
 
 def is_near_joined(paths: ShortestPaths, places_m: Floats, within_m: float) -> Mask:
-    """Return a mask of positions (n, 2) within `within_m` of free space joined to the start."""
+    """Return a mask of positions (n, 2) within `within_m` of free space connected to the start."""
     if paths.joined is None:
         return np.ones(len(places_m), dtype=np.bool_)
     points = shapely.points(places_m)
@@ -103,7 +103,7 @@ def path_lengths_m(paths: ShortestPaths, places_m: Floats) -> Floats:
 
 
 def turns_m(paths: ShortestPaths, place_m: Floats) -> Floats | None:
-    """Return the turning points and the end (k, 2) of the path to `place_m`, None without path."""
+    """Return the turns and the end (k, 2) of the path to `place_m`; None without path."""
     length, last = _last_turns(paths, place_m[None])
     if not np.isfinite(length[0]):
         return None

@@ -54,14 +54,14 @@ class Obstacle:
         part_of(f"the obstacle {self.name!r}", self.polygon, shapely.Polygon, remedy)
         if not self.polygon.is_valid or self.polygon.area == 0.0:
             raise InputError(
-                f"{self.name} crosses itself, or has no area",
+                f"the outline of {self.name!r} crosses itself, or has no area",
                 key="world.obstacles",
                 remedy="list the corners in order along the outline",
             )
         if not 0.0 <= self.known_from_s < self.until_s:
             raise InputError(
-                f"{self.name} has known_from_s = {self.known_from_s!r} and until_s = "
-                f"{self.until_s!r}, which are not valid",
+                f"{self.name!r} has known_from_s = {self.known_from_s!r} and until_s = "
+                f"{self.until_s!r}, which are invalid",
                 key="world.obstacles",
                 remedy="give known_from_s of at least 0, and a larger until_s or None",
             )
@@ -151,7 +151,7 @@ class MovingObstacle(Part):
         return values
 
     def fault(self) -> str | None:
-        """Return why times and positions are inconsistent, or None."""
+        """Return a message if times and positions are inconsistent; else None."""
         if len(self.times_s) != len(self.positions_m):
             return (
                 f"has {len(self.times_s)} times_s and {len(self.positions_m)} positions_m: give a "

@@ -40,8 +40,8 @@ def test_a_plan_tells_of_all_its_steps():
     """By how much each misses the bound, and what the price of it was compared with."""
     first, second = said([PRICED])
     assert first == (
-        "step 1 misses p_min by 0.50 dB of power: length plus outage price of the route is 8.0 m, "
-        "and 7.5 m for the cheapest route in the verifier's own search"
+        "step 1 misses p_min by 0.50 dB of power: the route has a priced length of 8.0 m, "
+        "and the verifier's cheapest route has 7.5 m"
     )
     assert second.startswith("step 3 misses p_min by 2.00 dB of power")
     assert said([FAR]) == [
@@ -158,7 +158,7 @@ def test_a_plan_names_the_hole_ahead_of_it():
         assert hole.to_end == at_goal == bool(goal_in_words(PROBLEM, plan.holes))
         assert np.allclose(plan.route_m[-1], PROBLEM.goal_m)
         told = " ".join(holes_in_words(PROBLEM, plan.holes))
-        assert f"{hole.length_m:.0f} m" in told and "adds 10 m to the cost" in told
+        assert f"{hole.length_m:.0f} m" in told and "adds 10 m to the priced length" in told
 
 
 @pytest.mark.parametrize(("high_m", "in_goal"), [(24.0, False), (41.0, True)])

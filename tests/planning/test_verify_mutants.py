@@ -532,7 +532,7 @@ MUTANTS = (
     (VERIFY, " = bound_margin_db(mean, deviation,", " = bound_margin_db(mean, 0.0 * deviation,"),
     (VERIFY, "margins < -MARGIN_TOLERANCE_DB", "margins < -1e6 * MARGIN_TOLERANCE_DB"),
     (VERIFY, "margins < -MARGIN_TOLERANCE_DB", "margins > MARGIN_TOLERANCE_DB"),
-    (VERIFY, "& asked)[0] + 1", "& asked)[0]"),
+    (VERIFY, "& counted)[0] + 1", "& asked)[0]"),
     (VERIFY, "        if margin >= 0.0\n", "        if margin < 0.0\n"),
     (VERIFY, "if len(missed) == count:", "if False:"),
     (VERIFY, "        if margin >= 0.0\n    ][:1]", "    ][:0]"),

@@ -157,10 +157,10 @@ def test_limits_of_the_slot_width():
 def test_inequalities_say_by_how_much():
     """Words, sides, unit and margin."""
     each = Inequality("floor below the capture radius", 5.25, 5.0, "m")
-    assert str(each) == "floor below the capture radius: 5.25 m, which is not below 5 m"
+    assert str(each) == "floor below the capture radius: 5.25 m is not below 5 m"
     assert not each.holds and each.margin == -0.25
     found = capture_guarantees(Chase(1.0, 2.0), ServiceBounds(0.4, 0.1))
-    assert str(found[Theorem.LEMMA].inequalities[0]) == "a + x below 1: 1.05, which is not below 1"
+    assert str(found[Theorem.LEMMA].inequalities[0]) == "a + x below 1: 1.05 is not below 1"
     slow = capture_guarantees(Chase(1.0, 1.2), ServiceBounds(0.0, 0.2))[Theorem.SAMPLED_DISTANCE]
     assert not slow.holds and slow.inequalities[0].margin == pytest.approx(-0.2)
 

@@ -48,11 +48,11 @@ def test_error_has_the_route_and_its_holes(problem, error) -> None:
     """From the start to the goal; holes are on the route, and below the bound."""
     (one,) = error.blocked
     assert one.robot == problem.robots[0].name and one.holes
-    np.testing.assert_allclose(one.way_m[0], problem.robots[0].start_m)
+    np.testing.assert_allclose(one.path_m[0], problem.robots[0].start_m)
     radius = problem.constraints.goal_radius_m
-    assert np.linalg.norm(one.way_m[-1] - problem.goal_m) <= radius + 1e-9
+    assert np.linalg.norm(one.path_m[-1] - problem.goal_m) <= radius + 1e-9
     for hole in one.holes:
-        assert min(np.linalg.norm(one.way_m - np.array(hole.from_m), axis=1)) == 0.0
+        assert min(np.linalg.norm(one.path_m - np.array(hole.from_m), axis=1)) == 0.0
         assert hole.least_connectivity < problem.constraints.p_min
 
 
@@ -65,7 +65,7 @@ def test_the_pictures_show_the_holes(problem, error, tmp_path: Path) -> None:
     for number, figure in enumerate(figures):
         axes = drawn(figure).axes[0]
         labels = [artist.get_label() for artist in axes.get_lines()]
-        assert labels.count("crosses a coverage hole") == len(error.blocked[0].holes)
+        assert labels.count("coverage hole on the path") == len(error.blocked[0].holes)
         assert max(map(len, axes.get_title("left").splitlines())) <= 110
         with warnings.catch_warnings():
             warnings.simplefilter("error")
@@ -87,7 +87,7 @@ def test_files_name_the_holes(error, tmp_path: Path, capsys) -> None:
     for name in ("plan", "run"):
         data = json.loads((tmp_path / name / f"{name}.json").read_text())
         ((way,), one) = data["blocked"], error.blocked[0]
-        assert way["robot"] == one.robot and way["x_m"] == one.way_m[:, 0].tolist()
+        assert way["robot"] == one.robot and way["x_m"] == one.path_m[:, 0].tolist()
         assert [hole["length_m"] for hole in way["holes"]] == [h.length_m for h in one.holes]
     capsys.readouterr()
     main(["check", str(tmp_path / "plan")])
@@ -103,7 +103,7 @@ def test_a_saved_run_keeps_its_refusal(problem, tmp_path: Path, capsys) -> None:
     assert (again.outcome, again.reason) == (run.outcome, run.reason)
     (way,), (other,) = run.blocked, again.blocked
     assert (way.robot, way.holes) == (other.robot, other.holes)
-    np.testing.assert_array_equal(way.way_m, other.way_m)
+    np.testing.assert_array_equal(way.path_m, other.path_m)
 
 
 def test_refusal_during_a_run_is_not_violated(problem, tmp_path: Path, capsys) -> None:

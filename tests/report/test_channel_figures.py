@@ -87,10 +87,10 @@ def test_units_and_legends(figures):
     legends = {
         "belief": ["start", "goal", "station", *MEASURED, "p_min = 0.8"],
         "map": [*MEASURED, "station", "-72 dBm"],
-        "calibration": ["path_loss: rmse 1.94 dB", "sure: rmse 1.94 dB", "nominal"],
+        "calibration": ["path_loss: RMSE 1.94 dB", "sure: RMSE 1.94 dB", "nominal"],
         "reliability": ["as predicted", "right", "too high"],
         "sensitivity": ["path loss exponent, n_PL", "decorrelation distance, β"],
-        "stations": ["true", "estimated", "measured here"],
+        "stations": ["true", "estimated", "measured position"],
     }
     assert {name: legend_of(figures[name]) for name in legends} == legends
 
@@ -148,7 +148,7 @@ def test_power_by_distance(figures, measurements):
     offset = measurements.positions_m - [50.0, 60.0]
     distance = np.sqrt((offset**2).sum(axis=1) + 25.0)
     dots = np.stack([distance, measurements.power_dbm], axis=1)
-    for label, chosen in (("measured", slice(25)), ("at most this (censored)", slice(25, None))):
+    for label, chosen in (("measured", slice(25)), ("upper limit (censored)", slice(25, None))):
         np.testing.assert_allclose(collection_of(axes, label).get_offsets(), dots[chosen])
     (line,) = axes.lines
     distance, power = line.get_xydata().T
@@ -162,7 +162,7 @@ def test_power_by_distance(figures, measurements):
 def test_coverage_and_pit(figures, calibrations):
     """Coverage in percent against level, the PIT as steps."""
     sure = calibrations["sure"]
-    line = line_of(panel_of(figures["calibration"], "coverage"), "sure: rmse 1.94 dB")
+    line = line_of(panel_of(figures["calibration"], "coverage"), "sure: RMSE 1.94 dB")
     expected = [[100.0 * level, 100.0 * one.value] for level, one in sure.coverage.items()]
     np.testing.assert_allclose(line.get_xydata(), expected)
     (steps,) = (
@@ -187,7 +187,7 @@ def test_reliability_points(figures):
     high = bins(0.2)
     line = line_of(panel_of(figures["reliability"], "reliability"), "too high").get_xydata()
     np.testing.assert_allclose(line, [[100 * b.predicted, 100 * b.realised] for b in high])
-    apart = line_of(panel_of(figures["reliability"], "less predicted"), "too high").get_ydata()
+    apart = line_of(panel_of(figures["reliability"], "observed minus"), "too high").get_ydata()
     np.testing.assert_allclose(apart, [100 * (b.realised - b.predicted) for b in high])
 
 

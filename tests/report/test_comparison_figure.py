@@ -99,7 +99,7 @@ def test_traces_are_means_over_runs_with_bands(comparison):
     """As far as all runs go; the band is the Student interval, and none from too few runs."""
     assert draw_traces(comparison) is None
     panel = panel_of(drawn(draw_traces(with_traces(comparison, 6))), "tr P")
-    assert (panel.get_xlabel(), panel.get_ylabel()) == ("steps driven [1]", "tr P [m2]")
+    assert (panel.get_xlabel(), panel.get_ylabel()) == ("steps driven [1]", "tr P [m²]")
     assert panel.get_yscale() == "log"
     starts = 2.0 + 0.1 * np.arange(6)
     half = 2.5706 * starts.std(ddof=1) / np.sqrt(6)

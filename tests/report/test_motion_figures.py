@@ -19,8 +19,8 @@ from planopt.report.panel import BAND_Z
 from planopt.tasks.motion import TASK
 from planopt.world import centres_at
 
-MAP, POWER, CHANCE = {"x [m]", "y [m]"}, "power [dBm]", "P [1]"
-DISC = "moving obstacle, paler later"
+MAP, POWER, CHANCE = {"x [m]", "y [m]"}, "power [dBm]", "P(connected) [1]"
+DISC = "moving obstacle (later: paler)"
 
 
 def test_units_of_plan_run_and_series(solution, simulation):
@@ -67,7 +67,7 @@ def test_curves_of_a_plan(solution, plan):
     assert line_of(power, "threshold").get_ydata()[0] == -72.0
     np.testing.assert_array_equal(chance.lines[0].get_ydata(), plan.connectivity)
     assert line_of(chance, "p_min = 0.8").get_ydata()[0] == 0.8
-    relaxed = collection_of(chance, "bound relaxed").get_offsets()
+    relaxed = collection_of(chance, "P(connected) below p_min").get_offsets()
     np.testing.assert_allclose(relaxed, [[plan.t_s[3], plan.connectivity[3]]])
 
 
@@ -123,8 +123,8 @@ def test_map_of_a_run(simulation, plan, log, measurements):
     assert lost.get_linestyle()[0][1] is not None and good.get_linestyle()[0][1] is None
     np.testing.assert_array_equal(line_of(axes, "rover, planned").get_xydata(), plan.positions_m)
     for label, expected in (
-        ("bound relaxed", log.positions_m[[3]]),
-        ("measured before", measurements.positions_m[:24]),
+        ("P(connected) below p_min", log.positions_m[[3]]),
+        ("measured before the run", measurements.positions_m[:24]),
         ("measured during the run", measurements.positions_m[24:]),
     ):
         np.testing.assert_array_equal(collection_of(axes, label).get_offsets(), expected)
@@ -141,12 +141,12 @@ def test_series_of_a_run(simulation, log):
     predicted = line_of(power, "predicted one step ahead").get_xydata()
     np.testing.assert_array_equal(predicted, np.stack([log.t_s, log.predicted_dbm], axis=1))
     np.testing.assert_array_equal(line_of(power, "true").get_ydata(), log.true_dbm)
-    rows = panel_of(figure, "truly connected (83.3 % of the steps")
+    rows = panel_of(figure, "true connection (83.3 % of steps")
     lost = [each.get_offsets() for each in rows.collections if len(each.get_offsets()) == 1]
     np.testing.assert_array_equal(np.concatenate(lost), [[4.0, 0.0]])
     chance = panel_of(figure, "one step ahead")
     np.testing.assert_array_equal(chance.lines[0].get_ydata(), log.connectivity)
-    relaxed = collection_of(chance, "bound relaxed").get_offsets()
+    relaxed = collection_of(chance, "P(connected) below p_min").get_offsets()
     np.testing.assert_allclose(relaxed, [[log.t_s[3], log.connectivity[3]]])
     times = panel_of(figure, "planning time")
     plans = collection_of(times, "plan (4)").get_offsets()
@@ -160,7 +160,7 @@ def test_run_without_steps(simulation, log):
     ended = replace(
         simulation, runs=(replace(simulation.run, log=start),), plans=((),), first_measurements=30
     )
-    absent = {"rover, planned", "bound relaxed", "measured during the run"}
+    absent = {"rover, planned", "P(connected) below p_min", "measured during the run"}
     assert not absent & set(legend_of(drawn(draw_run(ended))))
     times = panel_of(drawn(draw_run_series(ended)), "planning time")
     assert [text.get_text() for text in times.texts] == ["no step was released"]
@@ -202,7 +202,7 @@ def test_target_and_its_estimates(simulation):
     np.testing.assert_array_equal(path.get_xydata(), run.target.true_m)
     np.testing.assert_array_equal(estimates.get_offsets(), run.target.station_mean_m)
     assert estimates.get_zorder() < path.get_zorder()
-    lost = collection_of(curve, "none arrived").get_offsets()
+    lost = collection_of(curve, "no packet arrived").get_offsets()
     np.testing.assert_allclose(lost, [[4.0, run.target.station_variance_m2[2]]])
     assert len(collection_of(curve, "packets arrived").get_offsets()) == 5
 
@@ -263,7 +263,7 @@ def test_moving_obstacles_and_distances():
         (*centre, cart.radius_m) for centre in centres_at(cart, run.runs[0].log.t_s).tolist()
     ]
     np.testing.assert_allclose(discs(figure.axes[0]), expected, atol=1e-3)
-    panel = panel_of(figure, "least distance")
+    panel = panel_of(figure, "minimum distance")
     assert min(line_of(panel, "two robots").get_ydata()) == run.metrics["min_separation_m"]
     away = line_of(panel, "moving obstacle").get_ydata()
     assert min(away) == run.metrics["min_moving_clearance_m"]

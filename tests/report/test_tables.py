@@ -16,7 +16,7 @@ def blocks_of(comparison) -> list[list[str]]:
 def test_exact_lines(comparison):
     """Every number, its unit, its order and its alignment; settings begin each block."""
     title, first, second, tail = blocks_of(comparison)
-    assert " ".join(title).startswith("small: 8 runs in 3.2 s; the table has means over runs")
+    assert " ".join(title).startswith("small: 8 runs in 3.2 s; means over runs")
     assert [" ".join(line.split()) for line in first[-4:]] == [
         "geodesic auto 10 2 0 60.5 (54.1 to 66.9) 90.0 2.0 - -",
         "geodesic auto 1 2 2 - 90.0 2.0 - -",

@@ -296,13 +296,13 @@ def _links_are_drawn(kept, lost):
             assert grown
             reached += grown
             ends = [pair for pair in ends if pair[0] not in grown]
-        still = Motion.at_rest(here)
-        alone = verify_moves(shapely.box(0, 0, 200, 150), still, still, content.given.limits, radio)
+        still, free = Motion.at_rest(here), shapely.box(0, 0, 200, 150)
+        alone = verify_moves(free, still, still, content.config.limits, radio)
         assert np.array_equal(lonely, here[[fault.agent for fault in alone]])
     assert len(pictures[0].links(29)[1]) == 0 < len(pictures[1].links(29)[1])
     figure = draw_network(pictures[1])
     labels = {each.get_label() for panel in figure.axes for each in panel.collections}
-    assert {"base station", "radio link", "no connection"} <= labels
+    assert {"base station", "radio link", "disconnected agent"} <= labels
 
 
 def test_radio_is_kept_where_the_law_loses_it():
@@ -315,8 +315,8 @@ def test_radio_is_kept_where_the_law_loses_it():
     assert lost and all("fault of radio" in each for each in lost)
     _links_are_drawn(kept, by_law)
     with refused() as caught:
-        away = content.given.radio.model_copy(update={"stations_m": [(200.0, 150.0)]})
-        replace(content, given=content.given.model_copy(update={"radio": away})).starts(
+        away = content.config.radio.model_copy(update={"stations_m": [(200.0, 150.0)]})
+        replace(content, config=content.config.model_copy(update={"radio": away})).starts(
             np.random.default_rng(0)
         )
     assert caught.value.key == "agents.start"

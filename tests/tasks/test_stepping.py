@@ -76,7 +76,7 @@ def test_reports_may_be_a_table():
     """A pursuer without a report stays; with one it drives there."""
     problem = planopt.load("pursuit_fleeing")
     pursuers = planopt.Planner(problem)
-    here = np.array(problem.given.pursuers[0].start_m)
+    here = np.array(problem.config.pursuers[0].start_m)
     np.testing.assert_array_equal(pursuers.step([here], {}).aims_m, [here])
     record = planopt.problems.Record(0.0, np.array([50.0, 60.0]), 5.0)
     np.testing.assert_array_equal(pursuers.step([here], {(0, 0): record}).aims_m, [[50.0, 60.0]])

@@ -130,7 +130,7 @@ Loss = Literal["squares", "huber", "absolute"]
 
 
 def require_method(method: str, key: str) -> FitMethod:
-    """Return `method`; raise an error that names the option `key` if there is no such method."""
+    """Return `method`; raise an error that names the option `key` for an unknown method."""
     if method not in get_args(FitMethod):
         remedy = f"use {', '.join(get_args(FitMethod))}"
         raise InputError(

@@ -225,7 +225,7 @@ def _line_errors(bins: LogBins, intercept: float, squares: float) -> tuple[float
 
 
 def _weighed_by_line(bins: LogBins, intercept: float, rate: float) -> LogBins:
-    """Return the bins, weighted by pairs times the squared correlation on the fitted line."""
+    """Return the bins with weights: number of pairs times squared correlation on the line."""
     above = intercept - rate * bins.lag_m - bins.log_covariance
     # Relative to the largest to avoid overflow; only ratios of weights matter.
     return replace(bins, weight=bins.weight * np.exp(2.0 * (above - above.max())))
@@ -238,7 +238,7 @@ def _convex_line(
     loss: Loss = "absolute",
     turn: float = 0.0,  # Residual at which Huber's loss becomes linear
 ) -> tuple[float, float]:
-    """Return the optimum (log xi^2, 1 / beta) of the convex fit within its bounds."""
+    """Return the bounded optimum (log xi^2, 1 / beta) of the convex fit."""
     import cvxpy as cp
 
     scale = float(bins.lag_m.max())

@@ -133,7 +133,7 @@ def _by_correlation(data: _FitInput, method: FitMethod, loss: Loss) -> _Estimate
 
 
 def _by_assumption(data: _FitInput, reason: str) -> _Estimate:
-    """Fit a line to few measurements and assume the covariance."""
+    """Fit a line to few measurements; the covariance is assumed."""
     beta_bounds = data.allows.decorrelation_bounds_m
     covariance = fallback_fit(FALLBACK_TOTAL_VARIANCE_DB2, beta_bounds, reason)
     if not data.measurements.censored.all():
@@ -147,7 +147,7 @@ def _by_assumption(data: _FitInput, reason: str) -> _Estimate:
 def _with_line(
     coefficients: Floats, data: _FitInput, covariance: CovarianceFit, notes: tuple[str, ...] = ()
 ) -> _Estimate:
-    """Return the estimate of a least-squares line whose residuals have the given covariance."""
+    """Return the estimate of a least-squares line with residual covariance `covariance`."""
     parameters = data.parameters(coefficients, covariance.values)
     spread = coefficient_covariance(data.model, data.measurements, parameters)
     return _Estimate(covariance, coefficients, spread, notes)
@@ -167,7 +167,7 @@ WORDS: dict[str, tuple[str, str]] = {
 def _weak_words(
     parameters: ChannelParameters, standard_errors: dict[str, float], n_pl_is_assumed: bool
 ) -> list[str]:
-    """Return warnings about parameters whose standard error is known but large."""
+    """Return warnings about parameters with large standard errors."""
     said: list[str] = []
     for name, (called, unit) in WORDS.items():
         value, error = getattr(parameters, name), standard_errors[name]
@@ -245,13 +245,13 @@ def suspected_floor(measurements: Measurements) -> str | None:
 
 
 def floor_pile_dbm(power_dbm: Floats) -> float | None:
-    """Return the lowest power if its count suggests a receiver floor, else None."""
+    """Return the lowest power if its frequency suggests a receiver's floor, else None."""
     values, counts = np.unique(power_dbm, return_counts=True)
     return float(values[0]) if len(values) > 1 and _is_pile(counts) else None
 
 
 def _is_pile(counts: Indices) -> bool:
-    """Return True if the count of the lowest power suggests a receiver floor."""
+    """Return True if the frequency of the lowest power suggests a receiver's floor."""
     pile, adjacent = int(counts[0]), int(counts[1 : 1 + PILE_NEIGHBOURS].max())
     if pile < LEAST_PILE:
         return False

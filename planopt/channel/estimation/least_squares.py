@@ -36,7 +36,7 @@ FALLBACK_DECORRELATION_M = 10.0
 
 @dataclass(frozen=True)
 class Identifiability:
-    """Reasons why parameters cannot be identified, extent of the positions, and range of beta."""
+    """Identifiability of the parameters, with extent of the positions and range of beta."""
 
     n_pl_reason: str | None  # Reason why n_PL cannot be estimated, or None
     covariance_reason: str | None  # Reason why xi, beta and omega cannot be estimated, or None
@@ -46,7 +46,7 @@ class Identifiability:
 
 
 def examine(measurements: Measurements, station: Station) -> Identifiability:
-    """Return which channel parameters the measurements can identify, and why others cannot be."""
+    """Return the identifiability of the channel parameters, with reasons."""
     require_usable(measurements, station)
     exact = ~measurements.censored
     positions = measurements.positions_m[exact]

@@ -72,7 +72,7 @@ RANK_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class LikelihoodData:
-    """Measurements in one window, or in a sequence of blocks with their earlier neighbours."""
+    """Measurements in one window, or in a sequence of blocks with earlier neighbours."""
 
     known: ChannelParameters  # The forgetting time and the station, which are not estimated
     origins: Origins  # (n) of the measurements; receivers' offsets are coefficients here
@@ -209,7 +209,7 @@ class Precision:
     spread: Floats  # (q, q) S
 
     def projection(self) -> Floats:
-        """Return the projection P (n, n), inverse covariance less what regressors explain."""
+        """Return the projection P (n, n): the inverse covariance minus the regressors' part."""
         whole = self.half + np.triu(self.half, 1).T
         return whole - self.weights @ self.spread @ self.weights.T
 
@@ -542,7 +542,7 @@ def _expected_information(
 def profiled_log_likelihood(
     data: LikelihoodData, correlated_share: float, decorrelation_m: float
 ) -> tuple[float, float]:
-    """Return the log-likelihood at the best total variance alpha, and this alpha."""
+    """Return the log-likelihood maximised over the total variance alpha, and this alpha."""
     # Terms that do not scale with alpha are ignored, and offsets have a flat prior.
     count = len(data.values_db)
     correlation = correlated_share * data.correlation(0, decorrelation_m)

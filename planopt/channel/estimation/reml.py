@@ -167,7 +167,7 @@ def _grid_starts(sample: LikelihoodData, bounds: CovarianceBounds) -> list[Float
 def _modes(
     likelihood: RestrictedLikelihood, starts: Iterable[Floats], box: Floats, fine: float
 ) -> list[Mode]:
-    """Return the distinct optima reached from `starts`; much less likely ones are dropped."""
+    """Return the distinct optima reached from `starts`, without much less likely ones."""
     found = _distinct(likelihood, [_climbed(likelihood, start, box, fine) for start in starts])
     least = found[0].at.log_likelihood - NEARLY_AS_LIKELY
     return [mode for mode in found if mode.at.log_likelihood >= least]
@@ -210,7 +210,7 @@ def _distinct(likelihood: RestrictedLikelihood, modes: Iterable[Mode]) -> list[M
 
 
 def _beyond_best(likelihood: RestrictedLikelihood, best: Mode, box: Floats) -> Floats | None:
-    """Return an initial guess with little multipath if `best` has much, or vice versa."""
+    """Return a guess with little multipath if `best` has much multipath, or vice versa."""
     # Returns None unless the likelihood there increases away from `best`.
     shadow, nugget, beta = best.covariance
     total = shadow + nugget
@@ -320,7 +320,7 @@ def _updated(curvature: Floats, moves: Iterable[tuple[Floats, Floats]]) -> Float
 
 
 def _gain(gradient: Floats, curvature: Floats, free: Mask) -> float:
-    """Return the decrease that a Newton step on the free variables is predicted to bring."""
+    """Return the predicted decrease by a Newton step on the free variables."""
     if not free.any():
         return 0.0
     part = curvature[np.ix_(free, free)] + CURVATURE_FLOOR * np.eye(int(free.sum()))
@@ -328,7 +328,7 @@ def _gain(gradient: Floats, curvature: Floats, free: Mask) -> float:
 
 
 def _step(gradient: Floats, damped: Floats, free: Mask, low: Floats, high: Floats) -> Floats:
-    """Return the damped Newton step, with variables fixed at the bounds that it would cross."""
+    """Return the damped Newton step, with variables fixed at bounds that the step would cross."""
     step = np.zeros_like(gradient)
     free = free.copy()
     while free.any():

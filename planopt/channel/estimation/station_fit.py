@@ -363,7 +363,7 @@ def _joint_surface(
 
 
 def _clear_of(measurements: Measurements, station: Station) -> Station:
-    """Return the station, moved by `MIN_DISTANCE_M` if it is exactly at a measurement."""
+    """Return the station, moved by `MIN_DISTANCE_M` if it coincides with a measurement."""
     offset = measurements.positions_m - np.asarray(station.position_m)
     if station.height_m == 0.0 and not offset.any(axis=1).all():
         x, y = station.position_m
@@ -432,7 +432,7 @@ def _whitened_jacobian(surface: StationSurface, parameters: ChannelParameters) -
 
 
 def _is_at_edge(surface: StationSurface, station: Station) -> bool:
-    """Return whether the fitted station is at the edge of the box that was searched."""
+    """Return whether the fitted station is on the edge of the search box."""
     low, high = surface.box_m(MARGIN)
     near, position = 1e-6 * surface.extent_m, np.asarray(station.position_m)
     return bool(((position - low < near) | (high - position < near)).any())

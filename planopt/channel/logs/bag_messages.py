@@ -76,7 +76,7 @@ Wanted = Callable[[str, str, str], bool]
 
 
 def is_recording(path: Path) -> bool:
-    """Return whether a path is a recording: an MCAP file, a rosbag2 file or its folder."""
+    """Return whether a path is a recording: an MCAP file, a rosbag2 file or a rosbag2 folder."""
     if path.is_dir():
         return bool(_files_in(path))
     if path.suffix.lower() != ".db3":
@@ -163,7 +163,7 @@ def _of_sqlite(path: Path, factory: Any, is_wanted: Wanted) -> Iterator[Recorded
 
 
 def _with_parts(text: str) -> Iterator[str]:
-    """Yield a message definition, followed by the definitions of the types that it names."""
+    """Yield a message definition, followed by the definitions of its component types."""
     yield text
     named = re.findall(r"^(\w+/\w+)", text, re.MULTILINE)
     done: list[str] = []

@@ -115,7 +115,7 @@ def _is_wanted(topic: str, kind: str, definition: str) -> bool:
 
 
 def _is_number(topic: str, words: set[str]) -> bool:
-    """Return whether a topic carries plain numbers and has a name that denotes a power."""
+    """Return whether a topic has plain numbers and a name that denotes a power."""
     return "data" in words and _power_name(topic.split("/")) is not None
 
 
@@ -126,7 +126,7 @@ def _power_name(names: Sequence[str]) -> str | None:
 
 
 def _powers(message: Recorded) -> Iterator[_Reading]:
-    """Yield the power readings in a message: one of its own, and one per entry of each list."""
+    """Yield the power readings in a message: its own, and one per list entry."""
     content = message.content
     lists: list[Any] = [value for _, value in _fields(content) if isinstance(value, list)]
     entries = [each for one in lists for each in one if isinstance(each, SimpleNamespace)]
@@ -186,7 +186,7 @@ def _tracks(messages: Sequence[Recorded]) -> Iterator[_Track]:
 
 
 def _transformed(messages: Sequence[Recorded]) -> Iterator[_Track]:
-    """Yield the positions of the robot's frame in the frame at the root of the transforms."""
+    """Yield the positions of the robot's frame in the root frame of the transforms."""
     links: dict[str, tuple[str, list[list[float]]]] = {}
     for message in messages:
         for each in message.content.transforms:

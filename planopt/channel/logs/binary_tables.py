@@ -29,7 +29,7 @@ Ranked = Callable[[Sequence[str]], int]
 
 
 def read_sqlite(path: Path, rank: Ranked) -> LogTable:
-    """Read the table of an SQLite file that looks most like a log, by its column names."""
+    """Read the table of an SQLite file whose column names best match a log."""
     import sqlite3
 
     content = read_bytes(path)

@@ -93,7 +93,7 @@ class LogFormat(Part):
     """Name of the program that wrote the log; default: detected."""
 
     def to_keys(self) -> dict[str, Any]:
-        """Return those keys of the table whose values differ from the defaults."""
+        """Return the keys of the table with non-default values."""
         keys = super().to_keys()
         changed = {
             each.name: keys[each.name]
@@ -198,6 +198,6 @@ def _group_column(text: str) -> GroupColumn:
         raise InputError(
             f"cannot read {text!r}",
             key="--hold-out",
-            remedy="write COLUMN or COLUMN:BLOCK, BLOCK being above 0, separated by commas",
+            remedy="write COLUMN or COLUMN:BLOCK with BLOCK above 0, separated by commas",
         )
     return GroupColumn(name, block)

@@ -66,7 +66,7 @@ class Cell:
         """Return the cell as a boolean."""
         flag = FLAGS.get(self.text.strip().lower())
         if flag is None:
-            raise self.error(f"{self.text.strip()!r} is not a truth value", "use 0 or 1")
+            raise self.error(f"{self.text.strip()!r} is not a Boolean", "use 0 or 1")
         return flag
 
     def error(self, words: str, remedy: str) -> InputError:
@@ -132,7 +132,7 @@ class LogTable:
 
     @cached_property
     def folded(self) -> dict[str, str]:
-        """Return the columns by reduced name, as :func:`fold` reduces it."""
+        """Return the columns by their names reduced by :func:`fold`."""
         return {fold(name): name for name in reversed(self.names)}
 
 

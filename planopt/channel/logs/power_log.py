@@ -196,7 +196,7 @@ def at_file_line(
 def read_groups(
     path: Path | str, columns: Sequence[GroupColumn], log_format: LogFormat = DEFAULT_FORMAT
 ) -> Indices:
-    """Return the group label of each row of a log, in order of first appearance; ``(n,)``.
+    """Return the group labels ``(n,)`` of a log's rows, in order of first appearance.
 
     Parameters
     ----------

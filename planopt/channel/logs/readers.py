@@ -101,7 +101,7 @@ def known_readers() -> dict[str, LogReader]:
 
 
 def _likeness(names: Sequence[str]) -> int:
-    """Return how much column names look like a log: 0 for none, most for a known program's."""
+    """Return a score for the similarity of column names to a log, largest for known programs."""
     table = LogTable(None, tuple(names), ())
     known = [len(each.signature) for each in known_readers().values() if _is_of(table, each)]
     roles = [("x", "y"), ("longitude", "latitude")]
@@ -187,7 +187,7 @@ def _reader_of(table: LogTable, log_format: LogFormat) -> tuple[str, LogReader] 
 
 
 def readings_of(table: LogTable, columns: LogColumns) -> LogTable:
-    """Return the table without rows in which a known logging program recorded no reading."""
+    """Return the table without rows that lack a reading, for known logging programs."""
     reader = columns.reader
     if reader is None:
         return table

@@ -61,7 +61,7 @@ def coverage_aims(
     responds: Mask,  # (n,) mask of the agents that respond to an event
     partition: Partition = "all",
 ) -> Cover:
-    """Return the coverage cost and all targets; responding agents keep their positions."""
+    """Return coverage cost and targets, with responding agents fixed at their positions."""
     alone = partition == "coverage_only" and not responds.all()
     counted = ~responds if alone else np.ones_like(responds)
     found = ground.cover(_apart(ground, agents_m, ~responds)[counted])
@@ -95,7 +95,7 @@ def law_moves(
     time_step_s: float,
     speed_m_s: float | None = None,
 ) -> Floats:
-    """Return the positions (n, 2) after one step of the control laws with limited speeds."""
+    """Return the positions (n, 2) after one step of the control laws at limited speed."""
     most_m = math.inf if speed_m_s is None else speed_m_s * time_step_s
     return _clipped_moves(agents_m, targets_m, gains.shares(responds, time_step_s), most_m)
 
@@ -141,7 +141,7 @@ def foreseen_aims(
     responds: Mask,
     partition: Partition = "all",
 ) -> Aims:
-    """Return aims at the centroids of the cells that belong to agents' planned positions."""
+    """Return aims at the centroids of the Voronoi cells of agents' planned positions."""
     found = held_aims(targets_m, pending_m.shape[1])
     covers = ~responds
     for step in range(pending_m.shape[1]):

@@ -120,7 +120,7 @@ def _clear_of(nodes: Floats, radius_m: float, agent: int, place: Floats, stop: F
 
 
 def _failures(law: LinkLaw, radio: RadioLimits) -> Floats:
-    """Return, for each of `LENGTHS_M`, the largest failure probability of links no longer."""
+    """Return the largest failure probability of links up to each length in `LENGTHS_M`."""
     decades = -10.0 * np.log10(LENGTHS_M)
     mean = law.theta[0] + law.theta[1] * decades
     path_loss = law.theta_covariance

@@ -78,7 +78,7 @@ class SafeSets:
         return replace(self, offsets_m=offsets, radii_m=radii)
 
     def thinned(self, starts_m: Floats, reach_m: Floats) -> SafeSets:
-        """Return the sets without half-planes that hardly restrict moves from starts ``(n, 2)``."""
+        """Return the sets without half-planes that barely restrict moves from starts ``(n, 2)``."""
         # The result serves planning only; moves are checked against all sets.
         turn = np.linspace(0.0, 2.0 * np.pi, LOOKS, endpoint=False)
         slope = self.normals @ np.stack((np.cos(turn), np.sin(turn)))
@@ -198,7 +198,7 @@ def ground_sets(
     keep_m: float,
     reach_m: float,
 ) -> SafeSets:
-    """Return, for each agent, a convex part of the ground that keeps the clearance to borders."""
+    """Return a convex part of the ground with clearance from borders for each agent."""
     # Shapes: places_m, stops_m (n, 2).
     slack_m = ON_BORDER * ground.hull.radius_m
     outside = ~np.asarray(shapely.dwithin(ground.free, shapely.points(places_m), slack_m))

@@ -32,7 +32,7 @@ LENGTH_ROUNDING_SHARE = 0.01
 
 @dataclass(frozen=True, eq=False)
 class SteeringPath:
-    """Path from a robot's position to the position that it is steered to."""
+    """Path from a robot's position to the point to which the robot is steered."""
 
     turns_m: Floats  # (m, 2), m at least 2: the robot's position, the turns, and the end
     index: ObstacleIndex  # The obstacles
@@ -44,7 +44,7 @@ class SteeringPath:
 
     @property
     def end_m(self) -> Floats:
-        """Return the position (2,) that the robot is steered to."""
+        """Return the end (2,) of the steering path."""
         return self.turns_m[-1]
 
     @cached_property
@@ -54,7 +54,7 @@ class SteeringPath:
         return np.concatenate([np.cumsum(legs[::-1])[::-1], [0.0]])
 
     def next_turns(self, places_m: Floats) -> Indices:
-        """Return the index of the turn that each position (n, 2) heads for next."""
+        """Return the index of the next turn of the path for each position (n, 2)."""
         # The last consecutive visible turn from the first one on, else the start of the path.
         found = np.zeros(len(places_m), dtype=np.intp)
         left = np.arange(len(places_m))
@@ -80,12 +80,12 @@ class SteeringPath:
         return len(legs) - away[:, ::-1].argmin(axis=1)
 
     def distance_m(self, places_m: Floats) -> Floats:
-        """Return the remaining distance from each position (n, 2) to the end; (n,)."""
+        """Return the remaining distance from each position (n, 2) to the end as an array (n,)."""
         turns = self.next_turns(places_m)
         return np.linalg.norm(places_m - self.turns_m[turns], axis=1) + self.rest_m[turns]
 
     def path_m(self, steps: int, longest_m: float) -> Floats:
-        """Return positions along the path, with a step end at every turn; ``(steps, 2)``."""
+        """Return positions ``(steps, 2)`` along the path, with a step end at every turn."""
         found: list[Floats] = []
         here = self.turns_m[0]
         for turn in self.turns_m[1:]:
@@ -176,7 +176,7 @@ class TermContext(Protocol):
 
     @property
     def steering(self) -> SteeringPath | None:
-        """Route that the robot is steered along, if any."""
+        """Route along which the robot is steered; None without steering."""
         ...
 
     @property
@@ -191,7 +191,7 @@ class TermContext(Protocol):
 
     @property
     def measuring(self) -> MeasuringRule:
-        """Rule that decides at which positions of a path a measurement is taken."""
+        """Rule that selects the positions of a path at which the robot measures."""
         ...
 
     @property
@@ -201,7 +201,7 @@ class TermContext(Protocol):
 
     @property
     def probing(self) -> MeasuringRule:
-        """Rule that decides which positions of a path are probed for connection."""
+        """Rule that selects the positions of a path at which the robot probes for a connection."""
         ...
 
     @property
@@ -251,17 +251,17 @@ class Paths:
 
     @cached_property
     def each(self) -> list[Prediction]:
-        """Predicted power of each station at every position, path by path; ``(c N,)``."""
+        """Predicted power ``(c N,)`` of each station at every position, path by path."""
         return [batch.power for batch in self.stations]
 
     @cached_property
     def power(self) -> Prediction:
-        """Predicted serving power at every position, path by path; ``(c N,)``."""
+        """Predicted serving power at every position, path by path as an array ``(c N,)``."""
         return self.at.law.combined(self.each)
 
     @cached_property
     def chance(self) -> Floats:
-        """Probability of connection after every step; ``(c, N)``."""
+        """Probability of connection after every step as an array ``(c, N)``."""
         found = connection_probability(
             self.power.mean_db, self.power.deviation_db, self.at.law.thresholds_dbm[0]
         )
@@ -274,7 +274,7 @@ class Paths:
 
 
 def legs_m(at: TermContext, paths_m: Floats) -> Floats:
-    """Return the step lengths of paths (c, N, 2) from the robot's position; ``(c, N)``."""
+    """Return the step lengths ``(c, N)`` of paths (c, N, 2) from the robot's position."""
     ends = np.concatenate([np.broadcast_to(at.position_m, (len(paths_m), 1, 2)), paths_m], axis=1)
     return np.linalg.norm(np.diff(ends, axis=1), axis=2)
 

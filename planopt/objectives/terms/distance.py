@@ -54,7 +54,7 @@ class SteeredTerm(Term):
         return Pull(by_position=offset / length[:, :, None])
 
     def node_reward(self, at: TermContext, nodes: Nodes) -> Floats:
-        """Return minus the remaining distance from each lattice node; ``(ny, nx)``."""
+        """Return minus the remaining distance from each lattice node as an array ``(ny, nx)``."""
         shape, steering = nodes.grid_m.shape[:2], at.steering
         if steering is None:
             return np.zeros(shape)

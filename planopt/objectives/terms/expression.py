@@ -203,7 +203,7 @@ def _parsed(program: str, symbols: Mapping[str, Any], steps: int) -> Any:
     for row, line in enumerate(lines, start=1):
         try:
             if len(lines) * steps > MOST_LINES or len(line) > LONGEST_LINE:
-                raise ValueError("the program or the line is too long for the horizon")
+                raise ValueError("the program or a line is longer than this horizon allows")
             match ast.parse(line).body:
                 case [ast.Assign([ast.Name(name)], right)] if name not in symbols:
                     names[name] = _built(right, names, symbols)
@@ -253,7 +253,7 @@ def _built(node: ast.AST, names: Mapping[str, Any], symbols: Mapping[str, Any]) 
         case ast.Call(ast.Name(name), arguments, []):
             count, apply = FUNCTIONS[name]
             if len(arguments) != count:
-                raise ValueError(f"{name} needs {count} arguments")
+                raise ValueError(f"the number of arguments of {name} should be {count}")
             return apply(*(_built(each, names, symbols) for each in arguments))
         case _:
             raise ValueError(f"{type(node).__name__} is not allowed in an expression")

@@ -49,7 +49,7 @@ class MeasuredTerm(Term):
         raise self._without("gain")
 
     def node_gain(self, station: NodeChannel, posterior: ChannelPosterior) -> Floats:
-        """Return the gain of a single measurement at each node; ``(ny, nx)``."""
+        """Return the gain of a single measurement at each node as an array ``(ny, nx)``."""
         raise self._without("node_gain")
 
     def _gain(self, at: TermContext, number: int) -> Gain:
@@ -91,7 +91,7 @@ class MeasuredTerm(Term):
         return by_positions(reduce(PathDerivatives.plus, found), path.gates)
 
     def node_reward(self, at: TermContext, nodes: Nodes) -> Floats:
-        """Return the gain of a single measurement at each node, summed over stations; (ny, nx)."""
+        """Return the gain (ny, nx) of a single measurement at each node, summed over stations."""
         near = nodes.grid_m[nodes.window]
         found = np.sum(
             [
@@ -225,7 +225,7 @@ class MappingTerm(MeasuredTerm):
 
     @classmethod
     def table_fault(cls, given: frozenset[str], term: Term) -> str | None:
-        """Return the reason why threshold or closeness conflict with the form, else None."""
+        """Return the conflict of threshold or closeness with the form; None without conflict."""
         for key in FORM_KEYS:
             if key in given & term.left_out:
                 return f'has {key}, which applies only with form = "path" or "two_layer"'
@@ -233,11 +233,11 @@ class MappingTerm(MeasuredTerm):
 
     @property
     def left_out(self) -> frozenset[str]:
-        """Return the keys that this form does not use."""
+        """Return the keys unused by this form."""
         return frozenset() if self.form in FORMS_WITH_KEYS else frozenset(FORM_KEYS)
 
     def planned(self, setting: TermSetting) -> Term:
-        """Return the term used in planning: for the two-layer form, one that rewards progress."""
+        """Return the term used in planning; the two-layer form is replaced by a progress term."""
         if self.form != "two_layer" or isinstance(self, TwoLayerTerm):
             return self
         return TwoLayerTerm(**{each.name: getattr(self, each.name) for each in fields(self)})
@@ -278,8 +278,8 @@ class MappingTerm(MeasuredTerm):
     def stage_bounds(self, at: TermContext) -> StageBounds | str:
         """Return upper bounds of the forms ``path`` and ``information`` with one station.
 
-        Variances given earlier positions of the path are at most those given the measurements, and
-        path lengths at least the distances from the robot.
+        Earlier positions of the path only reduce variances given the measurements. Path lengths
+        are at least the distances from the robot.
         """
         if self.form not in ("path", "information") or len(at.law.posteriors) > 1:
             return "without a proven bound for this form or for several stations"

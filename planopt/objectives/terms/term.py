@@ -148,11 +148,11 @@ class Term:
         raise self._without("value")
 
     def values(self, paths: Paths) -> Floats:
-        """Return approximate values of c paths, by which searches rank them; ``(c,)``."""
+        """Return approximate values ``(c,)`` of c paths, for ranking in searches."""
         raise self._without("values")
 
     def probe_values(self, at: TermContext, paths_m: Floats, chance: Floats) -> Floats:
-        """Return the values of paths (c, N, 2) for approximate P(connected) (c, N); ``(c,)``.
+        """Return the values ``(c,)`` of paths (c, N, 2) for approximate P(connected) (c, N).
 
         Searches use these values to rank hundreds of paths if the term probes path ends.
         """
@@ -170,7 +170,7 @@ class Term:
         raise self._without("slope")
 
     def node_reward(self, at: TermContext, nodes: Nodes) -> Floats | None:
-        """Return the reward of ending a step at each node, for any stage; (ny, nx).
+        """Return the reward of ending a step at each node, for any stage as an array (ny, nx).
 
         The lattice search maximises these rewards in place of the value. They are exact for terms
         that are sums over steps; for other terms the resulting path is only an initial guess.

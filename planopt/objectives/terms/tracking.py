@@ -158,13 +158,13 @@ class TrackingTerm(Term):
         )
 
     def weights_of(self, steps: int) -> Floats:
-        """Return the step weights of a plan, including the terminal weight; ``(steps,)``."""
+        """Return the step weights ``(steps,)`` of a plan, including the terminal weight."""
         found = self._step_weights_of(steps)
         found[-1] *= self.terminal_weight
         return found
 
     def _step_weights_of(self, steps: int) -> Floats:
-        """Return the step weights without the terminal weight; ``(steps,)``."""
+        """Return the step weights without the terminal weight as an array ``(steps,)``."""
         weights = np.array(self.step_weights or (1.0,))
         return weights[np.minimum(np.arange(steps), len(weights) - 1)]
 

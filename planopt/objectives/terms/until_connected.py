@@ -78,7 +78,7 @@ def charged_distance_m(
 
 
 def counted_legs_m(legs_m: Floats, step_m: float | None) -> Floats:
-    """Return leg lengths, increased by part of their shortfall from the longest step `step_m`."""
+    """Return leg lengths, increased by a share of their shortfall from the step limit `step_m`."""
     return legs_m if step_m is None else (1.0 - WAITING) * legs_m + WAITING * step_m
 
 
@@ -87,7 +87,7 @@ def charged_distances_m(
     legs_m: Floats,  # (c, h) counted lengths of the steps
     beyond_m: Floats | float,
 ) -> Floats:
-    """Return :func:`charged_distance_m` of c paths of h positions, by local channels; ``(c,)``."""
+    """Return :func:`charged_distance_m` (c,) of c paths of h positions, by local channels."""
     failing = np.ones_like(legs_m)
     for above_db, covariance_db2 in stations:
         failing *= filtered_failing(above_db, covariance_db2)
@@ -99,7 +99,7 @@ def charged_distances_m(
 
 
 def filtered_failing(above_db: Floats, covariance_db2: Floats) -> Floats:
-    """Return P(not connected so far) at each position of c paths (equation 4.15); ``(c, h)``."""
+    """Return P(not connected so far) ``(c, h)`` at all positions of c paths (equation 4.15)."""
     # Shapes: above_db (c, h); covariance_db2 (c, h, h).
     mean, covariance = above_db.copy(), covariance_db2.copy()
     below = np.empty_like(mean)

@@ -52,7 +52,7 @@ def library_remarks(file: str, problem: Problem, seed: int = 0) -> list[str]:
 
 
 def _but_overrides(tables: dict[str, Any]) -> dict[str, Any]:
-    """Return a problem's tables without the settings that the command line may override."""
+    """Return a problem's tables without settings that the command line can override."""
     without = {"planner": ("horizon", "name"), "objective": ("cost_to_go",)}
     return {
         table: {key: value for key, value in keys.items() if key not in without[table]}
@@ -111,7 +111,7 @@ def check_motion(file: Path, data: Mapping[str, Any]) -> CheckResult:
 
 
 def _objections(saved: Saved, result: Solution | Run) -> list[str]:
-    """Return the verifier's objections to each plan of a replayed result."""
+    """Return the verifier's reasons to reject plans of a replayed result."""
     if isinstance(result, Solution):
         return [
             f"{plan.robot}: {reason}" if len(result.plans) > 1 else reason
@@ -144,7 +144,7 @@ def _different(saved: Saved, found: Contents) -> list[str]:
 
 
 def _no_plan_reasons(saved: Saved) -> list[str]:
-    """Return the saved message that no plan exists, and differences from the recomputed file."""
+    """Return differences between a saved result without a plan and the recomputed one."""
     message, record = str(saved.data["message"]), saved.record
     found: dict[str, Any]
     if saved.file.name == PLAN_FILE and isinstance(record, NoPlanRecord):

@@ -92,7 +92,7 @@ def belief_reasons(saved: SavedBelief, found: Arrays, seed: int) -> list[str]:
 
 
 def _comparable(arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
-    """Return arrays as lists; sites of expectation propagation become natural parameters."""
+    """Return arrays as lists, with expectation-propagation sites as natural parameters."""
     lists: dict[str, Any] = {name: array.tolist() for name, array in arrays.items()}
     for name, variance in arrays.items():
         values = arrays.get(name.removesuffix(NOISE) + VALUES)
@@ -224,7 +224,7 @@ def _planning(saved: Saved) -> Planning:
 
 
 def _no_plan(saved: Saved, owns: Sequence[Problem], states: Sequence[Floats]) -> BlockedError:
-    """Return the error that ended a run; it has the saved reason if that can be verified."""
+    """Return the error that ended a run, with the saved reason if this can be verified."""
     # Valid reasons are obstacles that cut off a goal and a blocked path from a robot's position.
     steps = len(saved.plans[0])
     message = (
@@ -234,8 +234,8 @@ def _no_plan(saved: Saved, owns: Sequence[Problem], states: Sequence[Floats]) ->
     places = {own.robots[0].name: state[:2] for own, state in zip(owns, states, strict=True)}
     hard = saved.problem.constraints.rule.slack_max_db is not None
     shown = hard and any(
-        way.holes and np.abs(way.way_m[0] - places[way.robot]).max() <= SAME_PLACE_M
-        for way in saved.blocked
+        path.holes and np.abs(path.path_m[0] - places[path.robot]).max() <= SAME_PLACE_M
+        for path in saved.blocked
     )
     for own in owns if saved.problem.has_goal else ():
         x, y = places[own.robots[0].name].tolist()
@@ -301,7 +301,7 @@ def _verified_again(
 
 
 def plan_reasons(problem: Problem, plan: Plan) -> list[str]:
-    """Return the verifier's objections to a plan of the problem's first robot."""
+    """Return the verifier's reasons to reject a plan of the problem's first robot."""
     if plan.verdict is Verdict.VERIFIED:
         return []
     index = index_obstacles(problem.workspace)

@@ -107,7 +107,7 @@ class Key:
         *,
         verified: bool = True,
     ) -> Relaxation:
-        """Return an entry that proposes a sufficient value; None removes an obstacle or a limit."""
+        """Return a relaxation with a sufficient value; None removes an obstacle or a limit."""
         value = None if math.isnan(self.value) else self.value
         return Relaxation(
             self.name, self.unit, value, stages, shortfall, unit, relaxed_value, verified, robot
@@ -137,7 +137,7 @@ class Trials:
         return plan is not None and plan.verdict is Verdict.VERIFIED
 
     def first(self, problem: Problem, key: Key, least: float) -> float | None:
-        """Loosen a key by about the amount `least`; return the first value with a verified plan."""
+        """Return the first loosened value, from about `least` on, with a verified plan."""
         values = dict.fromkeys(key.loosened(factor * least) for factor in EXTRA)
         return next((v for v in values if self.is_verified(key.changed(problem, v))), None)
 
@@ -155,7 +155,7 @@ def rounded(value: float, digits: int, down: bool) -> float:
 def bisected(
     suffices: Callable[[float], bool], least: float, most: float, count: int, settled: float = 0.0
 ) -> float:
-    """Return by bisection the value nearest to `least` that suffices; `most` has to suffice."""
+    """Return, by bisection, the sufficient value nearest to `least`; `most` must suffice."""
     # `most` must suffice; it may be smaller than `least`. At most `count` halvings are made.
     for _ in range(count):
         if abs(most - least) <= settled * most:  # Relative tolerance
@@ -168,14 +168,14 @@ def bisected(
 def without(
     problem: Problem, kind: Literal["obstacles", "moving"], obstacle: Obstacle | MovingObstacle
 ) -> tuple[Key, Problem]:
-    """Return the key of an obstacle, and the problem without it."""
+    """Return the key of an obstacle, and the problem without this obstacle."""
     rest = tuple(each for each in getattr(problem.workspace, kind) if each is not obstacle)
     changed = replace(problem, workspace=replace(problem.workspace, **{kind: rest}))
     return Key(f"world.{kind} ({obstacle.name})", "", math.nan, 0.0), changed
 
 
 def constraint_key(problem: Problem, name: str, unit: str, limit: float) -> Key:
-    """Return a key of ``[constraints]`` or of the connectivity rule; 0 stands for no value."""
+    """Return a key of ``[constraints]`` or of the connectivity rule; 0 means no value."""
     constraints = problem.constraints
     owner = constraints if hasattr(constraints, name) else constraints.rule
     return Key(f"constraints.{name}", unit, float(getattr(owner, name) or 0.0), limit)
@@ -253,7 +253,7 @@ class Fault:
 
 
 def _met_nowhere(case: Case) -> bool:
-    """Return whether all constrained steps violate a p_min per step without slack."""
+    """Return whether all constrained steps violate p_min, and slack is not allowed."""
     rule = case.problem.constraints.rule
     steps = len(case.plan.positions_m) - 1
     missed = case.plan.certificate.relaxed_steps
@@ -294,7 +294,7 @@ def _connection(case: Case) -> Fault | None:
 
 
 def _distances(case: Case) -> list[Fault]:
-    """Return violations of the distances to robots and moving obstacles at equal times."""
+    """Return violations of the separation from other robots and moving obstacles."""
     # Violations while a robot brakes after the last step count towards the last step.
     discs, planned = case.moving, len(case.plan.positions_m) - 1
     motion = braked_motion(case.plan.positions_m, case.plan.drive, case.problem.planner.step_s)
@@ -359,7 +359,7 @@ def explain_violated(case: Case, trials: Trials) -> tuple[Relaxation, ...]:
 
 
 def _elastic(case: Case, trials: Trials) -> list[Case]:
-    """Return a list with the case replanned with priced slack; empty if that is not possible."""
+    """Return the case replanned with priced slack, as a list; empty if there is no plan."""
     problem, rule = case.problem, case.problem.constraints.rule
     if problem.has_goal or (rule.by_step and rule.slack_max_db is None):
         return []

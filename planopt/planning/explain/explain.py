@@ -69,7 +69,7 @@ def explain(result: Solution | Problem, seed: int = 0) -> Explanation:
     Every plan is verified: it keeps all bounds.
     """
     if not isinstance(result, Problem):
-        remedy = "give a Problem, or what planopt.solve returned"
+        remedy = "give a Problem, or a result of planopt.solve"
         return _explain_solution(part_of("result", result, Solution, remedy))
     ends_s = process_time() + EXPLAINED_S
     try:
@@ -120,7 +120,7 @@ def _planned(
     number: int = 0,
     scenes: Sequence[Scene] | None = None,
 ) -> Plan | None:
-    """Return one robot's plan in a changed problem, for which all robots plan together."""
+    """Return one robot's plan after all robots of a changed problem have planned."""
     try:
         return solve_on(problem, belief, seed, scenes).plans[number]
     except NoPlanError:
@@ -166,7 +166,7 @@ CONNECTION_PRICE = 1e4
 def explain_crossing(
     problem: Problem, posteriors: Sequence[ChannelPosterior], plan: Plan
 ) -> Crossing | None:
-    """Return the holes that a robot's path crosses, and the reasons; None if it crosses none."""
+    """Return the coverage holes that a robot's path crosses, with reasons; None without holes."""
     if not plan.holes:
         return None
     scene = build_scene(problem)
@@ -237,7 +237,7 @@ def explain_no_path(problem: Problem, trials: Trials, joined: bool) -> tuple[Rel
 def widest_clearance_m(
     problem: Problem, is_over: Callable[[], bool] = lambda: False
 ) -> float | None:
-    """Return the largest clearance that leaves a path to the goal; None if none does."""
+    """Return the largest clearance for which a path to the goal exists, or None."""
     if not is_joined(problem, 0.0):
         return None
 
@@ -326,7 +326,7 @@ def explain_blocked(
 
 
 def _widest(road_map: RoadMap, first: Indices, goal: int, score: Floats) -> float:
-    """Return the maximum over paths to the goal of the minimum score along the path."""
+    """Return the largest minimum score along any path to the goal (widest path)."""
     # Shapes: score (n,).
     levels = np.unique(score)
     low, high = 0, len(levels) - 1

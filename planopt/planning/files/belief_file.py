@@ -128,7 +128,7 @@ def belief_arrays_of(
     belief: Belief,
     known: Callable[[Belief, int], NDArray[np.int64]] = lambda _own, _first: np.zeros(0, np.int64),
 ) -> Arrays:
-    """Return the arrays of a belief, with any counts of measurements known before each step."""
+    """Return the arrays of a belief, with the number of measurements before each step if known."""
     return {
         station_prefix(station) + name: array
         for station, own in enumerate((belief, *belief.further))
@@ -137,7 +137,7 @@ def belief_arrays_of(
 
 
 def known_before_steps(belief: Belief, first: int, tracks_m: Sequence[Floats]) -> NDArray[np.int64]:
-    """Return the number of measurements known when each step was planned; (steps,)."""
+    """Return the number (steps,) of measurements known at the time of each plan."""
     # Shapes: tracks_m (steps + 1, 2), each.
     # Measurements of a run are taken at visited positions, in order, at most one per visit.
     taken = belief.posterior.measurements.positions_m

@@ -46,7 +46,7 @@ class RobotPath:
 
     @property
     def degrees(self) -> Floats:
-        """Return longitude and latitude of each position; ``(n, 2)``."""
+        """Return longitude and latitude of each position as an array ``(n, 2)``."""
         if self.origin_deg is None:
             raise InputError(
                 "is missing, and this file has degrees",
@@ -224,7 +224,7 @@ def save_path(
             remedy=f"end the name in one of {', '.join(WRITERS)}",
         )
     if not math.isfinite(altitude_m):
-        raise InputError(f"is {altitude_m!r}", key="altitude_m", remedy="give metres")
+        raise InputError(f"is {altitude_m!r}", key="altitude_m", remedy="give an altitude in m")
     if origin_deg is not None:
         path = replace(path, origin_deg=require_origin(origin_deg, "origin_deg"))
     write_text(file, write(replace(path, altitude_m=float(altitude_m))))
@@ -242,7 +242,7 @@ def save_masks(
     p_min: float | None,
     cell_m: float | None,
 ) -> None:
-    """Write Nav2 masks; `p_min` defaults to that of the problem, if it has one."""
+    """Write Nav2 masks; `p_min` defaults to the problem's value if this is positive."""
     asked = problem.constraints.p_min or None if p_min is None else p_min
     limits = MaskLimits(keepout_below) if asked is None else MaskLimits(keepout_below, asked)
     bounds = problem.workspace.bounds_m

@@ -161,7 +161,7 @@ def _stamp(time_s: float) -> dict[str, int]:
 
 
 def _messages(result: MotionResult) -> Iterator[tuple[float, str, str, dict[str, Any]]]:
-    """Yield time, topic, name of the schema and content of all messages, at one topic in order."""
+    """Yield time, topic, schema name and content of all messages, ordered within each topic."""
 
     def head(time_s: float) -> dict[str, Any]:
         return {"timestamp": _stamp(time_s), "frame_id": FRAME}

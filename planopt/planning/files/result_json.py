@@ -13,7 +13,7 @@ from planopt.channel.calibration import ReliabilityBin
 from planopt.files.typed_json import encoded
 from planopt.objectives.terms.context import Aim
 from planopt.planning.certificate import (
-    BlockedWay,
+    BlockedPath,
     Certificate,
     Hole,
     excused_steps,
@@ -72,7 +72,7 @@ def _part(array: Floats | None, at: Any) -> Floats | None:
 
 
 class HoleRecord(Record):
-    """JSON object of a coverage hole, given by its two ends on the path."""
+    """JSON object of a coverage hole, defined by its two ends on the path."""
 
     x_m: Annotated[Place, Source(lambda hole: (hole.from_m[0], hole.to_m[0]))]
     y_m: Annotated[Place, Source(lambda hole: (hole.from_m[1], hole.to_m[1]))]
@@ -93,12 +93,12 @@ class BlockedRecord(Places):
     """JSON object of a robot's cheapest path to a goal if every path violates a hard constraint."""
 
     robot: str
-    holes: Annotated[list[HoleRecord], Source(lambda way: _holes(way.holes))]
+    holes: Annotated[list[HoleRecord], Source(lambda path: _holes(path.holes))]
 
     @property
-    def way(self) -> BlockedWay:
-        """Return the path as a `BlockedWay`."""
-        return BlockedWay(self.robot, self.positions_m, tuple(each.hole for each in self.holes))
+    def path(self) -> BlockedPath:
+        """Return the path as a `BlockedPath`."""
+        return BlockedPath(self.robot, self.positions_m, tuple(each.hole for each in self.holes))
 
 
 class CrossingRecord(Record):
@@ -137,7 +137,7 @@ class Trajectory(Places):
 
 
 class Residual(Record):
-    """JSON object of a certificate's entries that only the solver can supply."""
+    """JSON object of the certificate's entries that come from the solver."""
 
     kkt_residual: NotNegative | None
 
@@ -308,7 +308,7 @@ def no_plan_json(
     seed: int,
     message: str,
     explanation: Iterable[Relaxation] = (),
-    blocked: Iterable[BlockedWay] = (),
+    blocked: Iterable[BlockedPath] = (),
 ) -> dict[str, Any]:
     """Return the JSON object of ``planopt solve`` if it is proven that no plan exists."""
     return {
@@ -326,9 +326,9 @@ def no_plan_json(
     }
 
 
-def _blocked(ways: Iterable[BlockedWay]) -> dict[str, Any]:
-    """Return the key ``blocked`` with the blocked paths; no key if there are none."""
-    found = [BlockedRecord.written(one, **xy(one.way_m)) for one in ways]
+def _blocked(paths: Iterable[BlockedPath]) -> dict[str, Any]:
+    """Return a table with the key ``blocked``; empty if no path is blocked."""
+    found = [BlockedRecord.written(one, **xy(one.path_m)) for one in paths]
     return {"blocked": found} if found else {}
 
 
@@ -339,8 +339,10 @@ def _holes(holes: Iterable[Hole]) -> list[dict[str, Any]]:
 def certificate_json(certificate: Certificate) -> dict[str, Any]:
     """Return the JSON data of a certificate, without the key ``rule`` under the default rule."""
     found: dict[str, Any] = encoded(certificate)
-    if found["rule"] is None:
+    if (rule := found["rule"]) is None:
         del found["rule"]
+    else:
+        rule["asked"] = rule.pop("required")
     return found
 
 

@@ -189,7 +189,7 @@ def _log_of_plan(plan: Plan) -> StepLog:
 
 
 def _steps(result: Solution | Run) -> tuple[Sequence[Column], Data]:
-    """Return columns and data of ``steps.csv``; states and inputs that a robot lacks are empty."""
+    """Return columns and data of ``steps.csv``; missing states and inputs are empty."""
     columns, parts = step_columns(result.problem), list[Data]()
     for name, log, drive in _robots(result):
         rows = len(log.t_s)

@@ -19,7 +19,7 @@ from planopt.files.compare import DIGEST, digest
 from planopt.files.reading import read_text
 from planopt.files.tables import REMEDY, Data, read_table
 from planopt.objectives.terms.context import Aim
-from planopt.planning.certificate import BlockedWay
+from planopt.planning.certificate import BlockedPath
 from planopt.planning.explanation import Crossing, Relaxation
 from planopt.planning.files.belief_file import (
     BELIEF_FILE,
@@ -111,7 +111,7 @@ class SavedPlan:
         return None if self.record.pivot is None else self.record.pivot.pivot
 
     def aim(self, watched: Aim) -> Aim:
-        """Return `watched` with the steering path and the other robots' plans from the file."""
+        """Return the inputs `watched`, with steering path and other robots' plans from the file."""
         saved_aim, turns = self.record.aim, self.record.aim.steering_turns_m
         planned = tuple(np.array(path).reshape(-1, 2) for path in saved_aim.pending_m)
         return replace(
@@ -132,7 +132,7 @@ class Saved:
     tables: Mapping[str, Data] = field(default_factory=dict[str, Data])  # By file name
     beliefs: tuple[SavedBelief, ...] = ()  # One per robot of a run
     plans: tuple[tuple[SavedPlan, ...], ...] = ()  # By robot and step
-    blocked: tuple[BlockedWay, ...] = ()
+    blocked: tuple[BlockedPath, ...] = ()
 
     def explanation(self, plans: Sequence[Plan]) -> tuple[Relaxation | Crossing, ...]:
         """Return the saved explanation, with the coverage holes of the verified `plans`."""
@@ -187,7 +187,7 @@ def saved_from(file: Path, data: Mapping[str, Any]) -> Saved:
             [(f"plans[{number}].released[{step}]", one) for step, one in enumerate(each.released)]
             for number, each in enumerate(record.plans)
         ]
-        blocked = tuple(one.way for one in record.blocked)
+        blocked = tuple(one.path for one in record.blocked)
         robots = [robot.name for robot in problem.robots]
         for number, one in enumerate(blocked):
             if one.robot not in robots:
@@ -233,7 +233,7 @@ def _json_file(path: Path) -> Path:
         raise InputError(
             f"has no saved plan or run: {PLAN_FILE} and {RUN_FILE} are missing",
             file=path,
-            remedy="give the folder that was given to --out",
+            remedy="give the folder named by --out",
         )
     if len(found) > 1:
         raise InputError(

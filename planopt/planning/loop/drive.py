@@ -11,7 +11,7 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import Belief, ChannelPosterior
 from planopt.errors import NoPlanError
 from planopt.objectives.terms.context import Pending
-from planopt.planning.certificate import BlockedError, BlockedWay
+from planopt.planning.certificate import BlockedError, BlockedPath
 from planopt.planning.loop.log import ChannelLog, Outcome, channel_row, target_log
 from planopt.planning.loop.metrics import robot_run, run_costs, true_serving_dbm
 from planopt.planning.loop.results import Run
@@ -70,7 +70,7 @@ def goals_ending(problem: Problem, robots: Sequence[Progress]) -> tuple[Outcome,
 
 
 def _goal_ending(robot: Progress) -> tuple[Outcome, str] | None:
-    """Return the outcome of a run of one robot to its goal and the reason; None if it continues."""
+    """Return outcome and reason for a robot's run to its goal; None while the run continues."""
     problem, learnt = robot.problem, robot.learnt
     if _has_arrived(problem, robot.states[-1]):
         where = "within" if robot.plans else "the start is within"
@@ -105,7 +105,7 @@ def _stays(track: Sequence[Floats], step_length_m: float) -> bool:
 def terms_ending(
     problem: Problem, connected: Mask, robots: Sequence[Progress]
 ) -> tuple[Outcome, str] | None:
-    """Return the outcome of a run for a sum of terms and the reason; None if it continues."""
+    """Return outcome and reason for a run with a sum of terms; None while the run continues."""
     # The run ends if all robots that have to connect are connected, if all with goals have arrived,
     # if no robot can make progress, or after `planner.max_steps`. It has stalled if all robots are
     # stuck (at the step limit: any robot), unless no position is left to measure.
@@ -174,7 +174,7 @@ def _stuck(problem: Problem, connected: Mask, robot: Progress) -> str | None:
 
 
 def _has_left(team: Problem, robots: Sequence[Progress], robot: Progress) -> bool:
-    """Return whether a robot has positions left to measure, given the others' measurements."""
+    """Return whether unmeasured positions remain for a robot, given the others' measurements."""
     problem, states, others = robot.problem, robot.states, Pending()
     if counts_others(team):
         driven = [np.array(each.states)[1:, :2] for each in robots]
@@ -193,7 +193,7 @@ def _has_left(team: Problem, robots: Sequence[Progress], robot: Progress) -> boo
 
 
 def _in_words(problem: Problem, stuck: Sequence[tuple[Progress, str]]) -> str:
-    """Return text that lists the robots that stay or circle, with reasons."""
+    """Return text on the robots that wait or circle, with reasons."""
     unmeasured = any(learns(robot.problem) for robot, _ in stuck)
     whys = [
         f"{robot.problem.robots[0].name}: {why}" if len(problem.robots) > 1 else why
@@ -254,7 +254,7 @@ def drive(
     rows: list[tuple[float, ...]] = []
     if known_at is not None:
         rows.append(world.channel_row(0, robots.beliefs[0].posteriors, known_at))
-    ended, blocked = _ending(robots), tuple[BlockedWay, ...]()
+    ended, blocked = _ending(robots), tuple[BlockedPath, ...]()
     while ended is None:
         try:
             step_plans = robots.plan()
@@ -305,7 +305,7 @@ def first_steps(
     count: int,
     recorded: Sequence[Sequence[Sequence[float]]] = (),  # (steps, robots, state)
 ) -> tuple[list[list[Plan]], list[list[Floats]]]:
-    """Return the plans and states of the first steps of a run, by step and robot."""
+    """Return plans and states of a run's first steps, by step and robot."""
     # Robots are set to recorded states, if any, so that rounding errors do not accumulate.
     robots = Stepper(problem, belief, planning, target)
     made: list[list[Plan]] = []
@@ -326,7 +326,7 @@ def first_steps(
 def _observe(
     robots: Stepper, states: Sequence[Floats], world: World, generator: np.random.Generator
 ) -> None:
-    """Set the robots to new states, and update their beliefs with measurements there."""
+    """Move the robots to new states, and update their beliefs with measurements."""
     step, watch = len(robots.connected) + 1, robots.watches[-1]
     here = np.array([state[:2] for state in states])
     serving = [world.serving_dbm(number, step, place[None])[0] for number, place in enumerate(here)]

@@ -85,7 +85,7 @@ class Metrics:
     path_m
         Path length.
     true_connected_share
-        Share of steps with a true connection, among those whose true power is known.
+        Share of truly connected steps among the steps with known true power.
     longest_outage_m
         Longest path segment without a true connection.
     predicted_min_connectivity
@@ -254,7 +254,7 @@ def target_log(watches: Iterable[TargetWatch | None], delivered: Mask) -> Target
 
 
 def _innovations(before: TargetWatch, after: TargetWatch) -> list[float]:
-    """Return the normalised innovation squared (NIS) of each robot's filter in one step."""
+    """Return the normalised innovation squared (NIS) of each robot's filter for one step."""
     sent, found = after.sent[-1], list[float]()
     for state, measured, place, seen in zip(
         before.robots, sent.measured_m, sent.positions_m, sent.seen, strict=True

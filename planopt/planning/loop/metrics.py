@@ -163,7 +163,7 @@ def true_serving_dbm(problem: Problem, truths: Sequence[Truth], positions_m: Flo
 
 
 def step_log(problem: Problem, track_m: Floats, true_dbm: Floats, plans: Sequence[Plan]) -> StepLog:
-    """Return the step log of a robot; the prediction of row 0 is that of the first plan."""
+    """Return the step log of a robot; row 0 has the first plan's prediction."""
     # Shapes: track_m (steps + 1, 2), robot positions, the start first; true_dbm (steps + 1,), true
     # power there.
 
@@ -252,7 +252,7 @@ def run_costs(
     tracks_m: Sequence[Floats],  # (n + 1, 2) positions of each robot
     outcome: Outcome,
 ) -> dict[str, float]:
-    """Return the cost of a run to goals, of the clairvoyant paths, and their ratio."""
+    """Return the cost of a run to goals, the cost of clairvoyant paths, and their ratio."""
     # Clairvoyant paths ignore other robots. The ratio is NaN for runs that did not arrive.
     if not road_maps:
         return {}

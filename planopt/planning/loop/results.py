@@ -18,7 +18,7 @@ from planopt.channel.posterior import Belief
 from planopt.errors import A_FOLDER, InputError, path_of
 from planopt.files.typed_json import encoded
 from planopt.objectives.terms.context import Aim
-from planopt.planning.certificate import BlockedWay
+from planopt.planning.certificate import BlockedPath
 from planopt.planning.explanation import Crossing, Relaxation
 from planopt.planning.loop.log import ChannelLog, Outcome, RobotRun, TargetLog
 from planopt.planning.loop.metrics import run_metrics
@@ -112,7 +112,7 @@ class MotionResult(Result):
         robot
             Number or name of the robot.
         origin_deg
-            Latitude and longitude of (0, 0), for files in degrees; default: that of the log.
+            Latitude and longitude of (0, 0), for files in degrees; default: origin of the log.
         altitude_m
             Altitude of the waypoints above the start.
 
@@ -266,7 +266,7 @@ class Run(MotionResult):
     target: TargetLog | None = None
     channel: ChannelLog | None = None
     costs: dict[str, float] = field(default_factory=dict[str, float])
-    blocked: tuple[BlockedWay, ...] = ()
+    blocked: tuple[BlockedPath, ...] = ()
 
     def __repr__(self) -> str:
         """Return the problem, the outcome of each robot, and the metrics."""
@@ -339,7 +339,7 @@ class Run(MotionResult):
 
 
 def _only(several: Sequence[_Entry], name: str) -> _Entry:
-    """Return the only entry of `several`; raise an InputError if there are more."""
+    """Return the single entry of `several`; raise an InputError if there are more."""
     if len(several) != 1:
         raise InputError(
             f"the run has {len(several)} robots, so that a single result is undefined",

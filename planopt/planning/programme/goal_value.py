@@ -134,7 +134,7 @@ class GoalValue:
     margins: Callable[[Floats], tuple[Derivatives, Derivatives]]
 
     def __call__(self, places_m: Floats) -> Evaluation:
-        """Return objective value and margins of a path (N, 2)."""
+        """Return the objective value and connectivity margins of a path (N, 2)."""
         margins, scores = self.margins(places_m)
         return Evaluation(self._value(places_m, scores), margins)
 

@@ -225,7 +225,7 @@ def build_path_nlp(
 def _exact_solver(
     shape: PathShape, callbacks: dict[str, list[PathCallback]], options: dict[str, Any]
 ) -> Any:
-    """Return an IPOPT solver with exact derivatives, including those of the callbacks."""
+    """Return an IPOPT solver with exact derivatives, also of the callbacks."""
     n, slacks, driven, motion = shape.horizon, shape.slacks, shape.driven, shape.motion
     q, s = ca.SX.sym("q", 2 * n), ca.SX.sym("s", slacks)
     driving = ca.SX.sym("driving", driven)

@@ -204,7 +204,7 @@ def lines_with_violated(
     found_m: Floats,  # (N, 2)
     lines: SeparatingLines,
 ) -> SeparatingLines | None:
-    """Return `lines` changed to separate a path from obstacles that it hits; None without any."""
+    """Return `lines` with new lines for obstacles that a path hits; None if it hits none."""
     guess_m, path_m = (np.vstack([task.start_m, each]) for each in (task.path_m, found_m))
     standing = lines.piece.shape[1] - moving_count(discs)
     chosen = lines.piece[:, :standing].copy()
@@ -228,7 +228,7 @@ def lines_with_violated(
 def _moving_lines(
     problem: Problem, discs: MovingDiscs, path_m: Floats, needed: Mask | None = None
 ) -> SeparatingLines:
-    """Return separating lines for the moving discs nearest to a path and for those in `needed`."""
+    """Return separating lines for the nearest moving discs and for all discs in `needed`."""
     reach = LINE_REACH_STEPS * problem.step_length_m
     # The pad covers the robot's uncertain position within a step.
     pad_m = problem.robots[0].dynamics.timed_pad_m(problem.planner.step_s)

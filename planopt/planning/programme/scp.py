@@ -318,7 +318,7 @@ class _Climb:
         self._penalty = FIRST_PENALTY
 
     def run(self, start: Floats, until: float) -> NlpPoint:
-        """Return the solution, once the model predicts no decrease or `until` has passed."""
+        """Return the solution when the model predicts no decrease or `until` has passed."""
         x = np.clip(start, self._variable_bounds.lower, self._variable_bounds.upper)
         value, rows = self._at(x)
         last = Step(np.zeros(len(x)), np.zeros(len(rows)), np.zeros(len(x)), Termination.STOPPED)

@@ -151,7 +151,7 @@ def kkt_residual(
 
 
 def _gap(distance: Floats) -> Floats:
-    """Return finite distances to bounds: 1 for an infinite bound, because 0 * inf is NaN."""
+    """Return distances to bounds, with 1 for infinite bounds because 0 * inf is NaN."""
     return np.where(np.isfinite(distance), np.abs(distance), 1.0)
 
 
@@ -240,7 +240,7 @@ class MotionShape:
 
     @property
     def rest(self) -> int:
-        """Return the number of state components besides the position."""
+        """Return the number of state components other than the position."""
         return len(self.dynamics.state_names) - 2
 
     @property
@@ -289,7 +289,7 @@ class PathShape:
 
     @property
     def variables(self) -> int:
-        """Return the number of all variables: positions, slacks, and those of the dynamics."""
+        """Return the number of all variables: positions, slacks, and dynamics."""
         return 2 * self.horizon + self.slacks + self.driven
 
     @property

@@ -63,7 +63,7 @@ def verified_bound(
 
 
 def stages_of(problem: Problem, at: TermContext, plan: Plan) -> StageProblem | str:
-    """Return the first robot's sum of terms as a stage problem, or the reason for no bound.
+    """Return the first robot's stage problem, or the reason why there is no bound.
 
     A step that satisfies p_min in `plan` satisfies p_min in every verified plan.
     """

@@ -41,7 +41,7 @@ class EachStep(Rule):
 
     @classmethod
     def of(cls, problem: Problem, legs_m: Floats) -> EachStep:
-        """Return the rule for those steps that end at the problem's ``connected_times_s``."""
+        """Return the rule for the steps that end at the problem's ``connected_times_s``."""
         times_s = np.array(problem.constraints.rule.connected_times_s)
         return cls(tuple(np.rint(times_s / problem.planner.step_s).astype(int).tolist()))
 
@@ -81,11 +81,11 @@ class EachStep(Rule):
         raise AssertionError("a rule on single steps")
 
     def run_metrics(self, problem: Problem, connected: Sequence[Mask]) -> dict[str, float]:
-        """Return the connected fraction of the stated times as a metric; none without times."""
+        """Return the connected fraction of the stated times as a metric; empty without times."""
         return super().run_metrics(problem, connected) if self.stated else {}
 
     def over_run(self, problem: Problem, connected: Mask) -> float:
-        """Return the fraction of stated times, among those reached so far, with a connection."""
+        """Return the connected fraction of the stated times that have passed."""
         stated = np.unique(np.array(self.stated))
         return super().over_run(problem, connected[stated[stated <= len(connected)] - 1])
 
@@ -116,11 +116,11 @@ MOST_PROBABLE = 0.9995
 
 
 def _require_shown(problem: Problem, words: str, remedy: str) -> None:
-    """Raise an InputError if p_min exceeds the value that sampled channels can demonstrate."""
+    """Raise an InputError if p_min exceeds the largest value that sampling can verify."""
     p_min = problem.constraints.p_min
     if p_min > MOST_PROBABLE:
         words = f"is {p_min:g}, but at most {MOST_PROBABLE:g} can be verified {words}"
-        raise _fault(problem, "p_min", words, f"require less, or {remedy}")
+        raise _fault(problem, "p_min", words, f"reduce it, or {remedy}")
 
 
 def share_at_least(count: int, of: int) -> float:
@@ -160,9 +160,9 @@ class Joint(Rule):
 
     @classmethod
     def check(cls, problem: Problem) -> None:
-        """Raise an InputError for a p_min that sampling of several stations cannot demonstrate."""
+        """Raise an InputError if sampling of several stations cannot verify p_min."""
         if len(problem.stations) > 1:
-            words = f"of all steps together with {len(problem.stations)} stations"
+            words = f"for all steps jointly and {len(problem.stations)} stations"
             _require_shown(problem, words, "keep only one entry of stations")
 
     def achieved(self, probability: Floats, history: History) -> float | Floats:
@@ -242,7 +242,7 @@ class Outage(Rule):
         return -self.limit
 
     def held(self, keeps: Mask, history: History) -> Mask:
-        """Return a mask of few steps, as late as possible, whose connection limits every outage."""
+        """Return a mask of few, late steps whose connection keeps every outage within the limit."""
         held = np.zeros(len(keeps), dtype=np.bool_)
         run, last = self._begun(history), -1
         for step, size in enumerate(self.sizes.tolist()):
@@ -276,7 +276,7 @@ class Data(Rule):
     metric: ClassVar[str] = "data_mbit"
     keys: ClassVar[tuple[str, ...]] = ("data_mbit", "deadline_s", "rate_mbit_s")
     keys_required: ClassVar[int] = 3
-    asks_p_min: ClassVar[bool] = False
+    uses_p_min: ClassVar[bool] = False
     is_joint: ClassVar[bool] = True
     problem: Problem
 
@@ -288,7 +288,7 @@ class Data(Rule):
     @classmethod
     def check(cls, problem: Problem) -> None:
         """Raise an InputError for more data than a permanent connection can deliver in time."""
-        _require_shown(problem, "for data", "leave it out to ask for the expectation")
+        _require_shown(problem, "for data", "leave it out to constrain the expected amount")
         rule = problem.constraints.rule
         most_mbit = (rule.rate_mbit_s or 0.0) * (rule.deadline_s or 0.0)
         if (rule.data_mbit or 0.0) > most_mbit * (1.0 + ROUNDING):
@@ -302,7 +302,7 @@ class Data(Rule):
         return probability @ data_of_steps_mbit(self.problem, history.steps, probability.shape[-1])
 
     def required(self, p_min: float, history: History, count: int) -> float:
-        """Return the expected data that a plan must deliver, from Markov's inequality for p_min."""
+        """Return the expected data that p_min requires of a plan, by Markov's inequality."""
         needed = data_pace_mbit(self.problem, history, count)
         most = float(data_of_steps_mbit(self.problem, history.steps, count).sum())
         return needed if p_min == 0.0 or needed == 0.0 else most - (1.0 - p_min) * (most - needed)
@@ -316,7 +316,7 @@ class Data(Rule):
         return drawn_by_slack(self, case, needed * (1.0 - ROUNDING))
 
     def missed_words(self, result: RuleResult) -> tuple[str, str]:
-        """Return text on the achieved expectation or probability, and on the required value."""
+        """Return text on the achieved data or probability, and on the required value."""
         if result.unit != self.unit:
             return super().missed_words(result)
         return "the expected data delivered by the plan", "keeping pace with constraints.data_mbit"

@@ -27,7 +27,7 @@ SEARCH_ERROR_DB = 2e-3
 
 
 def is_search_exact(posterior: ChannelPosterior) -> bool:
-    """Return whether searches predict from all measurements, like the verifier."""
+    """Return whether searches use all measurements, as the verifier does."""
     return len(posterior.measurements) <= SEARCH_EXACT_LIMIT
 
 
@@ -156,7 +156,7 @@ def verifier_context(
 
 
 def steps_ahead(problem: Problem) -> int:
-    """Return for how many steps obstacles are predicted: horizon plus longest braking."""
+    """Return the number of steps of obstacle predictions: horizon plus longest braking."""
     settings = problem.planner
     braking = [robot.dynamics.longest_stop_steps(settings.step_s) for robot in problem.robots]
     return settings.horizon + max(braking)

@@ -20,7 +20,7 @@ from planopt.world.moving_discs import MovingDiscs
 
 @dataclass(frozen=True)
 class Apart:
-    """Minimum distances to other robots and moving obstacles at equal times; None without any."""
+    """Minimum distances to other robots and to moving obstacles; None if there are none."""
 
     min_separation_m: float | None  # Distance to any other robot
     min_moving_clearance_m: float | None  # Distance to any predicted disc of an obstacle
@@ -32,7 +32,7 @@ def verify_apart(
     motion: TimedMotion,
     planned: int | None = None,  # Number N of planned steps, before braking; None: all
 ) -> Apart:
-    """Return the distances of a motion to moving discs at equal times, while either moves."""
+    """Return minimum distances of a motion to moving discs, until both have stopped."""
     if not len(discs):
         return Apart(None, None, ())
     planned = motion.steps if planned is None else planned
@@ -97,7 +97,7 @@ def verify_motion(
 
 
 def drive_fault(dynamics: Dynamics, positions_m: Floats, drive: Drive | None) -> str:
-    """Return why a drive does not reproduce a path of finite positions; empty if it does."""
+    """Return the reason why a drive does not reproduce a path; empty if it does."""
     states, inputs = len(dynamics.state_names), len(dynamics.input_names)
     if (
         drive is None

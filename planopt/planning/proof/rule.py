@@ -73,7 +73,7 @@ class Rule(ABC):
     holds_steps: ClassVar[bool] = False
     # Whether results report minus the value, which then has an upper bound
     greatest: ClassVar[bool] = False
-    asks_p_min: ClassVar[bool] = True  # Whether p_min = 0 disables the rule
+    uses_p_min: ClassVar[bool] = True  # Whether p_min = 0 disables the rule
     is_joint: ClassVar[bool] = False  # Whether a p_min bounds a joint probability of the steps
     subject: ClassVar[str] = ""  # Name of the value in messages
     metric: ClassVar[str] = ""  # Name of the metric of a run; empty if there is none
@@ -112,7 +112,7 @@ class Rule(ABC):
         return np.zeros(count, dtype=np.bool_)
 
     def held(self, keeps: Mask, history: History) -> Mask:
-        """Return a mask (N,) of steps that satisfy the rule if each satisfies p_min."""
+        """Return a mask (N,) of steps; the rule holds if each of them satisfies p_min."""
         raise AssertionError("a rule that holds no steps")
 
     def valued(self, probability: Floats, history: History) -> Floats:
@@ -161,17 +161,17 @@ class Rule(ABC):
         return self.subject, "constraints.p_min" if limit is None else f"constraints.{limit}"
 
     def run_metrics(self, problem: Problem, connected: Sequence[Mask]) -> dict[str, float]:
-        """Return the worst robot's metric by name, from one mask (n,) of connection per robot."""
+        """Return the worst robot's metric by name, from a connection mask (n,) per robot."""
         each = [self.over_run(problem, now) for now in connected]
         return {self.metric: (max if self.greatest else min)(each)} if self.metric else {}
 
     def over_run(self, problem: Problem, connected: Mask) -> float:
-        """Return one robot's metric from its mask of connection (n,); NaN without steps."""
+        """Return one robot's metric from its connection mask (n,); NaN without steps."""
         return float(connected.mean()) if connected.size else float("nan")
 
 
 def rule_of(problem: Problem, legs_m: Floats | None = None) -> Rule:
-    """Return the problem's rule, for steps of lengths ``(..., N)`` or the longest steps."""
+    """Return the problem's rule for step lengths ``(..., N)``; default: the maximum step."""
     kind: type[Rule] = problem.constraints.rule.kind
     full = np.full(problem.planner.horizon, problem.step_length_m)
     return kind.of(problem, full if legs_m is None else legs_m)
@@ -193,7 +193,7 @@ def whole_plan_result(case: PathCase) -> RuleResult:
 
 
 def rule_reasons(problem: Problem, result: RuleResult) -> list[str]:
-    """Return the reason why a path violates its rule beyond the slack; no reasons otherwise."""
+    """Return the reasons (at most one) why a path violates its rule beyond the slack."""
     if not result.is_missed or result.slack_db > 0.0:
         return []
     words, key = rule_of(problem).missed_words(result)
@@ -201,7 +201,7 @@ def rule_reasons(problem: Problem, result: RuleResult) -> list[str]:
     limit = problem.constraints.rule.slack_max_db
     return [
         f"{words} is {result.achieved:.4g}{unit} "
-        f"({result.method}), {key} requires {result.asked:.4g}{unit}"
+        f"({result.method}), {key} requires {result.required:.4g}{unit}"
         + (f", also with constraints.slack_max_db {limit:g}" if limit else "")
     ]
 
@@ -222,8 +222,8 @@ class OwnRule(Rule):
         Value of the key ``constraints.connectivity``.
     unit
         Unit of the value; the default ``"probability"`` requires values from 0 to 1.
-    asks_p_min
-        Whether the value must reach p_min; otherwise it must reach :meth:`asked`.
+    uses_p_min
+        Whether the value must reach p_min; otherwise it must reach :meth:`requirement`.
 
     Examples
     --------
@@ -249,12 +249,12 @@ class OwnRule(Rule):
     def __init_subclass__(cls, **keywords: Any) -> None:
         """Register the rule for problems in this process and in worker processes of studies."""
         super().__init_subclass__(**keywords)
-        if not cls.asks_p_min and cls.asked is OwnRule.asked:
+        if not cls.uses_p_min and cls.requirement is OwnRule.requirement:
             raise InputError(
-                f"the class {class_name(cls)} sets asks_p_min = False but does not define the "
-                "method asked",
-                key="asked",
-                remedy="define asked(self, p_min), or leave asks_p_min out",
+                f"the class {class_name(cls)} sets uses_p_min = False but does not define the "
+                "method requirement",
+                key="requirement",
+                remedy="define requirement(self, p_min), or leave uses_p_min out",
             )
         if "kind" in cls.__dict__:
             RULES.add(cls.kind, cls)
@@ -271,7 +271,7 @@ class OwnRule(Rule):
             Steps executed before the plan.
         """
 
-    def asked(self, p_min: float) -> float:
+    def requirement(self, p_min: float) -> float:
         """Return the value that a plan must reach."""
         return p_min
 
@@ -286,12 +286,12 @@ class OwnRule(Rule):
         )
 
     def required(self, p_min: float, history: History, count: int) -> float:
-        """Return :meth:`asked` as a validated number."""
+        """Return :meth:`requirement` as a validated number."""
         words = self._number
-        with calling(self, "asked", key=KEY, remedy=f"return {words}"):
-            found = self.asked(p_min)
-        number = returned(self, "asked", found, (), words=words, key=KEY)
-        return float(self._within("asked", number, words))
+        with calling(self, "requirement", key=KEY, remedy=f"return {words}"):
+            found = self.requirement(p_min)
+        number = returned(self, "requirement", found, (), words=words, key=KEY)
+        return float(self._within("requirement", number, words))
 
     @property
     def _number(self) -> str:
@@ -320,5 +320,5 @@ class OwnRule(Rule):
 
     def missed_words(self, result: RuleResult) -> tuple[str, str]:
         """Return text with the name of the rule, and the key of its bound."""
-        key = "constraints.p_min" if self.asks_p_min else "the rule"
+        key = "constraints.p_min" if self.uses_p_min else "the rule"
         return f"what constraints.connectivity {self.kind!r} counts", key

@@ -122,7 +122,7 @@ def _about(
     clearance: float,
     spacing_m: float,
 ) -> Floats:
-    """Return collision-free positions (m, 2) around nodes, up to half a spacing away per axis."""
+    """Return collision-free positions (m, 2) within half a spacing of nodes along both axes."""
     fractions = np.linspace(-0.5, 0.5, 9)
     around = np.stack(np.meshgrid(fractions, fractions), axis=-1).reshape(1, -1, 2)
     places = (nodes_m[:, None] + spacing_m * around).reshape(-1, 2)
@@ -134,7 +134,7 @@ def _about(
 def _best_reached(
     paths: ShortestPaths, reach_m: Floats, places_m: Floats, margins_db: Floats, bound_db: Floats
 ) -> tuple[float, ...]:
-    """Return the best of `margins_db`, sorted in descending order, within each path length (k,)."""
+    """Return the best margin (k,) within each path length; `margins_db` is in descending order."""
     # If no position is within a path length, return the upper bound `bound_db` (k,) of all others.
     by_air = np.linalg.norm(places_m - paths.start_m, axis=1)
     length = np.full(len(places_m), np.nan)
@@ -342,7 +342,7 @@ def build_goal_grid(problem: Problem, index: ObstacleIndex) -> GoalGrid:
 
 
 def _coarser(grid: Floats, is_open: Mask) -> tuple[Floats, Indices, Floats]:
-    """Return coarse grid positions around open nodes, with indices and weights to interpolate."""
+    """Return a coarse grid around open nodes, with indices and weights for interpolation."""
     rows, columns = np.nonzero(is_open)
     last = (np.array(is_open.shape) - 1) // COARSE
     corners: list[Indices] = []
@@ -362,7 +362,7 @@ def _coarser(grid: Floats, is_open: Mask) -> tuple[Floats, Indices, Floats]:
 
 
 def goal_costs(grid: GoalGrid, contact_at: ContactAt, price: float) -> GoalCosts:
-    """Return each node's fraction out of contact and cheapest cost to the goal."""
+    """Return each node's outage fraction and least cost to the goal."""
     coarse, margin = contact_at(grid.coarse_m)
     share = (coarse[grid.corners] * grid.weights).sum(axis=1)
     one, other = grid.ends

@@ -43,7 +43,7 @@ COST_LEEWAY_STEPS = 2.0
 
 @dataclass(frozen=True)
 class StepsFinding:
-    """Verifier's findings on p_min at single steps; the fields are those of the certificate."""
+    """Verifier's findings on p_min at single steps, with field names of the certificate."""
 
     relaxed_steps: tuple[int, ...] = ()
     relaxation_db: tuple[float, ...] = ()
@@ -71,11 +71,11 @@ def verify_single_steps(
     mean, deviation = power.mean_db[1:], power.deviation_db[1:]
     # Without p_min, every margin is infinite.
     margins = bound_margin_db(mean, deviation, radio.threshold_dbm, constraints.p_min)
-    asked = rule_of(problem).counted(context.history, len(margins))
-    missed = np.nonzero((margins < -MARGIN_TOLERANCE_DB) & asked)[0] + 1
+    counted = rule_of(problem).counted(context.history, len(margins))
+    missed = np.nonzero((margins < -MARGIN_TOLERANCE_DB) & counted)[0] + 1
     steps = tuple(missed.tolist())
     relaxation = tuple(float(-margins[step - 1]) for step in missed)
-    result = _result(problem, asked, relaxation)
+    result = _result(problem, counted, relaxation)
     if constraints.rule.slack_max_db is not None:
         reasons = _beyond_slack(problem, missed, relaxation)
         return StepsFinding(steps, relaxation, reasons=tuple(reasons), rule=result)
@@ -115,7 +115,7 @@ def verify_single_steps(
         for step, margin in zip(missed, best, strict=True)
         if margin >= 0.0
     ][:1]
-    count = int(asked.sum())
+    count = int(counted.sum())
     if len(missed) == count:
         reasons.append(
             f"constraints.p_min {constraints.p_min:g} is met at none of the {count} steps"
@@ -125,16 +125,16 @@ def verify_single_steps(
     return StepsFinding(steps, relaxation, best, reasons=tuple(reasons), rule=result)
 
 
-def _result(problem: Problem, asked: Mask, relaxation_db: tuple[float, ...]) -> RuleResult | None:
-    """Return the number of steps that satisfy p_min as a rule result; None for the default rule."""
+def _result(problem: Problem, counted: Mask, relaxation_db: tuple[float, ...]) -> RuleResult | None:
+    """Return a rule result that counts steps satisfying p_min; None for the default rule."""
     rule = problem.constraints.rule
     if rule.is_plain:
         return None
-    kept = int(asked.sum()) - len(relaxation_db)
+    kept = int(counted.sum()) - len(relaxation_db)
     return RuleResult(
         rule.connectivity,
         float(kept),
-        float(asked.sum()),
+        float(counted.sum()),
         "steps",
         "p_min at each required step",
         # Without allowed slack, a shortfall does not count as slack.
@@ -143,7 +143,7 @@ def _result(problem: Problem, asked: Mask, relaxation_db: tuple[float, ...]) -> 
 
 
 def _beyond_slack(problem: Problem, missed: Indices, relaxation_db: tuple[float, ...]) -> list[str]:
-    """Return the reasons why steps violate p_min beyond the slack; no reasons otherwise."""
+    """Return the reasons why steps violate p_min beyond the slack; empty if none does."""
     limit = problem.constraints.rule.slack_max_db or 0.0
     return [
         f"connectivity at step {step} misses constraints.p_min {problem.constraints.p_min:g} by "

@@ -109,7 +109,7 @@ def driven_paths(
     turn_rad: Floats,  # (N, c) before each step; the first is a heading
     speed: Floats,  # (N, c) relative to the maximum speed
 ) -> Floats:
-    """Return c paths that follow commands of turns and speeds around obstacles; ``(c, N, 2)``."""
+    """Return paths ``(c, N, 2)`` that follow commands of turns and speeds around obstacles."""
     problem = context.problem
     clear = problem.constraints.clearance_m + CLEARANCE_PAD_M
     longest = problem.step_length_m - STEP_PAD_M
@@ -210,7 +210,7 @@ Commands = tuple[Floats, Floats]
 def commands_via(
     start_m: Floats, place_m: Floats, horizon: int, longest_m: float
 ) -> Commands | None:
-    """Return commands to reach a position straight or in arcs, and then to move on or wait."""
+    """Return commands that reach a position straight or in arcs, then continue or wait."""
     # None if the position is not reachable within the horizon.
     # Shapes: start_m, place_m (2,).
     offset = (place_m - start_m) / longest_m
@@ -238,7 +238,7 @@ def arc_turn(chord: float, steps: int) -> float:
 
 
 def _onward(heading: float, bend: float, speed: float, steps: int, horizon: int) -> Commands:
-    """Return commands for an arc of `steps` steps, and then for all directions or for waiting."""
+    """Return commands for an arc of `steps` steps, followed by each direction or by waiting."""
     paths = ONWARD + 1 if steps < horizon else 1
     turn, speeds = np.zeros((horizon, paths)), np.ones((horizon, paths))
     turn[0] = heading - 0.5 * bend * (steps - 1)
@@ -342,7 +342,7 @@ class FanGuesses:
     def find_paths(
         self, context: StepContext, known_m: list[Floats], budget: Budget = UNLIMITED
     ) -> list[Floats]:
-        """Return the best distinct paths (N, 2), best first by local ranking."""
+        """Return the best distinct paths (N, 2), ordered by local ranking."""
         fan = fan_paths(context, self._index, self._rough, self._problem.planner.horizon)
         longest = self._problem.step_length_m - STEP_PAD_M
         climbs = can_climb(self._problem)

@@ -156,7 +156,7 @@ class GlobalSearch:
     def _given(
         self, position_m: Floats, start: GlobalStart, found: TimedPath, steps: int
     ) -> tuple[GlobalStart, Floats, TimedPath]:
-        """Return a timed path in three forms: initial guess, positions after all steps, itself."""
+        """Return a timed path with its initial guess and its positions after all steps."""
         problem, places = self._problem, self._scene.road_map.nodes_m
         horizon = problem.planner.horizon
         first = found.nodes[:horizon]
@@ -185,7 +185,7 @@ class GlobalSearch:
         return history.has_circled or history.steps * self._problem.step_length_m > allowed
 
     def _cost_to_go_from(self, position_m: Floats) -> CostToGo:
-        """Return the cost-to-go of nodes whose cost is not far above that at the robot."""
+        """Return the cost-to-go of nodes up to a limit above the cost-to-go at the robot."""
         # The radius follows from the cost-to-go one step ago; if too small, all nodes count.
         scene, metre_cost = self._scene, self._metre_cost()
         node = node_at(scene.road_map, position_m)
@@ -254,7 +254,7 @@ class GlobalSearch:
         return cost + self._rate * (charged + float(cost_to_go.cost_m[nodes[-1]]))
 
     def _shortest(self, context: StepContext, cost_to_go: CostToGo) -> Indices | None:
-        """Return the nodes (N,) of a path to the goal that ignores connection; None without one."""
+        """Return the nodes (N,) of the shortest path to the goal; None if there is no path."""
         places, position = self._scene.road_map.nodes_m, context.position_m
         fastest = self._cheapest(context, cost_to_go, None, priced=False, effort_s2_m2=0.0)
         if fastest is None:
@@ -272,7 +272,7 @@ class GlobalSearch:
         return np.append(nodes, np.full(horizon, nodes[-1]))[:horizon]
 
     def _gets_nowhere(self, context: StepContext, nodes: Indices) -> bool:
-        """Return whether a path neither reaches the goal nor leaves the robot's surroundings."""
+        """Return whether a path neither reaches the goal nor leaves the robot's neighbourhood."""
         places = self._scene.road_map.nodes_m[nodes]
         farthest = np.linalg.norm(places - context.position_m, axis=1).max()
         at_goal = int(nodes[-1]) == self._scene.goal_node

@@ -77,7 +77,7 @@ class StageRewards:
         return self._rewards(window, stage - 1)
 
     def along(self, nodes: Indices) -> Floats:
-        """Return the rewards of ending step k at the k-th of `nodes` (N, 2), given as (iy, ix)."""
+        """Return the rewards of ending step k at the k-th of `nodes` (N, 2), indices (iy, ix)."""
         return self._rewards((nodes[:, 0], nodes[:, 1]), np.arange(len(nodes)))
 
     def corrected(self, nodes: Indices) -> None:
@@ -182,7 +182,7 @@ class GuessSearch:
     def find_guesses(
         self, context: StepContext, shifted_m: Floats | None, budget: Budget = UNLIMITED
     ) -> list[Guess]:
-        """Return initial guesses, best first; guesses that satisfy the rule precede the others."""
+        """Return initial guesses, sorted by satisfaction of the rule, then by value."""
         # Shapes: shifted_m (N, 2), the last plan shifted by one step, or None.
         problem = self._problem
         reach = problem.step_length_m * problem.planner.horizon
@@ -218,7 +218,7 @@ class GuessSearch:
         return kept
 
     def _apart(self, context: StepContext, paths: list[Floats]) -> list[Floats]:
-        """Return the paths that avoid moving obstacles; all paths if none does."""
+        """Return the paths that avoid moving obstacles, or all paths if none avoids them."""
         moving = context.moving
         if not len(moving):
             return paths
@@ -246,7 +246,7 @@ class GuessSearch:
         return find_guided(context, search, lambda path: rule_missing(context, path) == 0.0)
 
     def _guided_paths(self, context: StepContext, guide: Guide, budget: Budget) -> list[Floats]:
-        """Return the best lattice path under a guide, as a list that is empty if there is none."""
+        """Return a list with the best lattice path under a guide; empty if there is none."""
         nodes, lengths = first_moves(self._ground, self._problem, context.position_m)
         road_map = self._ground.road_map
         moving = context.moving

@@ -293,7 +293,7 @@ class StageFrame:
         return best
 
     def _pass_by(self, moving: MovingMoves, stage: int, best: Floats) -> None:
-        """Recompute the values of nodes for which a moving disc blocks some moves."""
+        """Recompute the values of nodes to which a moving disc blocks some moves."""
         window = self._windows[stage]
         rows, columns, blocked = moving.hindered(stage, *without_margin(window))
         rows, columns = rows + REACH, columns + REACH
@@ -304,7 +304,7 @@ class StageFrame:
         best[rows - window[0].start, columns - window[1].start] = arriving.max(axis=0)
 
     def _list_nodes(self) -> None:
-        """List nodes with separately compared predecessors, by the first stage that uses them."""
+        """List the nodes whose predecessors are compared singly, by their first stage."""
         widest, first, table = self._windows[-1], self._windows[0], self._moves.table
         listed = table.hindered if self._moves.are_free else table.lattice.free
         rows, columns = np.nonzero(listed[without_margin(widest)])
@@ -371,7 +371,7 @@ class LatticeValues:
     surcharge: Callable[[int, int], list[float]]
 
     def best_path(self, cost: Floats | float = 0.0) -> Indices | None:
-        """Return the nodes (N, 2) of the path of best value minus `cost`; None without a path."""
+        """Return the nodes (N, 2) of the path with the largest value minus `cost`, or None."""
         total = self.values[-1] - cost
         row, column = (int(i) for i in np.unravel_index(int(np.argmax(total)), total.shape))
         if not np.isfinite(total[row, column]):

@@ -72,7 +72,7 @@ class LocalRanking:
         self._stations = self._expected if same else [near(each) for each in context.law.posteriors]
 
     def _grid(self, channel: LocalChannel, about_m: Floats) -> LocalGrid | None:
-        """Return the map grid that paths near `about_m` (a, 2) can change; None if not needed."""
+        """Return the map grid that measurements near `about_m` (a, 2) can change, or None."""
         at = self._context
         if not _averages_map(at.problem):
             return None
@@ -221,7 +221,7 @@ def climb_paths(
     apart_m: float,
     budget: Budget = UNLIMITED,
 ) -> tuple[Floats, Floats]:
-    """Return the results of gradient ascent from `paths_m` (c, N, 2), with values, best first."""
+    """Return paths and values after gradient ascent from `paths_m` (c, N, 2), best first."""
     x = headings_and_speeds(start_m, paths_m, longest_m)
     value, by_place = slope(paths_m)
     at = _Climbers(
@@ -271,7 +271,7 @@ def _stepped(
 
 
 def _direction(at: _Climbers) -> Floats:
-    """Return ascent directions; a speed at its bound does not move beyond the bound."""
+    """Return ascent directions that keep speeds within their bounds."""
     half = at.x.shape[1] // 2
     speed, slope = at.x[:, half:], at.slope.copy()
     held = np.zeros(slope.shape, dtype=np.bool_)
@@ -290,7 +290,7 @@ def _direction(at: _Climbers) -> Floats:
 
 
 def _updated(at: _Climbers, new: _Climbers, gained: Mask) -> _Climbers:
-    """Return the state with BFGS updates of the inverse Hessians of paths that gained."""
+    """Return the state with BFGS updates of the inverse Hessians of improved paths."""
     step, change = new.x - at.x, at.slope - new.slope
     along = (step * change).sum(axis=1)
     size = np.sqrt((step**2).sum(axis=1) * (change**2).sum(axis=1))
@@ -311,7 +311,7 @@ def _updated(at: _Climbers, new: _Climbers, gained: Mask) -> _Climbers:
 
 
 def headings_and_speeds(start_m: Floats, paths_m: Floats, longest_m: float) -> Floats:
-    """Return the headings (continuous along a path) and relative speeds of paths; (c, 2 N)."""
+    """Return the headings and relative speeds (c, 2 N) of paths; headings are continuous."""
     begin = np.broadcast_to(start_m, (len(paths_m), 1, 2))
     legs = np.diff(np.concatenate([begin, paths_m], axis=1), axis=1)
     length = np.hypot(legs[:, :, 0], legs[:, :, 1])

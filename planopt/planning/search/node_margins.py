@@ -96,7 +96,7 @@ class NodeMargins:
         return self._values(self._predicted(places_m))
 
     def correct(self, nodes: Indices) -> bool:
-        """Predict `nodes` more accurately; return whether any of them was not yet corrected."""
+        """Predict the power at `nodes` more accurately; return whether any prediction is new."""
         new = np.unique(nodes[~self._exact[nodes]])
         if new.size == 0:
             return False
@@ -169,7 +169,7 @@ class NodeField(Nodes):
         return self.grid_m[nodes[:, 0], nodes[:, 1]]
 
     def nearest(self, places_m: Floats) -> Prediction:
-        """Return the power at the node nearest to each position; NaN if that node is blocked."""
+        """Return the power at each position's nearest node; NaN for a blocked node."""
         lattice, (rows, columns) = self._lattice, self.window
         first = np.array([columns.start, rows.start])
         last = np.array([columns.stop, rows.stop]) - 1
@@ -178,7 +178,7 @@ class NodeField(Nodes):
         return Prediction(self._map.mean_db[row, column], self._map.deviation_db[row, column])
 
     def correct(self, nodes: Indices) -> bool:
-        """Predict `nodes` (n, 2) more accurately; return whether any was not yet corrected."""
+        """Predict the power at `nodes` (n, 2) more accurately; return whether any is new."""
         if self._context is None:
             raise AssertionError("refresh first")
         rows, columns = nodes[:, 0], nodes[:, 1]

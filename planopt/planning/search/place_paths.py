@@ -60,7 +60,7 @@ class ProbedPlaces:
         self._offsets_m = offsets[np.linalg.norm(offsets, axis=1) <= reach_m]
 
     def find_paths(self, context: StepContext, field: NodeField) -> list[Floats]:
-        """Return the best paths (N, 2) to positions worth probing, best first."""
+        """Return the best paths (N, 2) to probe positions, best first."""
         places = self._places(context)
         seen = free_ends(self._problem, self._ground, context.position_m, places)
         seen[0] = True
@@ -126,7 +126,7 @@ class ProbedPlaces:
         return np.vstack([circles[inside], known])
 
     def _straight(self, here_m: Floats, places_m: Floats) -> Floats:
-        """Return straight paths (n, N, 2) at full speed to positions, followed by waiting."""
+        """Return straight paths (n, N, 2) that reach positions at full speed and wait there."""
         horizon = self._problem.planner.horizon
         away = places_m - here_m
         length = np.linalg.norm(away, axis=1)
@@ -188,7 +188,7 @@ def _steps(
     nodes_m: Floats,
     longest_m: float,
 ) -> Floats:
-    """Return the number of steps to each position (n,), straight or via its nearest node."""
+    """Return the number (n,) of steps to each position, straight or via its nearest node."""
     aside: Floats = np.linalg.norm(nodes_m[next_to] - places_m, axis=1)
     straight: Floats = np.linalg.norm(places_m - here_m, axis=1)
     length = np.where(routes.straight(places_m), straight, routes.length_m[next_to] + aside)
@@ -272,7 +272,7 @@ def _reached(
 
 
 def _promise(margins_db: Floats, length_m: Floats) -> Indices:
-    """Return an order of positions: those that satisfy p_min by length, then others by margin."""
+    """Return the order of positions: by path length if p_min is satisfied, then by margin."""
     meets = margins_db >= MARGIN_PAD_DB
     return np.lexsort((np.where(meets, length_m, -margins_db), ~meets))
 
@@ -306,7 +306,7 @@ def _in_fewest_steps(scorer: Scorer, turns_m: Floats, length_m: float) -> Floats
 
 
 def _crossings(route_m: Floats, driven_m: Floats, length_m: float) -> tuple[Floats, Floats]:
-    """Return where extended legs meet later legs extended backwards, and the path lengths there."""
+    """Return intersections of legs with later legs, both extended, and their path lengths."""
     legs = np.diff(route_m, axis=0)
     places, along = [np.zeros((0, 2))], [np.zeros(0)]
     for one in range(len(legs)):

@@ -115,7 +115,7 @@ def search_room(
     least_m: float,
     least_stages: int,
 ) -> TimedPath | None:
-    """Return the shortest path to a refuge away from the others' paths; None if there is none."""
+    """Return the shortest path to a refuge away from the other robots' paths, or None."""
     if not len(first_nodes):
         return None
     here = int(first_nodes[np.argmin(first_length_m)])
@@ -141,7 +141,7 @@ def _search_within(
     least_stages: int,
     limit_s: float,
 ) -> TimedPath | None:
-    """Return the best path within a cost limit, whose first step ends at one of `nodes` (m,)."""
+    """Return the best path within a cost limit that begins at one of `nodes` (m,)."""
     # Once all other robots have stopped, a static search completes the search in space and time.
     to_go = costs.rate_s_m * costs.cost_to_go.cost_m
     stages: list[tuple[Indices, Indices]] = [(nodes, np.zeros(len(nodes), dtype=np.intp))]
@@ -175,7 +175,7 @@ def _search_within(
 
 
 def _is_free(costs: TimedCosts, discs: MovingDiscs, step: int, route: Indices) -> bool:
-    """Return whether driving nodes `route` (r,) at full speed after `step` steps avoids discs."""
+    """Return whether driving along `route` (r,) after `step` steps avoids all discs."""
     route_m = costs.road_map.nodes_m[route]
     on = timed_places(route_m[:1], route_m[1:], costs.step_m, discs.steps - step)
     return is_apart(discs, on, step)

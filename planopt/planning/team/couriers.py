@@ -93,7 +93,7 @@ class Couriers:
         return max((plans, instead), key=lambda made: self._rank(made, must_move))
 
     def _rank(self, plans: Sequence[Plan], must_move: bool) -> tuple[bool, int, int]:
-        """Return a rank of plans: separation, moving plans if required, verified plans."""
+        """Return the rank of plans by separation, motion (if required) and verification."""
         # Otherwise two robots could block each other: waiting is verified, giving way may not be.
         leading = sum(plan.rung not in STAYING for plan in plans) if must_move else 0
         verified = sum(plan.verdict is Verdict.VERIFIED for plan in plans)
@@ -102,7 +102,7 @@ class Couriers:
     def _in_turn(
         self, at: TeamMoment, outlooks: Sequence[Outlook], kept: Mapping[int, TimedMotion]
     ) -> list[Plan]:
-        """Return plans made in sequence, which avoid earlier plans and reserved motions."""
+        """Return plans made in sequence that avoid earlier plans and reserved motions."""
 
         def plan_one(
             number: int, moving: MovingDiscs, reserved_m: Floats, _: Mapping[int, Plan]
@@ -143,7 +143,7 @@ class Couriers:
     def _with_room(
         self, at: TeamMoment, first: int, alone: Sequence[Course]
     ) -> list[Course] | None:
-        """Return courses on which all others make room for robot `first`; None if none exist."""
+        """Return courses on which all other robots make room for robot `first`, or None."""
         passing = alone[first].places_m
         steps = len(passing) - 1
         found: dict[int, Course] = {}
@@ -178,7 +178,7 @@ class Couriers:
         return found, late
 
     def _alone(self, outlooks: Sequence[Outlook]) -> list[Course]:
-        """Return each robot's course that ignores the others, all over the same number of steps."""
+        """Return each robot's course without regard to the others, over equally many steps."""
         horizon = self._problem.planner.horizon
         paths: list[tuple[Floats, Floats]] = []
         for outlook in outlooks:
@@ -222,7 +222,7 @@ def _discs(problem: Problem, courses: Mapping[int, Course], steps: int) -> Movin
 
 
 def _lasting(discs: MovingDiscs, steps: int) -> MovingDiscs:
-    """Return the discs extended to `steps` steps; they are disabled in the added steps."""
+    """Return the discs extended to `steps` steps, disabled in the added steps."""
     more = steps - discs.steps
     if not len(discs) or more <= 0:
         return discs

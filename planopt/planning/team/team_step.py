@@ -60,7 +60,7 @@ def plan_in_turn(
     kept: Mapping[int, TimedMotion],
     plan_one: PlanOne,
 ) -> list[Plan]:
-    """Return plans made in `order`, which avoid earlier plans and the reserved motions `kept`."""
+    """Return plans made in `order` that avoid earlier plans and the reserved motions `kept`."""
     made: dict[int, Plan] = {}
     for number in order:
         others = {
@@ -190,7 +190,7 @@ def _in_order(
     order: Sequence[int],
     kept: Mapping[int, TimedMotion],
 ) -> tuple[list[Plan], list[Aim]]:
-    """Return plans made in `order` that avoid earlier and reserved motions; and external inputs."""
+    """Return plans, made in `order`, that avoid all known motions, and external inputs."""
     aims: dict[int, Aim] = {}
 
     def plan_one(
@@ -235,7 +235,7 @@ def _again_in_turn(
     plans: Sequence[Plan],
     aims: Sequence[Aim],
 ) -> tuple[list[Plan], list[Aim]]:
-    """Let each robot plan again with the other plans fixed, and return the better plans."""
+    """Return the plans after each robot has planned again with the other plans fixed."""
     # With F the objective of all plans together, F(p_i | others) = F(all) - F(others). Only a
     # verified plan of larger F(p_i | others) replaces a verified plan, so that F(all) never
     # decreases. Robots with individual weights compare by their own objective.

@@ -116,7 +116,7 @@ class StepContext(VerifierContext):
     _made: dict[Hashable, Any] = field(default_factory=dict[Hashable, Any], init=False, repr=False)
 
     def once(self, key: Hashable, make: Callable[[], Made]) -> Made:
-        """Return the result of `make`, computed once per key; terms cache their constants here."""
+        """Return the result of `make`, cached by key."""
         if key not in self._made:
             self._made[key] = make()
         return cast("Made", self._made[key])
@@ -158,13 +158,13 @@ class StepContext(VerifierContext):
         return Prediction(both[:, 0], both[:, 1])
 
     def predicted(self, places_m: Floats) -> Prediction:
-        """Return :meth:`power` with multipath treated as unknown everywhere, as in solvers."""
+        """Return :meth:`power` with unknown multipath at all positions, as in solvers."""
         if any(len(known.rows) for known in self.law.known(places_m)):
             return self.law.predicted(places_m, search_power)
         return self.power(places_m)
 
     def soon(self, places_m: Floats) -> None:
-        """Queue `places_m` (n, 2) for prediction together with the next new positions."""
+        """Queue `places_m` (n, 2) for the next batch of predictions."""
         for place in np.asarray(places_m, dtype=np.float64):
             if place.tobytes() not in self._power:
                 self._soon[place.tobytes()] = place
@@ -177,7 +177,7 @@ class StepContext(VerifierContext):
 
     @cached_property
     def measuring(self) -> MeasuringRule:
-        """Return the rule that decides which positions are measured."""
+        """Return the rule that selects the positions to measure."""
         return MeasuringRule.of(self.anticipated, self.problem.channel.measure_spacing_m)
 
     @cached_property
@@ -193,13 +193,13 @@ class StepContext(VerifierContext):
 
     @cached_property
     def probing(self) -> MeasuringRule:
-        """Return the rule that decides at which positions the robot probes for a connection."""
+        """Return the rule that selects the positions at which the robot probes for a connection."""
         # The robot's current position is excluded unless the last step was connected.
         return self._probing if self.history.steps else self._untried(self.position_m[None])
 
     @cached_property
     def _probing(self) -> MeasuringRule:
-        """Rule like :attr:`probing`, but the start of a run counts as possibly connected."""
+        """Rule :attr:`probing`, except that the start of a run may be connected."""
         lost = self.history.outage_steps > 0
         return self._untried(self.position_m[None] if lost else np.zeros((0, 2)))
 

@@ -1,4 +1,4 @@
-"""Steering paths, region of the map, and positions that are worth measuring."""
+"""Steering paths, region of the map, and informative positions."""
 
 import math
 from collections.abc import Sequence
@@ -114,7 +114,7 @@ def left_to_learn(
     here_m: Floats,  # (2,) position of the robot
     posteriors: Sequence[ChannelPosterior],
 ) -> Floats:
-    """Return the reachable positions (k, 2) that are worth measuring."""
+    """Return the reachable positions (k, 2) at which measurements are informative."""
     # They are lattice nodes, or intermediate positions if all nodes are measured. If all terms have
     # a variance threshold, they are the positions of the workspace grid above the threshold.
     nodes = node_positions(lattice)[reachable_nodes(problem, index, lattice, here_m)]

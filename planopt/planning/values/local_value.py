@@ -136,7 +136,7 @@ def _derivatives(term: Term, near: NearPath) -> Part:
 
 
 def _require_shapes(term: Term, part: Part, stages: int) -> None:
-    """Raise an InputError if a user-defined term's derivatives do not fit a path of N stages."""
+    """Raise an InputError if a user-defined term's derivatives have wrong shapes."""
     if isinstance(part, PathDerivatives):
         shapes = {"value": (), "gradient": (2 * stages,), "hessian": (2 * stages, 2 * stages)}
     else:
@@ -145,7 +145,7 @@ def _require_shapes(term: Term, part: Part, stages: int) -> None:
         value = getattr(part, name)
         if name == "gradient" and np.shape(value) == (stages, 2):
             shape = (stages, 2)
-        words = f"{type(part).__name__} whose {name} has the shape {shape}, N = {stages} here"
+        words = f"{type(part).__name__} whose {name} has the shape {shape} for N = {stages}"
         key, method = "objective.terms", f"derivatives(...).{name}"
         returned(term, method, value, shape, words=words, key=key, unbounded=True)
 

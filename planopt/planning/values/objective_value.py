@@ -37,7 +37,7 @@ class ObjectiveValue:
         return tuple(self._contributed(number, path_m) for number in range(len(self._terms)))
 
     def of_each(self, paths_m: Sequence[Floats]) -> list[float]:
-        """Return the objective values of several paths, whose powers are predicted together."""
+        """Return the objective values of several paths, with one batch of power predictions."""
         for path in paths_m:
             self.context.soon(path)
         total = np.zeros(len(paths_m))
@@ -72,7 +72,7 @@ class ObjectiveValue:
 
 
 def probe_values(at: StepContext, number: int, paths_m: Floats, chance: Floats) -> Floats:
-    """Return the weighted contribution (c,) of term `number`, which probes path ends."""
+    """Return the weighted contribution (c,) of term `number` for paths with probed ends."""
     # Shapes: paths_m (c, N, 2); chance (c, N).
     term, method = at.problem.terms[number], "probe_values"
     words = "one finite number for each path"
@@ -121,20 +121,20 @@ def rule_missing(at: StepContext, path_m: Floats) -> float:
     result = rule_result(at, path_m)
     if result.slack_db > 0.0 or not result.is_missed:
         return 0.0
-    return SHARE_IN_DB * result.missing / max(result.asked, 1.0)
+    return SHARE_IN_DB * result.missing / max(result.required, 1.0)
 
 
 def _missed_db(at: StepContext, path_m: Floats) -> Floats:
-    """Return the shortfall of p_min in dB at each constrained step; (N,)."""
+    """Return the shortfall of p_min in dB at each constrained step as an array (N,)."""
     power, problem = at.power(path_m), at.problem
     margins = required_margins_db(problem, power)
     missed = margins < -MARGIN_TOLERANCE_DB
-    asked = rule_of(problem).counted(at.history, len(path_m))
-    return np.where(missed & asked, -margins, 0.0)
+    counted = rule_of(problem).counted(at.history, len(path_m))
+    return np.where(missed & counted, -margins, 0.0)
 
 
 def rule_result(at: StepContext, path_m: Floats) -> RuleResult:
-    """Return the verifier's result for a path (N, 2) by a rule over the whole plan."""
+    """Return the verifier's result of the rule for a path (N, 2)."""
     places_m = np.vstack([at.position_m, path_m])
     return whole_plan_result(PathCase(at, places_m, at.power(path_m)))
 
@@ -244,5 +244,5 @@ class ReachCost:
 
 
 def resting_places_m(drive: Drive) -> Floats:
-    """Return the resting position after braking from each state of a drive; (N + 1, 2)."""
+    """Return the resting positions (N + 1, 2) after braking from each state of a drive."""
     return np.column_stack(drive.dynamics.resting_place(tuple(drive.states.T)))

@@ -40,7 +40,7 @@ class RuleRows:
 
     @property
     def quantile(self) -> Floats:
-        """Return the normal quantile z_p of each step's required probability; (N,)."""
+        """Return the normal quantiles z_p (N,) of the steps' required probabilities."""
         return np.array([bound_quantile(level) for level in self.level.tolist()])
 
     def margins_db(self, power: Prediction) -> Floats:
@@ -113,10 +113,10 @@ LARGEST_FACTOR = 4.0
 def scaled_value(
     rule: Rule, context: StepContext, achieved: float, count: int, result: RuleResult
 ) -> float:
-    """Return the required value that corresponds to the allowed risk (equation 5.7)."""
+    """Return the required value that matches the allowed risk (equation 5.7)."""
     # The value's shortfall from that of certain connection is scaled by allowed over verified risk.
     most = float(rule.valued(np.ones(count), context.history))
-    factor = (1.0 - result.asked) / max(1.0 - result.achieved, 1e-12)
+    factor = (1.0 - result.required) / max(1.0 - result.achieved, 1e-12)
     return most - (most - achieved) * float(np.clip(factor, 1.0 / LARGEST_FACTOR, LARGEST_FACTOR))
 
 
@@ -135,12 +135,12 @@ def rows_again(
     earlier: list[tuple[float, RuleResult]],
     result: RuleResult,
 ) -> RuleRows | None:
-    """Return rows corrected by the verified result of a path; None if no correction applies."""
+    """Return constraint rows corrected by a path's verified result; None without a correction."""
     # Secant of the last feasible and infeasible paths, or half of it on the same side.
     rule, history = rule_of(context.problem), context.history
     if not rule.correlates(context.problem.constraints.p_min) or rows.weight is None:
         return None
-    allowed, found = 1.0 - result.asked, 1.0 - result.achieved
+    allowed, found = 1.0 - result.required, 1.0 - result.achieved
     power, most = context.predicted(path_m), float(rows.weight.sum())
     is_held = most - rows.sum_of(power) >= USED_SHARE * (most - rows.total)
     kept = not result.is_missed or result.slack_db > 0.0
@@ -179,7 +179,7 @@ def step_rows(context: StepContext, path_m: Floats) -> RuleRows:
 
 @dataclass(frozen=True, eq=False)
 class Guide:
-    """Guide of a lattice search: constrained steps, their level, and credits for connection."""
+    """Guide of a lattice search: constrained steps, their minimum, and rewards for connection."""
 
     level: float  # Required probability of the constrained steps
     bounded: Mask  # (N,) mask of the constrained steps
@@ -232,7 +232,7 @@ def find_guided(context: StepContext, search: GuidedSearch, is_kept: IsKept) -> 
 
 
 def common_level(rule: Rule, p_min: float, history: History, count: int) -> float:
-    """Return the smallest probability, common to all steps, that satisfies the rule."""
+    """Return the smallest common probability of all steps that satisfies the rule."""
     required = rule.required(p_min, history, count)
     low, high = 0.0, 1.0
     for _ in range(LEVEL_HALVINGS):
@@ -243,7 +243,7 @@ def common_level(rule: Rule, p_min: float, history: History, count: int) -> floa
 
 
 def _held_patterns(rule: Rule, context: StepContext, count: int) -> list[Mask]:
-    """Return masks (N,) of steps whose connection satisfies the rule: latest, earlier, and all."""
+    """Return masks (N,) of steps whose connection satisfies the rule: latest, earlier, all."""
     history, asks = context.history, context.problem.constraints.requires_connection
     every = np.ones(count, dtype=np.bool_)
     latest = rule.held(every, history)

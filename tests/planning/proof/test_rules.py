@@ -47,7 +47,7 @@ def test_stated_times_ask_of_their_steps_alone():
     kept, _ = assessed(hand_made("each_step", connected_times_s=(1.0, 4.0)), GAP)
     assert kept.verdict is Verdict.VERIFIED
     assert kept.certificate.relaxed_steps == ()
-    assert (kept.certificate.rule.achieved, kept.certificate.rule.asked) == (2.0, 2.0)
+    assert (kept.certificate.rule.achieved, kept.certificate.rule.required) == (2.0, 2.0)
     missed, _ = assessed(hand_made("each_step", connected_times_s=(1.0, 3.0)), GAP)
     assert missed.verdict is Verdict.VIOLATED
     assert missed.certificate.relaxed_steps == (3,)
@@ -70,8 +70,8 @@ def test_average_counts_the_run_so_far():
     mean = (5.0 + chances(posterior).sum()) / 10.0
     assert judgement.certificate.rule.achieved == pytest.approx(mean, abs=1e-12)
     for p_min, verdict in ((mean - 1e-4, Verdict.VERIFIED), (mean + 1e-4, Verdict.VIOLATED)):
-        asked = hand_made("average", p_min=p_min)
-        again, _ = assessed(asked, faint, steps=6, connected_steps=5)
+        required = hand_made("average", p_min=p_min)
+        again, _ = assessed(required, faint, steps=6, connected_steps=5)
         assert again.verdict is verdict
     assert "on average" in again.certificate.reasons[0]
 
@@ -213,16 +213,16 @@ def test_data_must_keep_pace_with_the_deadline():
     judgement, posterior = assessed(hand_made("data", p_min=0.0, **rule), faint)
     result = judgement.certificate.rule
     assert result.achieved == pytest.approx(2.0 * chances(posterior).sum())
-    assert result.asked == pytest.approx(6.0)
+    assert result.required == pytest.approx(6.0)
     assert judgement.verdict is Verdict.VIOLATED
     assert "data_mbit" in judgement.certificate.reasons[0]
     # Two seconds before the deadline only two steps count, and all that is missing is asked.
     late = {"steps": 18, "delivered_mbit": 29.0}
     ending, _ = assessed(hand_made("data", p_min=0.0, **rule), faint, **late)
-    assert ending.certificate.rule.asked == pytest.approx(1.0)
+    assert ending.certificate.rule.required == pytest.approx(1.0)
     assert ending.certificate.rule.achieved == pytest.approx(2.0 * chances(posterior)[:2].sum())
     after, _ = assessed(hand_made("data", p_min=0.0, **rule), bad_everywhere, steps=20)
-    assert (after.verdict, after.certificate.rule.asked) == (Verdict.VERIFIED, 0.0)
+    assert (after.verdict, after.certificate.rule.required) == (Verdict.VERIFIED, 0.0)
 
 
 def test_data_with_a_probability():
@@ -232,7 +232,7 @@ def test_data_with_a_probability():
     drawn = sample_power(posterior, ALONG[1:], 40_000, np.random.default_rng(8))
     share = float(((drawn >= THRESHOLD_DBM).sum(axis=1) >= 3).mean())
     result = judgement.certificate.rule
-    assert (result.unit, result.asked) == ("probability", 0.5)
+    assert (result.unit, result.required) == ("probability", 0.5)
     assert share - 0.03 < result.achieved < share + 0.005
     for p_min, verdict in ((share - 0.04, Verdict.VERIFIED), (share + 0.04, Verdict.VIOLATED)):
         again, _ = assessed(hand_made("data", p_min=p_min, **rule), faint)

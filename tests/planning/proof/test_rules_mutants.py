@@ -63,7 +63,7 @@ MUTANTS = (
     (RESULT, "self.missing > RULE", "self.missing < RULE"),
     (VERIFY, "missing > limit + MARGIN_TOLERANCE_DB", "missing > 1e3 + limit"),
     (VERIFY, "missing > limit + MARGIN_TOLERANCE_DB", "missing < limit"),
-    (VERIFY, "(margins < -MARGIN_TOLERANCE_DB) & asked", "margins < -MARGIN_TOLERANCE_DB"),
+    (VERIFY, "(margins < -MARGIN_TOLERANCE_DB) & counted", "margins < -MARGIN_TOLERANCE_DB"),
     (VERIFY, "if constraints.rule.slack_max_db is not None:", "if False:"),
     (VERIFY, "max(relaxation_db, default=0.0)", "min(relaxation_db, default=0.0)"),
 )

@@ -39,7 +39,7 @@ def test_plan_keeps_a_rule_that_binds(form):
     assert assessed.verdict is Verdict.VIOLATED
     # The bound is used, not only kept: little of what is asked is left over.
     if form not in ("each_step", "outage"):
-        assert -result.missing < 0.02 * result.asked
+        assert -result.missing < 0.02 * result.required
     assert plan.termination in RETURNED and plan.iterations > 0
     assert plan.objective >= plan.lattice_objective
 
@@ -117,7 +117,7 @@ def test_run_minds_what_has_happened():
     problem = replace(problem, constraints=replace(problem.constraints, rule=rule))
     run = simulate(problem, seed=SEED)
     first = int(np.argmax(run.runs[0].log.connected[1:])) + 1
-    asked = [plan.certificate.rule.asked for plan in run.plans[0]]
+    asked = [plan.certificate.rule.required for plan in run.plans[0]]
     assert all(value > 0.0 for value in asked[:first])
     assert all(value == 0.0 for value in asked[first:])
     assert run.metrics["data_mbit"] == run.runs[0].log.connected[1:].sum()

@@ -136,7 +136,7 @@ def test_what_is_wrong_is_said():
     """The goal and its term go together; one thing steers."""
     with pytest.raises(InputError, match=r'"goal" needs robots\[0\]\.goal_m'):
         terms_problem(GOAL)
-    with pytest.raises(InputError, match=r"robots\[0\]\.goal_m has no meaning"):
+    with pytest.raises(InputError, match=r"robots\[0\]\.goal_m has no effect"):
         to_goal(LEARNING)
     steering = {"kind": "mapping", "form": "two_layer"}
     with pytest.raises(InputError, match=r"two entries of objective\.terms steer"):

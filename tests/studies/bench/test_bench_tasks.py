@@ -80,8 +80,8 @@ def test_a_worse_pursuit_is_a_regression(tmp_path: Path, monkeypatch, capsys) ->
 
     def short(name):
         problem = original(name)
-        rules = problem.given.pursuit.model_copy(update={"max_steps": 20})
-        return replace(problem, given=problem.given.model_copy(update={"pursuit": rules}))
+        rules = problem.config.pursuit.model_copy(update={"max_steps": 20})
+        return replace(problem, config=problem.config.model_copy(update={"pursuit": rules}))
 
     monkeypatch.setattr("planopt.studies.bench_cases.load", short)
     assert main(check) == 1

@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_229,
-    "lines of code": 51_855,
+    "lines": 70_257,
+    "lines of code": 51_877,
     "files": 279,
-    "functions": 3_749,
-    "docstring lines": 7_488,
-    "lines of tests": 48_400,
+    "functions": 3_752,
+    "docstring lines": 7_490,
+    "lines of tests": 48_412,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

@@ -17,6 +17,14 @@ MAX_COORDINATE_M = 1e12
 """Maximum magnitude of a coordinate, so that squared distances do not overflow."""
 MIN_DISTANCE_M = 0.1
 """Minimum distance to the station, so that its logarithm is finite."""
+PARAMETER_WORDS = {
+    "k_pl_db": ("power at 1 m", "dBm"),
+    "n_pl": ("path loss exponent", ""),
+    "shadow_std_db": ("standard deviation of shadowing", "dB"),
+    "decorrelation_m": ("decorrelation distance", "m"),
+    "multipath_std_db": ("standard deviation of multipath", "dB"),
+}
+"""Meaning and unit of each estimated parameter."""
 PRIOR_N_PL = 3.0
 """Prior mean of n_PL, between free space and dense streets."""
 PRIOR_N_PL_STD = 1.0

@@ -381,23 +381,6 @@ STATUS_WORDS = {
 }
 """Meaning of the status of a fit."""
 
-UNITS = {
-    "k_pl_db": "dBm",
-    "n_pl": "",
-    "shadow_std_db": "dB",
-    "decorrelation_m": "m",
-    "multipath_std_db": "dB",
-}
-
-PARAMETER_WORDS = {
-    "k_pl_db": "power at 1 m",
-    "n_pl": "path loss exponent",
-    "shadow_std_db": "standard deviation of shadowing",
-    "decorrelation_m": "decorrelation distance",
-    "multipath_std_db": "standard deviation of multipath",
-}
-"""Meaning of each parameter in text."""
-
 METHOD_WORDS = {
     "map": "maximum a posteriori",
     "reml": "restricted maximum likelihood",
@@ -478,6 +461,7 @@ def fit_json(fitted: LogFit) -> dict[str, Any]:
     """Return the JSON object of ``fit``; ``other_modes`` has other likely parameters."""
     import numpy as np
 
+    from planopt.channel.parameters import PARAMETER_WORDS
     from planopt.files.typed_json import finite
 
     found, receivers = fitted.found, fitted.receivers
@@ -485,7 +469,7 @@ def fit_json(fitted: LogFit) -> dict[str, Any]:
     return {
         "method": found.method,
         "status": found.status,
-        **{name: finite(getattr(parameters, name)) for name in UNITS},
+        **{name: finite(getattr(parameters, name)) for name in PARAMETER_WORDS},
         "station": list(parameters.station.position_m),
         "station_height_m": parameters.station.height_m,
         "station_standard_errors_m": (
@@ -493,10 +477,10 @@ def fit_json(fitted: LogFit) -> dict[str, Any]:
             if found.station_covariance_m2 is None
             else [finite(math.sqrt(each)) for each in np.diag(found.station_covariance_m2)]
         ),
-        "standard_errors": {name: finite(found.standard_errors[name]) for name in UNITS},
+        "standard_errors": {name: finite(found.standard_errors[name]) for name in PARAMETER_WORDS},
         "other_modes": [
             {
-                **{name: getattr(mode.parameters, name) for name in UNITS},
+                **{name: getattr(mode.parameters, name) for name in PARAMETER_WORDS},
                 "log_likelihood": mode.log_likelihood,
             }
             for mode in found.other_modes
@@ -519,6 +503,7 @@ def fit_json(fitted: LogFit) -> dict[str, Any]:
 
 
 def _in_words(data: dict[str, Any]) -> str:
+    from planopt.channel.parameters import PARAMETER_WORDS
     from planopt.short_repr import shown_number
 
     (x, y), errors_m = data["station"], data["station_standard_errors_m"]
@@ -534,10 +519,10 @@ def _in_words(data: dict[str, Any]) -> str:
         "floor (upper limits); estimates +- standard errors:",
         f"  station at ({x:g}, {y:g}){within} m",
     ]
-    for name, unit in UNITS.items():
+    for name, (words, unit) in PARAMETER_WORDS.items():
         error = shown_number(data["standard_errors"][name], digits=2)
         value = f"{shown_number(data[name]):>9} +- {error} {unit}"
-        lines.append(f"  {name:17}{value:22} {PARAMETER_WORDS[name]}")
+        lines.append(f"  {name:17}{value:22} {words}")
     for offset in data["receiver_offsets"]:
         error = shown_number(offset["standard_error"], digits=2)
         lines.append(

@@ -137,6 +137,11 @@ def bound_in_words(problem: Problem, bound: Bound | None) -> list[str]:
 
 def certificate_in_words(problem: Problem, plan: Plan) -> list[str]:
     """Return a plan as text, with the details of its certificate."""
+    return [*plan_in_words(problem, plan), *proof_in_words(problem, plan)]
+
+
+def proof_in_words(problem: Problem, plan: Plan) -> list[str]:
+    """Return verdict, requirements and residuals of a plan as text."""
     proof, limits = plan.certificate, problem.constraints
     residual = (
         "not refined"
@@ -147,7 +152,6 @@ def certificate_in_words(problem: Problem, plan: Plan) -> list[str]:
     if limits.step_p_min > 0.0:
         required += f", P(connected) {limits.step_p_min:g}"
     lines = [
-        *plan_in_words(problem, plan),
         f"  {plan.verdict.value}: {MEANING[plan.verdict]}{required}",
         f"  motion model satisfied to {proof.dynamics_defect:.2g} m; {residual}",
     ]

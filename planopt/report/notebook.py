@@ -9,9 +9,11 @@ from html import escape
 from itertools import islice
 from typing import TYPE_CHECKING, Any, cast
 
+from planopt.channel.parameters import PARAMETER_WORDS
 from planopt.report.channel_figures import draw_fit, draw_posterior_map
 from planopt.report.page import cell_text
 from planopt.report.panel import DPI
+from planopt.report.tables import figures_in_words
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -28,7 +30,10 @@ def fit_html(fit: ChannelFit) -> str:
     figures = [
         ("status", f"{fit.status}, by {fit.method} from {fit.measurements} measurements"),
         *(
-            (name, f"{getattr(fit.parameters, name):.4g} ± {error:.2g}")
+            (
+                PARAMETER_WORDS[name][0],
+                f"{getattr(fit.parameters, name):.4g} ± {error:.2g} {PARAMETER_WORDS[name][1]}",
+            )
             for name, error in fit.standard_errors.items()
         ),
     ]
@@ -41,8 +46,8 @@ def map_html(maps: PosteriorMap) -> str:
     """Return a map as HTML."""
     x, y = maps.mean_db.x_m, maps.mean_db.y_m
     figures = [
-        ("x_m", f"{x[0]:g} to {x[-1]:g}"),
-        ("y_m", f"{y[0]:g} to {y[-1]:g}"),
+        ("x", f"{x[0]:g} to {x[-1]:g} m"),
+        ("y", f"{y[0]:g} to {y[-1]:g} m"),
         ("cell_m", maps.mean_db.cell_m[0]),
         ("threshold_dbm", maps.threshold_dbm),
         ("connected_share", float((maps.connectivity.values >= 0.5).mean())),
@@ -59,7 +64,7 @@ def summary_html(
     """Return HTML with the first key figures as a table, and the picture, if any."""
     rows = "".join(
         f'<tr><th scope="row">{escape(name)}</th><td>{escape(cell_text(value))}</td></tr>'
-        for name, value in islice(figures, most)
+        for name, value in islice(figures_in_words(figures), most)
     )
     image = ""
     if picture is not None:

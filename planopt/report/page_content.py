@@ -1,7 +1,7 @@
 """Content of the HTML pages of motion plans, runs, results of other tasks, and comparisons."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, cast
 
 import numpy as np
@@ -18,7 +18,7 @@ from planopt.problems.problem import Problem, problem_of_robot
 from planopt.problems.results import Result
 from planopt.problems.tasks import task_of
 from planopt.report.maps import believed_rasters, map_window
-from planopt.report.motion_words import MEANING, certificate_in_words, planned_in_words
+from planopt.report.motion_words import MEANING, planned_in_words, proof_in_words
 from planopt.report.page import (
     METRE_DIGITS,
     POWER_DIGITS,
@@ -45,7 +45,7 @@ from planopt.report.panel import (
     VERMILLION,
     YELLOW,
 )
-from planopt.report.tables import comparison_text, metric_label, metric_name
+from planopt.report.tables import comparison_text, figures_in_words, metric_label, metric_name
 from planopt.short_repr import shown_number
 from planopt.studies.comparison import Comparison, run_columns
 from planopt.studies.comparison_rows import setting_words, short_keys
@@ -61,7 +61,7 @@ def motion_page(result: Solution | Run) -> Page:
     belief = result.belief if isinstance(result, Solution) else result.beliefs[0]
     tracks = [_planned(plan) for plan in plans] if run is None else list(_driven(run))
     known = [
-        PageTable("Key figures", ("name", "value"), key_figures(result)),
+        _figures(key_figures(result)),
         *_result_tables(tables_of(result)),
         *_settings(problem_to_dict(problem), result.seed),
     ]
@@ -92,7 +92,6 @@ def task_page(result: Result) -> Page:
     ]
     if tracks:
         tracks += [track for _, table in tables.values() for track in _events(table)]
-    figures = [(key, value) for key, value in _flat(data) if isinstance(value, int | float | str)]
     faults = data.get("faults")
     certificate = () if faults is None else (*map(str, faults),)
     if faults == []:
@@ -104,7 +103,7 @@ def task_page(result: Result) -> Page:
         certificate=certificate,
         map=PageMap(tracks, problem.obstacles) if tracks else None,
         tables=[
-            PageTable("Key figures", ("name", "value"), figures),
+            _figures(result.task.key_figures(result)),
             *_result_tables(tables),
             *_settings(result.task.tables(problem), data.get("seed")),
         ],
@@ -115,6 +114,10 @@ def task_page(result: Result) -> Page:
             for chart in _column_charts(columns, table)
         ],
     )
+
+
+def _figures(figures: Iterable[tuple[str, object]]) -> PageTable:
+    return PageTable("Key figures", ("name", "value"), list(figures_in_words(figures)))
 
 
 def _events(table: Data) -> Iterator[Track]:
@@ -271,7 +274,7 @@ def _plan_certificates(problem: Problem, plans: Sequence[Plan]) -> list[str]:
     return [
         line
         for number, plan in enumerate(plans)
-        for line in certificate_in_words(problem_of_robot(problem, number), plan)
+        for line in (f"{plan.robot}:", *proof_in_words(problem_of_robot(problem, number), plan))
     ]
 
 
@@ -469,6 +472,11 @@ def key_figures(result: Solution | Run) -> list[tuple[str, object]]:
     return [
         ("verdict", result.verdict.value),
         ("objective", float(sum(plan.objective for plan in result.plans))),
+        ("min_clearance_m", min(plan.certificate.min_clearance_m for plan in result.plans)),
+        (
+            "predicted_min_connectivity",
+            min(plan.certificate.min_connectivity for plan in result.plans),
+        ),
         ("bound", None if bound is None else bound.value),
         ("iterations", sum(plan.iterations for plan in result.plans)),
         ("wall_s", float(sum(plan.wall_s for plan in result.plans))),

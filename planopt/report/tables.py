@@ -2,7 +2,7 @@
 
 import math
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from planopt.channel.calibration import FEWEST_GROUPS, ReliabilityBin
@@ -27,6 +27,15 @@ class MetricName:
 
 
 METRIC_NAMES = {
+    "verified_rate": MetricName("plans verified", "%", 100.0, most=100.0),
+    "connected_share": MetricName("cells with P(connected) of 0.5 or more", "%", 100.0, most=100.0),
+    "cell_m": MetricName("length of a cell", "m"),
+    "threshold_dbm": MetricName("minimum power of a connection", "dBm"),
+    "objective": MetricName("objective value", "1"),
+    "bound": MetricName("proven bound of the objective", "1"),
+    "min_clearance_m": MetricName("clearance from obstacles", "m"),
+    "iterations": MetricName("iterations of the solver", "1"),
+    "wall_s": MetricName("computing time", "s"),
     "goal_time_s": MetricName("time to goal", "s"),
     "capture_time_s": MetricName("time to capture", "s", digits=2),
     "cost_w": MetricName("power", "W", digits=3),
@@ -119,6 +128,16 @@ def metric_label(metric: str) -> str:
     """Return the name of a metric with its unit, if it has one."""
     name = metric_name(metric)
     return name.words if name.unit == "1" else f"{name.words} [{name.unit}]"
+
+
+def figures_in_words(figures: Iterable[tuple[str, object]]) -> Iterator[tuple[str, object]]:
+    """Yield names with units and values of key figures; missing values are left out."""
+    for key, value in figures:
+        if isinstance(value, float):
+            if math.isfinite(value):
+                yield metric_label(key), metric_name(key).scale * value
+        elif value is not None:
+            yield metric_label(key), value
 
 
 def symbols_in_words(metrics: Iterable[str]) -> list[str]:

@@ -129,7 +129,7 @@ class Comparison:
             ("settings", len(self.settings)),
             ("runs", len(self.runs)),
             ("runs that completed the task", sum(run.exit_code != NOT_DONE for run in self.runs)),
-            ("exit_code", self.exit_code),
+            ("verified_rate", sum(run.verified_rate for run in self.runs) / len(self.runs)),
             ("wall_s", self.wall_s),
         ]
         name, notebook = self.problem.name, import_module("planopt.report.notebook")

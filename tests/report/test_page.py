@@ -154,7 +154,9 @@ def test_events_are_on_the_map(tmp_path: Path) -> None:
     columns = [Column("event", "", kind="text"), Column("t_s", "time", "s"), Column("x_m", "", "m")]
     robot = {"name": "agent0", "t_s": [0.0, 3.0], "x_m": [0.0, 1.0], "y_m": [0.0, 1.0]}
     contents = Contents("run.json", {"robots": [robot]}, {"events.csv": (columns, table)})
-    task = SimpleNamespace(contents=lambda _: contents, tables=lambda _: {})
+    task = SimpleNamespace(
+        contents=lambda _: contents, tables=lambda _: {}, key_figures=lambda _: ()
+    )
     problem = SimpleNamespace(name="net", description="", obstacles=())
     page = task_page(SimpleNamespace(problem=problem, task=task, words=()))
     assert page.map is not None and not page.charts
@@ -164,8 +166,18 @@ def test_events_are_on_the_map(tmp_path: Path) -> None:
     assert track["x"] == [None, 1.0, 2.0, None] and track["y"] == [None, 2.0, 4.0, None]
 
 
+@pytest.mark.parametrize("kind", ["plan", "run", "network"])
+def test_key_figures_are_words(kind: str, pages: dict[str, str]) -> None:
+    """No keys and no JSON; every row has a value."""
+    table = pages[kind].split("Key figures")[-1].split("</table>")[0]
+    cells = re.findall(r"<td[^>]*>(.*?)</td>", table)
+    assert cells and all(cells)
+    assert not any("_" in cell or "[{" in cell or cell == "[]" for cell in cells[::2])
+
+
 def test_plan_states_its_certificate(pages: dict[str, str]) -> None:
     text = "".join(Elements(pages["plan"]).texts["pre"])
+    assert text.count("before refinement") <= 1  # The certificate does not repeat the result
     assert "KKT residual" in text and "clearance" in text and "P(connected)" in text
 
 

@@ -342,7 +342,7 @@ def event_results(problem: CoverageProblem, run: NetworkRun) -> list[dict[str, A
 
 def _in_place(problem: CoverageProblem, run: NetworkRun, number: int, near_m: float) -> Mask:
     """Return a mask (T, n) of agents within `near_m` of their targets, or at rest at an event."""
-    control = problem.given.control
+    control = problem.config.control
     here = run.positions_m[:-1]
     in_place = np.linalg.norm(run.targets_m - here, axis=2) <= near_m
     body_m = problem.config.limits.body_radius_m

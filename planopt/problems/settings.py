@@ -200,11 +200,11 @@ class PlannerSettings(Part):
         AfterValidator(known_planner),
         Field(
             examples=list(OWN),
-            description="nlp (lattice, polish by IPOPT, verify), scp (polish by sequential convex "
-            "programming), auto (the better of them, nlp), lattice (no polish), and for tasks "
-            "other than reach a baseline: "
+            description="nlp (lattice search, refinement by IPOPT), scp (refinement by sequential "
+            "convex programming), auto (same as nlp), lattice (no refinement); for tasks other "
+            "than reach also a baseline: "
             f"{', '.join(name for name, kind in OWN.items() if not kind.reaches_goals)}; or a "
-            "planner that is registered.",
+            "registered planner.",
         ),
     ] = "auto"
     horizon: Annotated[int, Field(ge=MIN_HORIZON, le=MAX_HORIZON)] = 10

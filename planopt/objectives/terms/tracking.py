@@ -69,12 +69,11 @@ class TrackingTerm(Term):
     form: Annotated[
         TrackingForm,
         Field(
-            description="additive (P(connected) over the variance, summed over steps) or recourse "
-            "(covariance of the station's filter; the end of a path is a position that is probed "
-            "and left if it has no connection); auto: additive one step ahead, recourse beyond; "
-            "with other terms, a chance constraint or dynamics, additive up to a "
-            f"horizon of {LONGEST_ADDITIVE}, where packets have estimates of "
-            f"{LONGEST_ADDITIVE_OF_ESTIMATES}, and recourse beyond."
+            description="additive (sum over steps of P(connected) / variance) or recourse "
+            "(covariance of the station's filter; the robot probes the end of the path and leaves "
+            "it without a connection). auto: additive for horizon 1, recourse for longer horizons; with other "
+            "terms, a chance constraint or dynamics, additive for horizons up to "
+            f"{LONGEST_ADDITIVE}, or {LONGEST_ADDITIVE_OF_ESTIMATES} if packets have estimates."
         ),
     ] = "auto"
     criterion: Annotated[

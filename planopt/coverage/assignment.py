@@ -176,7 +176,7 @@ def fair_shares(demands: Indices, agents: int) -> Indices:
 
 
 def deferred_acceptance(distances_m: Floats, demands: Indices) -> Assignment:
-    """Return a stable assignment by deferred acceptance, which agents can run distributed."""
+    """Return a stable assignment by deferred acceptance, a distributed algorithm."""
     # Shapes: distances_m (n, k); demands (k,).
     _check(distances_m, demands)
     return accepted(distances_m, demands)

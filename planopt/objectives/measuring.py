@@ -99,7 +99,7 @@ class MeasuringRule:
         return np.isin(np.arange(len(places_m)), taken)
 
     def gates(self, paths_m: Floats) -> Gates | None:
-        """Return smooth gates of paths (c, N, 2); None if all are one, also for nearby paths."""
+        """Return smooth gates of paths (c, N, 2); None if all gates nearby are fully open."""
         count, steps = paths_m.shape[:2]
         places = paths_m.reshape(-1, 2)
         distance, offset = self._beside(places)

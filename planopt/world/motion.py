@@ -218,7 +218,7 @@ def arc_segment_distances_m(
     first = math.atan2(start_m[1] - centre[1], start_m[0] - centre[0])
 
     def on_arc(angles: Floats) -> Mask:
-        """Return a mask of directions from the arc's centre within the arc."""
+        """Return a mask of the directions, seen from the arc's centre, that meet the arc."""
         gone = (angles - first) if turn_rad > 0.0 else (first - angles)
         return np.mod(gone, 2.0 * math.pi) <= abs(turn_rad)
 

@@ -71,9 +71,10 @@ class TrackingTerm(Term):
         Field(
             description="additive (sum over steps of P(connected) / variance) or recourse "
             "(covariance of the station's filter; the robot probes the end of the path and leaves "
-            "it without a connection). auto: additive for horizon 1, recourse for longer horizons; with other "
-            "terms, a chance constraint or dynamics, additive for horizons up to "
-            f"{LONGEST_ADDITIVE}, or {LONGEST_ADDITIVE_OF_ESTIMATES} if packets have estimates."
+            "it without a connection). auto: additive for horizon 1, recourse beyond; with "
+            "other terms, a chance constraint or dynamics, additive for horizons "
+            f"up to {LONGEST_ADDITIVE}, or {LONGEST_ADDITIVE_OF_ESTIMATES} if packets "
+            "have estimates."
         ),
     ] = "auto"
     criterion: Annotated[

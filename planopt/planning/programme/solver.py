@@ -255,7 +255,7 @@ class MotionShape:
 
     @property
     def parameters(self) -> int:
-        """Return the number of parameters: initial state without position, lines for braking."""
+        """Return the number of parameters: initial state without position, and braking lines."""
         return self.rest + 4 * self.lines
 
 

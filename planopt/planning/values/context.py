@@ -103,7 +103,7 @@ else:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class StepContext(VerifierContext):
-    """Step context: all inputs on which the objective value of a path depends."""
+    """Inputs on which the objective value of a path depends in one planning step."""
 
     region: Region  # Region of the map, for terms that average over it
     aim: Aim  # External inputs of the objective

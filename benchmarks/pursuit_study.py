@@ -7,8 +7,8 @@ pursuit_fleeing with every kind of evader; ``--problem pursuit_obstacles`` among
 ``--turn-rate 0.5`` for a unicycle, ``--loss 0.3`` with lost reports, ``--evaders zigzag`` for one.
 ``python benchmarks/pursuit_study.py teams --seeds 20`` lets 1, 2 and 3 pursuers chase one evader.
 ``cooperation --seeds 40`` compares 2 and 3 cooperating pursuers with `retarget`, paired by seed, in
-the open or, with ``--problem pursuit_obstacles``, among obstacles. In the open the longest straight
-flight shows what is left to gain.
+the open or, with ``--problem pursuit_obstacles``, among obstacles; ``--evaders`` names evaders. In
+the open the longest straight flight shows what is left to gain.
 """
 
 from __future__ import annotations
@@ -146,29 +146,38 @@ def cooperation(given: argparse.Namespace) -> None:
     ground, seeds = planopt.load("pursuit_obstacles"), given.seeds
     for count in (2, 3):
         for name in given.evaders or ("fleeing", "foresighted"):
-            ratios, bounds = [], []
+            times_s, bounds_s = [], []
             for seed in range(given.first_seed, given.first_seed + seeds):
                 if given.problem == "pursuit_obstacles":
-                    alone, joint = (
-                        among_obstacles_s(ground, count, name, seed, each)
-                        for each in ("retarget", "receding")
+                    times_s.append(
+                        [
+                            among_obstacles_s(ground, count, name, seed, each)
+                            for each in ("retarget", "receding")
+                        ]
                     )
                 else:
                     starts, evader = team(count, TEAM_EVADERS[name], seed)
-                    alone, joint = (
-                        chase_s(starts, evader, TEAM_POLICIES[each])
-                        for each in ("retarget", "receding")
+                    times_s.append(
+                        [
+                            chase_s(starts, evader, TEAM_POLICIES[each])
+                            for each in ("retarget", "receding")
+                        ]
                     )
-                    bounds.append(straight_flight_s(starts - evader.start_m) / alone)
-                ratios.append(joint / alone)
-            words = [f"{count} pursuers, {name}, {seeds} seeds, largest {max(ratios):.3f}"]
-            for label, each in (("receding", ratios), ("straight flight", bounds)):
-                if each:
-                    half = t.ppf(0.975, seeds - 1) * np.std(each, ddof=1) / np.sqrt(seeds)
-                    low, high = np.mean(each) + np.array([-half, half])
-                    words.append(
-                        f"{label} / retarget {np.mean(each):.4f} ({low:.4f} to {high:.4f})"
-                    )
+                    bounds_s.append(straight_flight_s(starts - evader.start_m))
+            alone, joint = np.array(times_s).T
+            words = [
+                f"{count} pursuers, {name}, {seeds} seeds, largest {(joint / alone).max():.3f}"
+            ]
+            words += [
+                f"{label} mean {each.mean():.1f} s, worst {each.max():.1f} s"
+                for label, each in (("retarget", alone), ("receding", joint))
+            ]
+            for label, each in (("receding", joint), ("straight flight", np.array(bounds_s))):
+                if len(each):
+                    ratio = each / alone
+                    half = t.ppf(0.975, seeds - 1) * ratio.std(ddof=1) / np.sqrt(seeds)
+                    low, high = ratio.mean() + np.array([-half, half])
+                    words.append(f"{label} / retarget {ratio.mean():.4f} ({low:.4f} to {high:.4f})")
             print("; ".join(words), flush=True)
 
 

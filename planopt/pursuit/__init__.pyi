@@ -26,6 +26,8 @@ from planopt.pursuit.design import pareto_front as pareto_front
 from planopt.pursuit.design import relaxed_design as relaxed_design
 from planopt.pursuit.design import sensitivities as sensitivities
 from planopt.pursuit.design import sharp_design as sharp_design
+from planopt.pursuit.detection import AssociatedRecords as AssociatedRecords
+from planopt.pursuit.detection import Report as Report
 from planopt.pursuit.evaders import Fleeing as Fleeing
 from planopt.pursuit.evaders import Foresighted as Foresighted
 from planopt.pursuit.evaders import Static as Static
@@ -53,6 +55,7 @@ from planopt.pursuit.service import Track as Track
 from planopt.pursuit.service import late_shares as late_shares
 from planopt.pursuit.service import mote_centres_m as mote_centres_m
 from planopt.pursuit.service import peak_blocks_per_frame as peak_blocks_per_frame
+from planopt.pursuit.service import record_floods as record_floods
 from planopt.pursuit.service import relative_error as relative_error
 from planopt.pursuit.service import simulate_flooding as simulate_flooding
 from planopt.pursuit.service import snapshot as snapshot

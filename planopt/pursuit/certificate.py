@@ -316,6 +316,15 @@ class Claim:
     capture_time_s: float | None  # None if no time is guaranteed
 
 
+def flaws_of(loss_probability: float, unnamed: bool) -> tuple[Inequality, ...]:
+    """Return the premises of every theorem that losses or unnamed reports violate."""
+    shares = {
+        "share of lost records": loss_probability,
+        "share of records without the evader's name": float(unnamed),
+    }
+    return tuple(Inequality(words, share, 0.0) for words, share in shares.items() if share > 0.0)
+
+
 def verify_guarantees(
     data: PursuitData, log: PursuitLog, claims: tuple[Claim, ...], detour: float
 ) -> list[Violation]:
@@ -329,9 +338,8 @@ def verify_guarantees(
         name, radius_m = claim.theorem.value, data.capture_radius_m
         case = _case(data, 0, 0, claim.distances, detour)
         needs, floor = premises(claim.theorem, case), floor_m(claim.theorem, case)
-        lost = data.service.loss_probability
-        if lost > 0.0:
-            needs = [Inequality("share of lost records", lost, 0.0), *needs]
+        service = data.service
+        needs = [*flaws_of(service.loss_probability, service.detection is not None), *needs]
         if claim.holds and not all(each.holds for each in needs):
             failing = next(each for each in needs if not each.holds)
             found.append(Violation("guarantee", f"{name}: {failing}"))

@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -59,12 +59,15 @@ class NoDesignError(NoPlanError):
         )
 
 
-def mean_blocks_per_frame(border_relays: bool, levels: int) -> float:
+def mean_blocks_per_frame(border_relays: bool, levels: int, sparse: bool = False) -> float:
     """Return the mean number of blocks per frame flooded by a mote far from the edges."""
     # A level-j round of ``3 * 2^j`` frames has nine blocks per mote, or ``(3 - 2^(1 - j))^2``
     # without border relays. All levels together need ``3 (2 - 2^-L) < 6`` blocks, or less than 2.2.
     cell = np.exp2(np.arange(levels + 1))
     each = np.full(levels + 1, 9.0) if border_relays else (3.0 - 2.0 / cell) ** 2
+    if sparse:
+        # The cell that the evader leaves and the cell that it enters, of ``4^(L - j)``.
+        each *= np.minimum(1.0, 2.0 * (cell / cell[-1]) ** 2)
     return float((each / (HOPS_PER_ROUND * cell)).sum())
 
 
@@ -90,6 +93,9 @@ class MoteNetwork(Table):
     slot_blocks: int | None = Field(default=None, ge=1, le=MAX_SLOT_BLOCKS)
     """Minimum capacity of a slot in blocks; default: the peak load, so that no record is late.
     """
+    updates: Literal["full", "sparse"] = "full"
+    """Reports that a round sends: full (of all cells) or sparse (changes alone, of one evader whose
+    reports change in every round)."""
     border_relays: bool = True
     """Flag for relaying of records by motes at the border of the nine cells."""
 
@@ -101,12 +107,14 @@ class MoteNetwork(Table):
     @property
     def mean_blocks(self) -> float:
         """Return the mean number of blocks that a mote sends per frame."""
-        return mean_blocks_per_frame(self.border_relays, self.levels)
+        return mean_blocks_per_frame(self.border_relays, self.levels, self.updates == "sparse")
 
     @property
     def least_slot_blocks(self) -> int:
         """Return the required capacity of a slot in blocks."""
-        return self.slot_blocks or peak_blocks_per_frame(self.border_relays, self.levels)
+        sparse = self.updates == "sparse"
+        peak = peak_blocks_per_frame(self.border_relays, self.levels, sparse)
+        return self.slot_blocks or peak
 
     def slot_capacity(self, slot_width_s: float, bits_per_axis: int) -> int:
         """Return the number of blocks that fit into a slot in addition to the header."""

@@ -12,7 +12,7 @@ blocks; further blocks wait, longest at coarse levels.
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -227,14 +227,23 @@ class Record:
     error_m: float  # Maximum error of the reported position
 
 
+Pair = tuple[int, int]
+"""Indices of a pursuer and an evader."""
+
+
 class RecordSource(Protocol):
     """Source of a pursuer's records."""
 
     def record(
-        self, track: Track, place_m: Floats, time_s: float, last: Record | None
+        self,
+        tracks: Sequence[Track],
+        pair: Pair,
+        place_m: Floats,
+        time_s: float,
+        last: Record | None,
     ) -> Record | None:
-        """Return the record of the evader on `track` for a pursuer's position, or None."""
-        # `last` is the record in use. The track ends at the current time.
+        """Return the record of a pair (pursuer, evader) for the pursuer's position, or None."""
+        # `last` is the record in use. The tracks of all evaders end at the current time.
         ...
 
 
@@ -248,10 +257,15 @@ class SnapshotRecords:
     lost: Mask | None = None
 
     def record(
-        self, track: Track, place_m: Floats, time_s: float, last: Record | None
+        self,
+        tracks: Sequence[Track],
+        pair: Pair,
+        place_m: Floats,
+        time_s: float,
+        last: Record | None,
     ) -> Record | None:
         """Return the report of the finest level that shows the evader to the local mote."""
-        now = snapshot(self.service, track, time_s)
+        now = snapshot(self.service, tracks[pair[1]], time_s)
         shown = now.shown_at(self.service.cells(place_m, 0))
         if self.lost is not None:
             rounds = self.service.sample_numbers(time_s) % self.lost.shape[1]
@@ -264,6 +278,71 @@ class SnapshotRecords:
         )
 
 
+UpdateRule = Literal["full", "sparse", "directed"]
+
+
+def record_floods(
+    service: SnapshotService,
+    track: Track,
+    duration_s: float,
+    rule: UpdateRule,
+    receivers: Sequence[tuple[Track, float]] = (),  # Tracks and speeds of pursuers, for directed
+) -> Iterator[tuple[int, int, NDArray[np.int64], bool, NDArray[np.int64]]]:
+    """Yield level, round, cell, presence of an object, and the area of motes of each flood."""
+    # An area (2, 2) has first and last column and row; each of its motes sends the report once.
+    # Directed updates also send an unchanged report if it serves motes that were not told. All
+    # motes that were told learn that the object left a cell.
+    for level in range(service.levels + 1):
+        count = math.floor(duration_s / service.periods_s[level] + ROUNDING) + 1
+        sampled_s = service.periods_s[level] * np.arange(count, dtype=np.float64)
+        places_m = track.at(sampled_s)
+        cells = service.cells(places_m, level)
+        fine = service.cells(places_m, max(0, level - service.bits_per_axis))
+        areas = np.stack([(cells - 1) << level, ((cells + 2) << level) - 1], axis=1)
+        if not service.endless:
+            areas = np.clip(areas, 0, service.motes_per_side - 1)
+        if rule == "directed":
+            areas = _served(service, level, areas, cells << level, sampled_s, receivers)
+        told = ever = None
+        for number, (cell, area) in enumerate(zip(cells, areas, strict=True)):
+            if number and (cell != cells[number - 1]).any():
+                if ever is not None:
+                    yield level, number, cells[number - 1], False, ever
+                told = ever = None
+            if rule == "full" or (number and (fine[number] != fine[number - 1]).any()):
+                told = None
+            nobody = (area[0] > area[1]).any()
+            if nobody or (told is not None and (area == np.clip(area, told[0], told[1])).all()):
+                continue
+            told = area
+            whole = area if ever is None else np.concatenate([area, ever])
+            ever = np.stack([whole.min(axis=0), whole.max(axis=0)])
+            yield level, number, cell, True, area
+
+
+def _served(
+    service: SnapshotService,
+    level: int,
+    areas: NDArray[np.int64],
+    heads: NDArray[np.int64],
+    sampled_s: Floats,
+    receivers: Sequence[tuple[Track, float]],
+) -> NDArray[np.int64]:
+    """Return the parts (k, 2, 2) of areas that contain the head and where receivers may be."""
+    # Receivers announce their positions at each sample, and a report is used until the next round
+    # ends. The first mote of a part is beyond its last mote if nobody is served.
+    lasts_s = service.rounds_s[level] + service.periods_s[level]
+    low, high = np.full((2, *heads.shape), [[[1 << 62]], [[-(1 << 62)]]])
+    for track, speed_m_s in receivers:
+        place_m, reach_m = track.at(sampled_s), speed_m_s * lasts_s
+        first = np.maximum(areas[:, 0], service.cells(place_m - reach_m, 0))
+        last = np.minimum(areas[:, 1], service.cells(place_m + reach_m, 0))
+        served = (first <= last).all(axis=1, keepdims=True)
+        low = np.where(served, np.minimum(low, np.minimum(first, heads)), low)
+        high = np.where(served, np.maximum(high, np.maximum(last, heads)), high)
+    return np.stack([low, high], axis=1)
+
+
 PEAK_BLOCKS = {True: (4, 10, 15, 19, 24, 29, 34, 39), False: (2, 5, 7, 11, 15, 20, 25, 30)}
 """Peak load of a mote in blocks per frame, with and without border relays, for 1, 2, ... levels.
 
@@ -273,8 +352,11 @@ MOST_SIMULATED_LEVELS = 7
 """Maximum number of levels in a simulation of flooding, which then takes three seconds."""
 
 
-def peak_blocks_per_frame(border_relays: bool, levels: int) -> int:
+def peak_blocks_per_frame(border_relays: bool, levels: int, sparse: bool = False) -> int:
     """Return a slot capacity in blocks that is sufficient to send all records at once."""
+    # One evader changes two cells of a level at most, whose reports a mote sends once each.
+    if sparse:
+        return 2 * (levels + 1)
     # For up to eight levels this is the peak load, beyond it the bound of eight blocks per level:
     # of the nine heads whose records a mote relays, at most eight are at the same hop distance.
     counted = PEAK_BLOCKS[border_relays]
@@ -282,13 +364,14 @@ def peak_blocks_per_frame(border_relays: bool, levels: int) -> int:
 
 
 def late_shares(
-    levels: int, border_relays: bool, slot_blocks: int, rate_divisor: int = 1
+    levels: int, border_relays: bool, slot_blocks: int, rate_divisor: int = 1, sparse: bool = False
 ) -> tuple[float, ...] | None:
     """Return the share of late records by level, exact if no message is lost."""
-    # The result is None if slots are below the peak load and the grid is too large to simulate.
-    if slot_blocks >= peak_blocks_per_frame(border_relays, levels):
+    # The result is None if slots are below the peak load and floods are not simulated: with sparse
+    # updates, and on large grids.
+    if slot_blocks >= peak_blocks_per_frame(border_relays, levels, sparse):
         return (0.0,) * (levels + 1)
-    if levels > MOST_SIMULATED_LEVELS:
+    if sparse or levels > MOST_SIMULATED_LEVELS:
         return None
     service = SnapshotService(levels, 1.0, 1.0, 1, rate_divisor=rate_divisor)
     run = simulate_flooding(service, border_relays=border_relays, slot_blocks=slot_blocks)

@@ -15,7 +15,14 @@ from planopt.pursuit.certificate import Distances
 from planopt.pursuit.cooperation import Mate
 from planopt.pursuit.evaders import Behaviour, EvaderView
 from planopt.pursuit.pursuers import Driver, Motion, Policy, PursuerView, Quest, StraightMotion
-from planopt.pursuit.service import Record, RecordSource, Track
+from planopt.pursuit.service import (
+    Record,
+    RecordSource,
+    SnapshotService,
+    Track,
+    UpdateRule,
+    record_floods,
+)
 
 STEP_PIECES = 4
 """Number of straight segments of a pursuer's step on which captures are detected."""
@@ -94,6 +101,19 @@ class Pursuit:
     def outcome(self) -> str:
         """Return ``captured`` if all evaders were captured, otherwise ``step_limit``."""
         return "captured" if np.isfinite(self.capture_s).all() else "step_limit"
+
+    def blocks(self, service: SnapshotService, rule: UpdateRule) -> int:
+        """Return the number of blocks that flood the evaders' reports under an update rule."""
+        receivers = [
+            (Track(self.times_s, states[:, :2]), each.motion.speed_max_m_s)
+            for states, each in zip(self.pursuers, self.scene.pursuers, strict=True)
+        ]
+        tracks, lasts_s = (Track(self.times_s, each) for each in self.evaders_m), self.times_s[-1]
+        return sum(
+            int((area[1] - area[0] + 1).prod())
+            for track in tracks
+            for *_, area in record_floods(service, track, lasts_s, rule, receivers)
+        )
 
     def bounds_m(
         self, pursuer: int, evader: int, distances: Distances = Distances.STRAIGHT
@@ -277,22 +297,20 @@ def simulate_pursuit(
     behaviours = [each.behaviour.begin(generator) for each in scene.evaders]
     controller = PursuitController(scene)
     fastest = max(each.motion.speed_max_m_s for each in scene.pursuers)
-    step = 0
-
-    def track(evader: int) -> Track:
-        return Track(times_s[: step + 1], places[evader, : step + 1])
+    step, tracks = 0, list[Track]()
 
     def report(pursuer: int, evader: int, held: Record | None) -> Record | None:
-        here_m = states[pursuer][step, :2]
-        return scene.source.record(track(evader), here_m, float(times_s[step]), held)
+        here_m, pair = states[pursuer][step, :2], (pursuer, evader)
+        return scene.source.record(tracks, pair, here_m, float(times_s[step]), held)
 
     while step < steps and np.isinf(capture_s).any():
         now = [each[step] for each in states]
         here_m = np.array([state[:2] for state in now])
+        tracks = [Track(times_s[: step + 1], each[: step + 1]) for each in places]
         decided = controller.decide(now, report, np.flatnonzero(np.isinf(capture_s)))
         chased[:, step], aims_m[:, step] = decided.chased, decided.aims_m
         for pursuer, evader, record in decided.records:
-            sampled_m = track(evader).at(np.array(record.sampled_s))
+            sampled_m = tracks[evader].at(np.array(record.sampled_s))
             time_s = float(times_s[step])
             uses.append(Use(pursuer, evader, time_s, here_m[pursuer], record, sampled_m))
         for number, each in enumerate(scene.evaders):

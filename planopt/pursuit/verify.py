@@ -6,12 +6,11 @@ allow. Reports are compared with the rounds of the service, captures with distan
 """
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
 from planopt.arrays import Floats, Indices, Mask
 
@@ -45,7 +44,36 @@ class Service:
     hops_per_round: int
     rate_divisor: int
     endless: bool
-    loss_probability: float
+    loss_probability: float = 0.0
+    updates: str = "full"  # All rules deliver the same reports to pursuers
+    # Detection errors; reports then do not name the evader
+    detection: Mapping[str, float] | None = None
+
+    @property
+    def rounds_s(self) -> Floats:
+        """Return the duration of a round of each level (L + 1,)."""
+        return self.hops_per_round * self.frame_s * np.exp2(np.arange(self.levels + 1))
+
+    @property
+    def periods_s(self) -> Floats:
+        """Return the time between the samples of each level (L + 1,)."""
+        return self.rate_divisor * self.rounds_s
+
+    def ended(self, times_s: Floats) -> Floats:
+        """Return the number of the last round of each level (k, L + 1) that ended by times (k,)."""
+        return np.floor((times_s[:, None] - self.rounds_s) / self.periods_s + 1e-9)
+
+    def seen(self, log: PursuitLog, evader: int, rounds: Floats) -> Indices:
+        """Return the mote (L + 1, 2) at the evader's position when each level sampled."""
+        return _mote(self, log.evader_at(evader, rounds * self.periods_s))
+
+    def told(self, seen: Indices, claim: tuple[float, Floats, float]) -> Mask:
+        """Return a mask (L + 1,) of the levels that report motes (L + 1, 2) as a record claims."""
+        fine = np.maximum(0, np.arange(self.levels + 1) - self.bits_per_axis)
+        side_m = self.mote_spacing_m * 2.0**fine
+        report_m = ((seen >> fine[:, None]) + 0.5) * side_m[:, None]
+        agrees = np.abs(report_m - claim[1]).max(axis=1) <= PLACE_M
+        return agrees & (np.abs(math.sqrt(0.5) * side_m - claim[2]) <= PLACE_M)
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,30 +307,30 @@ def _report_faults(data: PursuitData, log: PursuitLog) -> Iterator[Violation]:
     if np.abs(log.times_s[step] - reports.time_s).max() > TIME_S:
         yield Violation("report", "a report is received at no step of the run")
         return
-    level = np.arange(service.levels + 1)
-    lasts_s = service.hops_per_round * service.frame_s * 2.0**level
-    rounds = (reports.time_s[:, None] - lasts_s) / (service.rate_divisor * lasts_s)
-    sampled_s = np.floor(rounds + 1e-9) * service.rate_divisor * lasts_s
-    fine = np.maximum(0, level - service.bits_per_axis)
-    side_m = service.mote_spacing_m * 2.0**fine
     held: dict[tuple[int, int], tuple[float, float]] = {}
     for row, (pursuer, evader) in enumerate(reports.pairs):
-        mote = _mote(service, log.states[pursuer][step[row], :2])
-        seen = _mote(service, log.evader_at(evader, sampled_s[row]))
-        apart = (mote >> level[:, None]) - (seen >> level[:, None])
-        shows = np.abs(apart).max(axis=1) <= 1
-        report_m = ((seen >> fine[:, None]) + 0.5) * side_m[:, None]
-        agrees = (
-            shows
-            & (np.abs(sampled_s[row] - reports.sampled_s[row]) <= TIME_S)
-            & (np.abs(report_m - reports.reported_m[row]).max(axis=1) <= PLACE_M)
-            & (np.abs(math.sqrt(0.5) * side_m - reports.error_m[row]) <= PLACE_M)
-        )
         who = f"the report {row} of {data.evaders[evader].name} to {data.pursuers[pursuer].name}"
+        claim = reports.sampled_s[row], reports.reported_m[row], reports.error_m[row]
+        number = np.rint(claim[0] / service.periods_s)
+        # A pursuer that associates reports keeps those that it received earlier elsewhere.
+        used = int(step[row])
+        steps = np.arange(used + 1) if service.detection else np.array([used])
+        ended = service.ended(log.times_s[steps])
+        motes = _mote(service, log.states[pursuer][steps, :2])
+        others = range(len(data.evaders)) if service.detection else [evader]
+        seen = [service.seen(log, each, number) for each in others]
+        if service.detection and service.detection["false_alarms"] > 0.0:
+            seen.append(np.tile(_mote(service, claim[1]), (service.levels + 1, 1)))
+        told = [((ended == number) & _near(motes, each)).any(axis=0) for each in seen]
+        told = [heard & service.told(each, claim) for heard, each in zip(told, seen, strict=True)]
+        agrees = np.any(told, axis=0) & (np.abs(number * service.periods_s - claim[0]) <= TIME_S)
         if not agrees.any():
             yield Violation("report", f"{who}: no mote could have given it")
-        elif service.loss_probability == 0.0 and not agrees[shows.argmax()]:
-            yield Violation("report", f"{who}: a finer level shows the evader, and none is lost")
+        elif service.loss_probability == 0.0 and service.detection is None:
+            shows = _near(motes, service.seen(log, evader, ended[0]))[0]
+            if not agrees[shows.argmax()]:
+                text = f"{who}: a finer level shows the evader, and none is lost"
+                yield Violation("report", text)
         last_s, last_m = held.get((pursuer, evader), (-math.inf, math.inf))
         now_s, now_m = float(reports.sampled_s[row]), float(reports.error_m[row])
         if now_s < last_s - TIME_S or (now_s < last_s + TIME_S and now_m >= last_m):
@@ -310,10 +338,17 @@ def _report_faults(data: PursuitData, log: PursuitLog) -> Iterator[Violation]:
         held[pursuer, evader] = now_s, now_m
 
 
-def _mote(service: Service, places_m: Floats) -> NDArray[np.int64]:
+def _mote(service: Service, places_m: Floats) -> Indices:
     """Return column and row of the mote whose square contains each position (..., 2)."""
     found = np.floor(places_m / service.mote_spacing_m).astype(np.int64)
     return found if service.endless else np.clip(found, 0, 2**service.levels - 1)
+
+
+def _near(motes: Indices, seen: Indices) -> Mask:
+    """Return a mask (k, L + 1) of the levels whose cells of motes (k, 2) and (L + 1, 2) touch."""
+    level = np.arange(len(seen))[:, None]
+    apart = (motes[:, None] >> level) - (seen >> level)
+    return np.asarray(np.abs(apart).max(axis=-1) <= 1, np.bool_)
 
 
 def _aim_faults(data: PursuitData, log: PursuitLog) -> Iterator[Violation]:

@@ -75,7 +75,7 @@ def simulate(
         "outcome": pursuit.outcome,
         "reason": _reason(pursuit),
         "capture_time_s": finite(pursuit.capture_time_s),
-        "metrics": _metrics(pursuit),
+        "metrics": _metrics(problem, pursuit),
         "rungs": {planner.name: len(times_s) - 1},
         "verified_rate": float(np.mean(kept)) if kept else None,
         "guarantee": _guarantee_json(problem, pursuit, shares),
@@ -301,6 +301,10 @@ def _in_words(result: TaskResult) -> Sequence[str]:
             f"  position reports used: {metrics['records']}, mean age {metrics['mean_age_s']:.2f} "
             f"s, mean error {metrics['mean_error_m']:.2f} m"
         )
+    lines.append(
+        f"  blocks sent by motes to report evaders: {metrics['report_blocks']}; false alarms and "
+        f"reports of other evaders used: {metrics['wrong_records']}"
+    )
     if guarantee["detour"] > 1.0:
         lines.append(
             f"  paths are at most {guarantee['detour']:.4g} times as long as straight lines"
@@ -339,17 +343,22 @@ def _reason(pursuit: Pursuit) -> str:
     return f"{len(free)} not caught in {steps} steps, nearest {nearest_m:.3g} m{unknown}"
 
 
-def _metrics(pursuit: Pursuit) -> dict[str, Any]:
-    uses = pursuit.uses
+def _metrics(problem: PursuitProblem, pursuit: Pursuit) -> dict[str, Any]:
+    uses, network = pursuit.uses, problem.given.network
     errors_m = [float(np.linalg.norm(use.record.reported_m - use.sampled_m)) for use in uses]
     return {
         "capture_time_s": finite(pursuit.capture_time_s),
         "steps": len(pursuit.times_s) - 1,
         "pursuer_path_m": sum(_length_m(states[:, :2]) for states in pursuit.pursuers),
         "evader_path_m": sum(_length_m(places) for places in pursuit.evaders_m),
+        "report_blocks": pursuit.blocks(problem.service, network.updates),
         "records": len(uses),
         "mean_age_s": float(np.mean([use.age_s for use in uses])) if uses else None,
         "mean_error_m": float(np.mean(errors_m)) if uses else None,
+        "wrong_records": sum(
+            error_m > use.record.error_m * (1.0 + RATIO_ROUNDING)
+            for use, error_m in zip(uses, errors_m, strict=True)
+        ),
     }
 
 

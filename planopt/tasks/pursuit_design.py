@@ -273,8 +273,8 @@ def _unproved(late: tuple[float, ...] | None, blocks: int) -> str:
     """Return the reason why records of a design may be late; empty if all are on time."""
     if late is None:
         return (
-            f"a slot of {blocks} blocks is below the peak load, and grids of more than "
-            f"{MOST_SIMULATED_LEVELS} levels are not simulated"
+            f"a slot of {blocks} blocks is below the peak load, and sparse updates and grids of "
+            f"more than {MOST_SIMULATED_LEVELS} levels are not simulated"
         )
     worst = int(np.argmax(late))
     if late[worst] == 0.0:
@@ -318,7 +318,13 @@ def _design_json(
     bound = objective * (1.0 - SCAN_SHARE)
     network = problem.design.network
     blocks = network.slot_capacity(design.slot_width_s, design.bits_per_axis)
-    late = late_shares(network.levels, network.border_relays, blocks, design.rate_divisor)
+    late = late_shares(
+        network.levels,
+        network.border_relays,
+        blocks,
+        design.rate_divisor,
+        network.updates == "sparse",
+    )
     reason = _unproved(late, blocks)
     verdict = Verdict.FEASIBLE_UNVERIFIED if reason else Verdict.VERIFIED
     if not all(each.holds for each in proof):

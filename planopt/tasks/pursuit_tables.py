@@ -2,22 +2,23 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
-from planopt.arrays import Floats
+from planopt.arrays import Floats, Mask
 from planopt.errors import InputError
 from planopt.keys import SMALLEST, Distance, Length, Name, Pair, Table
 from planopt.problems.schema import TaskFile, WorldTable
 from planopt.problems.settings import MAX_HORIZON, MIN_HORIZON
 from planopt.problems.tasks import TaskProblem
 from planopt.pursuit.arena import EVADER_SHARE, Arena, arena_of
-from planopt.pursuit.certificate import Distances, Inequality, Theorem
+from planopt.pursuit.certificate import Distances, Theorem, flaws_of
 from planopt.pursuit.design import MAX_BITS
+from planopt.pursuit.detection import AssociatedRecords
 from planopt.pursuit.evaders import Fleeing, Foresighted, Static, Wandering, Zigzag
 from planopt.pursuit.guarantees import (
     Chase,
@@ -33,7 +34,15 @@ from planopt.pursuit.pursuers import (
     StraightMotion,
     UnicycleMotion,
 )
-from planopt.pursuit.service import HOPS_PER_ROUND, MAX_LEVELS, SnapshotRecords, SnapshotService
+from planopt.pursuit.service import (
+    HOPS_PER_ROUND,
+    MAX_LEVELS,
+    Record,
+    RecordSource,
+    SnapshotRecords,
+    SnapshotService,
+    UpdateRule,
+)
 from planopt.pursuit.simulation import Evader, Pursuer, Scene
 from planopt.robots.models import Unicycle
 from planopt.world.workspace import Workspace
@@ -44,6 +53,18 @@ START_DRAWS = 1000
 """Maximum number of positions drawn for a start in free space."""
 
 PlannerName = Literal["drive", "retarget", "receding"]
+
+
+class DetectionTable(Table):
+    """Table ``[network.detection]``: motes that detect imperfectly and do not name the evader.
+
+    Pursuers associate the reports with the evaders. Initially they know start_m and start_radius_m.
+    """
+
+    miss_probability: float = Field(default=0.0, ge=0, lt=1)
+    """Probability that an evader is not detected at a sample time, independently of the others."""
+    false_alarms: float = Field(default=0.0, ge=0, le=100)
+    """Expected number of false alarms at a sample time, uniform over the square of 4^L motes."""
 
 
 class ServiceTable(Table):
@@ -65,6 +86,11 @@ class ServiceTable(Table):
     """True if the mote grid is unbounded; required without [world]."""
     loss_probability: float = Field(default=0.0, ge=0, lt=1)
     """Probability that a round's report of the evader is lost, independently of the others."""
+    updates: UpdateRule = "full"
+    """Reports that a round sends: full (all), sparse (changed ones; silence means no change) or
+    directed (sparse, and only towards places where a pursuer may be until the next round)."""
+    detection: DetectionTable | None = None
+    """Detection errors; default: every evader is detected and named."""
 
 
 class RulesTable(Table):
@@ -186,12 +212,22 @@ class PursuitProblem(TaskProblem):
                 Evader(start, each.speed_max_m_s, each.behaviour)
                 for start, each in zip(begins, config.evaders, strict=True)
             ),
-            SnapshotRecords(self.service, lost),
+            self._source(lost, generator),
             rules.capture_radius_m,
             rules.step_s,
             rules.max_steps,
             self.arena,
         )
+
+    def _source(self, lost: Mask | None, generator: np.random.Generator) -> RecordSource:
+        """Return the source of the pursuers' records, with drawn detection errors."""
+        errors, evaders = self.config.network.detection, self.config.evaders
+        if errors is None:
+            return SnapshotRecords(self.service, lost)
+        starts = [Record(0.0, np.array(each.start_m), each.start_radius_m) for each in evaders]
+        fastest = max(each.speed_max_m_s for each in evaders)
+        rates = errors.miss_probability, errors.false_alarms
+        return AssociatedRecords(self.service, rates, starts, fastest, generator, lost)
 
     def _start_m(
         self, key: str, table: PursuerTable | EvaderTable, generator: np.random.Generator
@@ -227,14 +263,12 @@ class PursuitProblem(TaskProblem):
                 )
                 for theorem in kinds[Distances.PATHS]
             }
-        lost = self.config.network.loss_probability
-        if lost > 0.0:
-            none_lost = Inequality("share of lost records", lost, 0.0)
-            found = {
-                theorem: replace(each, inequalities=(none_lost, *each.inequalities))
-                for theorem, each in found.items()
-            }
-        return found
+        network = self.config.network
+        flaws = flaws_of(network.loss_probability, network.detection is not None)
+        return {
+            theorem: replace(each, inequalities=(*flaws, *each.inequalities))
+            for theorem, each in found.items()
+        }
 
     def words(self) -> Sequence[str]:
         """Return a text summary of the problem, line by line."""
@@ -267,12 +301,14 @@ LEAST_SPEED_M_S = 1e-9
 
 def build(config: PursuitFile, folder: Path, file: Path | None) -> PursuitProblem:
     """Build the problem from validated tables."""
-    service = SnapshotService(**config.network.model_dump(exclude={"loss_probability"}))
+    keys = {each.name for each in fields(SnapshotService)}
+    service = SnapshotService(**config.network.model_dump(include=keys))
     arena = Arena()
     if config.world is not None:
         workspace = Workspace(config.world.bounds_m, config.world.obstacles)
         arena = arena_of(workspace, config.pursuit.clearance_m)
     _require_covered(config, service)
+    _require_updates(config.network)
     problem = PursuitProblem(config, file, service, arena)
     problem.scene(np.random.default_rng(0))
     return problem
@@ -294,4 +330,15 @@ def _require_covered(config: PursuitFile, service: SnapshotService) -> None:
             f"{service.side_m:g}) m",
             key="world.bounds_m",
             remedy="reduce the bounds, or set network.endless = true",
+        )
+
+
+def _require_updates(network: ServiceTable) -> None:
+    """Raise an error if silence does not mean that a report is unchanged."""
+    if network.updates != "full" and (network.loss_probability > 0.0 or network.detection):
+        raise InputError(
+            f'cannot be "{network.updates}" if reports are lost or evaders are missed: silence '
+            "then does not mean that a report is unchanged",
+            key="network.updates",
+            remedy='use "full", or leave out network.loss_probability and network.detection',
         )

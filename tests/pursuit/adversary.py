@@ -27,9 +27,15 @@ class AdversarialRecords:
     in_order: bool = True
 
     def record(
-        self, track: Track, place_m: NDArray[np.float64], time_s: float, last: Record | None
+        self,
+        tracks: list[Track],
+        pair: tuple[int, int],
+        place_m: NDArray[np.float64],
+        time_s: float,
+        last: Record | None,
     ) -> Record | None:
         """Return the worst record at a place and time; one without age always is allowed."""
+        track = tracks[pair[1]]
         first_s = last.sampled_s if last is not None and self.in_order else float(track.times_s[0])
         sampled_s = np.linspace(min(first_s, time_s), time_s, AGES)
         sampled_m = track.at(sampled_s)

@@ -19,8 +19,8 @@ from planopt.pursuit import (
 class ExactRecords:
     """Where the evader is."""
 
-    def record(self, track, place_m, time_s, last):
-        return Record(time_s, track.at(np.array(time_s)), 0.0)
+    def record(self, tracks, pair, place_m, time_s, last):
+        return Record(time_s, tracks[pair[1]].at(np.array(time_s)), 0.0)
 
 
 def pursue(source, behaviour, seed, *, speeds=(1.0, 2.0), distance_m=60.0, radius_m=3.0, **options):

@@ -62,8 +62,9 @@ def test_pursuers_are_driven_through_their_reports(planner):
         states = [each[step] for each in run.pursuers]
 
         def report(pursuer, evader, held, step=step, time_s=time_s, states=states):
-            track = Track(run.times_s[: step + 1], run.evaders_m[evader, : step + 1])
-            return run.scene.source.record(track, states[pursuer][:2], time_s, held)
+            tracks = [Track(run.times_s[: step + 1], each[: step + 1]) for each in run.evaders_m]
+            pair, here_m = (pursuer, evader), states[pursuer][:2]
+            return run.scene.source.record(tracks, pair, here_m, time_s, held)
 
         captured = np.flatnonzero(run.capture_s <= time_s)
         action = pursuers.step(states, report, captured)

@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_257,
-    "lines of code": 51_877,
-    "files": 279,
-    "functions": 3_752,
-    "docstring lines": 7_490,
-    "lines of tests": 48_412,
+    "lines": 70_664,
+    "lines of code": 52_187,
+    "files": 280,
+    "functions": 3_770,
+    "docstring lines": 7_525,
+    "lines of tests": 48_596,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

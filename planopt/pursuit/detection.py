@@ -2,11 +2,9 @@
 
 Motes miss evaders and raise false alarms. Samples of all levels coincide, so a miss or false alarm
 appears at every level. An evader explains a chain of reports. A link between two reports is worth
-the logarithm of its likelihood ratio to a false alarm (equation 8.21). The chains of greatest worth
+the logarithm of its likelihood ratio to a false alarm (equation 8.22). The chains of greatest worth
 that share no report are a minimum-cost flow, whose linear programme has integer solutions.
 """
-
-from __future__ import annotations
 
 import math
 from collections.abc import Sequence

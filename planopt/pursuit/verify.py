@@ -63,10 +63,6 @@ class Service:
         """Return the number of the last round of each level (k, L + 1) that ended by times (k,)."""
         return np.floor((times_s[:, None] - self.rounds_s) / self.periods_s + 1e-9)
 
-    def seen(self, log: PursuitLog, evader: int, rounds: Floats) -> Indices:
-        """Return the mote (L + 1, 2) at the evader's position when each level sampled."""
-        return _mote(self, log.evader_at(evader, rounds * self.periods_s))
-
     def told(self, seen: Indices, claim: tuple[float, Floats, float]) -> Mask:
         """Return a mask (L + 1,) of the levels that report motes (L + 1, 2) as a record claims."""
         fine = np.maximum(0, np.arange(self.levels + 1) - self.bits_per_axis)
@@ -126,6 +122,10 @@ class PursuitLog:
     def evader_at(self, evader: int, times_s: Floats) -> Floats:
         """Return the evader's positions (k, 2) at times; the start before the first time."""
         return _interpolated(times_s, self.times_s, self.evaders_m[evader])
+
+    def seen(self, service: Service, evader: int, rounds: Floats) -> Indices:
+        """Return the mote (L + 1, 2) at the evader's position when each level sampled."""
+        return _mote(service, self.evader_at(evader, rounds * service.periods_s))
 
 
 @dataclass(frozen=True)
@@ -318,7 +318,7 @@ def _report_faults(data: PursuitData, log: PursuitLog) -> Iterator[Violation]:
         ended = service.ended(log.times_s[steps])
         motes = _mote(service, log.states[pursuer][steps, :2])
         others = range(len(data.evaders)) if service.detection else [evader]
-        seen = [service.seen(log, each, number) for each in others]
+        seen = [log.seen(service, each, number) for each in others]
         if service.detection and service.detection["false_alarms"] > 0.0:
             seen.append(np.tile(_mote(service, claim[1]), (service.levels + 1, 1)))
         told = [((ended == number) & _near(motes, each)).any(axis=0) for each in seen]
@@ -327,7 +327,7 @@ def _report_faults(data: PursuitData, log: PursuitLog) -> Iterator[Violation]:
         if not agrees.any():
             yield Violation("report", f"{who}: no mote could have given it")
         elif service.loss_probability == 0.0 and service.detection is None:
-            shows = _near(motes, service.seen(log, evader, ended[0]))[0]
+            shows = _near(motes, log.seen(service, evader, ended[0]))[0]
             if not agrees[shows.argmax()]:
                 text = f"{who}: a finer level shows the evader, and none is lost"
                 yield Violation("report", text)

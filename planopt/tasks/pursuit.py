@@ -344,7 +344,7 @@ def _reason(pursuit: Pursuit) -> str:
 
 
 def _metrics(problem: PursuitProblem, pursuit: Pursuit) -> dict[str, Any]:
-    uses, network = pursuit.uses, problem.given.network
+    uses, network = pursuit.uses, problem.config.network
     errors_m = [float(np.linalg.norm(use.record.reported_m - use.sampled_m)) for use in uses]
     return {
         "capture_time_s": finite(pursuit.capture_time_s),

@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_664,
-    "lines of code": 52_187,
+    "lines": 70_680,
+    "lines of code": 52_197,
     "files": 280,
     "functions": 3_770,
-    "docstring lines": 7_525,
-    "lines of tests": 48_596,
+    "docstring lines": 7_528,
+    "lines of tests": 48_600,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

@@ -193,6 +193,11 @@ def test_list_and_schema(capsys) -> None:
     assert "constraints" in readable["properties"]
 
 
+def test_no_summary_of_a_command_is_cut(capsys) -> None:
+    main(["--help"])
+    assert "...\n" not in capsys.readouterr().out.replace("[ARGS]...\n", "")
+
+
 def test_help_and_version(capsys) -> None:
     """All are exit code 0 on stdout; without arguments the first three commands are shown."""
     assert main([]) == 0

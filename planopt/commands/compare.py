@@ -86,6 +86,7 @@ def compare(
         save_no_comparison,
     )
     from planopt.studies.study import require_backend
+    from planopt.tasks.task import NOT_VERIFIED
 
     require_backend(backend, "--backend")
     if parquet:
@@ -136,6 +137,12 @@ def compare(
         where = f" {COMPARISON_FILE}, written with --out FOLDER"
         where = where if folder is None else f"\n{folder / COMPARISON_FILE}"
         text = "" if json else f"{comparison_text(comparison)}\nall numbers:{where}"
+        unproven = sum(run.exit_code == NOT_VERIFIED for run in comparison.runs)
+        if unproven:
+            text += (
+                f"\nexit code {comparison.exit_code}: {unproven} of {len(comparison.runs)} runs "
+            )
+            text += "have plans that are not verified (planopt simulate prints the reasons)"
         show(json, comparison_json(comparison) if json else {}, text)
         with drawing(folder, COMPARISON, wanted=figures) as new:
             if new is not None:

@@ -59,9 +59,10 @@ def import_problem(
     force: Annotated[bool, option("--force", None, "Replace an existing problem file.")] = False,
     json: JsonOption = False,
 ) -> int:
-    """Make a problem file from a power log and a map, and list all assumptions.
+    """Make a problem file from a power log and a map.
 
-    Columns, delimiter, units and transmitters are detected, and transmitters are located.
+    All assumptions are listed. Columns, delimiter, units and transmitters are detected, and
+    transmitters are located.
     """
     from planopt.files.writing import write_text
     from planopt.problems.draft import DraftSettings, draft_problem

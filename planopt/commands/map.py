@@ -76,7 +76,9 @@ def map_log(
     ] = None,
     json: JsonOption = False,
 ) -> int:
-    """Write a radio map of a log or a problem: power, its standard deviation, P(connected).
+    """Write a radio map of a log or a problem.
+
+    Its layers are power, standard deviation and P(connected).
 
     The map of a log is for its first receiver, at the time of the latest measurement. The map of
     a problem file (.toml) covers its bounds and shows the best station at each position. --nav2

@@ -25,7 +25,7 @@ def export_path(
     ] = 0.0,
     json: JsonOption = False,
 ) -> int:
-    """Write the path of a saved plan or run for other programs, or the whole result.
+    """Write the path of a saved plan or run for other programs.
 
     .json is for ROS, .plan for QGroundControl. .mcap (Foxglove) and .rrd (Rerun) are recordings of
     all robots with their plans, powers and the map.
@@ -56,7 +56,7 @@ def export_path(
 
 
 def report(result: ResultArgument, json: JsonOption = False) -> int:
-    """Write report.html next to a saved result: map, time slider, charts and tables."""
+    """Write report.html, a page with map and charts, next to a result."""
     from planopt.files.writing import write_text
     from planopt.report.page import PAGE_FILE, page_html
     from planopt.report.page_content import comparison_page

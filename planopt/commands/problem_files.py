@@ -51,7 +51,7 @@ def schema(
     ] = None,
     json: JsonOption = False,
 ) -> int:
-    """Print the JSON schema of problem files; --json prints it on one line."""
+    """Print the JSON schema of problem files."""
     from json import dumps
 
     from planopt.problems.schema import json_schema
@@ -78,7 +78,7 @@ def init(
     ] = "open_field",
     json: JsonOption = False,
 ) -> int:
-    """Create a problem file by copying a library problem and the maps that it refers to."""
+    """Copy a library problem and its maps to a new problem file."""
     from planopt.files.reading import read_bytes
     from planopt.files.writing import write_whole
     from planopt.problems.library import library_folder, list_problems, named_files, read_toml
@@ -119,7 +119,7 @@ def init(
 
 
 def show_problem(problem: ProblemArgument, json: JsonOption = False) -> int:
-    """Print the content of a problem file; --json prints all keys, including defaults."""
+    """Print a problem file; --json prints all keys with defaults."""
     from planopt.problems.load import load
     from planopt.problems.tasks import task_of
 
@@ -130,7 +130,7 @@ def show_problem(problem: ProblemArgument, json: JsonOption = False) -> int:
 
 
 def validate(problem: ProblemArgument, json: JsonOption = False) -> int:
-    """Check a problem file, its maps and logs, and whether the channel can be fitted."""
+    """Check a problem file, its maps and logs, and fit the channel."""
     from planopt.problems.load import load
     from planopt.problems.tasks import task_of
 

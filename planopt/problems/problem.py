@@ -90,7 +90,7 @@ class Problem:
     objective: ReachObjective | TermsObjective
     constraints: Constraints
     planner: PlannerSettings
-    file: Path | None
+    file: Path | None = field(compare=False)
     report: ReportSettings
     targets: tuple[Target, ...]
     compare: ComparisonSettings | None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -17,6 +18,9 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.axis import Axis
     from matplotlib.figure import Figure
+
+# Matplotlib's cached list of fonts may lack its own fonts for symbols, which are not used.
+logging.getLogger("matplotlib.font_manager").setLevel(logging.ERROR)
 
 BLACK, WHITE = "#000000", "#ffffff"
 ORANGE, SKY, GREEN, YELLOW = "#e69f00", "#56b4e9", "#009e73", "#f0e442"

@@ -109,7 +109,9 @@ def _parsed_wkt(name: str, text: str) -> shapely.Geometry:
     try:
         return shapely.from_wkt(text)
     except (shapely.GEOSException, NotImplementedError) as error:
-        raise InputError(f"{name}: invalid WKT: {error}", remedy=WKT_EXAMPLE) from error
+        # GEOS puts the name of its exception in front.
+        fault = re.sub(r"^\w+Exception: ", "", str(error))
+        raise InputError(f"{name}: invalid WKT: {fault}", remedy=WKT_EXAMPLE) from error
 
 
 def obstacles_of_geometry(name: str, geometry: shapely.Geometry) -> Iterator[Obstacle]:

@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_680,
-    "lines of code": 52_197,
-    "files": 280,
-    "functions": 3_770,
-    "docstring lines": 7_528,
-    "lines of tests": 48_600,
+    "lines": 70_836,
+    "lines of code": 52_325,
+    "files": 281,
+    "functions": 3_774,
+    "docstring lines": 7_538,
+    "lines of tests": 48_707,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

@@ -19,7 +19,6 @@ from planopt.world.lattice import (
     RoadMap,
     lattice_paths,
     nearest_node,
-    node_positions,
     nodes_in_reach,
     route_from,
 )
@@ -73,7 +72,7 @@ def build_scene(
     lattice = road_map.lattice
     row, column = nearest_node(lattice, goal)
     goal_node = int(road_map.number[row, column])
-    if np.linalg.norm(node_positions(lattice)[row, column] - goal) > STANDSTILL_M:
+    if np.linalg.norm(lattice.positions_m[row, column] - goal) > STANDSTILL_M:
         raise NoPlanError(
             f"the goal robots[0].goal_m = {list(goal_m)} is on the edge of world.bounds_m: "
             "move it inside, or enlarge the bounds"

@@ -19,7 +19,6 @@ from planopt.world.lattice import build_road_map as build_road_map
 from planopt.world.lattice import lattice_paths as lattice_paths
 from planopt.world.lattice import moves_from as moves_from
 from planopt.world.lattice import nearest_node as nearest_node
-from planopt.world.lattice import node_positions as node_positions
 from planopt.world.lattice import route_from as route_from
 from planopt.world.motion import CLOSE_M as CLOSE_M
 from planopt.world.motion import Arc as Arc

@@ -25,6 +25,7 @@ from planopt.world.clearance import (
     segment_lines,
     segments_clear,
 )
+from planopt.world.passages import nodes_in_passages
 from planopt.world.workspace import LONGEST_MOVE, Workspace
 
 _TESTED = ((1, 0), (0, 1), (1, 1), (-1, 1), (2, 1), (1, 2), (-1, 2), (-2, 1))
@@ -35,23 +36,31 @@ MOVES: NDArray[np.int64] = np.array([(0, 0), *_FORWARD, *((-dx, -dy) for dx, dy 
 """(21, 2) moves (dx, dy) with dx^2 + dy^2 <= 5; move k + 10 reverses move k, k = 1 to 10."""
 MOVES.flags.writeable = False
 
+REVERSE: Indices = np.r_[0, 11:21, 1:11]
+"""(21,) number of the move that reverses each move."""
+
 
 MAX_NODES = 10_000_000
 """Maximum number of nodes, whose moves take 210 MB. More nodes suggest a wrong step or bounds."""
 REACH_TOLERANCE_M = 1e-9
 """Tolerance in metres for nodes at exactly `reach_m`."""
 
+ROUNDING_M = 1e-6
+"""Difference between lengths of moves that is due to rounding, in metres."""
+
 
 @dataclass(frozen=True)
 class Lattice:
     """Square lattice over the workspace."""
 
-    origin_m: Floats  # (2,) position of node [0, 0]
+    origin_m: Floats  # (2,) regular position of node [0, 0]
     spacing_m: float  # Distance between neighbours
     shape: tuple[int, int]  # (ny, nx)
     free: Mask  # (ny, nx) True for nodes that keep the clearance
     # (21, ny, nx) True if MOVES[k] from the node ends on a node and keeps the clearance
     open_moves: Mask
+    positions_m: Floats  # (ny, nx, 2)
+    moved: Indices  # (k, 2) nodes (iy, ix) that are moved within their cells into narrow passages
 
 
 def build_lattice(
@@ -76,12 +85,35 @@ def build_lattice(
     free[near.node[~is_clear(near.distance_m, clearance_m)]] = False
     free = free.reshape(ny, nx)
     moves = open_moves(index, positions, free, near, clearance_m)
-    return Lattice(origin, spacing, (ny, nx), free, moves)
+    moved, places = nodes_in_passages(workspace, index, positions, anchor_m, spacing, clearance_m)
+    free[moved[:, 0], moved[:, 1]] = True
+    positions[moved[:, 0], moved[:, 1]] = places
+    _open_passages(index, positions, free, moves, moved, step_m, clearance_m)
+    return Lattice(origin, spacing, (ny, nx), free, moves, positions, moved)
 
 
-def node_positions(lattice: Lattice) -> Floats:
-    """Return the positions (ny, nx, 2) of all nodes in metres."""
-    return _positions(lattice.origin_m, lattice.spacing_m, lattice.shape)
+def _open_passages(
+    index: ObstacleIndex,
+    positions_m: Floats,  # (ny, nx, 2)
+    free: Mask,
+    moves: Mask,  # (21, ny, nx)
+    moved: Indices,  # (k, 2)
+    step_m: float,
+    clearance_m: float,
+) -> None:
+    """Open exactly the collision-free moves of at most a step from and to moved nodes."""
+    start = np.repeat(moved, len(MOVES), axis=0)
+    end = (moved[:, None] + MOVES[:, ::-1]).reshape(-1, 2)
+    move = np.tile(np.arange(len(MOVES)), len(moved))
+    back = np.tile(REVERSE, len(moved))
+    inside = ((end >= 0) & (end < free.shape)).all(axis=1)
+    start, end, move, back = start[inside], end[inside], move[inside], back[inside]
+    begins, ends = (positions_m[each[:, 0], each[:, 1]] for each in (start, end))
+    opened = free[end[:, 0], end[:, 1]]
+    opened &= np.linalg.norm(ends - begins, axis=1) <= step_m + REACH_TOLERANCE_M
+    opened[opened] = segments_clear(index, begins[opened], ends[opened], clearance_m)
+    moves[move, start[:, 0], start[:, 1]] = opened
+    moves[back, end[:, 0], end[:, 1]] = opened
 
 
 def nearest_node(lattice: Lattice, position_m: Floats) -> tuple[int, int]:
@@ -101,17 +133,18 @@ def moves_from(
     """Return the nodes (iy, ix) in reach, and a mask of the nodes on collision-free lines."""
     ny, nx = lattice.shape
     place = (position_m - lattice.origin_m) / lattice.spacing_m
-    reach = (reach_m + REACH_TOLERANCE_M) / lattice.spacing_m
+    reach = reach_m / lattice.spacing_m + 0.5
     low = np.maximum(np.ceil(place - reach), 0.0)
     high = np.minimum(np.floor(place + reach), (nx - 1, ny - 1))
     columns = np.arange(low[0], high[0] + 1, dtype=np.int64)
     rows = np.arange(low[1], high[1] + 1, dtype=np.int64)
     iy, ix = np.repeat(rows, columns.size), np.tile(columns, rows.size)
-    within = (ix - place[0]) ** 2 + (iy - place[1]) ** 2 <= reach**2
+    away = np.linalg.norm(lattice.positions_m[iy, ix] - position_m, axis=1)
+    within = away <= reach_m + REACH_TOLERANCE_M
     iy, ix = iy[within], ix[within]
     ok = lattice.free[iy, ix]
     free = np.flatnonzero(ok)
-    ends = lattice.origin_m + lattice.spacing_m * np.column_stack((ix[free], iy[free]))
+    ends = lattice.positions_m[iy[free], ix[free]]
     starts = np.broadcast_to(position_m, ends.shape)
     ok[free] = segments_clear(index, starts, ends, clearance_m)
     return iy, ix, ok
@@ -212,7 +245,7 @@ class RoadMap:
     number: Indices  # (ny, nx) node number, -1 if not free
     # (n, 21) node from which each of `MOVES` arrives here; n if the move is blocked
     sources: Indices
-    lengths_m: Floats  # (21,) lengths of the moves
+    lengths_m: Floats  # (21,) lengths of the moves between regular nodes
     edge_from: NDArray[np.int32]  # Moves except "stay" in compressed sparse rows
     edge_to: NDArray[np.int32]
     edge_length_m: Floats
@@ -247,17 +280,22 @@ def build_road_map(lattice: Lattice) -> RoadMap:
     is_edge = (targets < count) & (lengths > 0.0)
     edge_from, move = np.nonzero(is_edge)
     edge_start = np.concatenate([[0], np.cumsum(is_edge.sum(axis=1))])
+    nodes, edge_to = lattice.positions_m[rows, columns], targets[edge_from, move]
+    edge_length = lengths[move]
+    if len(lattice.moved):
+        along = np.linalg.norm(nodes[edge_to] - nodes[edge_from], axis=1)
+        edge_length = np.where(np.abs(along - edge_length) > ROUNDING_M, along, edge_length)
     return RoadMap(
         lattice=lattice,
-        nodes_m=node_positions(lattice)[rows, columns],
+        nodes_m=nodes,
         rows=rows,
         columns=columns,
         number=number,
         sources=sources,
         lengths_m=lengths,
         edge_from=edge_from.astype(np.int32),
-        edge_to=targets[edge_from, move].astype(np.int32),
-        edge_length_m=lengths[move],
+        edge_to=edge_to.astype(np.int32),
+        edge_length_m=edge_length,
         edge_start=edge_start.astype(np.int32),
     )
 

@@ -22,7 +22,6 @@ from planopt.world import (
     lattice_paths,
     moves_from,
     nearest_node,
-    node_positions,
     route_from,
     swept_clearance_m,
 )
@@ -42,8 +41,10 @@ def random_world(seed: int) -> Workspace:
     return Workspace(BOUNDS, tuple(Obstacle("o", polygon) for polygon in polygons))
 
 
-def brute_force(workspace: Workspace, lattice: Lattice, margin_m: float) -> NDArray[np.bool_]:
-    positions = node_positions(lattice)
+def brute_force(
+    workspace: Workspace, lattice: Lattice, step_m: float, margin_m: float
+) -> NDArray[np.bool_]:
+    positions = lattice.positions_m
     ny, nx = lattice.shape
     world = shapely.union_all([obstacle.polygon for obstacle in workspace.obstacles])
     expected = np.zeros((21, ny, nx), dtype=bool)
@@ -51,7 +52,7 @@ def brute_force(workspace: Workspace, lattice: Lattice, margin_m: float) -> NDAr
         for iy in range(max(0, -dy), min(ny, ny - dy)):
             for ix in range(max(0, -dx), min(nx, nx - dx)):
                 way = shapely.LineString([positions[iy, ix], positions[iy + dy, ix + dx]])
-                near = way.distance(world) < margin_m
+                near = way.distance(world) < margin_m or way.length > step_m + 1e-9
                 expected[k, iy, ix] = not (near or way.intersects(world))
     return expected
 
@@ -73,7 +74,7 @@ def test_equal_to_brute_force(seed: int, margin_m: float, step_m: float) -> None
     workspace = random_world(seed)
     anchor = np.random.default_rng(seed).uniform(-5, 5, 2)
     lattice = build_lattice(workspace, anchor, step_m, margin_m)
-    expected = brute_force(workspace, lattice, margin_m)
+    expected = brute_force(workspace, lattice, step_m, margin_m)
     np.testing.assert_array_equal(lattice.open_moves, expected)
     np.testing.assert_array_equal(lattice.free, expected[0])
 
@@ -82,7 +83,7 @@ def test_nodes_are_strictly_within_the_bounds() -> None:
     """Without obstacles every node is free and only moves off the lattice are closed."""
     anchor = np.array([3.0, 40.0])  # outside: nodes are only counted from it
     lattice = build_lattice(Workspace(BOUNDS, ()), anchor, math.sqrt(5), 2.0)
-    positions = node_positions(lattice)
+    positions = lattice.positions_m
     np.testing.assert_allclose(positions[0, 0], [-19, -11])
     np.testing.assert_allclose(positions[-1, -1], [19, 11])
     assert lattice.shape == (23, 39)
@@ -97,7 +98,7 @@ def test_thin_wall_closes_moves_across() -> None:
     wall = shapely.Polygon([(0.5, -20), (0.500001, -20), (0.500001, 20), (0.5, 20)])
     lattice = build_lattice(Workspace(BOUNDS, (Obstacle("wall", wall),)), ORIGIN, math.sqrt(5), 0.1)
     assert lattice.free.all()
-    x = node_positions(lattice)[..., 0]
+    x = lattice.positions_m[..., 0]
     for (dx, _), allowed in zip(MOVES, lattice.open_moves, strict=True):
         crosses = (x < 0.5) != (x + dx < 0.5)
         assert not allowed[crosses].any()
@@ -114,7 +115,7 @@ def test_useless_lattices_are_refused(step_m: float) -> None:
 def test_nearest_node() -> None:
     """Nearest by brute force, and clamped outside."""
     lattice = build_lattice(Workspace(BOUNDS, ()), np.array([0.3, 0.2]), 3.0, 0.0)
-    positions = node_positions(lattice)
+    positions = lattice.positions_m
     for place in np.random.default_rng(0).uniform((-40, -30), (40, 30), (50, 2)):
         iy, ix = nearest_node(lattice, place)
         distance = np.hypot(*np.moveaxis(positions - place, -1, 0))
@@ -130,7 +131,7 @@ def test_first_moves_by_brute_force(seed: int) -> None:
     lattice = build_lattice(workspace, ORIGIN, 6.0, 0.5)
     index = index_obstacles(workspace)
     iy, ix, ok = moves_from(index, lattice, place, 6.0, 0.5)
-    positions = node_positions(lattice)
+    positions = lattice.positions_m
     distance = np.hypot(*np.moveaxis(positions - place, -1, 0))
     assert set(zip(iy.tolist(), ix.tolist(), strict=True)) == set(
         map(tuple, np.argwhere(distance <= 6.0).tolist())
@@ -145,8 +146,8 @@ def test_first_moves_from_a_node_are_its_moves(munich: Workspace) -> None:
     window = Workspace((0.0, -350.0, 120.0, -250.0), munich.obstacles)
     lattice = build_lattice(window, np.array([45.0, -351.0]), 6.0, 2.0)
     index = index_obstacles(munich)
-    positions = node_positions(lattice)
-    for y, x in [(10, 12), (20, 20), (30, 9)]:
+    positions = lattice.positions_m
+    for y, x in [(10, 12), (20, 20), (25, 30)]:  # No node near them is moved.
         iy, ix, ok = moves_from(index, lattice, positions[y, x], 6.0, 2.0)
         assert len(ok) == 21
         found = {(b - x, a - y): open_way for a, b, open_way in zip(iy, ix, ok, strict=True)}
@@ -166,14 +167,16 @@ def free_lattice(free):
         for iy, ix in np.argwhere(free):
             jy, jx = iy + dy, ix + dx
             opened[k, iy, ix] = 0 <= jy < ny and 0 <= jx < nx_ and free[jy, jx]
-    return Lattice(np.array([2.0, -1.0]), 0.5, free.shape, free, opened)
+    origin = np.array([2.0, -1.0])
+    positions = origin + 0.5 * np.moveaxis(np.indices(free.shape)[::-1], 0, -1)
+    return Lattice(origin, 0.5, free.shape, free, opened, positions, np.zeros((0, 2), np.intp))
 
 
 def graph_of(road_map, factor=None):
     """The same graph for networkx, straight from the lattice's open moves."""
     lattice, graph = road_map.lattice, nx.Graph()
     graph.add_nodes_from(range(len(road_map.nodes_m)))
-    places = node_positions(lattice)
+    places = lattice.positions_m
     for k, iy, ix in np.argwhere(lattice.open_moves):
         dx, dy = MOVES[k]
         a, b = road_map.number[iy, ix], road_map.number[iy + dy, ix + dx]
@@ -241,7 +244,7 @@ def test_numbering_and_sources():
     np.testing.assert_array_equal(road_map.number[road_map.rows, road_map.columns], range(count))
     assert (road_map.number[~lattice.free] == -1).all()
     np.testing.assert_array_equal(
-        node_positions(lattice)[road_map.rows, road_map.columns], road_map.nodes_m
+        lattice.positions_m[road_map.rows, road_map.columns], road_map.nodes_m
     )
     opened = 0
     for node in range(count):

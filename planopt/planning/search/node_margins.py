@@ -15,7 +15,7 @@ from planopt.objectives.terms.context import Nodes
 from planopt.planning.proof.context import search_prediction
 from planopt.planning.tolerances import MARGIN_PAD_DB
 from planopt.planning.values.context import StepContext
-from planopt.world.lattice import Lattice, RoadMap, node_positions
+from planopt.world.lattice import Lattice, RoadMap
 
 
 class LatticeMap:
@@ -126,7 +126,7 @@ class NodeField(Nodes):
         self._exact = np.zeros(lattice.shape, dtype=bool)
         self._lattice = lattice
         self._context: StepContext | None = None
-        self.grid_m = node_positions(lattice)
+        self.grid_m = lattice.positions_m
         self.stations = self._map.stations  # Without corrections
         self.mean_db = self._map.mean_db
         self.deviation_db = self._map.deviation_db

@@ -26,7 +26,7 @@ from planopt.world.clearance import (
     inside_bounds,
     segments_clear,
 )
-from planopt.world.lattice import MOVES, Lattice, moves_from, node_positions
+from planopt.world.lattice import MOVES, Lattice, moves_from
 
 
 def steering_path(
@@ -117,7 +117,7 @@ def left_to_learn(
     """Return the reachable positions (k, 2) at which measurements are informative."""
     # They are lattice nodes, or intermediate positions if all nodes are measured. If all terms have
     # a variance threshold, they are the positions of the workspace grid above the threshold.
-    nodes = node_positions(lattice)[reachable_nodes(problem, index, lattice, here_m)]
+    nodes = lattice.positions_m[reachable_nodes(problem, index, lattice, here_m)]
     rule = MeasuringRule.of(posteriors, problem.channel.measure_spacing_m)
     limits = [term.variance_threshold for term in problem.terms if explores(term)]
     known = [limit for limit in limits if limit is not None]

@@ -33,7 +33,9 @@ def random_road_map(generator, shape=(3, 4), blocked=0.2, closed=0.1):
             jy, jx = iy + dy, ix + dx
             inside = 0 <= jy < ny and 0 <= jx < nx and free[jy, jx]
             opened[k, iy, ix] = inside and (k == 0 or generator.random() >= closed)
-    return build_road_map(Lattice(np.array([0.0, 0.0]), 0.7, shape, free, opened))
+    positions = 0.7 * np.moveaxis(np.indices(shape)[::-1], 0, -1)
+    moved = np.zeros((0, 2), dtype=np.intp)
+    return build_road_map(Lattice(np.zeros(2), 0.7, shape, free, opened, positions, moved))
 
 
 def step_cost(length_m):

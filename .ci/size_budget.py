@@ -13,8 +13,8 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_836,
-    "lines of code": 52_325,
+    "lines": 70_839,
+    "lines of code": 52_327,
     "files": 281,
     "functions": 3_774,
     "docstring lines": 7_538,

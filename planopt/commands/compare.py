@@ -134,9 +134,9 @@ def compare(
             return NO_PLAN
         if folder is not None:
             comparison.save(folder, parquet=parquet)
-        where = f" {COMPARISON_FILE}, written with --out FOLDER"
-        where = where if folder is None else f"\n{folder / COMPARISON_FILE}"
-        text = "" if json else f"{comparison_text(comparison)}\nall numbers:{where}"
+        where = f"for all numbers, use --out FOLDER, which writes {COMPARISON_FILE}"
+        where = where if folder is None else f"all numbers:\n{folder / COMPARISON_FILE}"
+        text = "" if json else f"{comparison_text(comparison)}\n{where}"
         unproven = sum(run.exit_code == NOT_VERIFIED for run in comparison.runs)
         if unproven:
             text += (

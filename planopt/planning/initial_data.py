@@ -90,7 +90,7 @@ class InitialData:
 def draw_initial_data(
     problem: Problem, seed: int, measurements: Sequence[Measurements] | None = None
 ) -> InitialData:
-    """Return drawn ground truth and initial measurements, unless `measurements` are supplied."""
+    """Return a drawn ground truth, and `measurements` or else drawn initial ones."""
     if not isinstance(cast("object", seed), int | np.integer) or seed < 0:
         raise InputError(
             f"is {seed!r}, should be a whole number of at least 0",

@@ -67,7 +67,7 @@ class DynamicsKeys(Table):
             )
         if needed is not None and getattr(self, needed) < LEAST_LIMIT:
             raise fault_of(
-                f"has {needed} below {LEAST_LIMIT:g}, at which it hardly moves: give a larger "
+                f"has {needed} below {LEAST_LIMIT:g}, so that it hardly moves: give a larger "
                 "value, such as 1.0"
             )
         return self

@@ -112,7 +112,7 @@ class Case:
 
     @property
     def moved(self) -> float:
-        """Return the evader displacement during the age of a record per metre of distance."""
+        """Return how far the evader moves while a record ages, per metre of its distance."""
         return self.age_s_m * self.evader_m_s
 
     @property

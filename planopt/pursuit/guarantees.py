@@ -252,7 +252,7 @@ def contraction(speed_ratio: float, relative_error: float) -> float:
 
 
 def staleness(chase: Chase, bounds: ServiceBounds) -> float:
-    """Return the evader displacement during the age of a record per metre of distance."""
+    """Return how far the evader moves while a record ages, per metre of its distance."""
     return bounds.age_s_m * chase.evader_speed_m_s
 
 

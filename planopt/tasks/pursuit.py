@@ -325,7 +325,7 @@ def _in_words(result: TaskResult) -> Sequence[str]:
                 f"{100.0 * share:.1f} % of the value that the theorem allows"
             )
             words = f"capture guaranteed{within}; {reached}"
-        lines.append(f"  theorem {theorem} ({THEOREM_WORDS[theorem]}): {words}")
+        lines.append(f"  theorem '{theorem}' ({THEOREM_WORDS[theorem]}): {words}")
     return lines
 
 

@@ -50,7 +50,7 @@ PICTURE = "design.png"
 REQUIREMENT_WORDS = {
     "payload of a slot below what it carries": "bits to send in a slot",
     "y = v_e period below 1": "y",
-    "a of the error over 1 - y below 1": "a, for the position error divided by 1 - y",
+    "a of the error over 1 - y below 1": "a, with the position error scaled by 1 / (1 - y)",
     "growth while waiting below 1": "growth of the distance during a wait",
     "floor below the capture radius": "guaranteed final distance",
     "time to capture below the deadline": "time to capture",
@@ -188,7 +188,7 @@ class DesignProblem(TaskProblem):
         side = 2**network.levels
         return (
             f"{self.name}: {self.description}",
-            f"  task        {self.task}: {self.method.words} (theorem {self.theorem.value})",
+            f"  task        {self.task}: {self.method.words} (theorem '{self.theorem.value}')",
             f"  pursuit     speeds: evader {chase.evader_speed_m_s:g} m/s, pursuer "
             f"{chase.pursuer_speed_m_s:g} m/s",
             f"  network     {side} x {side} sensor nodes (motes), {network.mote_spacing_m:g} "
@@ -335,7 +335,7 @@ def _design_json(
         "objective": objective,
         "bound": bound,
         "gap": relative_gap(objective, bound, "min"),
-        "bound_method": "the best slot widths for all numbers of bits",
+        "bound_method": "the best slot width for every number of bits",
         "relaxed_cost_w": _relaxed_cost_w(problem),
         "slot_width_s": design.slot_width_s,
         "rate_divisor": design.rate_divisor,
@@ -465,7 +465,7 @@ def in_words(result: TaskResult) -> Sequence[str]:
         holds = "would be guaranteed" if data["message"] else "is guaranteed"
         lines.append(
             f"  capture {holds} within {data['capture_time_s']:.4g} s "
-            f"(theorem {problem.theorem.value}"
+            f"(theorem '{problem.theorem.value}'"
             + (", if every report were on time)" if data["message"] else ")")
         )
     if data["energy_per_capture_j"] is not None and problem.method.of_energy:
@@ -475,7 +475,7 @@ def in_words(result: TaskResult) -> Sequence[str]:
     if data["message"]:
         lines.append(f"  not verified: {data['message']}")
     else:
-        lines.append(f"  verified: a slot carries {blocks} blocks, so every report is on time")
+        lines.append(f"  verified: a slot has room for {blocks} blocks, so every report is on time")
     effects = sorted(data["sensitivities"].items(), key=lambda item: -abs(item[1]))
     what = "energy" if problem.method.of_energy else "power"
     shown = ", ".join(

@@ -162,7 +162,7 @@ class Joint(Rule):
     def check(cls, problem: Problem) -> None:
         """Raise an InputError if sampling of several stations cannot verify p_min."""
         if len(problem.stations) > 1:
-            words = f"for all steps jointly and {len(problem.stations)} stations"
+            words = f"over all steps jointly with {len(problem.stations)} stations"
             _require_shown(problem, words, "keep only one entry of stations")
 
     def achieved(self, probability: Floats, history: History) -> float | Floats:

@@ -277,7 +277,7 @@ class OwnRule(Rule):
 
     def valued(self, probability: Floats, history: History) -> Floats:
         """Return :meth:`achieved` as a validated array ``(...)``."""
-        words = f"{self._number} for each plan of probabilities (..., N)"
+        words = f"{self._number} per plan: the shape of `probability` (..., N) without N"
         with calling(self, "achieved", key=KEY, remedy=f"return {words}"):
             found = self.achieved(probability, history)
         shape = probability.shape[:-1]

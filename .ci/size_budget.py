@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_839,
-    "lines of code": 52_327,
+    "lines": 70_849,
+    "lines of code": 52_336,
     "files": 281,
     "functions": 3_774,
     "docstring lines": 7_538,
-    "lines of tests": 48_707,
+    "lines of tests": 48_709,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

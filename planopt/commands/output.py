@@ -126,13 +126,15 @@ def _bar(description: str, total: int | None) -> Generator[Callable[[], None]]:
         SpinnerColumn(),
         TextColumn("{task.description}"),
         *(() if total is None else (BarColumn(),)),
-        TextColumn("{task.completed:.0f}" + ("" if total is None else f"/{total}")),
+        TextColumn("{task.completed:.0f}" + ("" if total is None else "/{task.total:.0f}")),
         TimeElapsedColumn(),
         *(() if total is None else (TextColumn("left:"), TimeRemainingColumn())),
     )
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(description, total=total)
         yield lambda: bar.advance(task)
+        # A run may end before its last possible step.
+        bar.update(task, total=bar.tasks[0].completed)
 
 
 @contextlib.contextmanager

@@ -9,6 +9,7 @@ import numpy as np
 import shapely
 
 from planopt.arrays import Floats, Mask
+from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.connectivity_law import above_thresholds_db, any_probability, serving_power_dbm
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import Belief
@@ -93,6 +94,7 @@ def drawn_cells(workspace: Workspace, x_m: Floats, y_m: Floats) -> Mask:
     return rows[:, :-2] | rows[:, 1:-1] | rows[:, 2:]
 
 
+@one_blas_thread()
 def believed_rasters(
     problem: Problem, belief: Belief, bounds_m: Bounds
 ) -> tuple[Raster, Raster, Raster]:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
+import shapely
 
 from planopt.arrays import Floats
 from planopt.channel.cholesky import lower_factor, one_blas_thread, solve_lower
@@ -112,11 +113,11 @@ def fit_channel_and_station(
     -------
     ChannelFit
         Fit with the estimated station in its parameters, the covariance of its position in
-        `station_covariance_m2` and a warning that the position is estimated; outside the extent of
-        the measurements the status is at best ``weak``. Covariance and standard errors of theta
-        include that uncertainty. If the measurements do not determine the position, its variances
-        and theta's standard errors are infinite, the status is ``degenerate``, and the covariance
-        of theta is for a known position.
+        `station_covariance_m2` and a warning that the position is estimated; outside the convex
+        hull of the measurements the status is at best ``weak``, and likewise if n_PL is poorly
+        determined. Covariance and standard errors of theta include that uncertainty. If the
+        measurements do not determine the position, its variances and theta's standard errors are
+        infinite, the status is ``degenerate``, and the covariance of theta is for a known position.
 
     Raises
     ------
@@ -164,15 +165,20 @@ def fit_channel_and_station(
     theta_covariance = found.theta_covariance + slope @ covariance @ slope.T
     k_error, n_error = np.sqrt(np.maximum(np.diag(theta_covariance), 0.0))
     status, remarks = found.status, [place + "estimated, not given"]
-    at = np.asarray(station.position_m)
-    ends = measurements.positions_m.min(axis=0), measurements.positions_m.max(axis=0)
-    outside_m = float(np.linalg.norm(at - np.clip(at, *ends)))
+    if n_error > PRIOR_N_PL_STD:
+        status = "weak" if status == "ok" else status
+        remarks.append(
+            f"the path loss exponent is poorly determined without the station's position: "
+            f"{parameters.n_pl:.3g} with standard error {n_error:.2g}"
+        )
+    hull = shapely.MultiPoint(measurements.positions_m).convex_hull
+    outside_m = hull.distance(shapely.Point(station.position_m))
     if outside_m > 0.0:
         status = "weak" if status == "ok" else status
         within_m = math.sqrt(QUANTILE * float(np.linalg.eigvalsh(covariance).max()))
         remarks.append(
-            f"the station is {outside_m:.2g} m outside the extent of the measurements, and its "
-            f"95 % region reaches {within_m:.2g} m from there (measure around it, or give "
+            f"the station is {outside_m:.3g} m outside the extent of the measurements, and its "
+            f"95 % region reaches {within_m:.3g} m from there (measure around it, or give "
             "its position)"
         )
     return replace(

@@ -120,8 +120,8 @@ class PairedInformation:
             return self
         moments, spread = posterior_moments(self.posterior, path_m), self.posterior.theta_covariance
         trend = moments.whole_trend
-        told = trend.T @ np.linalg.solve(moments.whole_covariance, trend)
-        gain = np.eye(2) + ASSUMED * spread @ told
+        information = trend.T @ np.linalg.solve(moments.whole_covariance, trend)
+        gain = np.eye(2) + ASSUMED * spread @ information
         left = np.linalg.solve(gain, spread)
         posterior = replace(self.posterior, theta_covariance=0.5 * (left + left.T))
         return replace(self, posterior=posterior, given_nats=0.5 * np.linalg.slogdet(gain)[1])

@@ -110,12 +110,12 @@ class AssociatedRecords:
             sources = [*np.flatnonzero(seen).tolist(), *range(-len(alarms_m), 0)]
             places_m = np.concatenate([places_m, alarms_m])
             near = (np.abs(service.cells(places_m, level) - (mote >> level)) <= 1).all(axis=1)
-            told_m, error_m = service.reported_m(places_m, level), service.error_bound_m(level)
+            reported_m, error_m = service.reported_m(places_m, level), service.error_bound_m(level)
             for index in np.flatnonzero(near).tolist():
                 # A finer level reports the same detection more exactly.
                 key = sample, sources[index]
                 if key not in ledger.reports or ledger.reports[key].level > level:
-                    record = Record(float(sampled_s), told_m[index], error_m)
+                    record = Record(float(sampled_s), reported_m[index], error_m)
                     ledger.reports[key] = Report(sample, level, record)
                     new = True
         return new

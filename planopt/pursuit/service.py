@@ -290,8 +290,8 @@ def record_floods(
 ) -> Iterator[tuple[int, int, NDArray[np.int64], bool, NDArray[np.int64]]]:
     """Yield level, round, cell, presence of an object, and the area of motes of each flood."""
     # An area (2, 2) has first and last column and row; each of its motes sends the report once.
-    # Directed updates also send an unchanged report if it serves motes that were not told. All
-    # motes that were told learn that the object left a cell.
+    # Directed updates also send an unchanged report if it serves motes that have not received it.
+    # All receivers of a report learn that the object left its cell.
     for level in range(service.levels + 1):
         count = math.floor(duration_s / service.periods_s[level] + ROUNDING) + 1
         sampled_s = service.periods_s[level] * np.arange(count, dtype=np.float64)
@@ -303,18 +303,18 @@ def record_floods(
             areas = np.clip(areas, 0, service.motes_per_side - 1)
         if rule == "directed":
             areas = _served(service, level, areas, cells << level, sampled_s, receivers)
-        told = ever = None
+        reached = ever = None
         for number, (cell, area) in enumerate(zip(cells, areas, strict=True)):
             if number and (cell != cells[number - 1]).any():
                 if ever is not None:
                     yield level, number, cells[number - 1], False, ever
-                told = ever = None
+                reached = ever = None
             if rule == "full" or (number and (fine[number] != fine[number - 1]).any()):
-                told = None
+                reached = None
             nobody = (area[0] > area[1]).any()
-            if nobody or (told is not None and (area == np.clip(area, told[0], told[1])).all()):
+            if nobody or (reached is not None and (area == np.clip(area, *reached)).all()):
                 continue
-            told = area
+            reached = area
             whole = area if ever is None else np.concatenate([area, ever])
             ever = np.stack([whole.min(axis=0), whole.max(axis=0)])
             yield level, number, cell, True, area

@@ -63,7 +63,7 @@ class Service:
         """Return the number of the last round of each level (k, L + 1) that ended by times (k,)."""
         return np.floor((times_s[:, None] - self.rounds_s) / self.periods_s + 1e-9)
 
-    def told(self, seen: Indices, claim: tuple[float, Floats, float]) -> Mask:
+    def reporting(self, seen: Indices, claim: tuple[float, Floats, float]) -> Mask:
         """Return a mask (L + 1,) of the levels that report motes (L + 1, 2) as a record claims."""
         fine = np.maximum(0, np.arange(self.levels + 1) - self.bits_per_axis)
         side_m = self.mote_spacing_m * 2.0**fine
@@ -321,9 +321,10 @@ def _report_faults(data: PursuitData, log: PursuitLog) -> Iterator[Violation]:
         seen = [log.seen(service, each, number) for each in others]
         if service.detection and service.detection["false_alarms"] > 0.0:
             seen.append(np.tile(_mote(service, claim[1]), (service.levels + 1, 1)))
-        told = [((ended == number) & _near(motes, each)).any(axis=0) for each in seen]
-        told = [heard & service.told(each, claim) for heard, each in zip(told, seen, strict=True)]
-        agrees = np.any(told, axis=0) & (np.abs(number * service.periods_s - claim[0]) <= TIME_S)
+        heard = [((ended == number) & _near(motes, each)).any(axis=0) for each in seen]
+        claims = [service.reporting(each, claim) for each in seen]
+        agrees = np.any(np.logical_and(heard, claims), axis=0)
+        agrees &= np.abs(number * service.periods_s - claim[0]) <= TIME_S
         if not agrees.any():
             yield Violation("report", f"{who}: no mote could have given it")
         elif service.loss_probability == 0.0 and service.detection is None:

@@ -168,14 +168,19 @@ def _weak_words(
     parameters: ChannelParameters, standard_errors: dict[str, float], n_pl_is_assumed: bool
 ) -> list[str]:
     """Return warnings about parameters with large standard errors."""
-    said: list[str] = []
-    for name, (called, unit) in WORDS.items():
-        value, error = getattr(parameters, name), standard_errors[name]
-        most = PRIOR_N_PL_STD if name == "n_pl" else WEAK_SHARE * value
-        if most < error < math.inf and not (name == "n_pl" and n_pl_is_assumed):
-            known = f"{value:.3g} with standard error {error:.2g} {unit}".rstrip()
-            said.append(f"the {called} is poorly determined: {known}")
-    return said
+    tested = [name for name in WORDS if not (name == "n_pl" and n_pl_is_assumed)]
+    words = [poor_words(name, getattr(parameters, name), standard_errors[name]) for name in tested]
+    return [each for each in words if each]
+
+
+def poor_words(name: str, value: float, standard_error: float) -> str:
+    """Return a warning about a parameter with a large standard error; empty for a small one."""
+    called, unit = WORDS[name]
+    most = PRIOR_N_PL_STD if name == "n_pl" else WEAK_SHARE * value
+    if not most < standard_error < math.inf:
+        return ""
+    known = f"{value:.3g} with standard error {standard_error:.2g} {unit}".rstrip()
+    return f"the {called} is poorly determined: {known}"
 
 
 def _mode_words(parameters: ChannelParameters, below: float) -> str:

@@ -18,7 +18,7 @@ import shapely
 from planopt.arrays import Floats
 from planopt.channel.cholesky import lower_factor, one_blas_thread, solve_lower
 from planopt.channel.estimation.channel_fit import MIN_VARIANCE_DB2, ChannelFit, FitMethod, Loss
-from planopt.channel.estimation.fit import fit_channel
+from planopt.channel.estimation.fit import fit_channel, poor_words
 from planopt.channel.estimation.least_squares import least_squares, require_usable
 from planopt.channel.estimation.reml import MOST_DENSE, minimise_damped, thinned
 from planopt.channel.gaussian_sites import gaussian_sites
@@ -165,12 +165,12 @@ def fit_channel_and_station(
     theta_covariance = found.theta_covariance + slope @ covariance @ slope.T
     k_error, n_error = np.sqrt(np.maximum(np.diag(theta_covariance), 0.0))
     status, remarks = found.status, [place + "estimated, not given"]
-    if n_error > PRIOR_N_PL_STD:
+    alone, poor = (
+        poor_words("n_pl", parameters.n_pl, error) for error in (errors["n_pl"], float(n_error))
+    )
+    if poor:
         status = "weak" if status == "ok" else status
-        remarks.append(
-            f"the path loss exponent is poorly determined without the station's position: "
-            f"{parameters.n_pl:.3g} with standard error {n_error:.2g}"
-        )
+        remarks.append(poor)
     hull = shapely.MultiPoint(measurements.positions_m).convex_hull
     outside_m = hull.distance(shapely.Point(station.position_m))
     if outside_m > 0.0:
@@ -187,7 +187,7 @@ def fit_channel_and_station(
         theta_covariance=theta_covariance,
         standard_errors={**errors, "k_pl_db": float(k_error), "n_pl": float(n_error)},
         station_covariance_m2=covariance,
-        warnings=(*remarks, *found.warnings),
+        warnings=(*remarks, *(each for each in found.warnings if each != alone)),
     )
 
 

@@ -154,7 +154,7 @@ def test_finds_a_station_inside_and_outside(place, error_m):
     assert ("outside the extent of the measurements" in " ".join(fit.warnings)) == is_outside
     assert fit.status == ("weak" if is_outside else "ok")
     if is_outside:
-        assert "exponent is poorly determined without the station" in " ".join(fit.warnings)
+        assert "exponent n_PL is poorly determined" in " ".join(fit.warnings)
 
 
 def test_the_method_is_that_of_the_final_fit():

@@ -12,7 +12,8 @@ def test_problems_have_a_free_path() -> None:
     """All reach problems of the library but the one without a free path."""
     names = reach_problems()
     assert "open_field" in names and "munich_hard" in names
-    assert "munich_courtyard" not in names and "indoor_learn" not in names
+    assert "munich_courtyard" not in names and "no_route_hard" not in names
+    assert "indoor_learn" not in names
 
 
 def test_study_prints_and_remembers(

@@ -177,13 +177,17 @@ class KnownPower:
         return Prediction(mean, deviation)
 
 
+NOTHING_KNOWN = KnownPower(np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros(0))
+
+
 def known_power(station: ChannelPosterior, positions_m: Floats, threshold_dbm: float) -> KnownPower:
     """Return power bounds at positions, out of (n, 2), with consistent readings (equation 3.12)."""
     places, read = station.index.within(positions_m, SAME_PLACE_M)
-    least, most = _power_bounds_dbm(station, read)
+    if not len(places):
+        return NOTHING_KNOWN
     rows, first = np.unique(places, return_index=True)
-    if len(rows):
-        least, most = np.minimum.reduceat(least, first), np.maximum.reduceat(most, first)
+    least, most = _power_bounds_dbm(station, read)
+    least, most = np.minimum.reduceat(least, first), np.maximum.reduceat(most, first)
     known = (least >= threshold_dbm) | (most < threshold_dbm)
     return KnownPower(rows[known], least[known], most[known])
 

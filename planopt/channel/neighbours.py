@@ -36,10 +36,21 @@ class PlaceTree:
     """Search tree of positions in the plane."""
 
     def __init__(self, positions_m: Floats) -> None:
-        self._tree = KDTree(positions_m, balanced_tree=False)
+        self._positions_m = positions_m
+        self._x_m = np.sort(positions_m[:, 0])
+
+    @cached_property
+    def _tree(self) -> Any:
+        return KDTree(self._positions_m, balanced_tree=False)
 
     def __len__(self) -> int:
-        return int(self._tree.n)
+        return len(self._x_m)
+
+    def beside(self, centres_m: Floats, reach_m: float) -> Indices:
+        """Return indices of the centres (k, 2) with positions at most `reach_m` away in x."""
+        x = centres_m[:, 0]
+        before = np.searchsorted(self._x_m, x - reach_m)
+        return np.flatnonzero(before < np.searchsorted(self._x_m, x + reach_m, side="right"))
 
     def nearest(
         self, centres_m: Floats, count: int, within_m: float = np.inf
@@ -108,17 +119,23 @@ class PlaceIndex:
 
     def within(self, centres_m: Floats, reach_m: float) -> tuple[Indices, Indices]:
         """Return sorted index pairs (centre, position) within `reach_m` for centres (k, 2)."""
-        pairs = [np.zeros((2, 0), dtype=np.intp)]
+        none = np.zeros(0, dtype=np.intp)
+        pairs: list[Any] = []
         for first, tree in (0, self.tree), (self._treed, self._late_tree):
             if tree is None:
                 continue
-            near, _ = tree.nearest(centres_m, min(2, len(tree)), reach_m)
+            beside = tree.beside(centres_m, reach_m)
+            if not len(beside):
+                continue
+            near, _ = tree.nearest(centres_m[beside], min(2, len(tree)), reach_m)
             count = (near < len(tree)).sum(axis=1)
-            (single,), (several,) = np.nonzero(count == 1), np.nonzero(count == 2)
-            pairs.append(np.array([single, first + near[single, 0]]))
-            for centre in several.tolist():
+            single, several = count == 1, count == 2
+            pairs.append(np.array([beside[single], first + near[single, 0]]))
+            for centre in beside[several].tolist():
                 rows = first + np.array(tree.within(centres_m[centre], reach_m))
                 pairs.append(np.array([np.full(len(rows), centre), rows]))
+        if not pairs:
+            return none, none
         centres, rows = np.concatenate(pairs, axis=1)
         order = np.lexsort((rows, centres))
         return centres[order], rows[order]

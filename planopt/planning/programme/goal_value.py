@@ -143,7 +143,8 @@ class GoalValue:
         steps = places_m.copy()
         steps[0] -= self.start_m
         steps[1:] -= places_m[:-1]
-        squares = np.einsum("ij,ij->i", steps, steps)
+        step_squares = _square(steps)
+        squares = step_squares[:, 0] + step_squares[:, 2]
         lengths = np.sqrt(squares + STEP_ROUNDING_M**2)
         # Penalised fraction of a metre after each step, with derivatives by score and position.
         z = score.value
@@ -159,35 +160,46 @@ class GoalValue:
         cost = 0.5 * effort * squares.sum() + self.rate_s_m * away + by_length @ lengths
 
         bend = by_length / lengths
-        by_step = (effort + bend)[:, None] * steps
+        pull = effort + bend
+        by_step = pull[:, None] * steps
         gradient = by_share[:, None] * share_slope
         gradient += by_step
         gradient[:-1] -= by_step[1:]
         gradient[-1] += self.rate_s_m / away * to_pivot
 
-        along = steps / lengths[:, None]
-        step_bend = -bend[:, None] * _square(along)
-        step_bend[:, ::2] += (effort + bend)[:, None]
-        own = score.hessian - z[:, None] * _square(score.gradient)
+        # Blocks of each stage, and blocks that couple each stage with the next.
+        n = len(steps)
+        entries = np.empty(7 * n - 4)
+        own, across = entries[: 3 * n].reshape(n, 3), entries[3 * n :].reshape(n - 1, 2, 2)
+        step_bend = step_squares
+        step_bend *= (-bend / (lengths * lengths))[:, None]
+        step_bend[:, ::2] += pull[:, None]
+        np.multiply(_square(score.gradient), -z[:, None], out=own)
+        own += score.hessian
         own *= (by_share * by_score)[:, None]
         own += step_bend
         own[:-1] += step_bend[1:]
-        turn = half * along
-        turn[:-1] -= half * along[1:]
+        turn = steps * (half / lengths)[:, None]
+        on = turn[1:].copy()
+        turn[:-1] -= on
         add_products(own, turn, share_slope)
         own[-1, ::2] += self.rate_s_m / away
         own[-1] -= self.rate_s_m / away**3 * _square(to_pivot)
-        # Second derivatives that couple each stage with the next.
-        on = half * along[1:]
-        across = share_slope[:-1, :, None] * on[:, None] - on[:, :, None] * share_slope[1:, None]
-        across = across.reshape(-1, 4) - step_bend[1:, [0, 1, 1, 2]]
-        hessian = np.concatenate([own.ravel(), across.ravel()])
-        return PathValue(-float(cost), -gradient, -hessian)
+        np.multiply(share_slope[:-1, :, None], on[:, None], out=across)
+        across -= on[:, :, None] * share_slope[1:, None]
+        across -= step_bend[1:].take(FULL, axis=1)
+        return PathValue(-float(cost), np.negative(gradient, out=gradient), -entries)
+
+
+FULL = np.array([[0, 1], [1, 2]])
+"""Indices of a symmetric 2 x 2 matrix in its entries xx, xy, yy."""
+LEFT, RIGHT = np.array([0, 0, 1]), np.array([0, 1, 1])
+"""Components of a vector whose products are the entries xx, xy, yy of its outer product."""
 
 
 def _square(a: Floats) -> Floats:
     """Return the entries xx, xy, yy of the outer products a a' of vectors a (..., 2)."""
-    return a[..., [0, 0, 1]] * a[..., [0, 1, 1]]
+    return a.take(LEFT, axis=-1) * a.take(RIGHT, axis=-1)
 
 
 ROUNDING_STEPS = 0.01

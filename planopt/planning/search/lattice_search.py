@@ -11,6 +11,7 @@ the lattice. Its padded indices count a margin of blocked nodes around the latti
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -211,25 +212,26 @@ class MoveValues:
     rest: Node | None = None  # Node where waiting is free
     moving: MovingMoves | None = None  # Blocks moves in single steps
 
-    @property
+    @cached_property
     def are_free(self) -> bool:
         """Return whether every move that is not blocked has value and surcharge zero."""
         return not self.value.any() and self.charge is None
 
-    def surcharge(self, rows: Indices, columns: Indices) -> Floats:
-        """Return the surcharges (21, n) of the moves to nodes at padded rows and columns (n,)."""
+    def gain(self, rows: Indices, columns: Indices) -> Floats:
+        """Return value minus surcharge (21, n) of the moves to nodes at padded indices (n,)."""
         width, places = self.table.number.shape[1], self.table.number.size
         end = rows * width + columns
         source = np.asarray(end - (MOVES[:, 1:] * width + MOVES[:, :1]), dtype=np.intp)
         of_move = source + places * np.arange(len(MOVES))[:, None]
-        closed = self.table.closed.reshape(-1)[of_move]
-        if self.factor is None or self.charge is None:
-            return -closed
-        number = self.table.number.reshape(-1)
-        both = self.charge[number[source]] + self.charge[number[end]]
-        both *= self.factor[:, None]
-        both -= closed
-        return both
+        gain = self.table.closed.reshape(-1).take(of_move)
+        gain += self.value[:, None]
+        if self.factor is not None and self.charge is not None:
+            charge = self.charge[self.table.number.reshape(-1)]
+            both = charge.take(source)
+            both += charge[end]
+            both *= self.factor[:, None]
+            gain -= both
+        return gain
 
     def rests(self, step: int) -> bool:
         """Return whether waiting at the node `rest` is possible during a step."""
@@ -275,9 +277,8 @@ class StageFrame:
             best = _largest_in_disc(around)
         count = self._listed_by_stage[stage]
         rows, columns = self._nodes
-        sources = self._value.reshape(-1)[self._sources[:, :count]]
-        sources += self._moves.value[:, None]
-        sources -= self._surcharge[:, :count]
+        sources = self._value.reshape(-1).take(self._sources[:, :count])
+        sources += self._gain[:, :count]
         best[rows[:count] - window[0].start, columns[:count] - window[1].start] = sources.max(
             axis=0, initial=-np.inf
         )
@@ -298,8 +299,7 @@ class StageFrame:
         rows, columns, blocked = moving.hindered(stage, *without_margin(window))
         rows, columns = rows + REACH, columns + REACH
         arriving = self._value.reshape(-1).take(self._sources_of(rows, columns))
-        arriving += self._moves.value[:, None]
-        arriving -= self._moves.surcharge(rows, columns)
+        arriving += self._moves.gain(rows, columns)
         arriving[blocked] = -np.inf
         best[rows - window[0].start, columns - window[1].start] = arriving.max(axis=0)
 
@@ -317,7 +317,7 @@ class StageFrame:
         stages = np.arange(len(self._windows))
         self._listed_by_stage = np.searchsorted(stage[order], stages, side="right")
         self._nodes = rows, columns
-        self._surcharge = self._moves.surcharge(rows, columns)
+        self._gain = self._moves.gain(rows, columns)
         self._sources = self._sources_of(rows, columns)
 
     def _sources_of(self, rows: Indices, columns: Indices) -> Indices:
@@ -326,15 +326,15 @@ class StageFrame:
         end = (rows - self._top) * width + columns - self._left
         return end - (MOVES[:, 1:] * width + MOVES[:, :1])
 
-    def surcharge(self, row: int, column: int) -> list[float]:
-        """Return the surcharge of each move to the node at a padded row and column."""
+    def gain(self, row: int, column: int) -> list[float]:
+        """Return value minus surcharge of each move to the node at a padded row and column."""
         if self._moves.are_free:
-            return self._moves.surcharge(np.array([row]), np.array([column]))[:, 0].tolist()
+            return self._moves.gain(np.array([row]), np.array([column]))[:, 0].tolist()
         if self._listed is None:
             self._listed = np.zeros(self._value.shape, dtype=np.intp)
             rows, columns = self._nodes
             self._listed[rows - self._top, columns - self._left] = np.arange(len(rows))
-        return self._surcharge[:, self._listed[row - self._top, column - self._left]].tolist()
+        return self._gain[:, self._listed[row - self._top, column - self._left]].tolist()
 
     def _at(self, window: Window) -> Window:
         """Return the slices of the stored values that belong to a window."""
@@ -367,8 +367,8 @@ class LatticeValues:
     # Values of each stage's window; windows grow by `REACH` nodes on each side per stage
     values: tuple[Floats, ...]
     windows: tuple[Window, ...]  # Windows in the lattice with its margin
-    # Surcharge of each move to a node of the last window, indexed with margin
-    surcharge: Callable[[int, int], list[float]]
+    # Value minus surcharge of each move to a node of the last window, indexed with margin
+    gain: Callable[[int, int], list[float]]
 
     def best_path(self, cost: Floats | float = 0.0) -> Indices | None:
         """Return the nodes (N, 2) of the path with the largest value minus `cost`, or None."""
@@ -387,18 +387,18 @@ class LatticeValues:
         # A scalar loop over the 21 moves is several times faster than arrays.
         moves, (rows, columns), value = self.moves, self.windows[stage], self.values[stage]
         row, column = node[0] + REACH, node[1] + REACH
-        values, blocked = moves.value.tolist(), np.zeros(len(MOVES), dtype=np.bool_)
+        gain = self.gain(row, column)
         if moves.moving is not None:
             blocked = moves.moving.blocked(stage + 1, *np.array(node).reshape(2, 1))[:, 0]
-        surcharge = self.surcharge(row, column)
+            gain = np.where(blocked, -np.inf, gain).tolist()
         if node == moves.rest and moves.rests(stage + 1):
-            values[STANDING] = surcharge[STANDING] = 0.0
+            gain[STANDING] = 0.0
         height, width = value.shape
         best, source = -np.inf, node
         for move, (dx, dy) in enumerate(MOVES_BY_NUMBER):
             at, sideways = row - dy - rows.start, column - dx - columns.start
-            if 0 <= at < height and 0 <= sideways < width and not blocked[move]:
-                arriving = value.item(at, sideways) + values[move] - surcharge[move]
+            if 0 <= at < height and 0 <= sideways < width:
+                arriving = value.item(at, sideways) + gain[move]
                 if arriving > best:
                     best, source = arriving, (node[0] - dy, node[1] - dx)
         return source
@@ -431,7 +431,7 @@ class LatticeSearch:
         for k in range(1, len(windows)):
             frame.put(windows[k - 1], values[-1])
             values.append(frame.arriving(k) + reward(k + 1, without_margin(windows[k])))
-        return LatticeValues(self._moves, tuple(values), tuple(windows), frame.surcharge)
+        return LatticeValues(self._moves, tuple(values), tuple(windows), frame.gain)
 
 
 def search_cheapest(

@@ -6,6 +6,7 @@ sum of the probabilities: the tangent of the achieved value.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -38,7 +39,7 @@ class RuleRows:
     weight: Floats | None = None
     total: float = 0.0  # Lower bound of the sum
 
-    @property
+    @cached_property
     def quantile(self) -> Floats:
         """Return the normal quantiles z_p (N,) of the steps' required probabilities."""
         return np.array([bound_quantile(level) for level in self.level.tolist()])

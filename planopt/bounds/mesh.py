@@ -92,11 +92,13 @@ def first_mesh(
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
     circle = goal_m + 1.01 * goal_radius_m / np.cos(np.pi / 24) * circle
     loose = np.vstack([grid.reshape(-1, 2), circle])
-    loose = loose[((loose >= (x0, y0)) & (loose <= (x1, y1))).all(axis=1)]
+    apart = 0.2 * np.repeat([spacing, goal_radius_m], [columns * rows, len(circle)])
+    is_inside = ((loose >= (x0, y0)) & (loose <= (x1, y1))).all(axis=1)
+    loose, apart = loose[is_inside], apart[is_inside]
     depth = float(np.clip(DEPTH_SHARE * np.hypot(x1 - x0, y1 - y0), *DEPTHS_M))
     inner = shapely.get_parts([inside_of(polygon, depth) for polygon in blocked])
     near, _ = shapely.STRtree(inner).query(
-        shapely.points(loose), predicate="dwithin", distance=0.2 * spacing
+        shapely.points(loose), predicate="dwithin", distance=apart
     )
     corner = np.isin(loose, [x0, x1])[:, 0] & np.isin(loose, [y0, y1])[:, 1]
     dropped = np.isin(np.arange(len(loose)), near) & ~corner

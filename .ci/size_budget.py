@@ -13,11 +13,11 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_889,
-    "lines of code": 52_366,
+    "lines": 70_873,
+    "lines of code": 52_347,
     "files": 281,
-    "functions": 3_777,
-    "docstring lines": 7_540,
+    "functions": 3_778,
+    "docstring lines": 7_541,
     "lines of tests": 48_709,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""

@@ -10,8 +10,7 @@ import argparse
 import numpy as np
 
 import planopt
-from planopt.bounds.reach import rate_s_m
-from planopt.objectives.reach import integrated_cost_m, path_cost_s
+from planopt.objectives.reach import integrated_cost_m, rate_s_m, steps_cost_s
 from planopt.planning.proof.bounds import metre_cost_of
 
 
@@ -34,13 +33,8 @@ def main() -> None:
         places = run.log.positions_m
         lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
         metre_cost = metre_cost_of(problem, solution.belief.posteriors)
-        driven_s = path_cost_s(
-            places,
-            np.asarray(problem.goal_m),
-            problem.constraints.goal_radius_m,
-            problem.planner.step_s,
-            problem.reach.effort_weight_s2_m2,
-        ) + rate_s_m(problem) * (integrated_cost_m(metre_cost, places) - lengths.sum())
+        outage_m = integrated_cost_m(metre_cost, places) - lengths.sum()
+        driven_s = steps_cost_s(problem, places) + rate_s_m(problem) * outage_m
         gaps = [
             f"{100 * (cost / bound.value - 1):.2f}"
             for cost in (plan.objective, bound.cost, driven_s)

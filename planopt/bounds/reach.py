@@ -10,7 +10,6 @@ import numpy as np
 
 from planopt.bounds.route import RouteProblem
 from planopt.channel.posterior import ChannelPosterior
-from planopt.objectives.reach import cost_rate_s_m
 from planopt.problems.problem import Problem
 from planopt.robots.models import DoubleIntegrator, SingleIntegrator, Unicycle
 
@@ -96,8 +95,3 @@ def route_problem(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> R
         posteriors=posteriors,
         thresholds_dbm=[station.threshold_dbm - slack_db for station in problem.stations],
     )
-
-
-def rate_s_m(problem: Problem) -> float:
-    """Return the least cost per metre in s/m (equation 4.16)."""
-    return cost_rate_s_m(problem.reach.effort_weight_s2_m2, problem.robots[0].speed_max_m_s)

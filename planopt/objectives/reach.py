@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 
 from planopt.arrays import Floats, Mask
+from planopt.problems.problem import Problem
 
 
 def cruising_speed_m_s(effort_weight_s2_m2: float, speed_max_m_s: float) -> float:
@@ -25,6 +26,11 @@ def cost_rate_s_m(effort_weight_s2_m2: float, speed_max_m_s: float) -> float:
     """Return the least cost per metre in s/m: min over 0 < v <= v_max of (1 + w v^2) / v."""
     best = cruising_speed_m_s(effort_weight_s2_m2, speed_max_m_s)
     return (1.0 + effort_weight_s2_m2 * best**2) / best
+
+
+def rate_s_m(problem: Problem) -> float:
+    """Return the least cost per metre in s/m of a problem's first robot (equation 4.16)."""
+    return cost_rate_s_m(problem.reach.effort_weight_s2_m2, problem.robots[0].speed_max_m_s)
 
 
 def step_cost_s(length_m: Floats, step_s: float, effort_weight_s2_m2: float) -> Floats:
@@ -81,3 +87,10 @@ def path_cost_s(
         short_of_goal |= np.linalg.norm(resting_m[:-1] - goal_m, axis=1) > goal_radius_m
     costs = np.where(short_of_goal, step_cost_s(lengths, step_s, effort_weight_s2_m2), 0.0)
     return float(costs.sum())
+
+
+def steps_cost_s(problem: Problem, positions_m: Floats, resting_m: Floats | None = None) -> float:
+    """Return the :func:`path_cost_s` of a path (n + 1, 2) of a problem's first robot."""
+    radius_m, step_s = problem.constraints.goal_radius_m, problem.planner.step_s
+    weight, goal = problem.reach.effort_weight_s2_m2, np.asarray(problem.goal_m)
+    return path_cost_s(positions_m, goal, radius_m, step_s, weight, resting_m)

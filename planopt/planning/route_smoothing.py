@@ -16,10 +16,9 @@ import shapely
 
 from planopt.arrays import Floats, Indices, Mask
 from planopt.bounds.corridor import Corridor
-from planopt.bounds.reach import rate_s_m
 from planopt.channel.posterior import ChannelPosterior
 from planopt.channel.prediction import connection_probability
-from planopt.objectives.reach import integrated_cost_m, step_cost_s
+from planopt.objectives.reach import integrated_cost_m, rate_s_m, step_cost_s
 from planopt.planning.certificate import holes_on
 from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict
 from planopt.planning.proof.bounds import metre_cost_of

@@ -9,12 +9,12 @@ import numpy as np
 
 from planopt.arrays import Floats
 from planopt.bounds.bound import Bound, Potential, Tilts
-from planopt.bounds.reach import rate_s_m, relaxed_constraints, route_problem, why_unbounded
+from planopt.bounds.reach import relaxed_constraints, route_problem, why_unbounded
 from planopt.bounds.route import route_bounds, verified_value
 from planopt.bounds.stages import ignored_constraints, stage_problem, summed_terms
 from planopt.bounds.tube import StageProblem, proves
 from planopt.channel.posterior import ChannelPosterior
-from planopt.objectives.reach import integrated_cost_m, outage_share, path_cost_s
+from planopt.objectives.reach import integrated_cost_m, outage_share, rate_s_m, steps_cost_s
 from planopt.objectives.terms.context import TermContext
 from planopt.planning.certificate import required_margins_db
 from planopt.planning.plan import Plan
@@ -130,13 +130,7 @@ def integrated_cost_s(
     metre_cost = metre_cost_of(problem, posteriors)
     lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)
     outage_m = integrated_cost_m(metre_cost, places) - float(lengths.sum())
-    own_s = path_cost_s(
-        places,
-        np.asarray(problem.goal_m),
-        problem.constraints.goal_radius_m,
-        problem.planner.step_s,
-        problem.reach.effort_weight_s2_m2,
-    )
+    own_s = steps_cost_s(problem, places)
     if plan.drive is not None and len(plan.route_m):
         # The cost-to-go of a moving robot is that of its rest position, which is nearer.
         route = np.vstack([places[-1:], plan.route_m])

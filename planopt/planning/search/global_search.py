@@ -11,7 +11,7 @@ import numpy as np
 
 from planopt.arrays import Floats, Indices
 from planopt.channel.prediction import bound_margin_db, connection_probability
-from planopt.objectives.reach import charged_length_m, cost_rate_s_m, path_cost_s
+from planopt.objectives.reach import charged_length_m, rate_s_m, steps_cost_s
 from planopt.planning.plan import History, Pivot
 from planopt.planning.scene import Scene, first_moves
 from planopt.planning.search.lattice_search import first_steps_apart, move_table, search_cheapest
@@ -75,9 +75,7 @@ class GlobalSearch:
         threshold = problem.stations[0].threshold_dbm
         everywhere = problem.reach.charges_everywhere
         self.margins = NodeMargins(scene.road_map, threshold, constraints.p_min, everywhere)
-        self._rate = cost_rate_s_m(
-            problem.reach.effort_weight_s2_m2, problem.robots[0].speed_max_m_s
-        )
+        self._rate = rate_s_m(problem)
         rule = constraints.rule
         start = np.asarray(problem.robots[0].start_m, dtype=np.float64)
         nodes, lengths = first_moves(scene, problem, start)
@@ -240,13 +238,7 @@ class GlobalSearch:
         """Return the cost in seconds of a path and of the route from its end."""
         problem, road_map = self._problem, self._scene.road_map
         places = np.vstack([context.position_m, road_map.nodes_m[nodes]])
-        cost = path_cost_s(
-            places,
-            np.asarray(problem.goal_m),
-            problem.constraints.goal_radius_m,
-            problem.planner.step_s,
-            problem.reach.effort_weight_s2_m2,
-        )
+        cost = steps_cost_s(problem, places)
         _, here = self.margins.at(context.position_m[None])
         share = np.concatenate([here, self.margins.outage_share[nodes]])
         lengths = np.linalg.norm(np.diff(places, axis=0), axis=1)

@@ -9,7 +9,7 @@ import numpy as np
 from planopt.arrays import Floats, Mask
 from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
 from planopt.errors import InputError
-from planopt.objectives.reach import charged_length_m, cost_rate_s_m, outage_share, path_cost_s
+from planopt.objectives.reach import charged_length_m, outage_share, rate_s_m, steps_cost_s
 from planopt.objectives.terms.term import Term
 from planopt.parts import calling, returned
 from planopt.planning.certificate import RuleResult, required_margins_db
@@ -165,23 +165,13 @@ class ReachCost:
     @property
     def rate_s_m(self) -> float:
         """Cost per metre beyond the horizon."""
-        return cost_rate_s_m(
-            self.problem.reach.effort_weight_s2_m2, self.problem.robots[0].speed_max_m_s
-        )
+        return rate_s_m(self.problem)
 
     def __call__(self, path_m: Floats, drive: Drive | None = None) -> float:
         """Return the cost of a path (N, 2) in seconds, including outage price and cost-to-go."""
-        problem = self.problem
         resting = None if drive is None else resting_places_m(drive)
         places = np.vstack([self.position_m, path_m])
-        cost = path_cost_s(
-            places,
-            np.asarray(problem.goal_m),
-            problem.constraints.goal_radius_m,
-            problem.planner.step_s,
-            problem.reach.effort_weight_s2_m2,
-            resting,
-        )
+        cost = steps_cost_s(self.problem, places, resting)
         if self.priced:
             cost += self.rate_s_m * self.outage_price * self._charged_m(places)
         if self.ahead is None:

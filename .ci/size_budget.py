@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_873,
-    "lines of code": 52_347,
+    "lines": 70_880,
+    "lines of code": 52_351,
     "files": 281,
-    "functions": 3_778,
-    "docstring lines": 7_541,
-    "lines of tests": 48_709,
+    "functions": 3_779,
+    "docstring lines": 7_542,
+    "lines of tests": 48_723,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

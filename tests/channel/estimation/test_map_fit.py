@@ -78,6 +78,20 @@ def test_rows_in_any_order_and_lengths_in_any_unit() -> None:
     assert other.n_pl == pytest.approx(fit.n_pl, rel=1e-3)
 
 
+def test_frame_of_any_rotation() -> None:
+    """A log along a street gives one fit, with the street along an axis or not."""
+    data = simulated(CHANNEL, 8, 80, 200.0)
+    places = data.positions_m * (1.0, 0.1)
+    mast = np.array([50.0, 30.0])
+    fits = []
+    for angle in (0.0, 0.7):
+        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        station = Station(tuple((turn @ mast).tolist()), 10.0)
+        found = fit_channel(Measurements(places @ turn.T, data.power_dbm), station).parameters
+        fits.append((found.n_pl, found.decorrelation_m, found.shadow_std_db))
+    np.testing.assert_allclose(fits[1], fits[0], rtol=1e-3)
+
+
 def test_prior_without_a_spread_is_refused() -> None:
     """A standard deviation of zero is no prior."""
     with refused():

@@ -13,8 +13,8 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_880,
-    "lines of code": 52_351,
+    "lines": 70_881,
+    "lines of code": 52_352,
     "files": 281,
     "functions": 3_779,
     "docstring lines": 7_542,

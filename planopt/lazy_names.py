@@ -32,7 +32,8 @@ def lazy_names(
         raise (ImportError if _is_import(caller) else AttributeError)(words)
 
     def names() -> list[str]:
-        return sorted({*vars(import_module(package)), *modules})
+        special = (name for name in vars(import_module(package)) if name.startswith("__"))
+        return sorted({*special, *modules})
 
     return find, names, sorted(modules)
 

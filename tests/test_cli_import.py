@@ -139,6 +139,7 @@ def test_what_is_printed(yard: Path, tmp_path: Path, capsys) -> None:
         "powers are rounded to 1 dB",
         "unknown cells (6% of the map) are occupied",
         "aa:01 is at",
+        "(95 %); plans use this position as if it were exact",
         "clearance",
     ):
         assert words in said, said
@@ -166,6 +167,31 @@ def test_a_log_in_metres_without_a_map(yard: Path, tmp_path: Path, capsys) -> No
     measured = solution.belief.posterior.measurements
     np.testing.assert_allclose(measured.positions_m, places, atol=0.006)
     np.testing.assert_array_equal(measured.power_dbm, powers["aa:01"])
+
+
+@pytest.mark.parametrize(
+    ("sign", "words"), [(1, "mix several transmitters"), (-1, "write the minus sign")]
+)
+def test_logs_that_do_not_fit_one_transmitter(
+    sign: int, words: str, yard: Path, tmp_path: Path, capsys
+) -> None:
+    """Two transmitters without names, or powers without a sign: a hint, and no inf or dash."""
+    places, powers = readings()
+    rows = [
+        f"{x:.2f},{y:.2f},{sign * power[row]:.0f}"
+        for row, (x, y) in enumerate(places)
+        for power in powers.values()
+    ]
+    log = tmp_path / "log.csv"
+    log.write_text("\n".join(["x,y,rssi", *rows]))
+    out = tmp_path / "mine.toml"
+    arguments = ["import", "--log", log, "--start", START, "--goal", GOAL, "--out", out]
+    code = 3 if sign < 0 else 0
+    for command in (arguments, ["fit", log, "--station", "unknown"]):
+        assert main([*map(str, command)]) == code
+        said = capsys.readouterr().out
+        assert words in said and ("not determined" in said) == (code == 3)
+        assert " inf" not in said and "+- -" not in said and "(-," not in said
 
 
 def test_start_and_goal_in_degrees(yard: Path, tmp_path: Path, capsys) -> None:

@@ -122,7 +122,7 @@ def _read_and_fit(options: LogOptions, log_format: LogFormat, site: Station | No
         if site is not None:
             return fit_channel(measurements, site, chosen, forgetting_s, loss=loss)
         return fit_channel_and_station(
-            measurements, chosen, forgetting_s=forgetting_s, station_method=search, loss=loss
+            measurements, chosen, None, forgetting_s, station_method=search, loss=loss
         )
 
     try:
@@ -507,21 +507,21 @@ def _in_words(data: dict[str, Any]) -> str:
     from planopt.short_repr import shown_number
 
     (x, y), errors_m = data["station"], data["station_standard_errors_m"]
-    within = (
-        ""
-        if errors_m is None
-        else " +- ({}, {})".format(*(shown_number(error, digits=2) for error in errors_m))
-    )
+    within = " m"
+    if errors_m is not None:
+        is_known = None not in errors_m
+        within = " +- ({:.2g}, {:.2g}) m".format(*errors_m) if is_known else " m, not determined"
     lines = [
         f"channel fit by {METHOD_WORDS.get(data['method'], data['method'])}: {data['status']} "
         f"({STATUS_WORDS[data['status']]})",
         f"  {data['measurements']} power measurements, {data['censored']} of them at the receiver "
         "floor (upper limits); estimates +- standard errors:",
-        f"  station at ({x:g}, {y:g}){within} m",
+        f"  station at ({x:g}, {y:g}){within}",
     ]
     for name, (words, unit) in PARAMETER_WORDS.items():
-        error = shown_number(data["standard_errors"][name], digits=2)
-        value = f"{shown_number(data[name]):>9} +- {error} {unit}"
+        error = data["standard_errors"][name]
+        error = ", not determined" if error is None else f" +- {error:.2g} {unit}"
+        value = f"{shown_number(data[name]):>9}{error}"
         lines.append(f"  {name:17}{value:22} {words}")
     for offset in data["receiver_offsets"]:
         error = shown_number(offset["standard_error"], digits=2)

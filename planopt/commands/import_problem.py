@@ -133,15 +133,14 @@ def draft_json(draft: Draft, file: Path, picture: Path) -> dict[str, Any]:
 
 
 def _in_words(data: dict[str, Any]) -> str:
-    from planopt.short_repr import shown_number
-
     lines = [f"{data['problem']}: written; picture: {data['picture']}"]
     for each in data["stations"]:
         x, y = each["position_m"]
-        std = shown_number(each["position_std_m"], digits=2)
+        std = each["position_std_m"]
+        source = "not determined" if std is None else f"located within +- {std:.2g} m"
         lines.append(
-            f"  station {each['name']} at ({x:.1f}, {y:.1f})"
-            + (f" +- {std} m, located from the log" if each["located"] else " m, as given")
+            f"  station {each['name']} at ({x:.1f}, {y:.1f}) m, "
+            + (source if each["located"] else "as given")
             + f"; {each['measurements']} power measurements, {each['censored']} of them at the "
             f"receiver floor; channel fit: {each['status']}"
         )

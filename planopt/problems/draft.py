@@ -14,7 +14,7 @@ import numpy as np
 from planopt.channel.channel_map import default_cell_m, measured_bounds_m
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.fit import fit_channel, floor_pile_dbm
-from planopt.channel.estimation.station_fit import MIN_UNCENSORED, fit_channel_and_station
+from planopt.channel.estimation.station_fit import MIN_UNCENSORED, QUANTILE, fit_channel_and_station
 from planopt.channel.logs.log_format import LogFormat, parse_station
 from planopt.channel.logs.log_table import LogTable, alias
 from planopt.channel.logs.power_log import (
@@ -82,6 +82,11 @@ class DraftStation:
     measurements: Measurements
     fit: ChannelFit
     is_given: bool  # True for a known position, false for an estimated one
+
+    @property
+    def region_m(self) -> float:
+        """Return the radius of the disc around the 95 % region of the estimated position."""
+        return math.sqrt(QUANTILE) * self.position_std_m
 
     @property
     def position_std_m(self) -> float:
@@ -187,6 +192,11 @@ def draft_problem(
         _station(label, each.measurements, positions.get(label), number, notes)
         for number, (label, each) in enumerate(powers.items())
     ]
+    if column is None and stations[0].fit.status == "degenerate":
+        notes.warn(
+            "no column is known to name transmitters: if the log has several of them, give "
+            f"--transmitter-column (the columns are {listed(table.names)}), else --station"
+        )
     grid = read_grid(map_path) if map_path is not None and is_grid(map_path) else None
     start, goal = (
         _place(text, f"--{key}", log_format.origin_deg, pooled, grid, notes)
@@ -401,14 +411,18 @@ def _station(
             remedy=f"add --station {label}=X,Y, or select other transmitters by --transmitter",
         )
     fit = (
-        fit_channel_and_station(measurements) if given is None else fit_channel(measurements, given)
+        fit_channel_and_station(measurements, height_m=None)
+        if given is None
+        else fit_channel(measurements, given)
     )
     found = DraftStation(name, label, measurements, fit, given is not None)
     x, y = fit.parameters.station.position_m
     if given is None:
         notes.assume(
-            f"{label} is at ({x:.1f}, {y:.1f}) m, located from {len(measurements)} readings with a "
-            f"standard deviation of {found.position_std_m:.2g} m"
+            f"{label} is at ({x:.1f}, {y:.1f}) m, located from {len(measurements)} readings "
+            f"within {found.region_m:.2g} m (95 %); plans use this position as if it were exact"
+            if math.isfinite(found.region_m)
+            else f"{label} is at ({x:.1f}, {y:.1f}) m, which the readings do not determine"
         )
     # An assumption says that the position is estimated.
     said = [each for each in fit.warnings if not each.endswith("estimated, not given")]
@@ -613,6 +627,8 @@ def _tables(
         comments["channel.measurements.origin_deg"] = "latitude and longitude of (0, 0)"
     if settings.threshold_dbm is None:
         comments["stations.threshold_dbm"] = "assumed"
+    if not all(each.is_given for each in stations):
+        comments["stations.position_m"] = "given or located, with the 95 % region stated above"
     return tables, comments
 
 

@@ -111,23 +111,24 @@ def test_a_station_in_degrees(log: Path, capsys) -> None:
     assert degrees["station"] == pytest.approx([-30.0, 20.0], abs=0.2)
     assert degrees["station_height_m"] == 6.0
     assert degrees["n_pl"] == pytest.approx(metres["n_pl"], rel=0.05)
-    arguments = ["fit", str(log), "--station=-30,20", "--columns", "x=lon,y=lat,power=dbm"]
-    refused_command(capsys, *arguments, *origin)
+    for metres in ("-30,20", "-30,20,6"):
+        arguments = ["fit", str(log), f"--station={metres}", "--columns", "x=lon,y=lat,power=dbm"]
+        refused_command(capsys, *arguments, *origin)
 
 
 @pytest.mark.parametrize(
-    ("columns", "words"),
+    ("columns", "words", "code"),
     [
-        ("x=lon,y=lat,power=dbm", "look like degrees"),
-        ("x=x,y=y,power=loss", "write the minus sign"),
-        ("x=x,y=y,power=linear", "in mW, as their values show"),
+        ("x=lon,y=lat,power=dbm", "look like degrees", 3),
+        ("x=x,y=y,power=loss", "write the minus sign", 3),
+        ("x=x,y=y,power=linear", "in mW, as their values show", 3),
     ],
 )
-def test_logs_in_other_units(columns: str, words: str, log: Path, capsys) -> None:
+def test_logs_in_other_units(columns: str, words: str, code: int, log: Path, capsys) -> None:
     """The warning comes first; a degenerate fit has an exit code of its own."""
-    code, data = fitted(log, columns, "-30,20", capsys)
+    found, data = fitted(log, columns, "-30,20", capsys)
     assert words in data["warnings"][0]
-    assert code == (3 if data["status"] == "degenerate" else 0)
+    assert found == code and (data["status"] == "degenerate") == (code == 3)
 
 
 def test_milliwatts_that_count_as_dbm(log: Path, capsys) -> None:

@@ -193,8 +193,12 @@ def _mode_words(parameters: ChannelParameters, below: float) -> str:
     )
 
 
+REVERSED_ERRORS = 2.0
+"""Standard errors below zero from which on n_PL contradicts the model."""
 PLAUSIBLE_N_PL = (1.0, 6.0)
 """Plausible range of n_PL, from waveguides to the densest buildings; free space is 2."""
+LARGEST_MULTIPATH_DB = 6.0
+"""Maximum plausible omega; Rayleigh fading has 5.6 dB."""
 EXTENT_SHARE = 1.0 / 3.0
 """Maximum plausible decorrelation distance as a share of the log's extent."""
 PLAUSIBLE_POWER_DBM = (-200.0, 100.0)
@@ -224,9 +228,19 @@ def implausible_values(
     low, high = PLAUSIBLE_N_PL
     n_pl = parameters.n_pl
     if n_pl < 0.0:
-        said.append("n_PL is negative: power grows with the distance to the station")
+        said.append(
+            "n_PL is negative: power grows with the distance to the station "
+            "(check the sign of the powers and the station's position)"
+        )
     elif not low <= n_pl <= high:
         said.append(f"n_PL of {n_pl:.2f} is implausible ({low:g} to {high:g})")
+    omega = parameters.multipath_std_db
+    if omega > LARGEST_MULTIPATH_DB:
+        said.append(
+            f"multipath of {omega:.2g} dB is stronger than Rayleigh fading (5.6 dB): the log may "
+            "mix several transmitters (select one by its name, see --where and "
+            "--transmitter-column)"
+        )
     beta = parameters.decorrelation_m
     if beta > EXTENT_SHARE * extent_m:
         said.append(
@@ -386,9 +400,10 @@ def _channel_fit(estimate: _Estimate, data: _FitInput, method: FitMethod) -> Cha
     offsets = ()
     if measurements.receiver.any():
         offsets = receiver_offsets(condition(parameters, measurements, exact_limit=EXACT_ROWS))
+    is_reversed = parameters.n_pl < -REVERSED_ERRORS * n_error
     return ChannelFit(
         method=method,
-        status="degenerate" if doubts else "weak" if faults else "ok",
+        status="degenerate" if doubts or is_reversed else "weak" if faults else "ok",
         parameters=parameters,
         standard_errors=errors,
         theta_covariance=theta_covariance,

@@ -9,6 +9,7 @@ positions that a likelihood-ratio test does not reject.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -73,6 +74,8 @@ LATTICE = 41
 """Number of positions along each side of the lattice for the moments; odd."""
 EDGE_SHARE = 0.05
 """Maximum weight at the edge of the lattice; with more, the position is not determined."""
+OTHER_HEIGHTS_M = (4.0, 8.0, 16.0)
+"""Heights that are as probable as 0 for a station of unknown height."""
 QUANTILE = 5.99
 """95 % quantile of chi-squared with two degrees of freedom."""
 SINGULAR = 1e12
@@ -83,7 +86,7 @@ SINGULAR = 1e12
 def fit_channel_and_station(
     measurements: Measurements | Table,
     method: FitMethod = "map",
-    height_m: float = 0.0,
+    height_m: float | None = 0.0,
     forgetting_s: float = math.inf,
     *,
     station_method: StationMethod = "joint",
@@ -99,7 +102,8 @@ def fit_channel_and_station(
     method
         Method of the final fit, as in :func:`planopt.channel.fit_channel`.
     height_m
-        Height of the station's antenna above the robots'; not estimated.
+        Height of the station's antenna above the robots'. If None, the position is estimated for
+        height 0, and its covariance (of ``joint``) also covers `OTHER_HEIGHTS_M`.
     forgetting_s
         Time scale of the channel, as in :func:`planopt.channel.fit_channel`.
     station_method
@@ -146,12 +150,15 @@ def fit_channel_and_station(
             "all measurements are on one straight line: the station may be on either side of it",
             remedy=remedy,
         )
-    station = locate(measurements, station_method, height_m, forgetting_s)
+    station = locate(measurements, station_method, height_m or 0.0, forgetting_s)
     found = fit_channel(measurements, station, method, forgetting_s, loss=loss)
     sample = measurements.take(thinned(len(measurements), MOST_DENSE))
     parameters, errors = found.parameters, found.standard_errors
-    covariance_of = line_covariance_m2 if station_method == "line" else joint_covariance_m2
-    covariance = covariance_of(sample, parameters)
+    if station_method == "line":
+        covariance = line_covariance_m2(sample, parameters)
+    else:
+        heights = OTHER_HEIGHTS_M if height_m is None else ()
+        covariance = joint_covariance_m2(sample, parameters, heights)
     place = "the station's position ({:.2f}, {:.2f}) m is ".format(*station.position_m)
     if covariance is None:
         return replace(
@@ -396,7 +403,9 @@ def line_covariance_m2(measurements: Measurements, parameters: ChannelParameters
     return (half.T @ half)[2:, 2:]
 
 
-def joint_covariance_m2(measurements: Measurements, parameters: ChannelParameters) -> Floats | None:
+def joint_covariance_m2(
+    measurements: Measurements, parameters: ChannelParameters, other_heights_m: Sequence[float] = ()
+) -> Floats | None:
     """Return the covariance (2, 2) of a position fitted by ``joint``; None if undetermined."""
     # Moments are sums over a lattice along the principal axes, coarser at larger distances.
     surface = station_surface(measurements, parameters, has_prior=True)
@@ -411,11 +420,13 @@ def joint_covariance_m2(measurements: Measurements, parameters: ChannelParameter
     shares = np.column_stack([share[i], share[j]])
     area = np.prod(np.cosh(growth * shares), axis=1)
     off = (scale * np.sinh(growth * shares)) @ axes.T
-    loss, _ = losses(surface, estimate + off)
+    places = estimate + off
+    heights = (surface.height_m, *other_heights_m)
+    loss = np.stack([losses(replace(surface, height_m=h), places)[0] for h in heights])
     # The total variance is integrated out: at its fitted value the loss is `freedom`.
     freedom = 0.5 * (len(surface.whitened_db) - 2)
-    drop = freedom * np.log1p(np.maximum(loss - loss[len(loss) // 2], 0.0) / freedom)
-    weights = np.where(drop < REJECTED, area * np.exp(-drop), 0.0)
+    drop = freedom * np.log1p((loss - loss.min()) / freedom)
+    weights = area * np.where(drop < REJECTED, np.exp(-drop), 0.0).sum(axis=0)
     weights /= weights.sum()
     if float(weights[(np.abs(shares) == 1.0).any(axis=1)].sum()) > EDGE_SHARE:
         return None

@@ -149,19 +149,20 @@ def parse_station(text: str, origin_deg: Origin | None = None) -> Station | None
     if len(numbers) not in (2, 3) or not all(math.isfinite(number) for number in numbers):
         raise InputError(
             f"{text!r} is not a position of two or three finite numbers",
-            key="station",
+            key="--station",
             remedy=remedy,
         )
     place, height_m = np.array(numbers[:2]), (*numbers, 0.0)[2]
     if origin_deg is not None:
-        require_points(text, "station", "HEIGHT")
         (place,) = east_north_m(place[1:], place[:1], origin_deg)
         if np.isnan(place).any():
             raise InputError(
-                f"{text} is more than {FARTHEST_M / 1000.0:.0f} km from --origin",
-                key="station",
-                remedy=remedy,
+                f"latitude {numbers[0]:g}, longitude {numbers[1]:g} is more than "
+                f"{FARTHEST_M / 1000.0:.0f} km from --origin",
+                key="--station",
+                remedy=f"{remedy}; metres cannot be used with --origin",
             )
+        require_points(text, "--station", "HEIGHT")
     return Station((float(place[0]), float(place[1])), height_m)
 
 

@@ -33,6 +33,7 @@ USAGE_ERRORS = {
     r"'[^']*' is not a valid float|Input should be a valid number.*": "give a number",
     r"'[^']*' is not a valid integer|Input should be a valid integer.*": "give an integer",
     r"\S+ is not in the range x>=|Input should be greater than or equal to ": "give at least ",
+    r"Got unexpected extra arguments? ?(\(s\) )?\((.*)\)": r"there are too many arguments: \2",
 }
 """Wordings of Typer's versions and one wording for all of them."""
 

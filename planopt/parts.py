@@ -100,7 +100,7 @@ class Registry:
             return self.installed[name].load()
         except (ImportError, AttributeError) as error:
             raise InputError(
-                f'is "{name}", which is installed but cannot be imported: {error}',
+                f'is "{name}", whose package cannot be imported ({error})',
                 key=self.key,
                 remedy="install the packages that it needs, or choose another",
             ) from None

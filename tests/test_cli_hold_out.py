@@ -103,7 +103,7 @@ def test_words_and_picture(log: Path, tmp_path: Path, capsys) -> None:
     )
     scores = text.split("cross-validation by")[1].split("P(power")[0]
     assert "channel" in scores and " to " not in scores
-    for word in (*PREDICTORS, "in 95% interval"):
+    for word in (*PREDICTORS, "in 95 % interval"):
         assert word in text
     assert "P(power >= -9" in text and "no intervals for fewer than 5 groups" in text
     pictures = {"fit.png", "held_out.png", "reliability.png"}

@@ -137,7 +137,7 @@ def test_what_is_printed(yard: Path, tmp_path: Path, capsys) -> None:
         "column BSSID names the transmitter",
         "1 of 3 transmitters are left out",
         "powers are rounded to 1 dB",
-        "unknown cells (6% of the map) are occupied",
+        "unknown cells (6 % of the map) are occupied",
         "aa:01 is at",
         "(95 %); plans use this position as if it were exact",
         "clearance",

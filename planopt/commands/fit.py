@@ -209,9 +209,8 @@ HoldOutOption = Annotated[
     option(
         "--hold-out",
         "COLUMN[:BLOCK][,...]",
-        "Cross-validate: rows with equal values of these columns are a group, and each "
-        "group is predicted from the others, such as day or "
-        "day,t_s:600 (blocks of 600 in t_s).",
+        "Cross-validate: rows with equal values of these columns form a group, which is "
+        "predicted from the other groups. Examples: day; day,t_s:600 (blocks of 600 in t_s).",
     ),
 ]
 
@@ -220,7 +219,7 @@ ThresholdOption = Annotated[
     option(
         "--threshold",
         "DBM",
-        "With --hold-out: minimum power of a connection (default: the median power).",
+        "With --hold-out: minimum power of a connection; default: the median power.",
     ),
 ]
 
@@ -308,7 +307,7 @@ def held_out_words(data: dict[str, Any]) -> list[str]:
 
     header = (
         f"  {'predictor':{NAME_WIDTH}}  {'RMSE [dB]':22}  {'RMSE / path_loss RMSE':22}"
-        + "".join(f"  {f'powers in {level:.0%} interval':22}" for level in SHOWN_LEVELS)
+        + "".join(f"  {f'powers in {100.0 * level:.0f} % interval':22}" for level in SHOWN_LEVELS)
     )
     lines = [
         f"cross-validation by {data['columns']}: {data['groups']} groups in {data['folds']} folds, "
@@ -514,9 +513,15 @@ def _in_words(data: dict[str, Any]) -> str:
     lines = [
         f"channel fit by {METHOD_WORDS.get(data['method'], data['method'])}: {data['status']} "
         f"({STATUS_WORDS[data['status']]})",
+<<<<<<< HEAD
         f"  {data['measurements']} power measurements, {data['censored']} of them at the receiver "
         "floor (upper limits); estimates +- standard errors:",
         f"  station at ({x:g}, {y:g}){within}",
+=======
+        f"  {data['measurements']} power measurements, {data['censored']} of them upper "
+        "limits; estimates +- standard errors:",
+        f"  station at ({x:g}, {y:g}){within} m",
+>>>>>>> 17ff756f (Word options, screens and messages plainly; map library problems by name)
     ]
     for name, (words, unit) in PARAMETER_WORDS.items():
         error = data["standard_errors"][name]

@@ -41,7 +41,8 @@ def import_problem(
         option(
             "--station",
             "[NAME=]X,Y[,HEIGHT]",
-            "Position of a transmitter, with --origin LAT,LON[,HEIGHT]; others are located.",
+            "Known position of a transmitter, or LAT,LON[,HEIGHT] if --origin is given. Others "
+            "are estimated from the log.",
         ),
     ] = None,
     stations: Annotated[
@@ -49,20 +50,29 @@ def import_problem(
     ] = None,
     threshold: Annotated[
         float | None,
-        option("--threshold", "DBM", "Minimum power of a connection; default: assumed."),
+        option(
+            "--threshold",
+            "DBM",
+            "Minimum power of a connection; default: 10 dB above the weakest reading.",
+        ),
     ] = None,
     p_min: Annotated[float, option("--p-min", "P", "Required probability of connection.")] = 0.9,
-    speed: Annotated[float | None, option("--speed", "M_S", "Speed of the robot.")] = None,
+    speed: Annotated[
+        float | None, option("--speed", "M_S", "Speed of the robot; default: 1 m/s.")
+    ] = None,
     clearance: Annotated[
-        float | None, option("--clearance", "M", "Distance of the robot's centre from obstacles.")
+        float | None,
+        option(
+            "--clearance", "M", "Distance of the robot's centre from obstacles; default: 0.3 m."
+        ),
     ] = None,
     force: Annotated[bool, option("--force", None, "Replace an existing problem file.")] = False,
     json: JsonOption = False,
 ) -> int:
     """Make a problem file from a power log and a map.
 
-    All assumptions are listed. Columns, delimiter, units and transmitters are detected, and
-    transmitters are located.
+    Columns, delimiter, units and transmitters are detected, and the positions of transmitters
+    are estimated. The output lists every assumption.
     """
     from planopt.files.writing import write_text
     from planopt.problems.draft import DraftSettings, draft_problem
@@ -139,10 +149,17 @@ def _in_words(data: dict[str, Any]) -> str:
         std = each["position_std_m"]
         source = "not determined" if std is None else f"located within +- {std:.2g} m"
         lines.append(
+<<<<<<< HEAD
             f"  station {each['name']} at ({x:.1f}, {y:.1f}) m, "
             + (source if each["located"] else "as given")
             + f"; {each['measurements']} power measurements, {each['censored']} of them at the "
             f"receiver floor; channel fit: {each['status']}"
+=======
+            f"  station {each['name']} at ({x:.1f}, {y:.1f})"
+            + (f" +- {std} m, located from the log" if each["located"] else " m, as given")
+            + f"; {each['measurements']} power measurements, {each['censored']} of them "
+            f"upper limits; channel fit: {each['status']}"
+>>>>>>> 17ff756f (Word options, screens and messages plainly; map library problems by name)
         )
     lines += ["assumptions:", *(f"  {each}" for each in data["assumptions"])]
     if data["warnings"]:

@@ -10,6 +10,8 @@ from glob import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+import typer
+
 from planopt.commands.fit import DEGENERATE, fit_each, fit_json, read_and_fit
 from planopt.commands.options import JsonOption, LogOptions, option, with_options
 from planopt.commands.output import progress, results_folder, show
@@ -37,10 +39,24 @@ class _Mapped:
     p_min: float | None = None  # Required probability of the problem; None for a log
 
 
-@with_options(LogOptions)
+@dataclass(frozen=True, kw_only=True)
+class MapOptions(LogOptions):
+    """Options of the map of a log or a problem."""
+
+    log: Annotated[
+        Path,
+        typer.Argument(
+            metavar="LOG_OR_PROBLEM", help="Power log, problem file, or problem name from `list`."
+        ),
+    ]
+
+
+@with_options(MapOptions)
 def map_log(
-    options: LogOptions,
-    out: Annotated[Path | None, option("--out", "FILE", "Ends in .csv, .npz, .nc or .tif.")] = None,
+    options: MapOptions,
+    out: Annotated[
+        Path | None, option("--out", "FILE", "File for the map: .csv, .npz, .nc or .tif.")
+    ] = None,
     nav2: Annotated[
         Path | None, option("--nav2", "DIR", "Folder for the filter masks of Nav2.")
     ] = None,
@@ -52,7 +68,7 @@ def map_log(
         option(
             "--p-min",
             "P",
-            "Contact mask: P(connected) from which a cell is in contact; default: 0.9.",
+            "Contact mask: least P(connected) in contact; default: the problem's p_min, or 0.9.",
         ),
     ] = None,
     cell: Annotated[
@@ -81,8 +97,8 @@ def map_log(
     Its layers are power, standard deviation and P(connected).
 
     The map of a log is for its first receiver, at the time of the latest measurement. The map of
-    a problem file (.toml) covers its bounds and shows the best station at each position. --nav2
-    writes three filter masks: keepout, weighted and contact.
+    a problem covers its bounds and shows the best station at each position. --nav2 writes three
+    filter masks: keepout, weighted and contact.
     """
     from planopt.channel.cholesky import one_blas_thread
     from planopt.world.nav2_masks import MaskLimits, write_masks
@@ -96,7 +112,8 @@ def map_log(
     box = None if bounds is None else parse_bounds(bounds)
     with _writable(out, picture), results_folder(nav2):
         with progress("mapping"), one_blas_thread():
-            is_problem = options.log.suffix == ".toml"
+            named = not options.log.suffix and not options.log.exists()
+            is_problem = named or options.log.suffix == ".toml"
             make = _problem_map if is_problem else _log_map
             found = make(options, box, cell, threshold)
         maps = found.maps
@@ -310,8 +327,8 @@ def _in_words(data: dict[str, Any], fits: Sequence[dict[str, Any]]) -> str:
     for fit in fits:
         station = f"{fit['station']}: " if isinstance(fit["station"], str) else ""
         lines.append(
-            f"  {station}from {fit['measurements']} measurements, {fit['censored']} of them at "
-            f"the receiver floor; channel fit: {fit['status']}; posterior: {data['posterior']}"
+            f"  {station}from {fit['measurements']} measurements, {fit['censored']} of them "
+            f"upper limits; channel fit: {fit['status']}; posterior: {data['posterior']}"
         )
     lines.append(
         f"  P(power at least {data['threshold_dbm']:g} dBm) is 0.5 or more in "
@@ -325,9 +342,10 @@ def _in_words(data: dict[str, Any], fits: Sequence[dict[str, Any]]) -> str:
         lines += [
             f"{masks['folder']}: Nav2 masks {', '.join(masks['masks'])}; parameters "
             "nav2_filters.yaml",
-            f"  P(connected) is below {masks['keepout_below']:g} in {masks['keepout_share']:.1%} "
-            f"of the cells, which the keepout mask forbids, and at least {masks['p_min']:g} in "
-            f"{masks['contact_share']:.1%}",
+            f"  P(connected) is below {masks['keepout_below']:g} in "
+            f"{100.0 * masks['keepout_share']:.1f} % of the cells, which the keepout mask "
+            f"forbids, and at least {masks['p_min']:g} in "
+            f"{100.0 * masks['contact_share']:.1f} %",
             f"  next: ros2 launch {masks['folder']}/nav2_filters.launch.py",
         ]
     return "\n".join(lines)

@@ -34,10 +34,10 @@ JsonOption = Annotated[
     bool, option("--json", None, "Print one JSON object on standard output, nothing else.")
 ]
 AnimationOption = Annotated[
-    bool, option("--animation", None, "Also save an animation, run.gif in --out.")
+    bool, option("--animation", None, "Also save an animation, run.gif; needs --out.")
 ]
-WorkersOption = Annotated[int, option("--workers", None, "Number of processes.", min=1)]
-FirstSeedOption = option("--first-seed", None, "First random seed.", min=0)
+WorkersOption = Annotated[int, option("--workers", "N", "Number of processes.", min=1)]
+FirstSeedOption = option("--first-seed", "N", "First random seed.", min=0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,9 +54,7 @@ class PlanningOptions:
     ] = None
     seed: Annotated[
         int,
-        option(
-            "--seed", None, "Random seed of fading and of initial measurement positions.", min=0
-        ),
+        option("--seed", "N", "Random seed of fading and of initial measurement positions.", min=0),
     ] = 0
     out: OutOption = None
     json: JsonOption = False
@@ -76,7 +74,7 @@ class FormatOptions:
     ] = None
     floor: Annotated[
         float | None,
-        option("--floor", "DBM", "Receiver sensitivity: lower or equal powers are upper limits."),
+        option("--floor", "DBM", "Receiver sensitivity: powers at or below it are upper limits."),
     ] = None
     resolution: Annotated[
         float, option("--resolution", "DB", "Rounding step of the powers in the log.")
@@ -128,15 +126,13 @@ class FormatOptions:
 class LogOptions(FormatOptions):
     """Options of the commands that fit the channel to a power log."""
 
-    log: Annotated[
-        Path, typer.Argument(metavar="LOG", help="Power log; map accepts a problem file too.")
-    ]
+    log: Annotated[Path, typer.Argument(metavar="LOG", help="Power log.")]
     station: Annotated[
         str | None,
         option(
             "--station",
             "X,Y[,HEIGHT]|unknown",
-            "Position of the base station in metres; with --origin LAT,LON[,HEIGHT].",
+            "Position of the base station in metres, or LAT,LON[,HEIGHT] if --origin is given.",
         ),
     ] = None
     each: Annotated[

@@ -41,6 +41,7 @@ def list_problems(json: JsonOption = False) -> int:
             for entry in entries
             if entry.test.family == family
         ]
+    lines.append("plan one of them: planopt solve NAME --out plan")
     show(json, data, "\n".join(lines))
     return 0
 

@@ -301,7 +301,7 @@ def _half_log_noise(path: LocalPath) -> PathDerivatives:
 def _bent_variances(
     batch: CovarianceDerivatives, left: Floats, along: Floats, weight: Floats
 ) -> Floats:
-    """Return the weighted relative second derivatives ``(2 h, 2 h)`` of squared pivots."""
+    """Return the weighted sum of the pivots' relative second derivatives, (2 h, 2 h)."""
     # L_ii^2 is the minimum of y' S y over y with y_i = 1 and y_k = 0 for k > i. The minimiser is
     # L_ii n_i, with n_i row i of N = L^-1 = `left`. The first derivative is L_ii^2 n_i' dS n_i, the
     # second L_ii^2 (n_i' d^2 S n_i - 2 sum_{k<i} (N dS n_i)_k (N dS' n_i)_k). For coordinate p of

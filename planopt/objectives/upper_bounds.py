@@ -42,7 +42,7 @@ class UpperBounds:
         return UpperBounds(self.value[rows], self.slope[rows], self.most[rows], self.radius_m)
 
     def scaled(self, factor: float) -> UpperBounds:
-        """Return the bounds of `factor` >= 0 times the function."""
+        """Return the bounds of the function multiplied by `factor`, which must be >= 0."""
         value, slope, most = factor * self.value, factor * self.slope, factor * self.most
         return UpperBounds(value, slope, most, self.radius_m)
 

@@ -493,7 +493,7 @@ def _workspace(
         unknown = float(grid.unknown.mean())
         notes.warn(*grid_warnings(map_path.name, grid))
         if unknown > 0.0:
-            notes.assume(f"unknown cells ({unknown:.0%} of the map) are occupied")
+            notes.assume(f"unknown cells ({100.0 * unknown:.0f} % of the map) are occupied")
         return Workspace(grid.bounds_m, grid_obstacles(grid, map_path.stem))
     obstacles = () if map_path is None else read_obstacles(map_path, origin_deg=origin_deg)
     known = Measurements(
@@ -517,7 +517,7 @@ def _check_alignment(
     inside = inside_bounds(workspace, positions_m)
     if not inside.all():
         notes.warn(
-            f"{1.0 - inside.mean():.0%} of the measurements are outside the map (check "
+            f"{100.0 * (1.0 - inside.mean()):.0f} % of the measurements are outside the map (check "
             "--origin and the origin of the map)"
         )
     if inside.any() and workspace.obstacles:
@@ -525,9 +525,9 @@ def _check_alignment(
         blocked = float((away <= 0.0).mean())
         if blocked > 0.0:
             notes.warn(
-                f"{blocked:.1%} of the measurements on the map are in occupied or unknown "
-                "cells (check --origin LAT,LON,ANGLE; ANGLE is the direction of the map's x axis "
-                "in degrees counter-clockwise from east)"
+                f"{100.0 * blocked:.1f} % of the measurements on the map are in occupied or "
+                "unknown cells (check --origin LAT,LON,ANGLE; ANGLE is the direction of "
+                "the map's x axis in degrees counter-clockwise from east)"
             )
 
 

@@ -156,7 +156,9 @@ def find_problem(path_or_name: Path | str) -> Path:
     except OSError:  # Name not allowed by the file system
         is_name = is_folder = False
     if is_folder:
-        raise InputError("is a folder, not a problem file", file=path, remedy="name its .toml file")
+        raise InputError(
+            f"{str(path)!r} is a folder, not a problem file", remedy="give the .toml file in it"
+        )
     known = sorted(entry.stem for entry in library_folder().glob(f"*{SUFFIX}"))
     # The run time of the comparison is quadratic in the length.
     close = difflib.get_close_matches(path.stem[:100], known)

@@ -146,8 +146,8 @@ def _grids(problem: Problem) -> Iterator[str]:
         yield from grid_warnings(table["file"], grid)
         if grid.unknown.any():
             yield (
-                f"{table['file']}: {grid.unknown.mean():.1%} of the cells are unknown and count "
-                f"as {table.get('unknown', 'occupied')}"
+                f"{table['file']}: {100.0 * grid.unknown.mean():.1f} % of the cells are unknown "
+                f"and count as {table.get('unknown', 'occupied')}"
             )
 
 
@@ -156,8 +156,8 @@ def grid_warnings(name: str, grid: OccupancyGrid) -> Iterator[str]:
     share = grid.grey_free_cells / grid.occupied.size
     if grid.grey_free_cells:
         yield (
-            f"{name}: {share:.1%} of the cells are grey 205, which mapping tools write for "
-            "unknown, and count as free (free_thresh: 0.196 makes them unknown)"
+            f"{name}: {100.0 * share:.1f} % of the cells are grey 205, which mapping tools write "
+            "for unknown, and count as free (free_thresh: 0.196 makes them unknown)"
         )
     if grid.resolution_m > COARSEST_CELL_M:
         yield (

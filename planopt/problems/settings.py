@@ -71,9 +71,10 @@ class PlannerKind:
                 make = getattr(import_module(module), attribute)
             except (ImportError, AttributeError, ValueError) as error:
                 raise InputError(
-                    f'is "{self.name}", but {self.make!r} cannot be imported: {error}',
+                    f'is "{self.name}", registered as {self.make!r}, which cannot be imported '
+                    f"({error})",
                     key="planner.name",
-                    remedy="install the packages that it needs, or choose another planner",
+                    remedy="correct the registration, install what is missing, or choose another",
                 ) from None
         if not callable(make):
             raise InputError(

@@ -43,8 +43,8 @@ QUESTION_HEAD = (
 )
 
 LEGEND = (
-    f"solved: verified, accepted by the check, objective within {OBJECTIVE_SHARE:.0%} of the best "
-    "known; or no plan where none is known",
+    f"solved: verified, accepted by the check, objective within {100.0 * OBJECTIVE_SHARE:.0f} % "
+    "of the best known; or no plan where none is known",
     "correct: share of the planner's claims (verified, converged, no plan) that the suite confirms",
     "fallback: share of plans released by a fallback, after the planner's own path failed",
     "excess: relative distance of the objective from the best known",

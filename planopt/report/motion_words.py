@@ -129,7 +129,9 @@ def bound_in_words(problem: Problem, bound: Bound | None) -> list[str]:
     if problem.sense == "min":
         proven = f"no plan costs less than {shown_number(bound.value, ' s')}"
         cost = f"this plan with its remaining route costs {shown_number(bound.cost, ' s')}"
-    lines = [f"proven bound: {proven}; {cost} (gap {bound.gap:.2%}; method: {bound.method})"]
+    lines = [
+        f"proven bound: {proven}; {cost} (gap {100.0 * bound.gap:.2f} %; method: {bound.method})"
+    ]
     if bound.relaxed:
         lines.append(f"the bound is valid but looser, as it ignores {', '.join(bound.relaxed)}")
     return lines
@@ -179,8 +181,9 @@ def run_in_words(run: Run) -> list[str]:
     if steps == 0:
         return [head, f"  {robots}, no step was driven"]
     lines = [
-        f"{robots}; plans verified: {run.verified_rate:.1%}; {measured} measurements in {steps} "
-        "steps" + (" of all robots" if len(run.runs) > 1 else ""),
+        f"{robots}; plans verified: {100.0 * run.verified_rate:.1f} %; "
+        f"{measured} measurements in {steps} steps"
+        + (" of all robots" if len(run.runs) > 1 else ""),
         f"executed steps by type of path: {origins or 'none'}",
         *in_columns([*_metrics_in_words(run)]),
         *symbols_in_words(metric for metric, value in run.metrics.items() if not isnan(value)),

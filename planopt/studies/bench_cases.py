@@ -143,7 +143,7 @@ def library_cases(
 
 
 def library_names(tasks: Collection[str] | None = None) -> list[str]:
-    """Return the names of the library's problems with data, of all tasks by default."""
+    """Return the names of library problems whose data are available, by default of all tasks."""
     return [
         entry.name
         for entry in list_problems()
@@ -222,7 +222,7 @@ class Row(Answer):
 
 
 def start_of(case: Case) -> Any:
-    """Return the data shared by all cases of a problem and seed, or the error without a plan."""
+    """Return the data shared by all cases of a problem and seed, or why they cannot be prepared."""
     return shared_data((problem_of(case), case.question.seed))
 
 

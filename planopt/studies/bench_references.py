@@ -69,7 +69,7 @@ def read_references(file: Path | None = None) -> dict[Case, Reference]:
         found = decoded(list[Reference], listed)
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(
-            f"is not a file of references of this version: {error}",
+            f"cannot be read as references of this version ({error})",
             file=path,
             remedy="restore the file from the repository",
         ) from None
@@ -186,7 +186,8 @@ def regressions(row: Row, reference: Reference) -> list[str]:
             OBJECTIVE_SHARE
         ):
             found.append(
-                f"objective {row.objective:.6g}, was {reference.objective:.6g}: {share:.1%} worse"
+                f"objective {row.objective:.6g}, was {reference.objective:.6g}: "
+                f"{100.0 * share:.1f} % worse"
             )
     if found and row.reasons:
         found[0] += f" ({'; '.join(row.reasons[:3])})"
@@ -202,7 +203,7 @@ def improvement(row: Row, reference: Reference) -> str | None:
         return None
     return (
         f"{row.case}: objective {row.objective:.6g}, was {reference.objective:.6g}: "
-        f"{share:.1%} better"
+        f"{100.0 * share:.1f} % better"
     )
 
 

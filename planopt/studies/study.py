@@ -90,7 +90,7 @@ def _read_record(file: Path, kind: type[Value]) -> tuple[Any, Value] | None:
 
 
 def shared_data(item: tuple[AnyProblem, int]) -> Any:
-    """Return the data shared by all settings of a problem and seed, or the error without a plan."""
+    """Return the data shared by all settings of a problem and seed, or why there are none."""
     problem, seed = item
     try:
         return task_of(problem).shared(problem, seed)

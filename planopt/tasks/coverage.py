@@ -457,7 +457,7 @@ def in_words(result: TaskResult) -> Sequence[str]:
         if data["bound"] is not None:
             bound = (
                 f"proven bound: no deployment costs less than {data['bound']:.6g}; gap "
-                f"{data['gap']:.2%} (method: Lagrangian relaxation)"
+                f"{100.0 * data['gap']:.2f} % (method: Lagrangian relaxation)"
             )
         radio = cast("CoverageProblem", result.problem).radio is not None
         worst = max(data["start_costs"]) / data["objective"]

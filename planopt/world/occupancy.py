@@ -429,7 +429,9 @@ def _number(table: dict[str, object], key: str) -> float:
         number = math.nan
     if not math.isfinite(number):
         raise InputError(
-            f"is {_shown(value)}, should be a number", key=key, remedy="write a number"
+            f"is {_shown(value)}, should be a finite number",
+            key=key,
+            remedy="write a number such as 0.05",
         )
     return number
 
@@ -437,7 +439,7 @@ def _number(table: dict[str, object], key: str) -> float:
 def _shown(value: object) -> str:
     """Return a value formatted for a message."""
     text = "missing" if value is None else repr(value)
-    return text if len(text) <= 60 else f"{text[:60]}..."
+    return text if len(text) <= 60 else f"{text[:60]}...'"
 
 
 def _one_of(table: dict[str, object], key: str, allowed: tuple[str, ...]) -> str:

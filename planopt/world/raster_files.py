@@ -506,7 +506,7 @@ def write_npz(path: Path, rasters: Mapping[str, Raster], origin_deg: Origin | No
 
 
 def read_npz_raster(path: Path, variable: str) -> Raster:
-    """Return one variable of an ``npz`` file, or of a Sionna RT map with cell centres."""
+    """Return one variable of an ``npz`` file, or of a Sionna RT map that has cell centres."""
     if CENTRES in npz_names(path):
         return read_sionna_map(path, variable)
     x, y, values = npz_arrays(path, ("x", "y", variable))

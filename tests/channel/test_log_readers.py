@@ -253,7 +253,7 @@ def test_frames_that_are_no_logs() -> None:
     pandas = pytest.importorskip("pandas")
     with pytest.raises(InputError, match="is empty"):
         read_log(pandas.DataFrame({**ROWS, "rssi": [None, -60.0]}))
-    with pytest.raises(InputError, match="is not the name of a column"):
+    with pytest.raises(InputError, match="is not a column"):
         read_log(pandas.DataFrame({"x": [1.0], "y": [2.0]}))
     with pytest.raises(InputError, match="a int is no log"):
         read_log(3)  # pyright: ignore[reportArgumentType]

@@ -99,7 +99,7 @@ def test_metres_and_degrees_in_one_log(tmp_path: Path) -> None:
 def test_a_missing_column_is_named(tmp_path: Path) -> None:
     """With the names that are there."""
     error = refused(written(tmp_path, "x,y,quality\n1,2,50\n"))
-    assert error.message == "is not the name of a column; the columns are x, y, quality"
+    assert error.message == "is not a column; the columns are x, y, quality"
     assert error.row == 1
 
 

@@ -135,7 +135,7 @@ def test_an_index_becomes_a_line(tmp_path):
         examine(read_log(path), Station((0.0, 0.0)))
     error = at_file_line(caught.value, path)
     assert (error.file, error.row) == (str(path), 6)
-    assert "log of zero distance" in str(error)
+    assert "path loss is undefined" in str(error)
     assert at_file_line(InputError("no row"), path).row is None
 
 

@@ -78,7 +78,7 @@ def test_entry_points(monkeypatch) -> None:
     assert planner_kind("mower") == PlannerKind("mower", LawnmowerPlanner, searches=True)
     assert planner_kind("east") == PlannerKind("east", Eastward)
     assert planner_kind("auto") is OWN["auto"]
-    with pytest.raises(InputError, match="installed but cannot be imported"):
+    with pytest.raises(InputError, match="whose package cannot be imported"):
         planner_kind("broken")
 
 

@@ -56,8 +56,8 @@ def test_implausible_problems(old: str, new: str, words: str, tmp_path: Path, ca
 @pytest.mark.parametrize(
     ("resolution", "free", "words"),
     [
-        (0.25, 0.25, "15.0% of the cells are grey 205"),
-        (0.25, 0.196, "15.0% of the cells are unknown and count as occupied"),
+        (0.25, 0.25, "15.0 % of the cells are grey 205"),
+        (0.25, 0.196, "15.0 % of the cells are unknown and count as occupied"),
         (25.0, 0.25, "cells of 25 m are implausibly large"),
     ],
 )

@@ -257,9 +257,9 @@ def suspected_floor(measurements: Measurements) -> str | None:
     if floor is None:
         return None
     return (
-        f"the lowest power, {floor:g} dBm, occurs {(exact == floor).sum()} times among "
-        f"{len(exact)}: it looks like the receiver's floor, and biases the fit if it is; mark such "
-        f"powers as censored (--floor={floor:g})"
+        f"{(exact == floor).sum()} of {len(exact)} powers equal the lowest, {floor:g} dBm, which "
+        "is probably the receiver's floor; if so, the fit is biased: mark these powers as censored "
+        f"(--floor={floor:g})"
     )
 
 

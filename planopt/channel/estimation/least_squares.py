@@ -75,7 +75,7 @@ def require_usable(measurements: Measurements, station: Station | None) -> None:
             index = int(at_station[0])
             raise InputError(
                 f"measurement {index} (counted from 0) is exactly at the station, where the "
-                "path loss is undefined (log of zero distance)",
+                "path loss is undefined",
                 row=index,
                 remedy="correct the position, or give the station's height",
             )

@@ -88,7 +88,7 @@ class LogTable:
         """Return the index of a column; raise an error if it is missing or not unique."""
         if self.names.count(name) == 1:
             return self.names.index(name)
-        problem = "names several columns" if name in self.names else "is not the name of a column"
+        problem = "names several columns" if name in self.names else "is not a column"
         raise InputError(
             f"{problem}; the columns are {listed(self.names)}",
             file=self.file,

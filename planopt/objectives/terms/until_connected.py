@@ -232,7 +232,7 @@ def charged_distance_derivatives(
 
 
 def _jacobians(station: LocalPath) -> list[Floats]:
-    """Return Jacobians of one station's mean (h, 2 h) and covariance (h h, 2 h) of power."""
+    """Return the Jacobians of the mean (h, 2 h) and covariance (h h, 2 h) of a station's power."""
     steps = station.steps
     k = np.arange(steps)
     by_mean = np.zeros((steps, steps, 2))

@@ -124,7 +124,7 @@ def start_of(saved: Saved) -> tuple[Prepared, list[str]]:
 
 
 def replayed(saved: Saved, start: Prepared) -> Solution | Run:
-    """Return a saved solution or run with every plan verified again."""
+    """Verify every plan of a saved solution or run again, and return the result."""
     problem, seed, planning = saved.problem, saved.record.seed, _planning(saved)
     generator = team_seeds(problem, seed).target
     target = watch_target(problem, generator)

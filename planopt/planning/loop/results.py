@@ -273,7 +273,7 @@ class Run(MotionResult):
         lines = [
             f"{run.robot}: {run.outcome.value} after {len(run.log.t_s) - 1} steps ({run.reason}), "
             + (
-                f"{run.verified_rate:.1%} of the steps verified"
+                f"{100.0 * run.verified_rate:.1f} % of the steps verified"
                 if run.rungs
                 else "no step was driven"
             )
@@ -342,8 +342,8 @@ def _only(several: Sequence[_Entry], name: str) -> _Entry:
     """Return the single entry of `several`; raise an InputError if there are more."""
     if len(several) != 1:
         raise InputError(
-            f"the run has {len(several)} robots, so that a single result is undefined",
-            remedy=f"use {name}, which has one entry for each robot",
+            f"the run has {len(several)} robots, and therefore no single result",
+            remedy=f"use .{name}, which has one entry per robot",
         )
     return several[0]
 

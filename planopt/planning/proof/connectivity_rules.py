@@ -109,7 +109,7 @@ DRAWS, SEED = 10_000, 0
 """Number of sampled channels, and seed of the samples and of the integral's random shifts."""
 DOUBT = 0.01
 """One-sided error probability of the confidence interval (Clopper, Pearson 1934)."""
-DRAWN = f"{DRAWS} drawn channels, lower end of the {1.0 - DOUBT:.0%} interval"
+DRAWN = f"{DRAWS} drawn channels, lower end of the {100.0 * (1.0 - DOUBT):.0f} % interval"
 """Name of the sampling method."""
 MOST_PROBABLE = 0.9995
 """Largest p_min that the sampled channels can demonstrate."""

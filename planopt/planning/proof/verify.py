@@ -219,11 +219,12 @@ class Judgement:
     Attributes
     ----------
     certificate, verdict
-        Results of the verification, and the verdict.
+        Margins of all constraints, and the verdict that follows from them.
     power
-        Prediction at every position, the robot's first; None if the path is not finite.
+        Predicted power at the robot's position and at every position of the path; None if the
+        path is not finite.
     sound
-        Whether clearance, bounds, dynamics and distances to moving obstacles are satisfied.
+        Whether the limits on clearance, bounds, dynamics and distance to moving obstacles hold.
     """
 
     certificate: Certificate

@@ -54,7 +54,7 @@ def test_pile_at_the_lowest_power_is_reported(step_db):
     fit = fit_channel(told, CHANNEL.station)
     assert fit.status != "ok"
     (said,) = [text for text in fit.warnings if "floor" in text]
-    assert f"occurs {count} times among 300" in said and f"--floor={floor:g}" in said
+    assert f"{count} of 300 powers equal the lowest" in said and f"--floor={floor:g}" in said
     marked = Measurements(told.positions_m, told.power_dbm, told.power_dbm == floor)
     assert suspected_floor(marked) is None
 

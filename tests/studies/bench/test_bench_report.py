@@ -87,7 +87,7 @@ def test_markdown_has_the_numbers() -> None:
     known = {one.case: one for one in (reference_of(each, "x") for each in ROWS)}
     known[ROWS[0].case] = reference_of(row(planner="a", problem="open_field", objective=90.0), "x")
     data = report_json(MANIFEST, ROWS, known)
-    assert "objective 100, was 90: 11.1% worse" in data["regressions"][0]
+    assert "objective 100, was 90: 11.1 % worse" in data["regressions"][0]
     assert "forged" in data["rejected"][0]
     assert (data["with_reference"], data["questions"], list(data["scores"])) == (
         5,

@@ -31,7 +31,7 @@ REFERENCE = reference_of(row(), "planopt 0, source 0")
         ({"objective": 100.9}, None),
         ({"objective": 50.0}, None),
         ({"rungs": {"lattice": 1}}, None),
-        ({"objective": 102.0}, "objective 102, was 100: 2.0% worse"),
+        ({"objective": 102.0}, "objective 102, was 100: 2.0 % worse"),
         ({"objective": None}, "no objective, was 100"),
         ({"verdict": "feasible_unverified"}, "verdict feasible_unverified, was verified"),
         ({"verdict": "nonsense"}, "verdict nonsense, was verified"),
@@ -155,11 +155,11 @@ def test_what_is_worse_and_what_is_better() -> None:
     """Less of a maximum is worse; a better verdict is no regression; improvements beyond 1 %."""
     reference = replace(REFERENCE, sense="max")
     assert regressions(row(sense="max", objective=102.0), reference) == []
-    assert "2.0% worse" in regressions(row(sense="max", objective=98.0), reference)[0]
+    assert "2.0 % worse" in regressions(row(sense="max", objective=98.0), reference)[0]
     assert regressions(row(), replace(REFERENCE, verdict="feasible_unverified")) == []
     assert regressions(row(), replace(REFERENCE, objective=None)) == []
     assert improvement(row(objective=99.5), REFERENCE) is None
-    assert "10.0% better" in (improvement(row(objective=90.0), REFERENCE) or "")
+    assert "10.0 % better" in (improvement(row(objective=90.0), REFERENCE) or "")
     assert improvement(row(objective=90.0, accepted=False), REFERENCE) is None
 
 

@@ -26,7 +26,7 @@ from planopt.channel import ChannelParameters
 from planopt.channel.calibration import FEWEST_GROUPS
 from planopt.planning.initial_data import prepare
 from planopt.planning.solve import simulate
-from planopt.studies.comparison_rows import mean_interval
+from planopt.studies.comparison import mean_interval
 from planopt.world import clearance_m, index_obstacles
 
 CELLS = 40

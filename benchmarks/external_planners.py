@@ -34,13 +34,12 @@ from planopt.channel import measure
 from planopt.extend import PlannerKind, register_planner
 from planopt.planning.initial_data import Prepared, prepare
 from planopt.planning.loop.metrics import clairvoyant_path, realised_cost_m
-from planopt.planning.proof.context import verifier_context
 from planopt.planning.proof.motion import is_at_goal
+from planopt.planning.proof.rule import verifier_context
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import Scene, build_scene
 from planopt.planning.stepping import learn_measured
-from planopt.planning.values.context import Aim, step_context
-from planopt.planning.values.exploration import workspace_region
+from planopt.planning.values.context import Aim, step_context, workspace_region
 from planopt.problems.load import with_overrides
 from planopt.problems.problem import problem_from_tables
 

@@ -24,8 +24,8 @@ from planopt.objectives.information import Information
 from planopt.objectives.moments import posterior_moments
 from planopt.planning.initial_data import prepare
 from planopt.planning.solve import simulate
-from planopt.planning.values.exploration import workspace_region
-from planopt.studies.comparison_rows import mean_interval
+from planopt.planning.values.context import workspace_region
+from planopt.studies.comparison import mean_interval
 
 STARTS_M = ((8.0, 8.0), (8.0, 10.0), (10.0, 8.0))
 FORMS = ("information", "average")

@@ -42,7 +42,7 @@ from planopt.channel import (
     true_power_dbm,
 )
 from planopt.channel.ground_truth import mean_power_dbm
-from planopt.channel.prediction import connection_probability
+from planopt.channel.kriging import connection_probability
 from planopt.planning.initial_data import draw_truth
 from planopt.planning.scene import Scene, build_scene
 from planopt.world import RoadMap, lattice_paths, nearest_cells, route_from

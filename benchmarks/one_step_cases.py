@@ -19,10 +19,9 @@ from planopt.bounds.stages import stage_problem, summed_terms
 from planopt.bounds.tube import StageProblem
 from planopt.objectives.upper_bounds import Field, UpperBounds
 from planopt.planning.initial_data import prepare
-from planopt.planning.proof.context import verifier_context
+from planopt.planning.proof.rule import verifier_context
 from planopt.planning.solve import solve_on
-from planopt.planning.values.context import step_context
-from planopt.planning.values.exploration import workspace_region
+from planopt.planning.values.context import step_context, workspace_region
 from planopt.world.clearance import index_obstacles
 
 

@@ -21,11 +21,11 @@ from numpy.typing import NDArray
 from planopt import Problem, load
 from planopt.channel import measure
 from planopt.channel.ground_truth import mean_power_dbm
-from planopt.channel.prediction import connection_probability
+from planopt.channel.kriging import connection_probability
 from planopt.planning.initial_data import Prepared, prepare
 from planopt.planning.loop.metrics import clairvoyant_path, realised_cost_m
-from planopt.planning.proof.context import connectivity_law
 from planopt.planning.proof.motion import is_at_goal
+from planopt.planning.proof.rule import connectivity_law
 from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.node_margins import NodeMargins
 from planopt.planning.stepping import learn_measured

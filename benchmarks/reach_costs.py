@@ -29,7 +29,7 @@ from planopt.planning.solve import simulate
 from planopt.problems.objective import OutageCharge
 from planopt.problems.tasks import MOTION
 from planopt.studies.bench_cases import library_names
-from planopt.studies.comparison_rows import mean_interval
+from planopt.studies.comparison import mean_interval
 
 HEADER = (
     "| problem | arrived | driven / clairvoyant length | cost ratio, mean | worst | verified [%] "

@@ -29,7 +29,7 @@ from planopt.objectives.terms.tracking import TrackingForm
 from planopt.objectives.tracking import Criterion
 from planopt.planning.loop.metrics import LOST_RATIO
 from planopt.problems.settings import Packets
-from planopt.studies.comparison_rows import mean_interval
+from planopt.studies.comparison import mean_interval
 
 
 @dataclass(frozen=True)

@@ -17,17 +17,16 @@ from numpy.typing import NDArray
 
 from planopt import Plan, Problem
 from planopt.channel import Belief, ChannelParameters, Truth, condition, measure
+from planopt.channel.kriging import bound_margin_db
 from planopt.channel.posterior import update
-from planopt.channel.prediction import bound_margin_db
 from planopt.objectives.moments import Region
 from planopt.planning.candidates import Scorer
 from planopt.planning.free_space import free_places
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.initial_data import draw_truth, learn
-from planopt.planning.proof.context import search_power, verifier_context
+from planopt.planning.proof.rule import search_power, verifier_context
 from planopt.planning.scene import Ground, build_ground
-from planopt.planning.values.context import Aim, StepContext, step_context
-from planopt.planning.values.exploration import workspace_region
+from planopt.planning.values.context import Aim, StepContext, step_context, workspace_region
 from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.problems.problem import problem_from_tables
 

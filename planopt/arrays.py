@@ -1,4 +1,8 @@
-"""Types of arrays in annotations; shapes are in docstrings and comments."""
+"""Array types, and values with derivatives, smoothed near zero; shapes are in comments."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -6,3 +10,75 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
+
+
+@dataclass(frozen=True, eq=False)
+class Derivatives:
+    """Values at positions with their first and second derivatives."""
+
+    value: Floats  # (...)
+    gradient: Floats  # (..., 2) per metre
+    hessian: Floats  # (..., 3) per square metre: xx, xy, yy
+
+    @staticmethod
+    def of(rows: Floats) -> Derivatives:
+        """Return derivatives stored in `rows` (..., 6), without a copy; see :attr:`rows`."""
+        found = Derivatives(rows[..., 0], rows[..., 1:3], rows[..., 3:])
+        object.__setattr__(found, "_rows", rows)
+        return found
+
+    @property
+    def rows(self) -> Floats:
+        """``(..., 6)`` value and derivatives x, y, xx, xy, yy in one array."""
+        rows: Floats | None = getattr(self, "_rows", None)
+        if rows is None:
+            return np.concatenate([self.value[..., None], self.gradient, self.hessian], axis=-1)
+        return rows
+
+
+def rounded_length(offset_m: Floats, width_m: float) -> Derivatives:
+    """Return the length of `offset_m` (..., 2), smoothed within `width_m` > 0 of zero."""
+    distance = np.hypot(offset_m[..., 0], offset_m[..., 1])
+    return radial(offset_m, *rounded_radius(distance, width_m))
+
+
+def radial(offset_m: Floats, value: Floats, slope: Floats, bend: Floats) -> Derivatives:
+    """Return a radial function f(|x|) with derivatives w.r.t. x at offsets (..., 2)."""
+    # Shapes: value f, slope f' / r, bend (f'' - f' / r) / r^2, all (...).
+    rows = np.empty((*value.shape, 6))
+    rows[..., 0] = value
+    steep = slope[..., None]
+    np.multiply(steep, offset_m, out=rows[..., 1:3])
+    bent = bend[..., None] * offset_m
+    np.multiply(bent, offset_m[..., :1], out=rows[..., 3:5])
+    np.multiply(bent[..., 1], offset_m[..., 1], out=rows[..., 5])
+    rows[..., 3::2] += steep
+    return Derivatives.of(rows)
+
+
+def add_products(hessian: Floats, a: Floats, b: Floats) -> None:
+    """Add a b' + b a' to `hessian` (..., 3) with entries xx, xy, yy; a and b are (..., 2)."""
+    crossed = a * b
+    crossed += crossed
+    hessian[..., ::2] += crossed
+    hessian[..., 1] += a[..., 0] * b[..., 1]
+    hessian[..., 1] += a[..., 1] * b[..., 0]
+
+
+def rounded_positive_part(x: Floats, width: float) -> tuple[Floats, Floats, Floats]:
+    """Return max{0, x}, smoothed for |x| < width, at most 3/16 width above it, and derivatives."""
+    value, slope, bend = rounded_radius(np.abs(x), width)
+    return 0.5 * (x + value), 0.5 * (1.0 + slope * x), 0.5 * (slope + bend * x * x)
+
+
+def rounded_radius(r: Floats, width: float) -> tuple[Floats, Floats, Floats]:
+    """Return a smoothed radius rho(r) with slope and bend for :func:`radial`; finite at 0."""
+    if r.min(initial=np.inf) >= width:
+        inverse = 1.0 / r
+        return r, inverse, -inverse * inverse * inverse
+    # For r >= width, s = 1 and the factors below are those of the exact radius.
+    far = np.maximum(r, width)
+    s = r / far
+    s *= s
+    value = np.where(r < width, width * (0.375 + 0.75 * s - 0.125 * s * s), r)
+    return value, (1.5 - 0.5 * s) / far, -1.0 / (far * far * far)

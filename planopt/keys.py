@@ -52,7 +52,7 @@ from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError, core_sc
 
 from planopt.errors import InputError
 from planopt.files.reading import DATA_FOLDER, PRIVATE
-from planopt.plain_values import make_plain
+from planopt.parts import make_plain
 
 LIKE_WORDS = 0.9
 """Minimum similarity, ignoring word order, at which a known key is suggested for an unknown one."""

@@ -12,10 +12,9 @@ import pytest
 from planopt import Verdict, load, solve
 from planopt.extend import PlannerKind, register_planner, unregister_planner
 from planopt.planning.initial_data import prepare
-from planopt.planning.proof.context import verifier_context
+from planopt.planning.proof.rule import verifier_context
 from planopt.planning.scene import build_scene
-from planopt.planning.values.context import Aim, step_context
-from planopt.planning.values.exploration import workspace_region
+from planopt.planning.values.context import Aim, step_context, workspace_region
 from planopt.world import swept_clearance_m
 
 FOLDER = Path(__file__).parents[1] / "examples" / "planners"

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.channel.cholesky import whiten
+from planopt.channel.kriging import bound_quantile
 from planopt.channel.parameters import regressors
-from planopt.channel.prediction import bound_quantile
 from planopt.objectives.stage_power import CUSP_ROUNDING
 from planopt.planning.programme.solver import OPTIONS
 from planopt.planning.values.context import StepContext

@@ -16,7 +16,7 @@ import numpy as np
 from grid import GridPlanner
 
 from planopt import Problem
-from planopt.channel.prediction import connection_probability
+from planopt.channel.kriging import connection_probability
 from planopt.cli import main
 from planopt.extend import PlannerKind, register_planner
 

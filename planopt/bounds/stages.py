@@ -18,7 +18,7 @@ from planopt.bounds.route import INNER_SHARE
 from planopt.bounds.tube import StageProblem
 from planopt.channel.measurements import SAME_PLACE_M
 from planopt.channel.posterior import ChannelPosterior
-from planopt.objectives.terms.context import TermContext
+from planopt.objectives.terms.term import TermContext
 from planopt.objectives.upper_bounds import (
     Discs,
     Field,

@@ -30,6 +30,7 @@ from planopt.channel.joint import joint_prediction as joint_prediction
 from planopt.channel.joint import longest_outage as longest_outage
 from planopt.channel.joint import predict_readings as predict_readings
 from planopt.channel.joint import sample_power as sample_power
+from planopt.channel.kriging import Prediction as Prediction
 from planopt.channel.logs.log_format import LogFormat as LogFormat
 from planopt.channel.logs.power_log import read_log as read_log
 from planopt.channel.long_logs import receiver_offsets as receiver_offsets
@@ -48,7 +49,6 @@ from planopt.channel.posterior import Belief as Belief
 from planopt.channel.posterior import ChannelPosterior as ChannelPosterior
 from planopt.channel.posterior import at_time as at_time
 from planopt.channel.posterior import condition as condition
-from planopt.channel.prediction import Prediction as Prediction
 from planopt.channel.shadow_fields import conditional_field as conditional_field
 from planopt.channel.shadow_fields import scattered_field_db as scattered_field_db
 from planopt.channel.shadow_fields import shadow_field_db as shadow_field_db

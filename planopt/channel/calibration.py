@@ -17,7 +17,7 @@ import numpy as np
 from scipy.special import stdtrit  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.arrays import Floats, Indices, Mask
-from planopt.channel.prediction import CONFIDENCE, binomial_interval
+from planopt.channel.kriging import CONFIDENCE, binomial_interval
 from planopt.errors import InputError
 
 

@@ -16,7 +16,15 @@ import numpy as np
 from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.connectivity_law import above_thresholds_db, any_probability, serving_power_dbm
-from planopt.channel.kriging import LocalChannel, kriging_terms, predict_nearby
+from planopt.channel.kriging import (
+    KrigingTerms,
+    LocalChannel,
+    Prediction,
+    combine,
+    connection_probability,
+    kriging_terms,
+    predict_nearby,
+)
 from planopt.channel.long_logs import offsets_given_theta
 from planopt.channel.measurements import (
     Measurements,
@@ -26,7 +34,6 @@ from planopt.channel.measurements import (
 )
 from planopt.channel.parameters import regressors
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.prediction import KrigingTerms, Prediction, combine, connection_probability
 from planopt.errors import InputError, path_of
 from planopt.parts import part_of
 from planopt.short_repr import short_repr

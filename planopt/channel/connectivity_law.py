@@ -22,17 +22,17 @@ from scipy.special import (  # pyright: ignore[reportUnknownVariableType]
 from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.gaussian_sites import MIN_NOISE_VARIANCE_DB2
 from planopt.channel.joint import JointPrediction, joint_prediction
-from planopt.channel.kriging import predict
-from planopt.channel.measurements import SAME_PLACE_M
-from planopt.channel.parameter_uncertainty import MarginalPosterior, mixture
-from planopt.channel.parameters import require_finite, require_places
-from planopt.channel.posterior import ChannelPosterior, factored_near
-from planopt.channel.prediction import (
+from planopt.channel.kriging import (
     Prediction,
     bound_margin_db,
     bound_quantile,
     connection_probability,
+    predict,
 )
+from planopt.channel.measurements import SAME_PLACE_M
+from planopt.channel.parameter_uncertainty import MarginalPosterior, mixture
+from planopt.channel.parameters import require_finite, require_places
+from planopt.channel.posterior import ChannelPosterior, factored_near
 from planopt.errors import InputError
 
 LEAST_DEVIATION_DB = math.sqrt(MIN_NOISE_VARIANCE_DB2)

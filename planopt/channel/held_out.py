@@ -23,11 +23,11 @@ from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.least_squares import examine, least_squares, nearest_distance_m
 from planopt.channel.estimation.reml import thinned
 from planopt.channel.joint import predict_readings
+from planopt.channel.kriging import Prediction, connection_probability
 from planopt.channel.measurements import Measurements, Table, as_measurements, pairwise_distance_m
 from planopt.channel.parameter_uncertainty import marginalise
 from planopt.channel.parameters import Station, mean_model, regressors
 from planopt.channel.posterior import condition
-from planopt.channel.prediction import Prediction, connection_probability
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
 

@@ -13,7 +13,13 @@ from numpy.typing import ArrayLike
 from planopt.arrays import Floats, Mask
 from planopt.channel.cholesky import semidefinite_factor, whiten
 from planopt.channel.gaussian_sites import rounded_variance_db2
-from planopt.channel.kriging import predict_noiseless
+from planopt.channel.kriging import (
+    CONFIDENCE,
+    Prediction,
+    binomial_interval,
+    bound_quantile,
+    predict_noiseless,
+)
 from planopt.channel.measurements import Measurements, shadow_covariance_db2
 from planopt.channel.parameter_uncertainty import MarginalPosterior, mixture
 from planopt.channel.parameters import (
@@ -24,7 +30,6 @@ from planopt.channel.parameters import (
     require_places,
 )
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.prediction import CONFIDENCE, Prediction, binomial_interval, bound_quantile
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
 

@@ -23,10 +23,10 @@ from planopt.channel.estimation.likelihood import (
 )
 from planopt.channel.estimation.reml import MOST_DENSE, thinned
 from planopt.channel.gaussian_sites import MIN_NOISE_VARIANCE_DB2, rounded_variance_db2
+from planopt.channel.kriging import Prediction, connection_probability
 from planopt.channel.measurements import Measurements, Table, as_measurements, shadow_covariance_db2
 from planopt.channel.parameters import ChannelParameters, mean_model, regressors, require_places
 from planopt.channel.posterior import EXACT_LIMIT, ChannelPosterior, condition
-from planopt.channel.prediction import Prediction, connection_probability
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
 

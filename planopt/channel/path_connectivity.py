@@ -14,9 +14,9 @@ from scipy.special import (  # pyright: ignore[reportUnknownVariableType]
 from planopt.arrays import Floats
 from planopt.channel.cholesky import semidefinite_factor
 from planopt.channel.joint import JointPrediction, joint_prediction
+from planopt.channel.kriging import connection_probability
 from planopt.channel.parameters import leg_lengths_m, require_finite, require_places
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
 

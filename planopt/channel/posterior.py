@@ -28,7 +28,13 @@ from planopt.channel.gaussian_sites import (
     intervals,
     needs_site,
 )
-from planopt.channel.kriging import nearest_to_path, predict, predict_noiseless
+from planopt.channel.kriging import (
+    Prediction,
+    connection_probability,
+    nearest_to_path,
+    predict,
+    predict_noiseless,
+)
 from planopt.channel.long_logs import VecchiaInformation, neighbour_sites, vecchia_information
 from planopt.channel.measurements import (
     Measurements,
@@ -44,7 +50,6 @@ from planopt.channel.measurements import (
 )
 from planopt.channel.neighbours import PlaceIndex
 from planopt.channel.parameters import ChannelParameters, regressors, require_finite
-from planopt.channel.prediction import Prediction, connection_probability
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
 

@@ -1,4 +1,4 @@
-"""``planopt solve``, ``simulate`` and ``check``: planning of one problem of any task."""
+"""Commands that plan: solve, simulate and check, and the conversion of recorded paths."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import shutil
 import sys
 from collections.abc import Callable, Sequence
 from inspect import signature
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from planopt.commands.options import (
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
     from planopt.planning.plan import Plan
     from planopt.problems.problem import Problem
     from planopt.tasks.task import Action, Task
-
 
 ProveOption = Annotated[
     float | None,
@@ -133,7 +133,7 @@ def _perform(
 
 def _shown_plans(problem: Problem) -> Callable[[int, Sequence[Plan]], None]:
     """Return a function that shows the plans of a step on stderr: a map in a terminal, or lines."""
-    from planopt.report.terminal import TerminalMap, step_lines
+    from planopt.report.motion_words import TerminalMap, step_lines
 
     if not sys.stderr.isatty():
         return lambda step, plans: say("\n".join(step_lines(problem, step, plans)))
@@ -182,3 +182,73 @@ def check(path: ResultArgument, json: JsonOption = False) -> int:
     ]
     show(json, data, "\n".join(lines))
     return 0 if result.verdict is Verdict.VERIFIED else REJECTED
+
+
+def export_path(
+    result: ResultArgument,
+    out: Annotated[
+        Path, option("--out", "FILE", "Ends in .json, .geojson, .plan, .csv, .mcap or .rrd.")
+    ],
+    robot: Annotated[
+        str | None, option("--robot", "NAME", "Robot; default: the first one.")
+    ] = None,
+    origin: Annotated[
+        str | None,
+        option("--origin", "LAT,LON", "Position of (0, 0) in degrees; default: that of the log."),
+    ] = None,
+    altitude: Annotated[
+        float, option("--altitude", "M", "Altitude above the start, for drones.")
+    ] = 0.0,
+    json: JsonOption = False,
+) -> int:
+    """Write the path of a saved plan or run for other programs.
+
+    .json is for ROS, .plan for QGroundControl. .mcap (Foxglove) and .rrd (Rerun) are recordings of
+    all robots with their plans, powers and the map.
+    """
+    from planopt.planning.files.path_files import path_of_result, save_path
+    from planopt.planning.files.recordings import RECORDERS
+    from planopt.planning.loop.results import Run, Solution
+    from planopt.tasks.calls import load_result
+    from planopt.world.geodesy import parse_origin
+
+    place = None if origin is None else parse_origin(origin)
+    with progress("reading"):
+        found = load_result(result)
+    if not isinstance(found, Solution | Run):
+        raise InputError("is no plan or run of robots", file=result, remedy="name one of a motion")
+    if out.suffix.lower() in RECORDERS:
+        with progress("writing"):
+            found.save_recording(out)
+        robots = len(found.problem.robots)
+        words = f"{out}: recording of {robots} robot{'' if robots == 1 else 's'}"
+        show(json, {"file": str(out), "robots": robots}, words)
+        return 0
+    path = path_of_result(found, 0 if robot is None else robot)
+    save_path(path, out, place, altitude)
+    data = {"file": str(out), "robot": path.robot, "positions": len(path.t_s)}
+    show(json, data, f"{out}: {len(path.t_s)} positions of {path.robot}")
+    return 0
+
+
+def report(result: ResultArgument, json: JsonOption = False) -> int:
+    """Write report.html, a page with map and charts, next to a result."""
+    from planopt.files.writing import write_text
+    from planopt.report.page import PAGE_FILE, page_html
+    from planopt.report.page_content import comparison_page
+    from planopt.studies.comparison import Comparison
+    from planopt.tasks.calls import load_result
+
+    with progress("reading"):
+        found = load_result(result)
+    with progress("drawing"):
+        if isinstance(found, Comparison):
+            page = comparison_page(found)
+        else:
+            page = found.task.page(found)
+        file = (result if result.is_dir() else result.parent) / PAGE_FILE
+        write_text(file, page_html(page))
+    steps = 0 if page.map is None else len(page.map.times_s) - 1
+    data = {"file": str(file), "title": page.title, "steps": steps}
+    show(json, data, f"{file}: {page.title}")
+    return 0

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import erfc  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.arrays import Floats
-from planopt.channel.prediction import Prediction
+from planopt.channel.kriging import Prediction
 from planopt.coverage.limits import LinkLaw, Motion, MoveLimits, RadioLimits
 
 SLACK = 1e-6

@@ -11,7 +11,7 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.arrays import Floats
+from planopt.arrays import Floats, rounded_length, rounded_positive_part
 from planopt.channel.cholesky import inverse, log_determinant, solve_lower
 from planopt.channel.kriging import kriging_terms
 from planopt.channel.posterior import ChannelPosterior
@@ -26,7 +26,6 @@ from planopt.objectives.path_derivatives import (
     length_jacobian,
 )
 from planopt.objectives.stage_power import CUSP_ROUNDING
-from planopt.targets.rounding import rounded_length, rounded_positive_part
 
 
 class Gain(Protocol):

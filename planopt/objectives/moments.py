@@ -23,15 +23,14 @@ from numpy.typing import NDArray
 from planopt.arrays import Floats, Mask
 from planopt.channel.cholesky import unwhiten, whiten
 from planopt.channel.joint import joint_terms
-from planopt.channel.kriging import LocalChannel, LocalGrid
+from planopt.channel.kriging import KrigingTerms, LocalChannel, LocalGrid, Prediction, combine
 from planopt.channel.measurements import decayed_db2, shadow_covariance_db2
 from planopt.channel.parameters import ChannelParameters, regressors, require_places
 from planopt.channel.posterior import ChannelPosterior, factored_near
-from planopt.channel.prediction import KrigingTerms, Prediction, combine
 from planopt.errors import InputError
 from planopt.objectives.measuring import Gates
 from planopt.objectives.stage_power import CUSP_ROUNDING, rounded_log_distance
-from planopt.plain_values import require_weights
+from planopt.parts import require_weights
 
 Real = TypeVar("Real", np.float32, np.float64)
 

@@ -14,13 +14,12 @@ from functools import cached_property
 
 import numpy as np
 
-from planopt.arrays import Floats, Indices
+from planopt.arrays import Derivatives, Floats, Indices
 from planopt.channel.kriging import LocalChannel, LocalGrid
 from planopt.channel.parameters import require_places
 from planopt.objectives.measuring import Gates
 from planopt.objectives.moments import blind_variance_db2
 from planopt.objectives.stage_power import rounded_kernel, rounded_log_distance
-from planopt.targets.rounding import Derivatives
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,17 +11,15 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from planopt.arrays import Floats
+from planopt.arrays import Derivatives, Floats, add_products, radial
 from planopt.channel.connectivity_law import (
     LEAST_DEVIATION_DB,
     ConnectivityLaw,
     any_score_derivatives,
 )
-from planopt.channel.kriging import LocalChannel
+from planopt.channel.kriging import LocalChannel, Prediction, score_probability
 from planopt.channel.parameters import MIN_DISTANCE_M, ChannelParameters, Station
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.prediction import Prediction, score_probability
-from planopt.targets.rounding import Derivatives, add_products, radial
 
 CUSP_ROUNDING = 0.01
 """Smoothing width of the kernel's cusp as a share of the decorrelation distance."""

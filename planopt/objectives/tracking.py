@@ -16,7 +16,7 @@ import numpy as np
 from planopt.arrays import Floats, Indices
 from planopt.channel.measurements import SAME_PLACE_M
 from planopt.channel.parameters import require_finite, require_places
-from planopt.plain_values import require_weights
+from planopt.parts import require_weights
 from planopt.targets.information_filter import (
     Sensor,
     TargetModel,

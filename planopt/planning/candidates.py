@@ -8,14 +8,14 @@ from time import perf_counter
 import numpy as np
 
 from planopt.arrays import Floats
-from planopt.channel.prediction import Prediction
+from planopt.channel.kriging import Prediction
 from planopt.errors import InputError
 from planopt.parts import part_of
 from planopt.planning.certificate import Certificate, required_margins_db
 from planopt.planning.free_space import leaving_path
 from planopt.planning.plan import Plan, Rung, Termination, Verdict, shifted_drive
-from planopt.planning.proof.context import VerifierContext
 from planopt.planning.proof.motion import verify_motion
+from planopt.planning.proof.rule import VerifierContext
 from planopt.planning.proof.verify import Judgement, verify
 from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Drive, rolled_out

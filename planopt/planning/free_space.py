@@ -25,7 +25,7 @@ from planopt.world.clearance import (
     swept_clearance_m,
 )
 from planopt.world.lattice import RoadMap, build_lattice, build_road_map
-from planopt.world.moving_discs import MovingDiscs, paths_gap_m
+from planopt.world.motion import MovingDiscs, paths_gap_m
 from planopt.world.workspace import Obstacle
 
 

@@ -23,11 +23,10 @@ from planopt.channel.posterior import Belief
 from planopt.planning.candidates import Scorer
 from planopt.planning.plan import Plan, Termination, Verdict
 from planopt.planning.proof.bounds import bound_of, bound_of_sum, stages_of
-from planopt.planning.proof.context import verifier_context
+from planopt.planning.proof.rule import verifier_context
 from planopt.planning.route_smoothing import RouteSmoothing
 from planopt.planning.tolerances import STEP_PAD_M
-from planopt.planning.values.context import Aim, StepContext, step_context
-from planopt.planning.values.exploration import workspace_region
+from planopt.planning.values.context import Aim, StepContext, step_context, workspace_region
 from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.clearance import index_obstacles

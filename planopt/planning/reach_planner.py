@@ -43,8 +43,8 @@ from planopt.planning.plan import (
 )
 from planopt.planning.programme.goal_value import ROUNDING_STEPS, GoalCharge
 from planopt.planning.programme.path_nlp import METHODS
-from planopt.planning.proof.context import VerifierContext, search_prediction, verifier_context
 from planopt.planning.proof.motion import stands, stops_at_goal
+from planopt.planning.proof.rule import VerifierContext, search_prediction, verifier_context
 from planopt.planning.proof.searches import build_goal_grid
 from planopt.planning.refinement import Refinement, goal_value
 from planopt.planning.reservations import reserved_path
@@ -53,13 +53,12 @@ from planopt.planning.search.global_search import Ahead, GlobalSearch, GlobalSta
 from planopt.planning.search.guess_search import Guess
 from planopt.planning.search.timed_search import TimedPath
 from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M
-from planopt.planning.values.context import Aim, StepContext, step_context
-from planopt.planning.values.exploration import workspace_region
+from planopt.planning.values.context import Aim, StepContext, step_context, workspace_region
 from planopt.planning.values.objective_value import ReachCost, resting_places_m
 from planopt.planning.values.rule_rows import step_rows
 from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Drive, rolled_out
-from planopt.world.moving_discs import MovingDiscs
+from planopt.world.motion import MovingDiscs
 
 FOLLOWED_HORIZONS = (2.0, 0.5, 0.25)
 """Fractions of the horizon over which a robot with dynamics follows the lattice path."""

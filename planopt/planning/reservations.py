@@ -13,12 +13,17 @@ import numpy as np
 
 from planopt.arrays import Floats
 from planopt.planning.plan import Plan
-from planopt.planning.proof.context import obstacles_ahead, steps_ahead
 from planopt.planning.proof.motion import verify_apart
+from planopt.planning.proof.rule import obstacles_ahead, steps_ahead
 from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Drive, braked_motion, stopping_motion
-from planopt.world.motion import TimedMotion, step_distances_m
-from planopt.world.moving_discs import MovingDiscs, joined_discs, predicted_discs
+from planopt.world.motion import (
+    MovingDiscs,
+    TimedMotion,
+    joined_discs,
+    predicted_discs,
+    step_distances_m,
+)
 
 
 def reserved_path(position_m: Floats, last_path_m: Floats | None, horizon: int) -> Floats:

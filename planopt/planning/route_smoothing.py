@@ -16,13 +16,13 @@ import shapely
 
 from planopt.arrays import Floats, Indices, Mask
 from planopt.bounds.corridor import Corridor
+from planopt.channel.kriging import connection_probability
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.prediction import connection_probability
 from planopt.objectives.reach import integrated_cost_m, rate_s_m, step_cost_s
 from planopt.planning.certificate import holes_on
 from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict
 from planopt.planning.proof.bounds import metre_cost_of
-from planopt.planning.proof.context import connectivity_law, search_prediction, verifier_context
+from planopt.planning.proof.rule import connectivity_law, search_prediction, verifier_context
 from planopt.planning.proof.verify import verify
 from planopt.planning.scene import stops_along
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M

@@ -32,7 +32,7 @@ from planopt.planning.loop.results import Run, Solution
 from planopt.planning.plan import Plan
 from planopt.planning.scene import Scene, build_scenes
 from planopt.planning.stepping import Stepper, expected_target, watch_target
-from planopt.planning.team.couriers import planning
+from planopt.planning.team.team_step import planning
 from planopt.problems.load import require_motion, with_overrides
 from planopt.problems.plausibility import JUMP_STEPS, measured_warnings
 from planopt.problems.problem import Problem

@@ -37,8 +37,7 @@ from planopt.keys import (
     fault_of,
     table_of,
 )
-from planopt.parts import part_of
-from planopt.plain_values import make_plain
+from planopt.parts import make_plain, part_of
 from planopt.short_repr import short_repr
 from planopt.world.geodesy import Origin
 

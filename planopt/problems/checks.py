@@ -33,8 +33,7 @@ from planopt.world.clearance import (
     index_obstacles,
     inside_bounds,
 )
-from planopt.world.motion import CLOSE_M, step_distances_m
-from planopt.world.moving_discs import centres_at
+from planopt.world.motion import CLOSE_M, centres_at, step_distances_m
 from planopt.world.workspace import node_estimate
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ GROUP = "planopt.planners"
 """Entry-point group of external planners."""
 
 _HOME = "planopt.planning.planners"
-_BOUNDS = "planopt.planning.foresight"
+_BOUNDS = "planopt.planning.planners"
 _SEARCH = "planopt.planning.horizon_planner"
 
 

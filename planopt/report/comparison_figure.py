@@ -30,8 +30,8 @@ from planopt.report.panel import (
     plain_log_ticks,
 )
 from planopt.report.tables import BAND_ENDS, BANDS, interval_words, metric_label, metric_name
-from planopt.studies.comparison import Comparison
-from planopt.studies.comparison_rows import (
+from planopt.studies.comparison import (
+    Comparison,
     Setting,
     has_horizon,
     mean_interval,

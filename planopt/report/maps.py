@@ -33,7 +33,7 @@ from planopt.report.panel import (
     dress,
 )
 from planopt.world.clearance import clearance_m, index_obstacles, inside_bounds
-from planopt.world.moving_discs import centres_at, growth_m
+from planopt.world.motion import centres_at, growth_m
 from planopt.world.raster import Raster
 from planopt.world.workspace import Workspace
 

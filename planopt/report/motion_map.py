@@ -58,7 +58,7 @@ from planopt.report.panel import (
     spaced,
 )
 from planopt.robots.dynamics import Drive
-from planopt.world.moving_discs import centres_at
+from planopt.world.motion import centres_at
 from planopt.world.raster import Raster
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from planopt.arrays import Floats
 from planopt.errors import InputError
 from planopt.report.maps import joined
 from planopt.report.panel import BLACK, ROBOT_COLOURS
-from planopt.world.moving_discs import centres_at
+from planopt.world.motion import centres_at
 from planopt.world.raster import Raster
 from planopt.world.workspace import MovingObstacle, Obstacle
 

@@ -47,8 +47,7 @@ from planopt.report.panel import (
 )
 from planopt.report.tables import comparison_text, figures_in_words, metric_label, metric_name
 from planopt.short_repr import shown_number
-from planopt.studies.comparison import Comparison, run_columns
-from planopt.studies.comparison_rows import setting_words, short_keys
+from planopt.studies.comparison import Comparison, run_columns, setting_words, short_keys
 from planopt.studies.study import program
 
 TIME = "time [s]"

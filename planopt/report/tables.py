@@ -7,8 +7,14 @@ from dataclasses import dataclass
 
 from planopt.channel.calibration import FEWEST_GROUPS, ReliabilityBin
 from planopt.report.panel import spaced
-from planopt.studies.comparison import Comparison
-from planopt.studies.comparison_rows import Row, Setting, has_horizon, setting_words, short_keys
+from planopt.studies.comparison import (
+    Comparison,
+    Row,
+    Setting,
+    has_horizon,
+    setting_words,
+    short_keys,
+)
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ from scipy.optimize import least_squares
 
 from planopt.arrays import Floats
 from planopt.errors import InputError
-from planopt.plain_values import make_plain
+from planopt.parts import make_plain
 from planopt.robots.dynamics import Components, Dynamics, PurePursuit
 from planopt.world.motion import PointCurve, StepCurve
 

@@ -17,8 +17,7 @@ from planopt.problems.load import with_changes
 from planopt.problems.problem import Problem
 from planopt.problems.settings import DEFAULT_SEEDS, ComparisonSettings, require_swept, seeds_of
 from planopt.problems.tasks import TaskProblem, task_of
-from planopt.studies.comparison import Comparison
-from planopt.studies.comparison_rows import comparison_rows
+from planopt.studies.comparison import Comparison, comparison_rows
 from planopt.studies.study import AnyProblem, FinishedRuns, Study, run_key, run_study, shared_data
 
 Item = tuple[AnyProblem, int]

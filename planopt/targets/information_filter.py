@@ -10,9 +10,8 @@ from functools import cached_property
 
 import numpy as np
 
-from planopt.arrays import Floats, Mask
+from planopt.arrays import Derivatives, Floats, Mask, radial, rounded_radius
 from planopt.errors import InputError
-from planopt.targets.rounding import Derivatives, radial, rounded_radius
 
 
 @dataclass(frozen=True, eq=False)
@@ -290,7 +289,7 @@ def sense(
 def sensing_derivatives(sensor: Sensor, positions_m: Floats, target_m: Floats) -> Derivatives:
     """Return the information of a packet, with gradient and Hessian in the robot's position."""
     # The result is exact at distances of at least `CUSP_SHARE` r_s from the target. At smaller
-    # distances it uses the smoothed distance of `planopt.targets.rounding`; g is then too
+    # distances it uses the smoothed distance of `planopt.arrays`; g is then too
     # small by at most 3/4 `CUSP_SHARE` varpi r_s^2.
     offset = positions_m - target_m
     sweet = sensor.sweet_spot_m

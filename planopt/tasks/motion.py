@@ -309,7 +309,7 @@ def _run_answer(problem: Problem, seed: int, shared: Any, recorded: States) -> d
     from planopt.planning.initial_data import team_seeds
     from planopt.planning.loop.drive import first_steps, true_world
     from planopt.planning.stepping import watch_target
-    from planopt.planning.team.couriers import planning
+    from planopt.planning.team.team_step import planning
 
     begun = process_time()
     problem = with_drawn_starts(problem, seed)

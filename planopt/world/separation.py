@@ -21,8 +21,7 @@ import shapely
 from numpy.typing import NDArray
 
 from planopt.arrays import Floats, Mask
-from planopt.world.motion import TimedMotion, nearest_to_origin_m
-from planopt.world.moving_discs import MovingDiscs
+from planopt.world.motion import MovingDiscs, TimedMotion, nearest_to_origin_m
 from planopt.world.workspace import Workspace
 
 Vertex = tuple[float, float]

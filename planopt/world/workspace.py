@@ -18,8 +18,7 @@ from pydantic import Field, model_validator
 
 from planopt.errors import InputError
 from planopt.keys import LARGEST_COORDINATE_M, Name, Pair, Part, Table, fault_of
-from planopt.parts import part_of, parts_of
-from planopt.plain_values import plain
+from planopt.parts import part_of, parts_of, plain
 from planopt.short_repr import short_repr
 
 

@@ -10,9 +10,8 @@ from planopt.bounds.stages import stage_problem, summed_terms
 from planopt.bounds.tube import StageProblem
 from planopt.channel import ChannelParameters, Measurements, condition
 from planopt.objectives import MappingTerm, MotionEnergyTerm, TrackingTerm
-from planopt.planning.proof.context import verifier_context
-from planopt.planning.values.context import Aim, StepContext, step_context
-from planopt.planning.values.exploration import workspace_region
+from planopt.planning.proof.rule import verifier_context
+from planopt.planning.values.context import Aim, StepContext, step_context, workspace_region
 from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.world.clearance import index_obstacles
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import norm
 
 from planopt.channel import ChannelParameters, Measurements, Station
-from planopt.channel.prediction import bound_margin_db, connection_probability
+from planopt.channel.kriging import bound_margin_db, connection_probability
 
 MEAN = np.array([-90.0, -83.0, -70.0, -83.0])
 DEVIATION = np.array([4.0, 2.0, 9.0, 0.5])

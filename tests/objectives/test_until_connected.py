@@ -5,8 +5,7 @@ import pytest
 from path_scene import CHANNEL, PATH, START, drawn
 
 from planopt.channel import condition, first_passage, joint_prediction, sample_power
-from planopt.channel.kriging import predict
-from planopt.channel.prediction import connection_probability
+from planopt.channel.kriging import connection_probability, predict
 from planopt.objectives.terms.until_connected import (
     Search,
     charged_distance_m,

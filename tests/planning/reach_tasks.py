@@ -4,11 +4,11 @@ from dataclasses import fields, replace
 
 import numpy as np
 
+from planopt.arrays import Derivatives
 from planopt.planning.programme.goal_value import GoalValue, OutagePrice
 from planopt.planning.programme.path_nlp import GOAL, build_path_nlp
-from planopt.planning.programme.path_polish import PathTask
 from planopt.planning.programme.solver import PathShape
-from planopt.targets.rounding import Derivatives
+from planopt.planning.refinement import PathTask
 from planopt.world import empty_lines
 
 

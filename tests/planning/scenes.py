@@ -36,7 +36,7 @@ from planopt.channel import (
 from planopt.objectives import ReachObjective
 from planopt.planning.initial_data import Prepared
 from planopt.planning.plan import BEGINNING, History
-from planopt.planning.proof.context import (
+from planopt.planning.proof.rule import (
     VerifierContext,
     obstacles_ahead,
     stations_law,
@@ -45,8 +45,7 @@ from planopt.planning.proof.context import (
 from planopt.planning.proof.verify import Judgement, verify
 from planopt.planning.scene import Scene, build_scene
 from planopt.planning.search.global_search import GlobalSearch
-from planopt.planning.values.context import Aim, StepContext, step_context
-from planopt.planning.values.exploration import workspace_region
+from planopt.planning.values.context import Aim, StepContext, step_context, workspace_region
 from planopt.problems import LoggedMeasurements
 from planopt.robots.dynamics import Drive
 from planopt.world import (

@@ -5,8 +5,8 @@ from typing import ClassVar
 
 import numpy as np
 
+from planopt.arrays import Derivatives
 from planopt.extend import Term
-from planopt.targets.rounding import Derivatives
 
 NEPERS_PER_DB = np.log(10.0) / 10.0
 

@@ -12,13 +12,12 @@ from sending_term import SendingTerm
 from planopt import Problem
 from planopt.channel import Belief
 from planopt.extend import casadi_term
-from planopt.objectives.terms.context import SteeringPath
+from planopt.objectives.terms.term import SteeringPath
 from planopt.planning.candidates import Scorer
 from planopt.planning.initial_data import prepare
-from planopt.planning.proof.context import VerifierContext, uncertain_law
+from planopt.planning.proof.rule import VerifierContext, uncertain_law
 from planopt.planning.scene import Ground, build_ground
-from planopt.planning.values.context import Aim, StepContext, step_context
-from planopt.planning.values.exploration import workspace_region
+from planopt.planning.values.context import Aim, StepContext, step_context, workspace_region
 from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.problems.problem import problem_from_tables
 from planopt.world import index_obstacles

@@ -14,8 +14,8 @@ import planopt.planning.refinement as polish_module
 from planopt import InputError, MovingObstacle, Problem, Verdict
 from planopt.extend import Rung, Termination
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.proof import context as predictions
-from planopt.planning.proof.context import SEARCH_ERROR_DB
+from planopt.planning.proof import rule as predictions
+from planopt.planning.proof.rule import SEARCH_ERROR_DB
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.refinement import lacks
 from planopt.planning.scene import build_scene

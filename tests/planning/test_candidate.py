@@ -21,7 +21,7 @@ from planopt import Verdict
 from planopt.extend import Rung, Termination
 from planopt.planning.candidates import Candidate, Scorer
 from planopt.planning.plan import Pivot
-from planopt.planning.proof.context import VerifierContext
+from planopt.planning.proof.rule import VerifierContext
 from planopt.planning.scene import build_scene
 from planopt.planning.values.objective_value import ReachCost
 

@@ -19,16 +19,16 @@ from terms_scene import (
 
 from planopt import InputError, Obstacle, Plan, Verdict
 from planopt.channel import condition, measure
+from planopt.channel.kriging import bound_margin_db
 from planopt.channel.posterior import predict
-from planopt.channel.prediction import bound_margin_db
 from planopt.extend import Rung, Termination
 from planopt.planning import refinement
 from planopt.planning.free_space import free_places
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.initial_data import prepare
 from planopt.planning.programme import path_nlp
-from planopt.planning.programme.path_polish import polish_path
 from planopt.planning.programme.solver import NlpPoint
+from planopt.planning.refinement import polish_path
 from planopt.planning.search.fan_guesses import fan_paths, rough_clearance
 from planopt.planning.search.guess_search import Guess, GuessSearch
 from planopt.planning.solve import solve

@@ -13,9 +13,8 @@ from planopt.channel import condition
 from planopt.objectives import MotionEnergyTerm, TrackingTerm
 from planopt.planning.horizon_planner import HorizonPlanner
 from planopt.planning.programme import path_nlp
-from planopt.planning.proof.context import VerifierContext
-from planopt.planning.values.context import Aim, StepContext, step_context
-from planopt.planning.values.exploration import workspace_region
+from planopt.planning.proof.rule import VerifierContext
+from planopt.planning.values.context import Aim, StepContext, step_context, workspace_region
 from planopt.world import index_obstacles
 
 pytestmark = pytest.mark.usefixtures("converged")

@@ -10,7 +10,6 @@ from terms_scene import CONNECT, ENERGY, LEARNING, TRACKING, context_of, scorer_
 from planopt import InputError, Verdict, load, simulate
 from planopt.channel import condition, true_power_dbm
 from planopt.extend import Rung
-from planopt.planning.foresight import best_nodes, clairvoyant_paths, oracle_paths
 from planopt.planning.initial_data import prepare
 from planopt.planning.planners import (
     RINGS,
@@ -18,7 +17,10 @@ from planopt.planning.planners import (
     OneStepPlanner,
     RandomPlanner,
     StrategyPlanner,
+    best_nodes,
+    clairvoyant_paths,
     lane_rows,
+    oracle_paths,
     planner_for,
 )
 from planopt.planning.scene import build_ground

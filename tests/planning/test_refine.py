@@ -19,7 +19,7 @@ import planopt.planning.refinement as refine
 from planopt import Verdict
 from planopt.extend import Rung
 from planopt.planning.candidates import Scorer
-from planopt.planning.proof.context import VerifierContext
+from planopt.planning.proof.rule import VerifierContext
 from planopt.planning.search.global_search import Ahead
 from planopt.planning.search.guess_search import Guess
 from planopt.planning.values.objective_value import ReachCost

@@ -34,7 +34,7 @@ from unpriced import unpriced
 from planopt import Problem
 from planopt.channel import ChannelPosterior, condition
 from planopt.planning.plan import BEGINNING, History
-from planopt.planning.proof.context import VerifierContext
+from planopt.planning.proof.rule import VerifierContext
 from planopt.world import index_obstacles
 
 CLEARANCE, BOUNDS, SPEED = "clearance_m", "bounds_m", "speed_max_m_s"

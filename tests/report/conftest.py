@@ -23,14 +23,14 @@ from planopt import (
     Workspace,
 )
 from planopt.channel import Belief, ChannelFit, ChannelParameters, Station, Truth, condition
-from planopt.channel.prediction import connection_probability
+from planopt.channel.kriging import connection_probability
 from planopt.extend import Rung, Termination
 from planopt.objectives import ReachObjective
-from planopt.objectives.terms.context import Aim
+from planopt.objectives.terms.term import Aim
 from planopt.planning.certificate import Certificate
 from planopt.planning.loop.log import Metrics, Outcome, RobotRun, StepLog
 from planopt.planning.loop.results import RunSummary, summary_of
-from planopt.studies.comparison_rows import Row
+from planopt.studies.comparison import Row
 from planopt.world import Raster
 
 STATION = Station((50.0, 60.0), 5.0)

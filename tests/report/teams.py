@@ -7,7 +7,7 @@ import numpy as np
 
 from planopt import Robot, Run, Target
 from planopt.objectives import LearningTerm, MappingTerm, TermsObjective, TrackingTerm
-from planopt.objectives.terms.context import Aim
+from planopt.objectives.terms.term import Aim
 from planopt.planning.loop.log import ChannelLog, TargetLog
 
 TERMS = {

@@ -8,7 +8,7 @@ from artists import drawn, labels_of, legend_of, panel_of
 
 from planopt.report import draw_comparison, draw_traces
 from planopt.report.comparison_figure import layout_of
-from planopt.studies.comparison_rows import comparison_rows
+from planopt.studies.comparison import comparison_rows
 
 
 def looks_of(comparison):

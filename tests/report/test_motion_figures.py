@@ -10,7 +10,7 @@ from artists import collection_of, drawn, labels_of, legend_of, line_of, panel_o
 from teams import team_problem, team_run
 
 from planopt import ConnectivityRule, MovingObstacle, Solution, Verdict, load, simulate, solve
-from planopt.objectives.terms.context import Aim
+from planopt.objectives.terms.term import Aim
 from planopt.planning.certificate import RuleResult
 from planopt.report import draw_run, draw_run_series, draw_solution
 from planopt.report.motion_figures import WORDS_LINES

@@ -10,7 +10,7 @@ from refusals import refused_command
 import planopt
 from planopt.cli import main
 from planopt.planning.plan import Plan
-from planopt.report.terminal import TerminalMap
+from planopt.report.motion_words import TerminalMap
 
 
 def test_frames_show_the_run() -> None:

@@ -13,7 +13,7 @@ from planopt.planning.loop.log import Metrics, Outcome
 from planopt.planning.loop.metrics import COSTS as COST_METRICS
 from planopt.planning.loop.results import summary_of
 from planopt.planning.solve import simulate
-from planopt.studies.comparison_rows import Row, log_ratios, mean_interval, tabulate
+from planopt.studies.comparison import Row, log_ratios, mean_interval, tabulate
 
 HORIZONS, COSTS, SEEDS = (1, 6), ("geodesic", "connected"), 6
 TIMES = {"p50_step_s", "p95_step_s"}

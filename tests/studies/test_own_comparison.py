@@ -19,8 +19,7 @@ from planopt.problems.settings import ComparisonSettings, SettingGroup, planner_
 from planopt.report import comparison_text, draw_comparison
 from planopt.report.comparison_figure import layout_of
 from planopt.studies.compare import Lists, settings_of
-from planopt.studies.comparison import run_columns
-from planopt.studies.comparison_rows import short_keys
+from planopt.studies.comparison import run_columns, short_keys
 from planopt.studies.study import run_key
 
 GIVEN = "channel.fit.given"

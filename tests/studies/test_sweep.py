@@ -20,7 +20,7 @@ from planopt.planning.solve import simulate
 from planopt.problems.load import with_changes
 from planopt.report import comparison_text, draw_comparison
 from planopt.report.comparison_figure import layout_of
-from planopt.studies.comparison_rows import comparison_rows
+from planopt.studies.comparison import comparison_rows
 
 SWEEP = {"constraints.p_min": [0.5, 0.9], "robots[0].speed_max_m_s": [1.0, 2.0]}
 
@@ -247,7 +247,7 @@ def test_the_swept_key_stands_along_the_picture(comparison) -> None:
 
 def test_the_command(tmp_path: Path, capsys) -> None:
     """Two files, a sweep and a range of seeds; the same again is resumed."""
-    text = (planopt.problems.library.library_folder() / "open_field.toml").read_text()
+    text = (planopt.problems.load.library_folder() / "open_field.toml").read_text()
     text = text.replace("max_steps = 200", "max_steps = 2").replace(
         "figures = true", "figures = false"
     )

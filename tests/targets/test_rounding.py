@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planopt.targets.rounding import rounded_length, rounded_positive_part
+from planopt.arrays import rounded_length, rounded_positive_part
 
 WIDTH = 0.3
 

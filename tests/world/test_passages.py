@@ -14,9 +14,9 @@ from planopt.world.lattice import (
     build_lattice,
     build_road_map,
     lattice_paths,
+    narrow_passages,
     node_at,
 )
-from planopt.world.passages import narrow_passages
 
 STEP_M, CLEARANCE_M = 4.0, 1.0
 BOUNDS = (-30.0, -20.0, 30.0, 20.0)

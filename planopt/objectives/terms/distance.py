@@ -6,13 +6,20 @@ from typing import Annotated, ClassVar
 import numpy as np
 from pydantic import Field
 
-from planopt.arrays import Floats
+from planopt.arrays import Derivatives, Floats, rounded_length
 from planopt.objectives.moments import TINY_M, Pull, pull_of_lengths
 from planopt.objectives.path_derivatives import PathDerivatives, by_lengths
-from planopt.objectives.terms.context import NearPath, Nodes, Part, Paths, TermContext
-from planopt.objectives.terms.term import Steers, Structure, Term
+from planopt.objectives.terms.term import (
+    NearPath,
+    Nodes,
+    Part,
+    Paths,
+    Steers,
+    Structure,
+    Term,
+    TermContext,
+)
 from planopt.objectives.upper_bounds import StageBounds, no_reward
-from planopt.targets.rounding import Derivatives, rounded_length
 
 
 @dataclass(frozen=True)

@@ -19,16 +19,13 @@ import casadi as ca
 import numpy as np
 from pydantic import Field
 
-from planopt.arrays import Floats
-from planopt.channel.prediction import connection_probability
+from planopt.arrays import Derivatives, Floats
+from planopt.channel.kriging import connection_probability
 from planopt.errors import InputError
 from planopt.objectives.path_derivatives import PathDerivatives, by_stages
 from planopt.objectives.stage_power import connectivity_derivatives
-from planopt.objectives.terms.context import NearPath, Paths, TermContext
-from planopt.objectives.terms.term import Term, TermSetting
-from planopt.parts import calling
-from planopt.plain_values import make_plain
-from planopt.targets.rounding import Derivatives
+from planopt.objectives.terms.term import NearPath, Paths, Term, TermContext, TermSetting
+from planopt.parts import calling, make_plain
 
 WIDTHS = {"positions_m": 2, "mean_db": 1, "deviation_db": 1, "connectivity": 1, "target_m": 2}
 """Number of columns of each input that has one row per step."""

@@ -21,9 +21,18 @@ from planopt.objectives.information import (
 )
 from planopt.objectives.moments import Moments, Pull, known_places, posterior_moments
 from planopt.objectives.path_derivatives import PathDerivatives, by_positions
-from planopt.objectives.terms.context import NearPath, NodeChannel, Nodes, Part, Paths, TermContext
 from planopt.objectives.terms.distance import SteeredTerm
-from planopt.objectives.terms.term import Steers, Term, TermSetting
+from planopt.objectives.terms.term import (
+    NearPath,
+    NodeChannel,
+    Nodes,
+    Part,
+    Paths,
+    Steers,
+    Term,
+    TermContext,
+    TermSetting,
+)
 from planopt.objectives.upper_bounds import Field as DiscField
 from planopt.objectives.upper_bounds import (
     PairedInformation,

@@ -8,12 +8,11 @@ from typing import Annotated, ClassVar, Literal
 import numpy as np
 from pydantic import Field, Strict
 
-from planopt.arrays import Floats, Indices
-from planopt.channel.prediction import connection_probability
+from planopt.arrays import Derivatives, Floats, Indices, add_products
+from planopt.channel.kriging import connection_probability
 from planopt.errors import InputError
 from planopt.objectives.stage_power import connectivity_derivatives
-from planopt.objectives.terms.context import NearPath, Paths, TermContext
-from planopt.objectives.terms.term import Structure, Term, TermSetting
+from planopt.objectives.terms.term import NearPath, Paths, Structure, Term, TermContext, TermSetting
 from planopt.objectives.tracking import (
     RECOURSE_STEPS,
     STEPS_OF_ESTIMATES,
@@ -29,9 +28,8 @@ from planopt.objectives.tracking import (
 )
 from planopt.objectives.upper_bounds import Field as DiscField
 from planopt.objectives.upper_bounds import StageBounds, UpperBounds, sensing_bounds
-from planopt.plain_values import make_plain
+from planopt.parts import make_plain
 from planopt.targets.information_filter import Sensor, sensing_derivatives, sensing_information
-from planopt.targets.rounding import Derivatives, add_products
 
 LONGEST_ADDITIVE = 10
 """Longest horizon at which ``auto`` selects ``additive`` with other terms, a chance constraint or

@@ -14,12 +14,11 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import Field
 
-from planopt.arrays import Floats, Indices, Mask
+from planopt.arrays import Derivatives, Floats, Indices, Mask, rounded_length
 from planopt.channel.joint import joint_prediction
-from planopt.channel.kriging import LocalChannel
+from planopt.channel.kriging import LocalChannel, score_probability
 from planopt.channel.parameters import leg_lengths_m, require_places
 from planopt.channel.posterior import ChannelPosterior, factored_near
-from planopt.channel.prediction import score_probability
 from planopt.objectives.path_derivatives import (
     LocalPath,
     PathDerivatives,
@@ -27,9 +26,7 @@ from planopt.objectives.path_derivatives import (
     by_lengths,
     length_jacobian,
 )
-from planopt.objectives.terms.context import NearPath, Paths, TermContext
-from planopt.objectives.terms.term import Steers, Term
-from planopt.targets.rounding import Derivatives, rounded_length
+from planopt.objectives.terms.term import NearPath, Paths, Steers, Term, TermContext
 
 WAITING = 0.1
 """Cost per metre by which a step is shorter than the longest; otherwise waiting is free."""

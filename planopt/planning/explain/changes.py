@@ -15,20 +15,21 @@ from typing import Literal
 import numpy as np
 
 from planopt.arrays import Floats, Mask
+from planopt.channel.kriging import Prediction, connection_probability
 from planopt.channel.posterior import ChannelPosterior
-from planopt.channel.prediction import Prediction, connection_probability
-from planopt.planning.certificate import required_margins_db
-from planopt.planning.explanation import Relaxation
+from planopt.planning.certificate import Relaxation, required_margins_db
 from planopt.planning.plan import BEGINNING, Plan, Verdict
-from planopt.planning.proof.context import (
+from planopt.planning.proof.rule import (
+    PathCase,
     VerifierContext,
     certified_prediction,
     connectivity_law,
+    rule_of,
     search_power,
     search_prediction,
     stations_law,
+    whole_plan_result,
 )
-from planopt.planning.proof.rule import PathCase, rule_of, whole_plan_result
 from planopt.planning.proof.searches import best_margins_by_step, build_goal_grid, may_reach_from
 from planopt.planning.proof.verify import is_priced
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, MARGIN_TOLERANCE_DB
@@ -36,8 +37,7 @@ from planopt.planning.values.rule_rows import common_level
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.robots.dynamics import braked_motion
 from planopt.world.clearance import index_obstacles
-from planopt.world.motion import step_distances_m
-from planopt.world.moving_discs import MovingDiscs
+from planopt.world.motion import MovingDiscs, step_distances_m
 from planopt.world.workspace import MovingObstacle, Obstacle
 
 Missed = Literal["connection", "separation", "moving"]

@@ -12,10 +12,11 @@ import numpy as np
 
 from planopt.arrays import Floats, Indices
 from planopt.channel.cholesky import one_blas_thread
+from planopt.channel.kriging import connection_probability
 from planopt.channel.posterior import Belief, ChannelPosterior
-from planopt.channel.prediction import connection_probability
 from planopt.errors import InputError, NoPlanError
 from planopt.parts import part_of
+from planopt.planning.certificate import Crossing, Explanation, Relaxation
 from planopt.planning.explain.changes import (
     DIGITS,
     EXPLAINED_S,
@@ -29,12 +30,11 @@ from planopt.planning.explain.changes import (
     rounded,
     without,
 )
-from planopt.planning.explanation import Crossing, Explanation, Relaxation
 from planopt.planning.free_space import is_joined
 from planopt.planning.initial_data import prepare
 from planopt.planning.loop.results import Solution
 from planopt.planning.plan import Plan, Verdict
-from planopt.planning.proof.context import connectivity_law
+from planopt.planning.proof.rule import connectivity_law
 from planopt.planning.reservations import discs_to_avoid, others_of, planned_motion
 from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.node_margins import NodeMargins

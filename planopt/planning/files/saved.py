@@ -18,9 +18,8 @@ from planopt.errors import InputError
 from planopt.files.compare import DIGEST, digest
 from planopt.files.reading import read_text
 from planopt.files.tables import REMEDY, Data, read_table
-from planopt.objectives.terms.context import Aim
-from planopt.planning.certificate import BlockedPath
-from planopt.planning.explanation import Crossing, Relaxation
+from planopt.objectives.terms.term import Aim
+from planopt.planning.certificate import BlockedPath, Crossing, Relaxation
 from planopt.planning.files.belief_file import (
     BELIEF_FILE,
     BOUND_FILE,

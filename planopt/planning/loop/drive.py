@@ -10,7 +10,7 @@ from planopt.channel.ground_truth import Truth, measure
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import Belief, ChannelPosterior
 from planopt.errors import NoPlanError
-from planopt.objectives.terms.context import Pending
+from planopt.objectives.terms.term import Pending
 from planopt.planning.certificate import BlockedError, BlockedPath
 from planopt.planning.loop.log import ChannelLog, Outcome, channel_row, target_log
 from planopt.planning.loop.metrics import robot_run, run_costs, true_serving_dbm
@@ -19,8 +19,14 @@ from planopt.planning.plan import Plan, Rung, Verdict
 from planopt.planning.proof.motion import is_at_goal, stands
 from planopt.planning.stepping import Planning, Stepper, TargetWatch
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M, STEP_PAD_M
-from planopt.planning.values.context import anticipated, counts_others, places_of_others
-from planopt.planning.values.exploration import learns, left_to_learn, workspace_region
+from planopt.planning.values.context import (
+    anticipated,
+    counts_others,
+    learns,
+    left_to_learn,
+    places_of_others,
+    workspace_region,
+)
 from planopt.problems.problem import Problem
 from planopt.targets.information_filter import sense
 from planopt.world.clearance import index_obstacles

@@ -13,7 +13,7 @@ from planopt.channel.ground_truth import Truth, mean_power_dbm, true_power_dbm
 from planopt.channel.parameters import regressors
 from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.plan import Rung, Verdict
-from planopt.planning.proof.context import search_power
+from planopt.planning.proof.rule import search_power
 from planopt.planning.stepping import TargetWatch
 from planopt.robots.dynamics import Drive
 from planopt.short_repr import short_repr

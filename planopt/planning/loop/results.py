@@ -17,9 +17,8 @@ from planopt.channel.ground_truth import Truth
 from planopt.channel.posterior import Belief
 from planopt.errors import A_FOLDER, InputError, path_of
 from planopt.files.typed_json import encoded
-from planopt.objectives.terms.context import Aim
-from planopt.planning.certificate import BlockedPath
-from planopt.planning.explanation import Crossing, Relaxation
+from planopt.objectives.terms.term import Aim
+from planopt.planning.certificate import BlockedPath, Crossing, Relaxation
 from planopt.planning.loop.log import ChannelLog, Outcome, RobotRun, TargetLog
 from planopt.planning.loop.metrics import run_metrics
 from planopt.planning.plan import Plan, Verdict

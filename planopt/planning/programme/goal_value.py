@@ -24,10 +24,9 @@ from typing import Any
 import numpy as np
 from scipy.special import ndtr
 
-from planopt.arrays import Floats
+from planopt.arrays import Derivatives, Floats, add_products
 from planopt.planning.programme.solver import MotionShape
 from planopt.robots.dynamics import Components
-from planopt.targets.rounding import Derivatives, add_products
 
 
 def margins_of(

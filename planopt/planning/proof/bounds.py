@@ -15,10 +15,10 @@ from planopt.bounds.stages import ignored_constraints, stage_problem, summed_ter
 from planopt.bounds.tube import StageProblem, proves
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.reach import integrated_cost_m, outage_share, rate_s_m, steps_cost_s
-from planopt.objectives.terms.context import TermContext
+from planopt.objectives.terms.term import TermContext
 from planopt.planning.certificate import required_margins_db
 from planopt.planning.plan import Plan
-from planopt.planning.proof.context import connectivity_law
+from planopt.planning.proof.rule import connectivity_law
 from planopt.problems.problem import Problem
 
 

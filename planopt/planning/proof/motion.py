@@ -14,8 +14,7 @@ from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, DYNAMICS_TOLERANC
 from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Drive, Dynamics, braked_motion, dynamics_defect_m
 from planopt.world.clearance import ObstacleIndex, inside_bounds, is_clear, swept_clearance_m
-from planopt.world.motion import StepCurve, TimedMotion, least_gap
-from planopt.world.moving_discs import MovingDiscs
+from planopt.world.motion import MovingDiscs, StepCurve, TimedMotion, least_gap
 
 
 @dataclass(frozen=True)

@@ -11,18 +11,21 @@ from typing import Any
 import numpy as np
 
 from planopt.arrays import Floats, Indices, Mask
-from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
+from planopt.channel.kriging import Prediction, bound_margin_db, connection_probability
 from planopt.objectives.reach import outage_share
 from planopt.planning.certificate import Certificate, RuleResult, plan_message
 from planopt.planning.plan import History, Plan, Rung, Termination, Verdict
-from planopt.planning.proof.context import (
+from planopt.planning.proof.motion import is_at_goal, swept_motion, verify_apart, verify_motion
+from planopt.planning.proof.rule import (
+    PathCase,
     VerifierContext,
     certified_prediction,
+    rule_of,
+    rule_reasons,
     search_power,
     search_prediction,
+    whole_plan_result,
 )
-from planopt.planning.proof.motion import is_at_goal, swept_motion, verify_apart, verify_motion
-from planopt.planning.proof.rule import PathCase, rule_of, rule_reasons, whole_plan_result
 from planopt.planning.proof.searches import (
     PricedPath,
     best_margins_by_step,

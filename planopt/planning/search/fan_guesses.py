@@ -27,7 +27,7 @@ from planopt.planning.tolerances import CLEARANCE_PAD_M, CLEARANCE_TOLERANCE_M, 
 from planopt.planning.values.context import StepContext
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex, clearance_m, inside_bounds, segments_clear
-from planopt.world.moving_discs import paths_gap_m
+from planopt.world.motion import paths_gap_m
 
 CELLS_PER_STEP = 4.0
 """Number of raster cells per longest step."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from planopt.arrays import Floats, Indices
-from planopt.channel.prediction import bound_margin_db, connection_probability
+from planopt.channel.kriging import bound_margin_db, connection_probability
 from planopt.objectives.reach import charged_length_m, rate_s_m, steps_cost_s
 from planopt.planning.plan import History, Pivot
 from planopt.planning.scene import Scene, first_moves
@@ -30,7 +30,7 @@ from planopt.planning.values.rule_rows import Guide, find_guided, step_rows
 from planopt.problems.problem import Problem
 from planopt.world.clearance import is_clear, swept_clearance_m
 from planopt.world.lattice import CostToGo, lattice_paths, node_at, route_from
-from planopt.world.moving_discs import MovingDiscs
+from planopt.world.motion import MovingDiscs
 
 FORBIDDEN = 1e6
 """Cost of a metre that violates a hard constraint; it exceeds the cost of any path."""

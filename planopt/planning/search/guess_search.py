@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planopt.arrays import Floats, Indices
-from planopt.channel.prediction import bound_margin_db, connection_probability
+from planopt.channel.kriging import bound_margin_db, connection_probability
 from planopt.parts import calling
 from planopt.planning.candidates import UNLIMITED, Budget
 from planopt.planning.programme.goal_value import EvaluatePath, GoalCharge
@@ -36,7 +36,7 @@ from planopt.planning.values.objective_value import ObjectiveValue, rule_missing
 from planopt.planning.values.rule_rows import Guide, RuleRows, find_guided
 from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Drive
-from planopt.world.moving_discs import paths_gap_m
+from planopt.world.motion import paths_gap_m
 
 Nodes = tuple[Indices, Indices]
 """Rows and columns of individual nodes."""

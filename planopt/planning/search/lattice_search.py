@@ -19,7 +19,7 @@ from planopt.arrays import Floats, Indices, Mask
 from planopt.objectives.reach import step_cost_s
 from planopt.planning.tolerances import CLEARANCE_PAD_M
 from planopt.world.lattice import MOVES, Lattice, RoadMap
-from planopt.world.moving_discs import MovingDiscs, passing_gaps_m
+from planopt.world.motion import MovingDiscs, passing_gaps_m
 from planopt.world.workspace import LONGEST_MOVE
 
 

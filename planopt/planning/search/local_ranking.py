@@ -13,12 +13,10 @@ from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.kriging import LocalChannel, LocalGrid
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.moments import LocalPaths, Pull
-from planopt.objectives.terms.context import Paths
-from planopt.objectives.terms.term import Term
+from planopt.objectives.terms.term import Paths, Term
 from planopt.parts import calling, returned
 from planopt.planning.candidates import UNLIMITED, Budget
-from planopt.planning.values.context import StepContext
-from planopt.planning.values.exploration import region_along
+from planopt.planning.values.context import StepContext, region_along
 from planopt.planning.values.rule_rows import missing, missing_slope
 from planopt.problems.problem import Problem
 

@@ -12,16 +12,15 @@ from functools import cached_property
 import numpy as np
 
 from planopt.arrays import Floats, Indices
+from planopt.channel.kriging import Prediction, connection_probability
 from planopt.channel.neighbours import PlaceTree
-from planopt.channel.prediction import Prediction, connection_probability
 from planopt.planning.candidates import Candidate, Scorer, held
-from planopt.planning.proof.context import search_prediction
+from planopt.planning.proof.rule import search_prediction
 from planopt.planning.scene import Ground, PathsFrom, free_ends, retime, stops_along
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.search.node_margins import NodeField
 from planopt.planning.tolerances import CLEARANCE_PAD_M, MARGIN_PAD_DB, STEP_PAD_M
-from planopt.planning.values.context import StepContext
-from planopt.planning.values.exploration import left_to_learn
+from planopt.planning.values.context import StepContext, left_to_learn
 from planopt.planning.values.objective_value import probe_values
 from planopt.problems.problem import Problem
 from planopt.world.clearance import clearance_m, inside_bounds, is_clear, segments_clear

@@ -11,20 +11,18 @@ import numpy as np
 
 from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.channel_map import TileMap
+from planopt.channel.kriging import connection_probability
 from planopt.channel.neighbours import PlaceTree
-from planopt.channel.prediction import connection_probability
 from planopt.objectives.measuring import OPEN_SPACINGS
-from planopt.objectives.terms.context import SteeringPath
 from planopt.objectives.terms.measured import MappingTerm
-from planopt.objectives.terms.term import Term
+from planopt.objectives.terms.term import SteeringPath, Term
 from planopt.objectives.terms.until_connected import UntilConnectedTerm
-from planopt.planning.proof.context import search_power
+from planopt.planning.proof.rule import search_power
 from planopt.planning.scene import Ground, PathsFrom, first_moves, taut_turns
 from planopt.planning.search.global_search import FORBIDDEN
 from planopt.planning.search.node_margins import LatticeMap, NodeMargins
 from planopt.planning.tolerances import CLEARANCE_PAD_M
-from planopt.planning.values.context import StepContext
-from planopt.planning.values.exploration import steering_path, workspace_region
+from planopt.planning.values.context import StepContext, steering_path, workspace_region
 from planopt.problems.problem import Problem
 from planopt.world.clearance import segments_clear
 from planopt.world.lattice import lattice_paths, route_from

@@ -14,8 +14,7 @@ from planopt.objectives.reach import step_cost_s
 from planopt.planning.search.lattice_search import steps_apart
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M
 from planopt.world.lattice import CostToGo, RoadMap, lattice_paths, route_from
-from planopt.world.motion import closest_approach_m
-from planopt.world.moving_discs import MovingDiscs
+from planopt.world.motion import MovingDiscs, closest_approach_m
 
 DELAYS_STEPS = (16, 64, 200)
 """Allowed delays in waiting steps, tried in this order."""

@@ -6,7 +6,7 @@ from typing import cast
 
 import numpy as np
 
-from planopt.arrays import Floats
+from planopt.arrays import Derivatives, Floats
 from planopt.channel.kriging import LocalChannel, LocalGrid
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
@@ -17,8 +17,7 @@ from planopt.objectives.stage_power import (
     connectivity_derivatives,
     stage_predictor,
 )
-from planopt.objectives.terms.context import NearPath, Part
-from planopt.objectives.terms.term import Structure, Term
+from planopt.objectives.terms.term import NearPath, Part, Structure, Term
 from planopt.parts import calling, class_name, is_own, returned
 from planopt.planning.programme.goal_value import (
     EvaluatePath,
@@ -27,10 +26,8 @@ from planopt.planning.programme.goal_value import (
     margins_of,
     remembering,
 )
-from planopt.planning.values.context import StepContext, shares_places, structure_of
-from planopt.planning.values.exploration import region_along
+from planopt.planning.values.context import StepContext, region_along, shares_places, structure_of
 from planopt.planning.values.rule_rows import RuleRows, has_step_rows, rule_rows
-from planopt.targets.rounding import Derivatives
 
 JOINT_NEIGHBOURS = 128
 """Number of measurements shared by all positions of a path, for terms that couple them."""

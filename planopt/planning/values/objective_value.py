@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from planopt.arrays import Floats, Mask
-from planopt.channel.prediction import Prediction, bound_margin_db, connection_probability
+from planopt.channel.kriging import Prediction, bound_margin_db, connection_probability
 from planopt.errors import InputError
 from planopt.objectives.reach import charged_length_m, outage_share, rate_s_m, steps_cost_s
 from planopt.objectives.terms.term import Term

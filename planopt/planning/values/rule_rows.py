@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from planopt.arrays import Floats, Mask
-from planopt.channel.prediction import Prediction, bound_quantile, connection_probability
+from planopt.channel.kriging import Prediction, bound_quantile, connection_probability
 from planopt.objectives.moments import LocalPaths, Pull
 from planopt.planning.certificate import RuleResult, required_margins_db
 from planopt.planning.plan import History

@@ -13,7 +13,7 @@ from planopt.channel.connectivity_law import (
     serving_power_dbm,
     serving_prediction,
 )
-from planopt.channel.prediction import bound_margin_db, connection_probability
+from planopt.channel.kriging import bound_margin_db, connection_probability
 
 
 def scores(stations: int, places: int = 40, spread: float = 2.5) -> np.ndarray:

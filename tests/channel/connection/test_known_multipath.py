@@ -7,9 +7,9 @@ import pytest
 
 from planopt.channel import ChannelParameters, Measurements, Station, condition, joint_prediction
 from planopt.channel.connectivity_law import ConnectivityLaw
+from planopt.channel.kriging import connection_probability
 from planopt.channel.measurements import SAME_PLACE_M
 from planopt.channel.neighbours import MOST_UNTREED, PlaceIndex
-from planopt.channel.prediction import connection_probability
 
 THRESHOLD_DBM = -80.0
 CHANNEL = ChannelParameters(-30.0, 2.5, 6.0, 10.0, 2.0, Station((0.0, 0.0)))

@@ -7,7 +7,7 @@ import pytest
 import shapely
 
 import planopt
-from planopt.planning.explanation import Relaxation
+from planopt.planning.certificate import Relaxation
 
 
 @pytest.mark.parametrize(

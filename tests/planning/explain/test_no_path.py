@@ -9,9 +9,9 @@ import shapely
 from scenes import belief_of, small_problem
 
 from planopt import NoPlanError, Obstacle, Plan, Problem, Verdict, Workspace, explain, load
+from planopt.planning.certificate import Relaxation
 from planopt.planning.explain.changes import EXPLAINED_S, Trials
 from planopt.planning.explain.explain import explain_no_path, widest_clearance_m
-from planopt.planning.explanation import Relaxation
 from planopt.planning.free_space import is_joined
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene

@@ -8,7 +8,7 @@ import scipy.stats
 from scenes import BAD, THRESHOLD_DBM, bad_everywhere, belief_of, kriged, small_problem
 
 from planopt import Problem, Solution, Verdict, explain
-from planopt.objectives.terms.context import Aim
+from planopt.objectives.terms.term import Aim
 from planopt.planning.explain.changes import rounded
 from planopt.planning.proof.searches import build_goal_grid
 from planopt.planning.reach_planner import ReachPlanner

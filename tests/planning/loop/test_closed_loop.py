@@ -135,15 +135,15 @@ def test_start_within_the_goal_radius():
 
 def test_circling_is_a_stall(monkeypatch):
     """To and fro over known ground without end is one too."""
-    from planopt.planning.team import couriers
+    from planopt.planning.team import team_step
 
-    class Pacing(couriers.ReachPlanner):
+    class Pacing(team_step.ReachPlanner):
         def release(self, outlook, warm=None, moving=None, reserved_m=None):
             plan, position_m = super().release(outlook), outlook.state[:2]
             there = np.array([5.0, 15.0]) if position_m[0] > 5.5 else np.array([6.0, 15.0])
             return replace(plan, positions_m=np.vstack([position_m, there, there]))
 
-    monkeypatch.setattr(couriers, "ReachPlanner", Pacing)
+    monkeypatch.setattr(team_step, "ReachPlanner", Pacing)
     done = small_run(small_problem(horizon=2, planner="lattice"))
     assert done.run.outcome is Outcome.STALLED
     assert "of one place for 30 steps" in done.run.reason

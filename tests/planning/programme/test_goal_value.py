@@ -8,6 +8,7 @@ import pytest
 from reach_tasks import constant_margins, scored
 from scipy.stats import norm
 
+from planopt.arrays import Derivatives
 from planopt.planning.programme.goal_value import (
     PIVOT_ROUNDING_M,
     STEP_ROUNDING_M,
@@ -16,7 +17,6 @@ from planopt.planning.programme.goal_value import (
     ValueSource,
 )
 from planopt.planning.programme.path_nlp import curvature
-from planopt.targets.rounding import Derivatives
 
 N = 4
 START = np.array([0.3, -0.2])

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
+from planopt.arrays import Derivatives
 from planopt.extend import Termination
 from planopt.planning.programme.goal_value import Evaluation, PathValue
 from planopt.planning.programme.path_nlp import build_path_nlp
-from planopt.planning.programme.path_polish import PathTask, polish_path
 from planopt.planning.programme.solver import PathShape
-from planopt.targets.rounding import Derivatives
+from planopt.planning.refinement import PathTask, polish_path
 from planopt.world import empty_lines
 
 N = 4

@@ -26,7 +26,7 @@ from planopt import Obstacle, Workspace
 from planopt.extend import Termination
 from planopt.planning.programme import path_nlp
 from planopt.planning.programme.goal_value import PIVOT_ROUNDING_M, STEP_ROUNDING_M
-from planopt.planning.programme.path_polish import polish_path
+from planopt.planning.refinement import polish_path
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.world import index_obstacles, pack_pieces, separating_lines, swept_clearance_m
 

@@ -19,9 +19,9 @@ from terms_scene import ENERGY, LEARNING, TRACKING, context_of, scorer_of, terms
 from planopt import Verdict
 from planopt.extend import Termination
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.programme.path_polish import polish_path
 from planopt.planning.programme.scp import scp_solve
 from planopt.planning.programme.solver import Bounds, NlpFunctions, PathShape
+from planopt.planning.refinement import polish_path
 
 N, LINES = 6, 2
 

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from planopt import Measurements
+from planopt.arrays import Derivatives
 from planopt.channel import ChannelParameters, Station, condition
-from planopt.channel.kriging import LocalChannel, predict
-from planopt.channel.prediction import bound_margin_db, bound_quantile
+from planopt.channel.kriging import LocalChannel, bound_margin_db, bound_quantile, predict
 from planopt.objectives.stage_power import CUSP_ROUNDING, StagePredictor
 from planopt.planning.programme.goal_value import margins_of
-from planopt.targets.rounding import Derivatives
 
 PARAMETERS = ChannelParameters(-35.0, 2.8, 5.0, 12.0, 2.0, Station((3.0, -4.0), 6.0))
 THRESHOLD, P_MIN = -85.0, 0.9

@@ -13,26 +13,22 @@ from planopt.robots.dynamics import braked_motion, rolled_out
 from planopt.world import PointCurve
 
 APART = "planopt.planning.proof.motion"
-DISCS = "planopt.world.moving_discs"
-CLOSEST = "planopt.world.motion"
-LEAST = "planopt.world.motion"
-TIMED = "planopt.world.motion"
-OBSTACLE = "planopt.world.moving_discs"
+WORLD = "planopt.world.motion"
 
 TURNS = np.array([[2.5, 1.2], [2.0, -1.4], [3.0, 0.0], [1.0, 1.5]])
 
 MUTANTS = [
-    (CLOSEST, "first_starts_m - second_starts_m", "first_starts_m - second_ends_m"),
-    (CLOSEST, "first_ends_m - second_ends_m", "first_ends_m - second_starts_m"),
-    (CLOSEST, "share = -(starts_m * along)", "share = (starts_m * along)"),
-    (CLOSEST, "share, 0.0), 0.0, 1.0)", "share, 0.0), 0.0, 0.5)"),
-    (CLOSEST, "share, 0.0), 0.0, 1.0)", "share, 0.0), 0.3, 1.0)"),
-    (CLOSEST, "share, 0.0), 0.0, 1.0)", "share, 0.0), -9.0, 9.0)"),
-    (CLOSEST, "(1.0 - share[..., None]) * along", "share[..., None] * along"),
-    (CLOSEST, "starts_m + share[..., None]", "starts_m - share[..., None]"),
-    (DISCS, "self.radius_m + self.least_m", "self.radius_m - self.least_m"),
-    (DISCS, "self.curves[number] if self.curves else ()", "()"),
-    (DISCS, "self.curves[number] if", "self.curves[0] if"),
+    (WORLD, "first_starts_m - second_starts_m", "first_starts_m - second_ends_m"),
+    (WORLD, "first_ends_m - second_ends_m", "first_ends_m - second_starts_m"),
+    (WORLD, "share = -(starts_m * along)", "share = (starts_m * along)"),
+    (WORLD, "share, 0.0), 0.0, 1.0)", "share, 0.0), 0.0, 0.5)"),
+    (WORLD, "share, 0.0), 0.0, 1.0)", "share, 0.0), 0.3, 1.0)"),
+    (WORLD, "share, 0.0), 0.0, 1.0)", "share, 0.0), -9.0, 9.0)"),
+    (WORLD, "(1.0 - share[..., None]) * along", "share[..., None] * along"),
+    (WORLD, "starts_m + share[..., None]", "starts_m - share[..., None]"),
+    (WORLD, "self.radius_m + self.least_m", "self.radius_m - self.least_m"),
+    (WORLD, "self.curves[number] if self.curves else ()", "()"),
+    (WORLD, "self.curves[number] if", "self.curves[0] if"),
     (APART, "radius = discs.radius_m", "radius = 0.0 * discs.radius_m"),
     (APART, "discs.radius_m[number, :", "discs.radius_m[0, :"),
     (APART, "gaps[number] - discs.least_m", "gaps[number] + discs.least_m"),
@@ -43,78 +39,74 @@ MUTANTS = [
     (APART, "if step < planned", "if step <= planned"),
     (APART, "if step < planned", "if step + 1 < planned"),
     (APART, "discs.counted_steps(number, motion)", "planned"),
-    (DISCS, "self.steps if self.is_robot[number] else", "self.steps if True else"),
-    (DISCS, "self.steps if self.is_robot[number] else", "2 if True else"),
-    (DISCS, "min(motion.steps, self.steps)", "2"),
+    (WORLD, "self.steps if self.is_robot[number] else", "self.steps if True else"),
+    (WORLD, "self.steps if self.is_robot[number] else", "2 if True else"),
+    (WORLD, "min(motion.steps, self.steps)", "2"),
     (APART, "_least(gaps[discs.is_robot])", "_least(gaps[~discs.is_robot])"),
     (APART, "_least(gaps[~discs.is_robot])", "_least(gaps)"),
-    (LEAST, "unknown = first.within_m + second.within_m", "unknown = first.within_m"),
-    (LEAST, "unknown = first.within_m + second.within_m", "unknown = second.within_m"),
-    (LEAST, "first.curving_m + second.curving_m", "first.curving_m"),
-    (LEAST, "first.curving_m + second.curving_m", "second.curving_m"),
-    (LEAST, "np.union1d(first.breaks, second.breaks)", "first.breaks"),
-    (LEAST, "np.union1d(first.breaks, second.breaks)", "second.breaks"),
-    (LEAST, "first.at(begin), first.at(end)", "first.at(begin), first.at(begin)"),
-    (LEAST, "second.at(begin), second.at(end)", "second.at(end), second.at(begin)"),
-    (LEAST, "(end - begin) ** 2 / 8.0", "(end - begin) ** 2 / 80.0"),
-    (LEAST, "chord + off).min()", "chord - off).min()"),
-    (LEAST, "lower = chord - off", "lower = chord + off"),
-    (LEAST, "close = max(CLOSE_M", "close = max(1e4 * CLOSE_M"),
-    (LEAST, "[middle, end]", "[middle, middle]"),
-    (LEAST, "settled - unknown", "settled + unknown"),
-    (LEAST, "settled - unknown", "settled"),
-    (LEAST, "b[:-1], b[1:]", "b[1:], b[:-1]"),
+    (WORLD, "unknown = first.within_m + second.within_m", "unknown = first.within_m"),
+    (WORLD, "unknown = first.within_m + second.within_m", "unknown = second.within_m"),
+    (WORLD, "first.curving_m + second.curving_m", "first.curving_m"),
+    (WORLD, "first.curving_m + second.curving_m", "second.curving_m"),
+    (WORLD, "np.union1d(first.breaks, second.breaks)", "first.breaks"),
+    (WORLD, "np.union1d(first.breaks, second.breaks)", "second.breaks"),
+    (WORLD, "first.at(begin), first.at(end)", "first.at(begin), first.at(begin)"),
+    (WORLD, "second.at(begin), second.at(end)", "second.at(end), second.at(begin)"),
+    (WORLD, "(end - begin) ** 2 / 8.0", "(end - begin) ** 2 / 80.0"),
+    (WORLD, "chord + off).min()", "chord - off).min()"),
+    (WORLD, "lower = chord - off", "lower = chord + off"),
+    (WORLD, "close = max(CLOSE_M", "close = max(1e4 * CLOSE_M"),
+    (WORLD, "[middle, end]", "[middle, middle]"),
+    (WORLD, "settled - unknown", "settled + unknown"),
+    (WORLD, "settled - unknown", "settled"),
+    (WORLD, "b[:-1], b[1:]", "b[1:], b[:-1]"),
     (
-        LEAST,
+        WORLD,
         "gaps = chord_distances_m(one, other) - taken_m",
         "gaps = chord_distances_m(one, other)",
     ),
-    (LEAST, "float(gaps.min())", "float(gaps.max())"),
-    (LEAST, "int(gaps.argmin())", "int(gaps.argmax())"),
+    (WORLD, "float(gaps.min())", "float(gaps.max())"),
+    (WORLD, "int(gaps.argmin())", "int(gaps.argmax())"),
     (
-        LEAST,
+        WORLD,
         "and not other.curves:\n        return float",
         "or not other.curves:\n        return float",
     ),
-    (LEAST, "gaps - one.bulges_m - other.bulges_m", "gaps + one.bulges_m + other.bulges_m"),
-    (LEAST, "gaps - one.bulges_m - other.bulges_m", "gaps - other.bulges_m"),
-    (LEAST, "if lower[k] >= best", "if lower[k] < best"),
-    (LEAST, "best + taken) -", "best) -"),
-    (LEAST, "- taken\n", "\n"),
-    (LEAST, "if gap < best:", "if gap > best:"),
-    (TIMED, "if step >= self.steps", "if step > self.steps"),
-    (TIMED, "self.places_m[-1:].repeat(2", "self.places_m[:1].repeat(2"),
-    (TIMED, "np.minimum(np.arange(steps + 1), self.steps)", "np.zeros(steps + 1, dtype=int)"),
-    (TIMED, "np.linalg.norm(curve.at(breaks) - even, axis=1).max()", "0.0"),
-    (TIMED, "curve.curving_m * float(part) ** 2 / 8.0 + ", ""),
+    (WORLD, "gaps - one.bulges_m - other.bulges_m", "gaps + one.bulges_m + other.bulges_m"),
+    (WORLD, "gaps - one.bulges_m - other.bulges_m", "gaps - other.bulges_m"),
+    (WORLD, "if lower[k] >= best", "if lower[k] < best"),
+    (WORLD, "best + taken) -", "best) -"),
+    (WORLD, "- taken\n", "\n"),
+    (WORLD, "if gap < best:", "if gap > best:"),
+    (WORLD, "if step >= self.steps", "if step > self.steps"),
+    (WORLD, "self.places_m[-1:].repeat(2", "self.places_m[:1].repeat(2"),
+    (WORLD, "np.minimum(np.arange(steps + 1), self.steps)", "np.zeros(steps + 1, dtype=int)"),
+    (WORLD, "np.linalg.norm(curve.at(breaks) - even, axis=1).max()", "0.0"),
+    (WORLD, "curve.curving_m * float(part) ** 2 / 8.0 + ", ""),
     (APART, "if discs.is_robot[number]", "if not discs.is_robot[number]"),
     (APART, "float(away_m.min())", "float(away_m.max())"),
-    (OBSTACLE, "times_s - known[-1]", "times_s"),
-    (OBSTACLE, "np.maximum(times_s - known[-1], 0.0)", "times_s - known[-1]"),
-    (OBSTACLE, "0.5 * obstacle.acceleration", "obstacle.acceleration"),
-    (OBSTACLE, "ahead_s**2", "ahead_s"),
-    (OBSTACLE, "-2.0 * math.log", "-1.0 * math.log"),
-    (OBSTACLE, "(1.0 - obstacle.probability) / 2.0", "1.0 - obstacle.probability"),
-    (OBSTACLE, "now_s + step_s", "step_s"),
-    (OBSTACLE, "times[1:] - now_s", "times[:-1] - now_s"),
-    (OBSTACLE, "times[1:] - now_s", "times[1:]"),
-    (OBSTACLE, "+ _turn_m(obstacle, times)", ""),
-    (OBSTACLE, "np.full(len(obstacles), clearance_m)", "np.zeros(len(obstacles))"),
-    (OBSTACLE, 'side="right") - 1', 'side="right") - 2'),
+    (WORLD, "times_s - known[-1]", "times_s"),
+    (WORLD, "np.maximum(times_s - known[-1], 0.0)", "times_s - known[-1]"),
+    (WORLD, "0.5 * obstacle.acceleration", "obstacle.acceleration"),
+    (WORLD, "ahead_s**2", "ahead_s"),
+    (WORLD, "-2.0 * math.log", "-1.0 * math.log"),
+    (WORLD, "(1.0 - obstacle.probability) / 2.0", "1.0 - obstacle.probability"),
+    (WORLD, "now_s + step_s", "step_s"),
+    (WORLD, "times[1:] - now_s", "times[:-1] - now_s"),
+    (WORLD, "times[1:] - now_s", "times[1:]"),
+    (WORLD, "+ _turn_m(obstacle, times)", ""),
+    (WORLD, "np.full(len(obstacles), clearance_m)", "np.zeros(len(obstacles))"),
+    (WORLD, 'side="right") - 1', 'side="right") - 2'),
 ]
 
 
 def judgements(changed: str = "", source: str = "") -> list[object]:
     """What is said of a few scenes by the sources, one of them changed."""
-    texts = {name: source_of(name) for name in (APART, DISCS, CLOSEST, OBSTACLE, LEAST, TIMED)}
+    texts = {APART: source_of(APART), WORLD: source_of(WORLD)}
     if changed:
         texts[changed] = source
-    closest = module_of(CLOSEST, texts[CLOSEST])
-    timed = module_of(TIMED, texts[TIMED])
-    least = module_of(LEAST, texts[LEAST], closest_approach_m=closest.closest_approach_m)
-    discs = module_of(DISCS, texts[DISCS], TimedMotion=timed.TimedMotion)
-    apart = module_of(APART, texts[APART], least_gap=least.least_gap)
-    moving = module_of(OBSTACLE, texts[OBSTACLE], MovingDiscs=discs.MovingDiscs)
+    moving = module_of(WORLD, texts[WORLD])
+    apart = module_of(APART, texts[APART], least_gap=moving.least_gap)
     one = moving.MovingObstacle
     carts = (
         one("straight", 1.0, (0.0,), ((6.0, -3.0),), (-1.0, 1.5)),
@@ -128,18 +120,18 @@ def judgements(changed: str = "", source: str = "") -> list[object]:
     for now in (0.0, 1.0):
         found = moving.predicted_discs(carts, now, 1.0, 3, 0.5)
         said.append(np.round(found.apart_m, 9).tolist())
-        said.append(apart.verify_apart(found, timed.TimedMotion(path)))
+        said.append(apart.verify_apart(found, moving.TimedMotion(path)))
     limit = np.array([[0.0, 2.5], [1.0, 2.5], [2.0, 2.5], [3.0, 2.5]])
     line = limit - np.array([0.0, 2.5])
     for lower in (0.0, 0.5 * CLEARANCE_TOLERANCE_M, 2.0 * CLEARANCE_TOLERANCE_M):
         others = np.stack([limit - np.array([0.0, lower]), limit + 1.0 + np.arange(4.0)[:, None]])
-        robots = discs.MovingDiscs(
+        robots = moving.MovingDiscs(
             ("near", "far"), others, np.zeros((2, 3)), np.full(2, 2.5), np.ones(2, dtype=bool)
         )
-        said.append(apart.verify_apart(robots, timed.TimedMotion(line)))
+        said.append(apart.verify_apart(robots, moving.TimedMotion(line)))
     said += [
         apart.verify_apart(others, own, planned)
-        for others, own, planned in driven(timed.TimedMotion, discs.MovingDiscs)
+        for others, own, planned in driven(moving.TimedMotion, moving.MovingDiscs)
     ]
     return [_plain(each) for each in said]
 

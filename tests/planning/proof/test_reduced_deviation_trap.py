@@ -12,7 +12,7 @@ from scipy.stats import binomtest
 
 from planopt import Measurements
 from planopt.channel import ChannelParameters, Station, condition, joint_prediction
-from planopt.channel.prediction import bound_quantile
+from planopt.channel.kriging import bound_quantile
 
 P_MIN, FIELDS, SEED = 0.9, 20_000, 41
 MEASURED = np.array([[0.0, 0.0], [6.0, -5.0], [-8.0, 4.0]])

@@ -9,7 +9,7 @@ from scipy.special import ndtr
 
 from planopt import ConnectivityRule, Problem, Verdict
 from planopt.channel import Belief
-from planopt.channel.prediction import connection_probability
+from planopt.channel.kriging import connection_probability
 from planopt.planning.certificate import Certificate
 from planopt.world import index_obstacles
 from tests.planning.scenes import bad_everywhere, straight_path

@@ -14,9 +14,9 @@ from mutants import all_hold, replaceable
 from planopt.channel.connectivity_law import ConnectivityLaw
 from planopt.planning.proof.rule import PathCase, Rule
 
-LAW, CONTEXT = "planopt.channel.connectivity_law", "planopt.planning.proof.context"
+LAW = "planopt.channel.connectivity_law"
 RULE, RULES = "planopt.planning.proof.rule", "planopt.planning.proof.connectivity_rules"
-USERS = (LAW, CONTEXT, RULE, RULES, "planopt.planning.proof.verify")
+USERS = (LAW, RULE, RULES, "planopt.planning.proof.verify")
 
 
 # Module, what stands there once, what the mutant has instead.
@@ -34,8 +34,8 @@ MUTANTS = (
         "return self.combined(self.each_power(positions_m, predict))",
         "return self.each_power(positions_m, predict)[0]",
     ),
-    (CONTEXT, "radio.threshold_dbm for radio in", "problem.stations[0].threshold_dbm for radio in"),
-    (CONTEXT, "tuple(posteriors), thresholds", "tuple(posteriors)[::-1], thresholds"),
+    (RULE, "radio.threshold_dbm for radio in", "problem.stations[0].threshold_dbm for radio in"),
+    (RULE, "tuple(posteriors), thresholds", "tuple(posteriors)[::-1], thresholds"),
     (
         RULE,
         "law.probability(self.positions_m[1:], slack_db)",

@@ -32,15 +32,15 @@ from scipy.stats import norm
 from terms_scene import TRACKING, terms_problem
 from unpriced import unpriced
 
-import planopt.planning.proof.context as predictions
+import planopt.planning.proof.rule as predictions
 import planopt.planning.proof.verify as single_steps
 from planopt import Measurements, Problem, Verdict, check
 from planopt.channel import Prediction, condition, marginalise
 from planopt.channel.connectivity_law import UncertainParameters, mixture_quantile_dbm
-from planopt.channel.prediction import bound_margin_db
+from planopt.channel.kriging import bound_margin_db
 from planopt.planning.certificate import Certificate
 from planopt.planning.plan import History
-from planopt.planning.proof.context import uncertain_law
+from planopt.planning.proof.rule import uncertain_law
 from planopt.planning.proof.verify import UNCOMPARED
 from planopt.planning.solve import simulate, solve
 from planopt.world import index_obstacles

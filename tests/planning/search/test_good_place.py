@@ -10,12 +10,11 @@ from scipy.optimize import brentq
 from terms_scene import SENDING, scorer_of, terms_problem
 
 from planopt import Verdict
-from planopt.channel.kriging import predict
-from planopt.channel.prediction import bound_margin_db
+from planopt.channel.kriging import bound_margin_db, predict
 from planopt.extend import Rung, Termination
 from planopt.planning.candidates import Scorer
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.proof.context import VerifierContext
+from planopt.planning.proof.rule import VerifierContext
 from planopt.planning.search.place_paths import paths_to_good_place
 from planopt.world import index_obstacles, swept_clearance_m
 

@@ -14,7 +14,7 @@ from planopt.extend import Rung
 from planopt.planning.loop.drive import STALL_STEPS, Progress, terms_ending
 from planopt.planning.loop.log import Outcome
 from planopt.planning.solve import simulate
-from planopt.planning.values.exploration import left_to_learn
+from planopt.planning.values.context import left_to_learn
 
 HERE = np.array([10.0, 15.0])
 MAPPING = {"kind": "mapping", "form": "information"}

@@ -9,16 +9,16 @@ from apart_scene import apart_problem
 from team_scene import two_trackers
 from terms_scene import CONNECT, LEARNING, TRACKING, context_of, own_term, terms_problem
 
-import planopt.planning.proof.context as predictions
-import planopt.planning.team.team_step as team_step
+import planopt.planning.proof.rule as predictions
 from planopt import Verdict, check
 from planopt.channel import true_power_dbm
 from planopt.channel.connectivity_law import serving_power_dbm
-from planopt.objectives.terms.context import Aim
+from planopt.objectives.terms.term import Aim
 from planopt.planning.files.belief_file import BELIEF_FILE
 from planopt.planning.files.result_json import solution_json
 from planopt.planning.initial_data import team_seeds
 from planopt.planning.solve import simulate, solve
+from planopt.planning.team import team_step
 from planopt.planning.team.team_step import build_team
 from planopt.planning.values.objective_value import ObjectiveValue
 

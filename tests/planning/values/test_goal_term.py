@@ -10,8 +10,8 @@ from scipy.stats import norm
 from terms_scene import LEARNING, context_of, scorer_of, terms_problem
 
 from planopt import InputError, check, load, load_result, simulate
-from planopt.objectives.terms.context import SteeringPath
-from planopt.planning.proof.context import search_prediction
+from planopt.objectives.terms.term import SteeringPath
+from planopt.planning.proof.rule import search_prediction
 from planopt.planning.search.steering import GoalSteering
 from planopt.problems import problem_to_dict
 from planopt.problems.problem import problem_from_tables

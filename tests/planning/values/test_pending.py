@@ -7,7 +7,7 @@ import pytest
 from terms_scene import CONNECT, ENERGY, LEARNING, TRACKING, context_of, terms_problem
 
 from planopt.objectives.moments import posterior_moments
-from planopt.objectives.terms.context import Pending
+from planopt.objectives.terms.term import Pending
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.values.local_value import local_value
 from planopt.planning.values.objective_value import ObjectiveValue

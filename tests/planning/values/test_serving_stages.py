@@ -8,8 +8,7 @@ import pytest
 from planopt import Measurements
 from planopt.channel import ChannelParameters, ChannelPosterior, Prediction, Station, condition
 from planopt.channel.connectivity_law import ConnectivityLaw
-from planopt.channel.kriging import LocalChannel
-from planopt.channel.prediction import bound_quantile, connection_probability
+from planopt.channel.kriging import LocalChannel, bound_quantile, connection_probability
 from planopt.objectives.stage_power import ServingStages, StagePredictor, connectivity_derivatives
 from planopt.planning.programme.goal_value import margins_of
 

@@ -8,7 +8,7 @@ import shapely
 from terms_scene import context_of, scorer_of, terms_problem
 
 from planopt import Obstacle
-from planopt.objectives.terms.context import SteeringPath
+from planopt.objectives.terms.term import SteeringPath
 from planopt.planning.search.steering import Steering
 from planopt.world import clearance_m, index_obstacles, swept_clearance_m
 

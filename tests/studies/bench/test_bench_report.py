@@ -8,7 +8,7 @@ import pytest
 from bench_rows import row
 from browser import opened
 
-from planopt.commands.bench import report_json
+from planopt.commands.compare import report_json
 from planopt.report import bench_page, page_markdown
 from planopt.report.page import page_html
 from planopt.studies.bench_cases import Manifest

@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_924,
-    "lines of code": 52_392,
-    "files": 281,
+    "lines": 70_786,
+    "lines of code": 52_309,
+    "files": 262,
     "functions": 3_780,
-    "docstring lines": 7_545,
-    "lines of tests": 48_753,
+    "docstring lines": 7_525,
+    "lines of tests": 48_737,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

@@ -513,15 +513,9 @@ def _in_words(data: dict[str, Any]) -> str:
     lines = [
         f"channel fit by {METHOD_WORDS.get(data['method'], data['method'])}: {data['status']} "
         f"({STATUS_WORDS[data['status']]})",
-<<<<<<< HEAD
         f"  {data['measurements']} power measurements, {data['censored']} of them at the receiver "
         "floor (upper limits); estimates +- standard errors:",
         f"  station at ({x:g}, {y:g}){within}",
-=======
-        f"  {data['measurements']} power measurements, {data['censored']} of them upper "
-        "limits; estimates +- standard errors:",
-        f"  station at ({x:g}, {y:g}){within} m",
->>>>>>> 17ff756f (Word options, screens and messages plainly; map library problems by name)
     ]
     for name, (words, unit) in PARAMETER_WORDS.items():
         error = data["standard_errors"][name]

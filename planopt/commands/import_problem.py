@@ -149,17 +149,10 @@ def _in_words(data: dict[str, Any]) -> str:
         std = each["position_std_m"]
         source = "not determined" if std is None else f"located within +- {std:.2g} m"
         lines.append(
-<<<<<<< HEAD
             f"  station {each['name']} at ({x:.1f}, {y:.1f}) m, "
             + (source if each["located"] else "as given")
             + f"; {each['measurements']} power measurements, {each['censored']} of them at the "
             f"receiver floor; channel fit: {each['status']}"
-=======
-            f"  station {each['name']} at ({x:.1f}, {y:.1f})"
-            + (f" +- {std} m, located from the log" if each["located"] else " m, as given")
-            + f"; {each['measurements']} power measurements, {each['censored']} of them "
-            f"upper limits; channel fit: {each['status']}"
->>>>>>> 17ff756f (Word options, screens and messages plainly; map library problems by name)
         )
     lines += ["assumptions:", *(f"  {each}" for each in data["assumptions"])]
     if data["warnings"]:

@@ -10,7 +10,6 @@ import numpy as np
 
 from planopt.arrays import Floats
 from planopt.channel.posterior import Belief
-from planopt.objectives.reach import cruising_speed_m_s
 from planopt.planning.candidates import (
     Budget,
     Candidate,
@@ -57,6 +56,7 @@ from planopt.planning.values.context import Aim, StepContext, step_context, work
 from planopt.planning.values.objective_value import ReachCost, resting_places_m
 from planopt.planning.values.rule_rows import step_rows
 from planopt.problems.problem import Problem
+from planopt.problems.reach_cost import cruising_speed_m_s
 from planopt.robots.dynamics import Drive, rolled_out
 from planopt.world.motion import MovingDiscs
 

@@ -18,7 +18,6 @@ from planopt.arrays import Floats, Indices, Mask
 from planopt.bounds.corridor import Corridor
 from planopt.channel.kriging import connection_probability
 from planopt.channel.posterior import ChannelPosterior
-from planopt.objectives.reach import integrated_cost_m, rate_s_m, step_cost_s
 from planopt.planning.certificate import holes_on
 from planopt.planning.plan import Pivot, Plan, Rung, Termination, Verdict
 from planopt.planning.proof.bounds import metre_cost_of
@@ -28,6 +27,7 @@ from planopt.planning.scene import stops_along
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.planning.values.objective_value import ReachCost
 from planopt.problems.problem import Problem
+from planopt.problems.reach_cost import integrated_cost_m, rate_s_m, step_cost_s
 from planopt.world.clearance import ObstacleIndex, index_obstacles, inside_bounds, segments_clear
 
 MetreCost = Callable[[Floats], Floats]

@@ -14,12 +14,12 @@ from planopt.bounds.route import route_bounds, verified_value
 from planopt.bounds.stages import ignored_constraints, stage_problem, summed_terms
 from planopt.bounds.tube import StageProblem, proves
 from planopt.channel.posterior import ChannelPosterior
-from planopt.objectives.reach import integrated_cost_m, outage_share, rate_s_m, steps_cost_s
 from planopt.objectives.terms.term import TermContext
 from planopt.planning.certificate import required_margins_db
 from planopt.planning.plan import Plan
 from planopt.planning.proof.rule import connectivity_law
 from planopt.problems.problem import Problem
+from planopt.problems.reach_cost import integrated_cost_m, outage_share, rate_s_m, steps_cost_s
 
 
 def bound_of(

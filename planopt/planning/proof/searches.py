@@ -18,9 +18,9 @@ from scipy.sparse import csr_matrix
 from scipy.sparse.csgraph import dijkstra  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.arrays import Floats, Indices, Mask
-from planopt.objectives.reach import charged_length_m
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
 from planopt.problems.problem import Problem
+from planopt.problems.reach_cost import charged_length_m
 from planopt.world.clearance import ObstacleIndex, clearance_m, is_clear, segment_clearance_m
 from planopt.world.shortest_paths import (
     ShortestPaths,

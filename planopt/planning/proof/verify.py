@@ -12,7 +12,6 @@ import numpy as np
 
 from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.kriging import Prediction, bound_margin_db, connection_probability
-from planopt.objectives.reach import outage_share
 from planopt.planning.certificate import Certificate, RuleResult, plan_message
 from planopt.planning.plan import History, Plan, Rung, Termination, Verdict
 from planopt.planning.proof.motion import is_at_goal, swept_motion, verify_apart, verify_motion
@@ -36,6 +35,7 @@ from planopt.planning.proof.searches import (
 )
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB, STANDSTILL_M
 from planopt.problems.problem import Problem
+from planopt.problems.reach_cost import outage_share
 from planopt.robots.dynamics import Drive
 
 COST_TOLERANCE = 0.05

@@ -11,7 +11,6 @@ import numpy as np
 
 from planopt.arrays import Floats, Indices
 from planopt.channel.kriging import bound_margin_db, connection_probability
-from planopt.objectives.reach import charged_length_m, rate_s_m, steps_cost_s
 from planopt.planning.plan import History, Pivot
 from planopt.planning.scene import Scene, first_moves
 from planopt.planning.search.lattice_search import first_steps_apart, move_table, search_cheapest
@@ -28,6 +27,7 @@ from planopt.planning.values.context import StepContext
 from planopt.planning.values.objective_value import rule_missing
 from planopt.planning.values.rule_rows import Guide, find_guided, step_rows
 from planopt.problems.problem import Problem
+from planopt.problems.reach_cost import charged_length_m, rate_s_m, steps_cost_s
 from planopt.world.clearance import is_clear, swept_clearance_m
 from planopt.world.lattice import CostToGo, lattice_paths, node_at, route_from
 from planopt.world.motion import MovingDiscs

@@ -10,11 +10,11 @@ from planopt.channel.channel_map import TileMap
 from planopt.channel.connectivity_law import ConnectivityLaw
 from planopt.channel.kriging import Prediction, bound_margin_db, connection_probability
 from planopt.channel.measurements import SAME_PLACE_M
-from planopt.objectives.reach import outage_share
 from planopt.objectives.terms.term import Nodes
 from planopt.planning.proof.rule import search_prediction
 from planopt.planning.tolerances import MARGIN_PAD_DB
 from planopt.planning.values.context import StepContext
+from planopt.problems.reach_cost import outage_share
 from planopt.world.lattice import Lattice, RoadMap
 
 

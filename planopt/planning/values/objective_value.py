@@ -9,7 +9,6 @@ import numpy as np
 from planopt.arrays import Floats, Mask
 from planopt.channel.kriging import Prediction, bound_margin_db, connection_probability
 from planopt.errors import InputError
-from planopt.objectives.reach import charged_length_m, outage_share, rate_s_m, steps_cost_s
 from planopt.objectives.terms.term import Term
 from planopt.parts import calling, returned
 from planopt.planning.certificate import RuleResult, required_margins_db
@@ -18,6 +17,7 @@ from planopt.planning.proof.rule import PathCase, rule_of, whole_plan_result
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.planning.values.context import StepContext
 from planopt.problems.problem import Problem
+from planopt.problems.reach_cost import charged_length_m, outage_share, rate_s_m, steps_cost_s
 from planopt.robots.dynamics import Drive
 
 

@@ -19,10 +19,10 @@ from scenes import (
     verified,
 )
 
-from planopt.objectives.reach import outage_share
 from planopt.planning.plan import BEGINNING
 from planopt.planning.search import global_search
 from planopt.planning.search.global_search import FORBIDDEN, Ahead, GlobalStart
+from planopt.problems.reach_cost import outage_share
 
 
 def found(problem, power_at=good_everywhere) -> GlobalStart:

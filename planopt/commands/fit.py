@@ -513,8 +513,8 @@ def _in_words(data: dict[str, Any]) -> str:
     lines = [
         f"channel fit by {METHOD_WORDS.get(data['method'], data['method'])}: {data['status']} "
         f"({STATUS_WORDS[data['status']]})",
-        f"  {data['measurements']} power measurements, {data['censored']} of them at the receiver "
-        "floor (upper limits); estimates +- standard errors:",
+        f"  {data['measurements']} power measurements, {data['censored']} of them upper "
+        "limits; estimates +- standard errors:",
         f"  station at ({x:g}, {y:g}){within}",
     ]
     for name, (words, unit) in PARAMETER_WORDS.items():

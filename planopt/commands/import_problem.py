@@ -151,8 +151,8 @@ def _in_words(data: dict[str, Any]) -> str:
         lines.append(
             f"  station {each['name']} at ({x:.1f}, {y:.1f}) m, "
             + (source if each["located"] else "as given")
-            + f"; {each['measurements']} power measurements, {each['censored']} of them at the "
-            f"receiver floor; channel fit: {each['status']}"
+            + f"; {each['measurements']} power measurements, {each['censored']} of them upper "
+            f"limits; channel fit: {each['status']}"
         )
     lines += ["assumptions:", *(f"  {each}" for each in data["assumptions"])]
     if data["warnings"]:

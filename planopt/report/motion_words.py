@@ -127,7 +127,7 @@ def bound_in_words(problem: Problem, bound: Bound | None) -> list[str]:
     """Return a proven bound, or the reason for its absence, as lines of text."""
     if bound is None:
         return []
-    if bound.value is None:
+    if bound.value is None or bound.gap is None:
         return [f"no bound is proven: {bound.reason}"]
     proven = f"no plan has an objective above {shown_number(bound.value)}"
     cost = f"this plan has {shown_number(bound.cost)}"

@@ -174,9 +174,9 @@ class ChannelFit:
         Estimation method; ``given`` if all parameters, or all except path loss, were known.
     status
         ``"ok"``, ``"weak"`` or ``"degenerate"``. It is weak if a parameter is poorly determined,
-        other parameters are nearly as likely, or a value is implausible. It is degenerate if a
-        parameter is not determined (it is at a bound, or an assumed value is used), or if n_PL is
-        below zero by more than two standard errors.
+        a different set of values is nearly as likely, or a value is implausible. It is degenerate
+        if a parameter is not determined (it is at a bound, or an assumed value is used), or if
+        n_PL is below zero by more than two standard errors.
     parameters
         Estimated parameters; always finite, with positive xi, omega and beta.
     standard_errors

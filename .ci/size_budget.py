@@ -18,7 +18,7 @@ BUDGET = {
     "files": 262,
     "functions": 3_780,
     "docstring lines": 7_525,
-    "lines of tests": 48_737,
+    "lines of tests": 48_416,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

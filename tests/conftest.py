@@ -69,6 +69,21 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
         pytest.skip(f"{seconds:g} s are over")
 
 
+@pytest.fixture
+def own_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Forget the parts that a test registers, once it has ended."""
+    from planopt.channel.logs.readers import READERS
+    from planopt.objectives.terms import term
+    from planopt.problems.objective import RULES
+    from planopt.problems.settings import PLANNERS
+    from planopt.problems.tasks import TASKS
+
+    term.registered_terms()
+    monkeypatch.setattr(term, "_kinds", dict(term._kinds))
+    for registry in (PLANNERS, READERS, RULES, TASKS):
+        monkeypatch.setattr(registry, "registered", dict(registry.registered))
+
+
 def changed_tests() -> frozenset[Path]:
     """Return the folders and files of tests for all that has changed, as far as git tells."""
     listed = subprocess.run(

@@ -87,6 +87,7 @@ def test_every_language_is_known() -> None:
     assert {block.language for block in BLOCKS} == {"python", "console", "sh", "toml"}
 
 
+@pytest.mark.usefixtures("own_parts")
 @pytest.mark.parametrize("page", WITH_CODE, ids=name_of)
 def test_page_runs(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The blocks of a page, one after the other, in a folder as a checkout is."""

@@ -17,6 +17,7 @@ MODULES = sorted(
 )
 
 
+@pytest.mark.usefixtures("own_parts")
 @pytest.mark.parametrize("name", MODULES)
 def test_examples_run(name: str) -> None:
     """Every example prints what its docstring says."""

@@ -24,20 +24,13 @@ from planopt.extend import (
     free_ends,
     register_planner,
     released,
-    unregister_planner,
 )
 from planopt.objectives import LearningTerm
 from planopt.objectives.path_derivatives import PathDerivatives
-from planopt.objectives.terms import term as terms
-from planopt.problems import FunctionTruth, objective
+from planopt.problems import FunctionTruth
 from planopt.robots.dynamics import rolled_out
 
-
-@pytest.fixture(autouse=True)
-def forgotten(monkeypatch):
-    terms.registered_terms()
-    monkeypatch.setattr(terms, "_kinds", dict(terms._kinds))
-    monkeypatch.setattr(objective.RULES, "registered", dict(objective.RULES.registered))
+pytestmark = pytest.mark.usefixtures("own_parts")
 
 
 @pytest.fixture(scope="module")
@@ -161,21 +154,15 @@ def planner_of(plan) -> type:
 def test_wrong_planners(base, make) -> None:
     """Class and method are named, and what it should return."""
     register_planner(PlannerKind("wrong", make))
-    try:
-        with refused():
-            solve(base, planner="wrong")
-    finally:
-        unregister_planner("wrong")
+    with refused():
+        solve(base, planner="wrong")
 
 
 def test_a_path_may_be_a_list(base) -> None:
     """Anything that is a table of numbers."""
     make = planner_of(lambda self, at, scorer, warm=None: released(scorer, [[10.0, 15.0]] * 2, 0.0))
     register_planner(PlannerKind("listing", make))
-    try:
-        assert solve(base, planner="listing").plan.positions_m.shape == (3, 2)
-    finally:
-        unregister_planner("listing")
+    assert solve(base, planner="listing").plan.positions_m.shape == (3, 2)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from planopt import Verdict, load, solve
-from planopt.extend import PlannerKind, register_planner, unregister_planner
+from planopt.extend import PlannerKind, register_planner
 from planopt.planning.initial_data import prepare
 from planopt.planning.proof.rule import verifier_context
 from planopt.planning.scene import build_scene
@@ -22,7 +22,7 @@ GOALS = {"astar": "AStarPlanner", "colour_rule": "ColourRulePlanner", "rrt_star"
 
 
 @pytest.fixture(autouse=True)
-def examples(monkeypatch: pytest.MonkeyPatch):
+def examples(monkeypatch: pytest.MonkeyPatch, own_parts: None):
     """The folder of the examples is importable, and nothing stays registered."""
     monkeypatch.syspath_prepend(str(FOLDER))
     before = set(sys.modules)
@@ -30,8 +30,6 @@ def examples(monkeypatch: pytest.MonkeyPatch):
     for name in set(sys.modules) - before:
         if str(FOLDER) in str(getattr(sys.modules[name], "__file__", "")):
             del sys.modules[name]
-    for name in (*GOALS, "do_mpc", "sgp_tools"):
-        unregister_planner(name)
 
 
 def planner_of(name: str, class_name: str, **traits: bool) -> type:

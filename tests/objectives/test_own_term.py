@@ -16,8 +16,6 @@ from terms_scene import LEARNING, context_of, terms_problem
 from planopt import compare, load
 from planopt.extend import OwnTerm, casadi_term
 from planopt.objectives import TermsObjective
-from planopt.objectives.terms import term as registry
-from planopt.objectives.terms.term import registered_terms
 from planopt.planning.search.local_ranking import LocalRanking
 from planopt.planning.solve import solve
 from planopt.planning.values.local_value import local_value
@@ -27,10 +25,7 @@ from planopt.problems.load import with_overrides
 
 
 @pytest.fixture
-def near_term(monkeypatch):
-    registered_terms()
-    monkeypatch.setattr(registry, "_kinds", dict(registry._kinds))
-
+def near_term(own_parts):
     @dataclass(frozen=True)
     class NearTerm(OwnTerm):
         """Stay near a place, connected."""

@@ -1,6 +1,5 @@
 """Planners from outside plug in by name: registered, or by the entry points of a package."""
 
-from collections.abc import Iterator
 from time import perf_counter
 from types import SimpleNamespace
 
@@ -32,11 +31,9 @@ class Eastward:
 
 
 @pytest.fixture
-def eastward() -> Iterator[None]:
+def eastward(own_parts) -> None:
     """The planner ``eastward``, registered."""
     register_planner(PlannerKind("eastward", Eastward))
-    yield
-    unregister_planner("eastward")
 
 
 def test_registered_planner_plans(eastward, tmp_path) -> None:
@@ -130,21 +127,18 @@ class TooFast(Straight):
 @pytest.mark.parametrize(
     ("planner", "reason"), [(Straight, "comes within"), (TooFast, "longer than")]
 )
-def test_a_planner_to_a_goal(planner, reason: str, tmp_path) -> None:
+def test_a_planner_to_a_goal(planner, reason: str, tmp_path, own_parts) -> None:
     """Its verified paths are released, others are rejected with the reason; every run arrives."""
     register_planner(PlannerKind("straight", planner, reaches_goals=True))
-    try:
-        problem = load("open_field")
-        plan = solve(problem, planner="straight", horizon=8).plan
-        assert plan.verdict is Verdict.VERIFIED
-        assert reason in plan.rejected
-        run = simulate(problem, planner="straight", horizon=8)
-        assert run.outcome is Outcome.REACHED
-        assert run.verified_rate == 1.0
-        assert not run.plans[0][-1].rejected
-        for result in (solve(problem, planner="straight", horizon=8), run):
-            result.save(tmp_path)
-            assert check(tmp_path).verdict is Verdict.VERIFIED
-            assert load_result(tmp_path) == result
-    finally:
-        unregister_planner("straight")
+    problem = load("open_field")
+    plan = solve(problem, planner="straight", horizon=8).plan
+    assert plan.verdict is Verdict.VERIFIED
+    assert reason in plan.rejected
+    run = simulate(problem, planner="straight", horizon=8)
+    assert run.outcome is Outcome.REACHED
+    assert run.verified_rate == 1.0
+    assert not run.plans[0][-1].rejected
+    for result in (solve(problem, planner="straight", horizon=8), run):
+        result.save(tmp_path)
+        assert check(tmp_path).verdict is Verdict.VERIFIED
+        assert load_result(tmp_path) == result

@@ -8,17 +8,14 @@ from pydantic import Field
 from refusals import refused
 
 from planopt.extend import Term
-from planopt.objectives.terms import term as registry
 from planopt.objectives.terms.term import registered_terms
 from planopt.problems import problem_from_dict, problem_to_dict
 from planopt.problems.schema import json_schema
 
 
 @pytest.fixture
-def corridor(monkeypatch):
+def corridor(own_parts):
     """Define a term with keys of its own; it is forgotten after the test."""
-    registered_terms()
-    monkeypatch.setattr(registry, "_kinds", dict(registry._kinds))
 
     @dataclass(frozen=True)
     class CorridorTerm(Term):

@@ -9,7 +9,7 @@ from terms_scene import LEARNING
 
 from planopt.planning.proof.motion import verify_apart, verify_motion
 from planopt.robots.dynamics import Drive, rolled_out
-from planopt.world import NOTHING_MOVES, MovingDiscs, TimedMotion, index_obstacles
+from planopt.world import MovingDiscs, TimedMotion, index_obstacles
 
 STEPS = 4
 
@@ -26,16 +26,6 @@ def scene(dynamics):
 def assessed(problem, index, state, drive):
     """Reasons of a drive."""
     return verify_motion(problem, index, state, drive.positions_m, drive)
-
-
-@pytest.mark.parametrize("dynamics", [DOUBLE, WHEELS])
-def test_a_good_drive_is_sound(dynamics) -> None:
-    """No reason, no defect, the clearance of dense samples."""
-    problem, index, state, drive = scene(dynamics)
-    found = assessed(problem, index, state, drive)
-    assert found.reasons == ()
-    assert found.defect_m <= 1e-12
-    assert found.clearance_m > problem.constraints.clearance_m
 
 
 @pytest.mark.parametrize("dynamics", [DOUBLE, WHEELS])
@@ -84,20 +74,6 @@ def test_what_is_over_its_limit_is_rejected(dynamics, inputs) -> None:
     assert any("over its limit" in reason for reason in found.reasons)
 
 
-def test_the_way_of_stopping_must_be_clear() -> None:
-    """A plan that ends in front of a wall, too fast to stop, is rejected."""
-    problem, index, state, _ = scene(DOUBLE)
-    # The block's west side is at x = 18; the clearance is 0.5 m.
-    state = np.array([14.6, 20.0, 1.9, 0.0])
-    drive = rolled_out(DOUBLE, state, np.zeros((1, 2)), problem.planner.step_s)
-    assert drive.positions_m[-1, 0] < 17.5
-    reasons = assessed(problem, index, state, drive).reasons
-    assert len(reasons) == 1
-    assert "the braking path" in reasons[0]
-    slow = rolled_out(DOUBLE, state, np.array([[-0.8, 0.0]]), problem.planner.step_s)
-    assert assessed(problem, index, state, slow).reasons == ()
-
-
 def test_an_arc_into_a_corner_is_rejected_though_its_chord_is_clear() -> None:
     """The swept arc counts, not the places."""
     problem, index, _, _ = scene(WHEELS)
@@ -107,22 +83,6 @@ def test_an_arc_into_a_corner_is_rejected_though_its_chord_is_clear() -> None:
     middle = np.array(WHEELS.step(tuple(state), (2.0, 0.9), 0.5)[:2])
     assert arc < np.abs(18.0 - drive.positions_m[:, 0]).min()
     assert arc <= 18.0 - middle[0]
-
-
-def test_ways_outside_the_workspace_are_rejected() -> None:
-    """A way that leaves between two places that are inside, and one of stopping."""
-    problem, index, _, _ = scene(DOUBLE)
-    state = np.array([30.0, 39.6, 0.0, 0.8])
-    drive = rolled_out(DOUBLE, state, np.array([[0.0, -0.8]] * 2), problem.planner.step_s)
-    assert drive.positions_m[:, 1].max() <= 40.0 + 1e-9
-    edge = replace(problem, workspace=replace(problem.workspace, bounds_m=(0.0, 0.0, 40.0, 39.9)))
-    assert assessed(problem, index, state, drive).reasons == ()
-    bow = rolled_out(DOUBLE, state - [0, 0.2, 0, 0.3], np.array([[0.0, -0.8]]), 1.0)
-    assert bow.positions_m[:, 1].max() < 39.51
-    low = replace(problem, workspace=replace(problem.workspace, bounds_m=(0.0, 0.0, 40.0, 39.51)))
-    reasons = assessed(low, index, bow.states[0], bow).reasons
-    assert any("leaves world.bounds_m" in reason for reason in reasons)
-    assert any("leaves" in r for r in assessed(edge, index, state, drive).reasons)
 
 
 DISC_STEPS = 4
@@ -170,20 +130,3 @@ def test_least_distances_are_those_of_dense_samples(seed):
         step = int(times[away[number].argmin()]) + 1
         assert f"of the {kind} {name}, constraints.{key}" in reason
         assert f"in step {step} " in reason or times[away[number].argmin()] % 1.0 in (0.0, 1.0)
-
-
-def test_exactly_the_least_distance_is_enough():
-    """And a hundredth of a millimetre less is not."""
-    path = np.column_stack([np.arange(DISC_STEPS + 1.0), np.zeros(DISC_STEPS + 1)])
-    for lower, count in ((0.0, 0), (1e-5, 1)):
-        other = path + np.array([0.0, 2.0 - lower])
-        discs = discs_of([other], [0.5], [1.5], [False])
-        assert len(verify_apart(discs, TimedMotion(path)).reasons) == count
-
-
-def test_nothing_moves():
-    """Neither distance exists."""
-    found = verify_apart(NOTHING_MOVES, TimedMotion(np.zeros((DISC_STEPS + 1, 2))))
-    assert found.min_separation_m is None
-    assert found.min_moving_clearance_m is None
-    assert not found.reasons

@@ -107,70 +107,6 @@ def test_shares_are_interpolated_between_coarse_places():
     assert farthest[grid.weights > 0.0].max() < np.sqrt(2.0) * apart
 
 
-@pytest.mark.parametrize("width", [4.0, 8.0])
-@pytest.mark.parametrize("price", [1.0, 10.0])
-def test_a_band_costs_its_width_times_the_price(width, price):
-    """From before it, in the middle of it and beyond it.
-
-    Its edges are half-way between coarse places, so that interpolation keeps its width; moves over
-    two columns see the ends alone, which takes up to half a metre off it.
-    """
-    share_at = band(15.0, 15.0 + width)
-    for x, inside in ((5.0, width), (15.0 + width / 2.0, width / 2.0), (30.0, 0.0)):
-        found = priced(small_problem(), share_at, price, [(x, 15.0)])
-        expected = 35.0 - x + price * inside
-        assert expected - 0.5 * price * (inside > 0.0) - 1e-9 <= found.best_m
-        assert found.best_m <= expected + 1e-9
-
-
-def test_a_path_along_the_cheapest_costs_what_the_cheapest_does():
-    """From node to node downhill; one that strays costs more by what it strays."""
-    problem = small_problem(WALL)
-    grid, index = grid_with(problem)
-    share_at = band(8.0, 12.0)
-    costs = goal_costs(grid, contact(share_at), 10.0)
-    node = int(np.argmin(np.linalg.norm(grid.nodes_m - START, axis=1)))
-    graph = [[] for _ in grid.nodes_m]
-    for one, other in grid.ends.T:
-        graph[one].append(other)
-        graph[other].append(one)
-    nodes = [node]
-    for _ in range(12):
-        here = nodes[-1]
-        length = np.linalg.norm(grid.nodes_m[graph[here]] - grid.nodes_m[here], axis=1)
-        metre = 1.0 + 5.0 * (costs.share[graph[here]] + costs.share[here])
-        nodes.append(graph[here][int(np.argmin(length * metre + costs.to_goal_m[graph[here]]))])
-    path = grid.nodes_m[nodes]
-    found = price_path(grid, index, costs, 10.0, path, costs.share[nodes])
-    assert found.cost_m == pytest.approx(costs.to_goal_m[node])
-    assert found.best_m == pytest.approx(costs.to_goal_m[node])
-    # There and back along y costs four metres at the price of the place.
-    aside = np.vstack([path[:1], path[:1] + (0.0, 2.0), path])
-    share = np.concatenate([costs.share[nodes[:1]], costs.share[nodes[:1]], costs.share[nodes]])
-    strayed = price_path(grid, index, costs, 10.0, aside, share)
-    assert strayed.cost_m == pytest.approx(found.cost_m + 4.0)
-    assert strayed.best_m == found.best_m
-    # Of that the first step is half, and comes to where the rest is dearer by as much.
-    assert strayed.step_m == pytest.approx(2.0)
-    assert found.excess_m == pytest.approx(0.0, abs=1e-9)
-    assert 0.0 < strayed.excess_m <= 4.0 + 1e-9
-
-
-def test_a_path_is_charged_by_the_mean_of_each_steps_ends():
-    """Two steps with shares 0, 1 and 1/2 at a price of 4, then on without any."""
-    problem = small_problem()
-    grid, index = grid_with(problem)
-    costs = goal_costs(grid, contact(nowhere_charged), 4.0)
-    path = np.array([[30.0, 15.0], [31.0, 15.0], [33.0, 15.0]])
-    found = price_path(grid, index, costs, 4.0, path, np.array([0.0, 1.0, 0.5]))
-    # The rest begins with a share of 1/2 at its first place, none at the nodes.
-    assert found.cost_m == pytest.approx(3.0 + 4.0 * (0.5 * 1.0 + 0.75 * 2.0) + 2.0, abs=1.01)
-    assert found.best_m == pytest.approx(5.0)
-    assert found.step_m == pytest.approx(1.0 + 4.0 * 0.5)
-    # A metre of the first step and four of the rest; the share at 31 m is charged half-way on.
-    assert found.excess_m == pytest.approx(found.step_m + 4.0 - 5.0, abs=2.01)
-
-
 def test_a_place_is_joined_to_what_it_sees():
     """Beside a wall no node beyond it counts, however near."""
     thin = shapely.box(19.95, -1.0, 20.05, 25.0)
@@ -220,25 +156,6 @@ def test_paths_against_exact_geometry():
     assert answers.count((False, False)) >= 5
 
 
-def test_the_best_margin_is_looked_for_at_every_node():
-    """Where no coarse place keeps the bound the nodes between them may."""
-    problem = small_problem()
-    grid, _ = grid_with(problem)
-    node = next(q for q in grid.nodes_m if np.linalg.norm(grid.coarse_m - q, axis=1).min() > 0.9)
-
-    def contact_at(places):
-        margin = 0.5 - np.linalg.norm(places - node, axis=1)
-        return np.where(margin < 0.0, 1.0, 0.0), margin
-
-    assert goal_costs(grid, contact_at, 10.0).best_margin_db == pytest.approx(0.5)
-
-    def lower(places):
-        share, margin = contact_at(places)
-        return share, margin - 3.0
-
-    assert goal_costs(grid, lower, 10.0).best_margin_db == pytest.approx(-2.5)
-
-
 ORIGIN = np.array([5.0, 15.0])
 BOUNDS = (0.0, 0.0, 40.0, 30.0)
 
@@ -251,22 +168,6 @@ def index_of(*polygons):
 def best_margin_within_reach(index, margin, start, radius, clearance, bounds=(-60, -60, 100, 90)):
     """The best margin by the first step of this length."""
     return best_margins_by_step(index, bounds, margin, start, radius, np.array([1]), clearance)[0]
-
-
-def nearness_to(place):
-    """A margin that falls with the distance from a place."""
-    return lambda q: -np.linalg.norm(q - np.asarray(place), axis=1)
-
-
-@pytest.mark.parametrize("radius", [1.0, 4.0, 12.0])
-@pytest.mark.parametrize("peak", [(5.0, 15.0), (6.1, 15.7), (9.0, 12.0), (30.0, 2.0)])
-def test_best_place_of_a_free_disc(radius, peak):
-    """The peak itself if it is within reach, else the nearest place to it on the disc's rim."""
-    best = best_margin_within_reach(index_of(), nearness_to(peak), ORIGIN, radius, 0.5)
-    away = np.linalg.norm(ORIGIN - peak)
-    exact = -max(away - radius, 0.0)
-    assert best <= exact + 1e-9
-    assert best >= exact - radius / 12
 
 
 def test_best_place_against_a_dense_grid():
@@ -282,17 +183,6 @@ def test_best_place_against_a_dense_grid():
     places = places[np.linalg.norm(places - ORIGIN, axis=1) <= 6.0]
     best = best_margin_within_reach(index_of(), margin, ORIGIN, 6.0, 0.5)
     assert best == pytest.approx(margin(places).max(), abs=0.05)
-
-
-def test_best_place_is_not_behind_walls():
-    """From within a courtyard with walls four metres thick nothing outside is in reach."""
-    inside = np.array([15.0, 15.0])
-    outside = nearness_to((9.0, 15.0))
-    best = best_margin_within_reach(index_of(RING), outside, inside, 7.0, 0.6)
-    assert best == pytest.approx(-(14.0 + 0.0 - 9.0), abs=1.0)
-    assert best < -4.0
-    free = best_margin_within_reach(index_of(), outside, inside, 7.0, 0.6)
-    assert free == pytest.approx(0.0, abs=0.3)
 
 
 def spot(x, y, radius):
@@ -316,20 +206,6 @@ def test_walls_thinner_than_the_grid_are_walls(clearance):
     inside, outside = np.array([15.0, 15.0]), spot(22.0, 15.0, 1.0)
     assert first_possible(yard, outside, inside, clearance) is None
     assert first_possible(index_of(), outside, inside, clearance) == 3
-
-
-@pytest.mark.parametrize("clearance", [0.0, 0.5])
-def test_ways_lead_round_walls(clearance):
-    """Three metres by air, twenty round the end of the wall: ten steps of two metres, not two."""
-    wall = index_of(shapely.box(19.9, -1.0, 20.1, 25.0))
-    start, margin = np.array([18.0, 15.0]), spot(22.0, 15.0, 1.0)
-    # To the corner and from there to the rim of the disc.
-    exact = np.hypot(1.9, 10.0) + 0.2 + np.hypot(1.9, 10.0) - 1.0
-    assert first_possible(index_of(), margin, start, clearance) == 2
-    found = first_possible(wall, margin, start, clearance)
-    assert found is not None
-    # No sooner than that, and with a clearance at most a step later.
-    assert np.ceil(exact / 2.0) <= found <= np.ceil((exact + 2.0 * clearance + 0.5) / 2.0)
 
 
 def test_good_places_in_lanes_between_the_nodes():

@@ -4,7 +4,6 @@ import re
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +16,6 @@ from scenes import (
     RING,
     THRESHOLD_DBM,
     WALL,
-    bad_band,
     bad_disc,
     bad_everywhere,
     bad_where,
@@ -33,13 +31,11 @@ from terms_scene import TRACKING, terms_problem
 from unpriced import unpriced
 
 import planopt.planning.proof.rule as predictions
-import planopt.planning.proof.verify as single_steps
 from planopt import Measurements, Problem, Verdict, check
 from planopt.channel import Prediction, condition, marginalise
 from planopt.channel.connectivity_law import UncertainParameters, mixture_quantile_dbm
 from planopt.channel.kriging import bound_margin_db
 from planopt.planning.certificate import Certificate
-from planopt.planning.plan import History
 from planopt.planning.proof.rule import uncertain_law
 from planopt.planning.proof.verify import UNCOMPARED
 from planopt.planning.solve import simulate, solve
@@ -162,84 +158,6 @@ def test_margin_to_a_hundredth_of_a_db():
     assert all("constraints.p_min" in reason for reason in certificate.reasons)
     assert certificate.relaxation_db == pytest.approx((0.01,), abs=1e-6)
     assert assert_verified(at(limit - 0.01)).min_connectivity == pytest.approx(0.9, abs=1e-2)
-
-
-def priced(price: float, *polygons: shapely.Polygon, **keys: Any) -> Problem:
-    """The small problem at a price of outage."""
-    problem = small_problem(*polygons, **keys)
-    return replace(problem, objective=replace(problem.objective, outage_price=price))
-
-
-def along(*x: float, y: float = 15.0) -> np.ndarray:
-    """Places in a row."""
-    return np.column_stack([x, np.full(len(x), y)])
-
-
-CROSSING = along(10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30)
-WIDE, OPEN_WIDE = bad_band(15.0, 25.0), bad_band(15.0, 25.0, open_above_m=20.0)
-
-
-def test_path_cost_is_the_plans_by_hand():
-    """Metres driven, those of steps below the bound by 1 + price (1 - P), and the rest."""
-    problem, power = priced(3.0), WIDE
-    certificate = assert_verified(assessed(problem, CROSSING, power))
-    mean, deviation = kriged(belief_of(problem, power), CROSSING)
-    score = (mean - THRESHOLD_DBM) / deviation
-    share = np.where(score < scipy.stats.norm.ppf(0.9), scipy.stats.norm.sf(score), 0.0)
-    lengths = np.linalg.norm(np.diff(CROSSING, axis=0), axis=1)
-    driven = (lengths * (1.0 + 3.0 * (share[1:] + share[:-1]) / 2.0)).sum()
-    assert certificate.path_cost_m == pytest.approx(driven + 5.0, abs=1e-6)
-
-
-@pytest.mark.parametrize("in_steps", [False, True])
-@pytest.mark.parametrize("beyond_m", [-0.1, 0.1])
-def test_just_as_much_dearer_as_is_tolerated(monkeypatch, beyond_m, in_steps):
-    """A cost that equals the tolerance, or longest steps out of contact, and a little more."""
-    certificate = assert_verified(assessed(small_problem(), CROSSING, WIDE))
-    over = certificate.path_cost_m / certificate.best_cost_m - 1.0 - beyond_m / 100.0
-    over_m = certificate.path_cost_m - certificate.best_cost_m - beyond_m
-    steps = over_m / (small_problem().step_length_m * 11.0)
-    monkeypatch.setattr(single_steps, "COST_TOLERANCE", 0.0 if in_steps else over)
-    monkeypatch.setattr(single_steps, "COST_LEEWAY_STEPS", steps if in_steps else 0.0)
-    _, verdict = assessed(small_problem(), CROSSING, WIDE)
-    assert (verdict is Verdict.VERIFIED) == (beyond_m < 0.0)
-
-
-@pytest.mark.parametrize("beyond_m", [-0.01, 0.01])
-def test_a_run_may_not_waste_more_than_one_plan(beyond_m):
-    """What steps below the bound have cost beyond the cheapest paths counts for all of the run."""
-    problem = small_problem()
-    certificate = assert_verified(assessed(problem, CROSSING, WIDE))
-    leeway = single_steps.COST_LEEWAY_STEPS * problem.step_length_m * 11.0
-    driven = 70.0 + certificate.step_cost_m
-    left = single_steps.COST_TOLERANCE * driven + leeway - certificate.step_excess_m
-    history = History(crossing_cost_m=70.0, crossing_excess_m=left + beyond_m)
-    index, belief = index_obstacles(problem.workspace), belief_of(problem, WIDE)
-    judgement = verified(problem, index, belief.posterior, CROSSING[0], CROSSING, history=history)
-    assert (judgement.verdict is Verdict.VERIFIED) == (beyond_m < 0.0)
-    assert all("of the run so far" in reason for reason in judgement.certificate.reasons)
-    # A plan that keeps the bound is not held to account for what has been.
-    free = verified(
-        problem, index, belief_of(problem).posterior, CROSSING[0], CROSSING, history=history
-    )
-    assert free.verdict is Verdict.VERIFIED
-
-
-@pytest.mark.parametrize("path", [CROSSING, along(16, 18, 20), along(20, 20.5, 21, 20.5)])
-def test_a_mirrored_hole_is_judged_the_same(path):
-    """Start and goal exchanged, left and right: costs and verdict stay."""
-
-    def mirrored(q):
-        return np.asarray(q) * (-1.0, 1.0) + (40.0, 0.0)
-
-    problem = small_problem()
-    robot = replace(problem.robots[0], start_m=(35.0, 15.0), goal_m=(5.0, 15.0))
-    other = replace(problem, robots=(robot,))
-    one, verdict = assessed(problem, path, OPEN_WIDE)
-    two, other_verdict = assessed(other, mirrored(path), lambda q: OPEN_WIDE(mirrored(q)))
-    assert verdict is other_verdict
-    assert one.path_cost_m == pytest.approx(two.path_cost_m)
-    assert one.best_cost_m == pytest.approx(two.best_cost_m)
 
 
 def test_bound_that_is_met_nowhere():

@@ -16,7 +16,7 @@ from refusals import expect_message, refused_command
 
 from planopt import load, solve
 from planopt.cli import main
-from planopt.extend import PlannerKind, Rung, Termination, register_planner, unregister_planner
+from planopt.extend import PlannerKind, Rung, Termination, register_planner
 from planopt.planning.candidates import held
 from planopt.problems.library import find_problem
 from planopt.studies import bench_cases, study
@@ -282,16 +282,13 @@ class Liar:
 
 
 @pytest.mark.parametrize("workers", ["1", "2"])
-def test_a_planner_from_outside(tmp_path: Path, workers: str, capsys) -> None:
+def test_a_planner_from_outside(tmp_path: Path, workers: str, capsys, own_parts) -> None:
     """It is solved, checked and scored like planopt's own, in workers as well; lies are seen."""
     register_planner(PlannerKind("liar", Liar, solves=True))
-    try:
-        names = ["--planners", "auto,liar", "--workers", workers]
-        assert ran(tmp_path, *names, problems="outdoor_map,indoor_learn") == 0
-        capsys.readouterr()
-        assert main(["bench", "report", str(tmp_path), "--json", "--no-page"]) == 0
-    finally:
-        unregister_planner("liar")
+    names = ["--planners", "auto,liar", "--workers", workers]
+    assert ran(tmp_path, *names, problems="outdoor_map,indoor_learn") == 0
+    capsys.readouterr()
+    assert main(["bench", "report", str(tmp_path), "--json", "--no-page"]) == 0
     own, liar = json.loads(capsys.readouterr().out)["scores"]["plan"]
     assert (own["planner"], own["success_rate"], own["correct_rate"]) == ("auto", 1.0, 1.0)
     assert liar["planner"] == "liar" and liar["verified_rate"] == 1.0

@@ -18,8 +18,7 @@ from planopt.commands.compare import bench, compare
 from planopt.commands.fit import fit
 from planopt.commands.import_problem import import_problem
 from planopt.commands.map import map_log
-from planopt.commands.options import option
-from planopt.commands.output import print_out, standard_output, stopping
+from planopt.commands.options import option, print_out, standard_output, stopping
 from planopt.commands.planning import check, export_path, report, simulate, solve
 from planopt.commands.problem_files import init, list_problems, schema, show_problem, validate
 from planopt.errors import InputError, OutputError, PlanoptError, require_text

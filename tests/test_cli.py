@@ -9,7 +9,7 @@ import pytest
 
 import planopt
 from planopt.cli import main
-from planopt.commands.output import progress
+from planopt.commands.options import progress
 from planopt.problems.library import library_folder
 
 OPEN_FIELD = (library_folder() / "open_field.toml").read_text()

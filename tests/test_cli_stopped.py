@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from planopt.cli import main
-from planopt.commands.output import progress, stopping
+from planopt.commands.options import progress, stopping
 from planopt.files.writing import STAGING
 from planopt.problems.library import library_folder
 

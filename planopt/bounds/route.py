@@ -21,9 +21,9 @@ from scipy import sparse
 
 from planopt.arrays import Floats, Indices, Mask
 from planopt.bounds.bound import Potential
-from planopt.bounds.corridor import Corridor
 from planopt.bounds.enclosure import ROUNDING, PowerEnclosure
 from planopt.bounds.mesh import (
+    Corridor,
     Mesh,
     covers_bounds,
     doubled_areas,

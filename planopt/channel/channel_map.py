@@ -306,7 +306,7 @@ class PosteriorMap:
 
     def _repr_html_(self) -> str:
         """Return the picture and key figures for notebooks."""
-        return import_module("planopt.report.notebook").map_html(self)
+        return import_module("planopt.report.page_content").map_html(self)
 
     def save(self, file: Path | str, *, origin_deg: Origin | None = None) -> None:
         """Write the map in the format of the file extension: ``.csv``, ``.npz``, ``.nc``, ``.tif``.

@@ -11,14 +11,18 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar, overload
 import typer
 
 from planopt.commands.options import (
+    NO_PLAN,
     PLANNERS,
     FirstSeedOption,
     JsonOption,
     OutOption,
     WorkersOption,
+    drawing,
     option,
+    progress,
+    results_folder,
+    show,
 )
-from planopt.commands.output import NO_PLAN, drawing, progress, results_folder, show
 from planopt.errors import InputError, NoPlanError
 from planopt.files.writing import replaced_results
 

@@ -17,10 +17,13 @@ from planopt.commands.options import (
     JsonOption,
     LogOptions,
     OutOption,
+    drawing,
     option,
+    progress,
+    results_folder,
+    show,
     with_options,
 )
-from planopt.commands.output import drawing, progress, results_folder, show
 from planopt.errors import InputError, listed
 
 if TYPE_CHECKING:
@@ -72,7 +75,7 @@ def fit_each(options: LogOptions) -> tuple[dict[str, LogFit], dict[str, int]]:
     """Return each transmitter's fit, and the reading counts of transmitters with too few."""
     from planopt.channel.logs.log_format import parse_station
     from planopt.channel.logs.power_log import FEWEST_READINGS, transmitters_of
-    from planopt.channel.logs.stations import read_stations
+    from planopt.channel.logs.readers import read_stations
 
     assert options.each is not None
     log_format = log_format_of(options)
@@ -461,7 +464,7 @@ def fit_json(fitted: LogFit) -> dict[str, Any]:
     import numpy as np
 
     from planopt.channel.parameters import PARAMETER_WORDS
-    from planopt.files.typed_json import finite
+    from planopt.files.tables import finite
 
     found, receivers = fitted.found, fitted.receivers
     parameters = found.parameters

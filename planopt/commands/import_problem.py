@@ -7,8 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from planopt.commands.fit import DEGENERATE, log_format_of, require_option
-from planopt.commands.options import FormatOptions, JsonOption, option, with_options
-from planopt.commands.output import progress, results_folder, show
+from planopt.commands.options import (
+    FormatOptions,
+    JsonOption,
+    option,
+    progress,
+    results_folder,
+    show,
+    with_options,
+)
 from planopt.errors import InputError, OutputError
 
 if TYPE_CHECKING:
@@ -119,7 +126,7 @@ def import_problem(
 
 def draft_json(draft: Draft, file: Path, picture: Path) -> dict[str, Any]:
     """Return the JSON object of ``planopt import``."""
-    from planopt.files.typed_json import finite
+    from planopt.files.tables import finite
 
     return {
         "problem": str(file),

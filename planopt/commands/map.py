@@ -13,8 +13,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from planopt.commands.fit import DEGENERATE, fit_each, fit_json, read_and_fit
-from planopt.commands.options import JsonOption, LogOptions, option, with_options
-from planopt.commands.output import progress, results_folder, show
+from planopt.commands.options import (
+    JsonOption,
+    LogOptions,
+    option,
+    progress,
+    results_folder,
+    show,
+    with_options,
+)
 from planopt.errors import InputError
 from planopt.files.writing import replaced_results
 

@@ -14,10 +14,14 @@ from planopt.commands.options import (
     JsonOption,
     PlanningOptions,
     ResultArgument,
+    drawing,
     option,
+    progress,
+    results_folder,
+    say,
+    show,
     with_options,
 )
-from planopt.commands.output import drawing, progress, results_folder, say, show
 from planopt.errors import InputError, NoPlanError
 
 if TYPE_CHECKING:
@@ -147,7 +151,7 @@ REJECTED = 3
 
 def check(path: ResultArgument, json: JsonOption = False) -> int:
     """Verify saved results from their files alone. Exit codes: 0 accepted, 3 rejected."""
-    from planopt.files.typed_json import encoded
+    from planopt.files.tables import encoded
     from planopt.planning.certificate import excused_in_words, excused_steps
     from planopt.planning.files.result_json import certificate_json, no_certificate_json
     from planopt.planning.plan import Verdict
@@ -206,8 +210,7 @@ def export_path(
     .json is for ROS, .plan for QGroundControl. .mcap (Foxglove) and .rrd (Rerun) are recordings of
     all robots with their plans, powers and the map.
     """
-    from planopt.planning.files.path_files import path_of_result, save_path
-    from planopt.planning.files.recordings import RECORDERS
+    from planopt.planning.files.path_files import RECORDERS, path_of_result, save_path
     from planopt.planning.loop.results import Run, Solution
     from planopt.tasks.calls import load_result
     from planopt.world.geodesy import parse_origin

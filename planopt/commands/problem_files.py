@@ -7,8 +7,7 @@ from typing import Annotated
 
 import typer
 
-from planopt.commands.options import JsonOption, ProblemArgument
-from planopt.commands.output import progress, results_folder, show
+from planopt.commands.options import JsonOption, ProblemArgument, progress, results_folder, show
 from planopt.errors import InputError, OutputError
 
 

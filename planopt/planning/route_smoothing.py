@@ -15,7 +15,7 @@ import numpy as np
 import shapely
 
 from planopt.arrays import Floats, Indices, Mask
-from planopt.bounds.corridor import Corridor
+from planopt.bounds.mesh import Corridor
 from planopt.channel.kriging import connection_probability
 from planopt.channel.posterior import ChannelPosterior
 from planopt.planning.certificate import holes_on

@@ -24,8 +24,7 @@ from planopt.channel.logs.power_log import (
     measurements_of,
     rows_of,
 )
-from planopt.channel.logs.readers import columns_of, read_table, readings_of
-from planopt.channel.logs.stations import read_stations
+from planopt.channel.logs.readers import columns_of, read_stations, read_table, readings_of
 from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import Station
 from planopt.errors import InputError, listed

@@ -10,10 +10,6 @@ from planopt.pursuit.certificate import Inequality as Inequality
 from planopt.pursuit.certificate import Theorem as Theorem
 from planopt.pursuit.certificate import certify as certify
 from planopt.pursuit.certificate import verify_guarantees as verify_guarantees
-from planopt.pursuit.cooperation import Hunt as Hunt
-from planopt.pursuit.cooperation import Mate as Mate
-from planopt.pursuit.cooperation import blocking_aim_m as blocking_aim_m
-from planopt.pursuit.cooperation import consistent_m as consistent_m
 from planopt.pursuit.design import MAX_BITS as MAX_BITS
 from planopt.pursuit.design import DesignTask as DesignTask
 from planopt.pursuit.design import MoteNetwork as MoteNetwork
@@ -40,10 +36,14 @@ from planopt.pursuit.guarantees import guarantees_among_obstacles as guarantees_
 from planopt.pursuit.levels import LevelBounds as LevelBounds
 from planopt.pursuit.pursuers import DriveToReport as DriveToReport
 from planopt.pursuit.pursuers import Estimate as Estimate
+from planopt.pursuit.pursuers import Hunt as Hunt
+from planopt.pursuit.pursuers import Mate as Mate
 from planopt.pursuit.pursuers import Policy as Policy
 from planopt.pursuit.pursuers import RecedingHorizon as RecedingHorizon
 from planopt.pursuit.pursuers import StraightMotion as StraightMotion
 from planopt.pursuit.pursuers import UnicycleMotion as UnicycleMotion
+from planopt.pursuit.pursuers import blocking_aim_m as blocking_aim_m
+from planopt.pursuit.pursuers import consistent_m as consistent_m
 from planopt.pursuit.pursuers import fresher as fresher
 from planopt.pursuit.pursuers import predicted as predicted
 from planopt.pursuit.pursuers import updated as updated

@@ -12,9 +12,16 @@ from planopt.arrays import Floats, Indices
 from planopt.errors import InputError
 from planopt.pursuit.arena import Arena
 from planopt.pursuit.certificate import Distances
-from planopt.pursuit.cooperation import Mate
 from planopt.pursuit.evaders import Behaviour, EvaderView
-from planopt.pursuit.pursuers import Driver, Motion, Policy, PursuerView, Quest, StraightMotion
+from planopt.pursuit.pursuers import (
+    Driver,
+    Mate,
+    Motion,
+    Policy,
+    PursuerView,
+    Quest,
+    StraightMotion,
+)
 from planopt.pursuit.service import (
     Record,
     RecordSource,

@@ -4,6 +4,7 @@ from planopt.report.bench_report import bench_page as bench_page
 from planopt.report.bench_report import page_markdown as page_markdown
 from planopt.report.channel_figures import draw_belief as draw_belief
 from planopt.report.channel_figures import draw_calibration as draw_calibration
+from planopt.report.channel_figures import draw_draft as draw_draft
 from planopt.report.channel_figures import draw_fit as draw_fit
 from planopt.report.channel_figures import draw_posterior_map as draw_posterior_map
 from planopt.report.channel_figures import draw_reliability as draw_reliability
@@ -17,7 +18,6 @@ from planopt.report.coverage_figures import draw_costs as draw_costs
 from planopt.report.coverage_figures import draw_deployment as draw_deployment
 from planopt.report.coverage_figures import draw_network as draw_network
 from planopt.report.coverage_figures import draw_step_times as draw_step_times
-from planopt.report.draft_figure import draw_draft as draw_draft
 from planopt.report.motion_figures import draw_no_plan as draw_no_plan
 from planopt.report.motion_figures import draw_run as draw_run
 from planopt.report.motion_figures import draw_run_series as draw_run_series

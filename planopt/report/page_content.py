@@ -1,12 +1,19 @@
-"""Content of the HTML pages of motion plans, runs, results of other tasks, and comparisons."""
+"""Content of HTML pages and notebooks: plans, runs, results of other tasks, comparisons, fits."""
 
+from __future__ import annotations
+
+import io
 import json
+from base64 import b64encode
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, cast
+from html import escape
+from itertools import islice
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from planopt.arrays import Floats
+from planopt.channel.parameters import PARAMETER_WORDS
 from planopt.channel.posterior import Belief
 from planopt.files.tables import Column, Data
 from planopt.planning.files.run_tables import tables_of
@@ -15,8 +22,8 @@ from planopt.planning.loop.results import Run, Solution
 from planopt.planning.plan import Plan, Verdict
 from planopt.problems.load import problem_to_dict
 from planopt.problems.problem import Problem, problem_of_robot
-from planopt.problems.results import Result
-from planopt.problems.tasks import task_of
+from planopt.problems.tasks import Result, task_of
+from planopt.report.channel_figures import draw_fit, draw_posterior_map
 from planopt.report.maps import believed_rasters, map_window
 from planopt.report.motion_words import MEANING, planned_in_words, proof_in_words
 from planopt.report.page import (
@@ -31,6 +38,7 @@ from planopt.report.page import (
     PageTable,
     Place,
     Track,
+    cell_text,
     plain,
     rounded,
     table_of_columns,
@@ -39,6 +47,7 @@ from planopt.report.panel import (
     BAND_WORDS,
     BAND_Z,
     BLACK,
+    DPI,
     GREEN,
     ORANGE,
     ROBOT_COLOURS,
@@ -49,6 +58,12 @@ from planopt.report.tables import comparison_text, figures_in_words, metric_labe
 from planopt.short_repr import shown_number
 from planopt.studies.comparison import Comparison, run_columns, setting_words, short_keys
 from planopt.studies.study import program
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from planopt.channel.channel_map import PosteriorMap
+    from planopt.channel.estimation.channel_fit import ChannelFit
 
 TIME = "time [s]"
 
@@ -501,3 +516,57 @@ def _flat(table: Mapping[str, Any], head: str = "") -> Iterator[tuple[str, objec
             yield f"{head}{key}", text if len(text) <= 200 else f"{text[:200]} ..."
         else:
             yield f"{head}{key}", value
+
+
+MOST_FIGURES = 5
+"""Number of key figures next to the picture."""
+
+
+def fit_html(fit: ChannelFit) -> str:
+    """Return a fit as HTML: fitted curves, standard errors and warnings."""
+    figures = [
+        ("status", f"{fit.status}, by {fit.method} from {fit.measurements} measurements"),
+        *(
+            (
+                PARAMETER_WORDS[name][0],
+                f"{getattr(fit.parameters, name):.4g} ± {error:.2g} {PARAMETER_WORDS[name][1]}",
+            )
+            for name, error in fit.standard_errors.items()
+        ),
+    ]
+    notes = "".join(f"<li>{escape(each)}</li>" for each in fit.warnings)
+    picture = draw_fit(None, fit, fit.parameters.station)
+    return summary_html("channel fit", figures, picture, len(figures)) + f"<ul>{notes}</ul>"
+
+
+def map_html(maps: PosteriorMap) -> str:
+    """Return a map as HTML."""
+    x, y = maps.mean_db.x_m, maps.mean_db.y_m
+    figures = [
+        ("x", f"{x[0]:g} to {x[-1]:g} m"),
+        ("y", f"{y[0]:g} to {y[-1]:g} m"),
+        ("cell_m", maps.mean_db.cell_m[0]),
+        ("threshold_dbm", maps.threshold_dbm),
+        ("connected_share", float((maps.connectivity.values >= 0.5).mean())),
+    ]
+    return summary_html("radio map", figures, draw_posterior_map(maps, None, (), "radio map"))
+
+
+def summary_html(
+    title: str,
+    figures: Iterable[tuple[str, object]],
+    picture: Figure | None,
+    most: int = MOST_FIGURES,
+) -> str:
+    """Return HTML with the first key figures as a table, and the picture, if any."""
+    rows = "".join(
+        f'<tr><th scope="row">{escape(name)}</th><td>{escape(cell_text(value))}</td></tr>'
+        for name, value in islice(figures_in_words(figures), most)
+    )
+    image = ""
+    if picture is not None:
+        content = io.BytesIO()
+        cast("Any", picture).savefig(content, format="png", dpi=DPI)
+        source = f"data:image/png;base64,{b64encode(content.getvalue()).decode()}"
+        image = f'<img style="max-width:100%" alt="{escape(title)}" src="{source}">'
+    return f"<table><caption>{escape(title)}</caption>{rows}</table>{image}"

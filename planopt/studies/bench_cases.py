@@ -21,7 +21,7 @@ from planopt.bounds.bound import GAP_TOLERANCE
 from planopt.channel.cholesky import one_blas_thread
 from planopt.errors import InputError, NoPlanError
 from planopt.files.reading import read_text
-from planopt.files.typed_json import decoded, encoded
+from planopt.files.tables import decoded, encoded
 from planopt.files.writing import strict_text, write_text
 from planopt.planning import tolerances
 from planopt.planning.plan import Termination, Verdict

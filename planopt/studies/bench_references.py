@@ -12,7 +12,7 @@ import numpy as np
 from planopt.arrays import Floats
 from planopt.errors import InputError
 from planopt.files.reading import read_text
-from planopt.files.typed_json import decoded, encoded
+from planopt.files.tables import decoded, encoded
 from planopt.files.writing import write_text
 from planopt.planning.plan import Rung, Termination, Verdict
 from planopt.problems.library import library_folder

@@ -21,8 +21,7 @@ from planopt.channel.calibration import FEWEST_GROUPS, ReliabilityBin, reliabili
 from planopt.errors import A_FOLDER, InputError, NoPlanError, path_of
 from planopt.files.compare import DIGEST, differences, digest_of, in_words
 from planopt.files.reading import read_text
-from planopt.files.tables import require_pandas
-from planopt.files.typed_json import decoded, encoded, finite
+from planopt.files.tables import decoded, encoded, finite, require_pandas
 from planopt.files.writing import replaced_results, strict_text, write_text, write_whole
 from planopt.planning.files.result_json import SummaryRecord, reliability_json
 from planopt.planning.files.saved import PLAN_FILE, RUN_FILE
@@ -331,7 +330,7 @@ class Comparison:
             ("verified_rate", sum(run.verified_rate for run in self.runs) / len(self.runs)),
             ("wall_s", self.wall_s),
         ]
-        name, notebook = self.problem.name, import_module("planopt.report.notebook")
+        name, notebook = self.problem.name, import_module("planopt.report.page_content")
         return notebook.summary_html(f"comparison of {name}", figures, self.plot())
 
     def to_dataframe(self) -> Any:

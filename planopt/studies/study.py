@@ -27,7 +27,7 @@ from joblib import (
 
 from planopt.errors import InputError, NoPlanError
 from planopt.files.reading import read_bytes, read_text
-from planopt.files.typed_json import decoded, encoded
+from planopt.files.tables import decoded, encoded
 from planopt.files.writing import remove_remains, strict_text, write_text
 from planopt.objectives.terms.term import Term, outside_terms, register
 from planopt.problems.library import FILE_KEYS
@@ -166,7 +166,7 @@ Result = TypeVar("Result")
 class Study(Generic[Item, Shared, Result]):
     """Picklable functions that compute the items of a study."""
 
-    kind: type[Result]  # Type of a result, as :mod:`planopt.files.typed_json` decodes it
+    kind: type[Result]  # Type of a result, as :mod:`planopt.files.tables` decodes it
     # Computes the data common to a group, from its first unfinished item
     prepare: Callable[[Item], Shared]
     work: Callable[[Item, Shared], Result]  # Computes an item's result

@@ -18,10 +18,8 @@ from planopt.coverage.cost_bounds import EFFORT_S, cost_bound
 from planopt.coverage.limits import Motion, packing_reach_m
 from planopt.coverage.optima import STARTS, best_deployment
 from planopt.coverage.simulation import ABSENT, NetworkController, NetworkRun, simulate_network
-from planopt.coverage.verify import verify_moves
-from planopt.coverage.verify_estimates import SignalModel, estimate_fault
-from planopt.files.tables import Column, Data
-from planopt.files.typed_json import finite
+from planopt.coverage.verify import SignalModel, estimate_fault, verify_moves
+from planopt.files.tables import Column, Data, finite
 from planopt.tasks.coverage_build import CoverageProblem, build, has_room, overlapping
 from planopt.tasks.coverage_tables import CoverageFile
 from planopt.tasks.task import Task, TaskResult

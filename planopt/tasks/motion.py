@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from planopt.errors import InputError, NoPlanError
-from planopt.files.typed_json import finite
+from planopt.files.tables import finite
 from planopt.planning.certificate import BlockedError
 from planopt.planning.files.saved import PLAN_FILE, RUN_FILE, contents, signed
 from planopt.planning.loop.results import Run, RunSummary, Solution, summary_of
 from planopt.planning.plan import Plan, Termination, Verdict
 from planopt.problems.load import problem_to_dict, with_overrides
 from planopt.problems.problem import Problem, problem_from_tables
-from planopt.problems.results import Contents, Result
 from planopt.problems.schema import ProblemFile
 from planopt.problems.settings import planner_kind, planner_names
+from planopt.problems.tasks import Contents, Result
 from planopt.tasks.task import NO_PLAN, Action, Task, checked_again
 
 if TYPE_CHECKING:

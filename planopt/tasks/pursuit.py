@@ -11,8 +11,7 @@ import numpy as np
 
 from planopt.arrays import Floats
 from planopt.errors import NoPlanError
-from planopt.files.tables import Column, Data
-from planopt.files.typed_json import finite
+from planopt.files.tables import Column, Data, finite
 from planopt.pursuit.certificate import Claim, Distances, Inequality, Theorem, verify_guarantees
 from planopt.pursuit.simulation import Pursuit, PursuitController, simulate_pursuit
 from planopt.pursuit.verify import PursuitData, PursuitLog, Reports, Robot, Service, verify_pursuit

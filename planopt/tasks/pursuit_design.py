@@ -15,7 +15,7 @@ from pydantic import Field
 
 from planopt.bounds.bound import relative_gap
 from planopt.errors import InputError, NoPlanError
-from planopt.files.typed_json import finite
+from planopt.files.tables import finite
 from planopt.keys import SMALLEST, Length, Table
 from planopt.planning.plan import Termination, Verdict
 from planopt.problems.schema import TaskFile

@@ -16,16 +16,14 @@ import numpy as np
 
 from planopt.errors import InputError, NoPlanError
 from planopt.files.compare import REPEATED, differences, in_words
-from planopt.files.tables import Column, Data, read_table
-from planopt.files.typed_json import finite, whole_number
+from planopt.files.tables import Column, Data, finite, read_table, whole_number
 from planopt.files.writing import Patterns
 from planopt.keys import Table, located
 from planopt.planning.check.check import CheckResult
 from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE, read_object
 from planopt.planning.loop.results import RunSummary
 from planopt.planning.plan import Verdict
-from planopt.problems.results import Contents, Result
-from planopt.problems.tasks import TaskProblem, problem_from, task_of
+from planopt.problems.tasks import Contents, Result, TaskProblem, problem_from, task_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,8 +10,7 @@ import pytest
 from planopt import InputError
 from planopt.channel import LogFormat, Station, read_log
 from planopt.channel.logs.power_log import read_power_log
-from planopt.channel.logs.readers import READERS
-from planopt.channel.logs.stations import read_stations
+from planopt.channel.logs.readers import READERS, read_stations
 
 ORIGIN = (48.1374, 11.5755)
 NORTH = 100.1  # Metres from latitude 48.1374 to 48.1383

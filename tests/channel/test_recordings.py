@@ -15,7 +15,7 @@ from mcap.writer import Writer  # noqa: E402
 
 from planopt import InputError  # noqa: E402
 from planopt.channel import LogFormat, read_log  # noqa: E402
-from planopt.channel.logs.bag_messages import STANDARD, _with_parts  # noqa: E402
+from planopt.channel.logs.bag_table import STANDARD, _with_parts  # noqa: E402
 from planopt.channel.logs.power_log import read_power_log, transmitters_of  # noqa: E402
 from planopt.cli import main  # noqa: E402
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import planopt
-from planopt.coverage.verify_estimates import SignalModel, estimate_fault
+from planopt.coverage.verify import SignalModel, estimate_fault
 from planopt.problems.tasks import problem_from
 from planopt.tasks.coverage import faults
 

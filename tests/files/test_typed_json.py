@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from planopt.files.typed_json import decoded, encoded
+from planopt.files.tables import decoded, encoded
 
 
 class Colour(StrEnum):

@@ -11,7 +11,7 @@ from refusals import refused
 
 import planopt
 from planopt.cli import main
-from planopt.planning.files import recordings
+from planopt.planning.files import path_files as recordings
 
 SECOND = 1_000_000_000
 

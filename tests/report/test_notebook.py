@@ -6,7 +6,7 @@ import re
 import pytest
 
 import planopt
-from planopt.report.notebook import MOST_FIGURES, summary_html
+from planopt.report.page_content import MOST_FIGURES, summary_html
 
 HOSTILE = "<script>alert(1)</script>\" onerror='x'"
 

@@ -13,7 +13,7 @@ from browser import opened
 import planopt
 from planopt.cli import main
 from planopt.files.tables import Column
-from planopt.problems.results import Contents
+from planopt.problems.tasks import Contents
 from planopt.report.page import MOST_ROWS, Chart, Page, PageTable, page_html, plain
 from planopt.report.page_content import task_page
 

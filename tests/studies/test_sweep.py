@@ -14,7 +14,7 @@ import planopt
 from planopt import Comparison, InputError, compare, load
 from planopt.cli import main
 from planopt.commands.compare import seed_range, swept
-from planopt.files.typed_json import encoded
+from planopt.files.tables import encoded
 from planopt.planning.loop.results import RunSummary, summary_of
 from planopt.planning.solve import simulate
 from planopt.problems.load import with_changes

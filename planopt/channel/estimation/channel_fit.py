@@ -218,4 +218,4 @@ class ChannelFit:
 
     def _repr_html_(self) -> str:
         """Return an HTML view for notebooks: fitted curves and parameters."""
-        return import_module("planopt.report.notebook").fit_html(self)
+        return import_module("planopt.report.page_content").fit_html(self)

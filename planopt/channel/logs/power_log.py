@@ -1,8 +1,9 @@
-"""Reading of power logs as measurements; errors name the line and the column."""
+"""Reading of power logs and their times as measurements; errors name the line and the column."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,6 @@ from planopt.arrays import Floats, Indices
 from planopt.channel.logs.log_format import DEFAULT_FORMAT, GroupColumn, LogFormat
 from planopt.channel.logs.log_table import Cell, LogTable
 from planopt.channel.logs.readers import LogColumns, columns_of, read_table, readings_of
-from planopt.channel.logs.times import times_s
 from planopt.channel.measurements import LARGEST_POWER_DBM, LEAST_POWER_DBM, Frame, Measurements
 from planopt.errors import InputError, listed
 from planopt.keys import LARGEST_COORDINATE_M
@@ -21,6 +21,61 @@ from planopt.world.geodesy import (
     LARGEST_LONGITUDE_DEG,
     east_north_m,
 )
+
+UNIX_SCALES = ((1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3), (1e8, 1.0))
+"""Smallest Unix times in ns, us, ms and s (from 1973 on), each with its unit in seconds."""
+DATES = ("%d.%m.%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S", "%H:%M:%S", "%H:%M:%S.%f")
+"""Accepted date formats in addition to ISO 8601."""
+
+
+def times_s(cells: Iterable[Cell]) -> Floats:
+    """Return the times in seconds; Unix times and dates count from the earliest."""
+    cells = list(cells)
+    first = cells[0].label()
+    if _date(first) is not None and not _is_number(first):
+        return _from_earliest(np.array([_date_s(cell) for cell in cells]))
+    numbers = np.array([cell.number() for cell in cells])
+    for least, unit_s in UNIX_SCALES:
+        if np.abs(numbers).min() >= least:
+            return _from_earliest(numbers) * unit_s
+    return numbers
+
+
+def _from_earliest(values: Floats) -> Floats:
+    return values - values.min()
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+def _date(text: str) -> datetime | None:
+    """Return a date or a time of day; None if the text is neither."""
+    try:
+        return datetime.fromisoformat(text)
+    except ValueError:
+        pass
+    for form in DATES:
+        try:
+            return datetime.strptime(text, form)
+        except ValueError:
+            continue
+    return None
+
+
+def _date_s(cell: Cell) -> float:
+    found = _date(cell.label())
+    if found is None:
+        raise cell.error(
+            f"{cell.text.strip()!r} is not a date", "write dates as 2026-03-14T09:26:53"
+        )
+    since = datetime(1970, 1, 1, tzinfo=found.tzinfo)
+    return (found - since).total_seconds()
+
 
 RANGES_M = ((-LARGEST_COORDINATE_M, LARGEST_COORDINATE_M, "m"),) * 2
 """Range and unit of x and of y in metres."""

@@ -67,7 +67,7 @@ from planopt.planning.values.objective_value import LeadingPivot, ObjectiveValue
 from planopt.problems.library import SUFFIX, library_folder
 from planopt.problems.load import load_motion, problem_to_dict
 from planopt.problems.problem import Problem, problem_at, problem_of_robot
-from planopt.problems.results import Contents
+from planopt.problems.tasks import Contents
 from planopt.short_repr import short_repr
 from planopt.world.clearance import index_obstacles
 

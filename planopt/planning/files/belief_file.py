@@ -22,7 +22,7 @@ from planopt.files.reading import read_npz
 from planopt.files.tables import LARGEST, REMEDY
 from planopt.planning.loop.results import Run
 from planopt.planning.plan import Plan
-from planopt.problems.results import Arrays
+from planopt.problems.tasks import Arrays
 
 BELIEF_FILE = "belief.npz"
 

@@ -20,8 +20,7 @@ from pydantic_core import PydanticCustomError
 
 from planopt.arrays import Floats
 from planopt.channel.calibration import ReliabilityBin
-from planopt.files.tables import LARGEST, REMEDY
-from planopt.files.typed_json import encoded
+from planopt.files.tables import LARGEST, REMEDY, encoded
 from planopt.keys import input_error
 from planopt.objectives.terms.term import Aim
 from planopt.planning.certificate import (

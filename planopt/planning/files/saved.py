@@ -52,7 +52,7 @@ from planopt.planning.loop.results import Run, Solution
 from planopt.planning.plan import Pivot, Plan, Verdict
 from planopt.problems.load import problem_from_dict
 from planopt.problems.problem import Problem
-from planopt.problems.results import Contents
+from planopt.problems.tasks import Contents
 from planopt.robots.dynamics import Drive, braked_motion
 from planopt.world.motion import TimedMotion
 

@@ -16,14 +16,14 @@ from planopt.bounds.bound import Bound, total_bound
 from planopt.channel.ground_truth import Truth
 from planopt.channel.posterior import Belief
 from planopt.errors import A_FOLDER, InputError, path_of
-from planopt.files.typed_json import encoded
+from planopt.files.tables import encoded
 from planopt.objectives.terms.term import Aim
 from planopt.planning.certificate import BlockedPath, Crossing, Relaxation
 from planopt.planning.loop.log import ChannelLog, Outcome, RobotRun, TargetLog
 from planopt.planning.loop.metrics import run_metrics
 from planopt.planning.plan import Plan, Verdict
 from planopt.problems.problem import Problem
-from planopt.problems.results import Result
+from planopt.problems.tasks import Result
 from planopt.short_repr import LINES, wrapped
 from planopt.world.geodesy import Origin
 
@@ -142,7 +142,7 @@ class MotionResult(Result):
         OutputError
             The file cannot be written.
         """
-        recordings = import_module("planopt.planning.files.recordings")
+        recordings = import_module("planopt.planning.files.path_files")
         recordings.save_recording(self, path_of("file", file, "give a file name"))
 
     @abstractmethod

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from planopt import Run, Solution, load, simulate, solve
-from planopt.files.typed_json import encoded
+from planopt.files.tables import encoded
 from planopt.files.writing import strict_text
 from planopt.planning.files.result_json import (
     no_plan_json,

@@ -11,7 +11,7 @@ import numpy as np
 
 import planopt
 from planopt.planning.proof.bounds import metre_cost_of
-from planopt.problems.reach_cost import integrated_cost_m, rate_s_m, steps_cost_s
+from planopt.problems.problem import integrated_cost_m, rate_s_m, steps_cost_s
 
 
 def main() -> None:

@@ -53,10 +53,8 @@ from planopt.planning.search.guess_search import Guess
 from planopt.planning.search.timed_search import TimedPath
 from planopt.planning.tolerances import STANDSTILL_M, STEP_PAD_M
 from planopt.planning.values.context import Aim, StepContext, step_context, workspace_region
-from planopt.planning.values.objective_value import ReachCost, resting_places_m
-from planopt.planning.values.rule_rows import step_rows
-from planopt.problems.problem import Problem
-from planopt.problems.reach_cost import cruising_speed_m_s
+from planopt.planning.values.objective_value import ReachCost, resting_places_m, step_rows
+from planopt.problems.problem import Problem, cruising_speed_m_s
 from planopt.robots.dynamics import Drive, rolled_out
 from planopt.world.motion import MovingDiscs
 

@@ -42,8 +42,8 @@ from planopt.planning.tolerances import (
 )
 from planopt.planning.values.context import StepContext, structure_of
 from planopt.planning.values.local_value import local_value
-from planopt.planning.values.objective_value import ReachCost
-from planopt.planning.values.rule_rows import (
+from planopt.planning.values.objective_value import (
+    ReachCost,
     RuleRows,
     has_step_rows,
     has_sum_row,

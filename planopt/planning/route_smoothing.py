@@ -26,8 +26,7 @@ from planopt.planning.proof.verify import verify
 from planopt.planning.scene import stops_along
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.planning.values.objective_value import ReachCost
-from planopt.problems.problem import Problem
-from planopt.problems.reach_cost import integrated_cost_m, rate_s_m, step_cost_s
+from planopt.problems.problem import Problem, integrated_cost_m, rate_s_m, step_cost_s
 from planopt.world.clearance import ObstacleIndex, index_obstacles, inside_bounds, segments_clear
 
 MetreCost = Callable[[Floats], Floats]

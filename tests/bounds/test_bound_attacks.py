@@ -14,7 +14,7 @@ from planopt.bounds.bound import GAP_TOLERANCE, relative_gap
 from planopt.bounds.route import RouteProblem, route_bounds, verified_value
 from planopt.channel import ChannelParameters, Measurements, Station, condition
 from planopt.planning.route_smoothing import CostRaster, smooth_route
-from planopt.problems.reach_cost import integrated_cost_m
+from planopt.problems.problem import integrated_cost_m
 from planopt.world.clearance import index_obstacles, segments_clear
 
 SIZE_M = (40.0, 30.0)

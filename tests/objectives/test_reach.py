@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planopt.objectives import MotionEnergyTerm
-from planopt.problems.reach_cost import (
+from planopt.problems.problem import (
     cost_rate_s_m,
     cruising_speed_m_s,
     outage_share,

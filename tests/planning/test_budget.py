@@ -20,7 +20,7 @@ from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.refinement import lacks
 from planopt.planning.scene import build_scene
 from planopt.planning.solve import solve
-from planopt.planning.values.rule_rows import rule_rows
+from planopt.planning.values.objective_value import rule_rows
 from planopt.problems import problem_from_dict, problem_to_dict
 
 NO_TIME = 1e-9

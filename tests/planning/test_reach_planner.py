@@ -24,7 +24,7 @@ from planopt.planning.programme import path_nlp
 from planopt.planning.programme.solver import NlpPoint
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
-from planopt.problems.reach_cost import path_cost_s
+from planopt.problems.problem import path_cost_s
 
 SLIT = (shapely.box(15, 0, 25, 14.2), shapely.box(15, 15.9, 25, 30))
 # Two brackets whose arms reach into each other: the way between them has two turns.

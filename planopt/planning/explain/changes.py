@@ -33,7 +33,7 @@ from planopt.planning.proof.rule import (
 from planopt.planning.proof.searches import best_margins_by_step, build_goal_grid, may_reach_from
 from planopt.planning.proof.verify import is_priced
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, MARGIN_TOLERANCE_DB
-from planopt.planning.values.rule_rows import common_level
+from planopt.planning.values.objective_value import common_level
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.robots.dynamics import braked_motion
 from planopt.world.clearance import index_obstacles

@@ -18,8 +18,13 @@ from planopt.objectives.terms.term import TermContext
 from planopt.planning.certificate import required_margins_db
 from planopt.planning.plan import Plan
 from planopt.planning.proof.rule import connectivity_law
-from planopt.problems.problem import Problem
-from planopt.problems.reach_cost import integrated_cost_m, outage_share, rate_s_m, steps_cost_s
+from planopt.problems.problem import (
+    Problem,
+    integrated_cost_m,
+    outage_share,
+    rate_s_m,
+    steps_cost_s,
+)
 
 
 def bound_of(

@@ -19,8 +19,7 @@ from scipy.sparse.csgraph import dijkstra  # pyright: ignore[reportUnknownVariab
 
 from planopt.arrays import Floats, Indices, Mask
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
-from planopt.problems.problem import Problem
-from planopt.problems.reach_cost import charged_length_m
+from planopt.problems.problem import Problem, charged_length_m
 from planopt.world.clearance import ObstacleIndex, clearance_m, is_clear, segment_clearance_m
 from planopt.world.shortest_paths import (
     ShortestPaths,

@@ -34,8 +34,7 @@ from planopt.planning.proof.searches import (
     price_path,
 )
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB, STANDSTILL_M
-from planopt.problems.problem import Problem
-from planopt.problems.reach_cost import outage_share
+from planopt.problems.problem import Problem, outage_share
 from planopt.robots.dynamics import Drive
 
 COST_TOLERANCE = 0.05

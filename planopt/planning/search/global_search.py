@@ -24,10 +24,8 @@ from planopt.planning.search.timed_search import (
 )
 from planopt.planning.tolerances import MARGIN_PAD_DB, STANDSTILL_M, STEP_PAD_M
 from planopt.planning.values.context import StepContext
-from planopt.planning.values.objective_value import rule_missing
-from planopt.planning.values.rule_rows import Guide, find_guided, step_rows
-from planopt.problems.problem import Problem
-from planopt.problems.reach_cost import charged_length_m, rate_s_m, steps_cost_s
+from planopt.planning.values.objective_value import Guide, find_guided, rule_missing, step_rows
+from planopt.problems.problem import Problem, charged_length_m, rate_s_m, steps_cost_s
 from planopt.world.clearance import is_clear, swept_clearance_m
 from planopt.world.lattice import CostToGo, lattice_paths, node_at, route_from
 from planopt.world.motion import MovingDiscs

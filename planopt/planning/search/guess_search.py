@@ -32,8 +32,13 @@ from planopt.planning.tolerances import (
     STEP_PAD_M,
 )
 from planopt.planning.values.context import StepContext, bends_guesses, shares_places
-from planopt.planning.values.objective_value import ObjectiveValue, rule_missing
-from planopt.planning.values.rule_rows import Guide, RuleRows, find_guided
+from planopt.planning.values.objective_value import (
+    Guide,
+    ObjectiveValue,
+    RuleRows,
+    find_guided,
+    rule_missing,
+)
 from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Drive
 from planopt.world.motion import paths_gap_m

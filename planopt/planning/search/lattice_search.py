@@ -17,7 +17,7 @@ import numpy as np
 
 from planopt.arrays import Floats, Indices, Mask
 from planopt.planning.tolerances import CLEARANCE_PAD_M
-from planopt.problems.reach_cost import step_cost_s
+from planopt.problems.problem import step_cost_s
 from planopt.world.lattice import MOVES, Lattice, RoadMap
 from planopt.world.motion import MovingDiscs, passing_gaps_m
 from planopt.world.workspace import LONGEST_MOVE

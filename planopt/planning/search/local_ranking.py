@@ -17,7 +17,7 @@ from planopt.objectives.terms.term import Paths, Term
 from planopt.parts import calling, returned
 from planopt.planning.candidates import UNLIMITED, Budget
 from planopt.planning.values.context import StepContext, region_along
-from planopt.planning.values.rule_rows import missing, missing_slope
+from planopt.planning.values.objective_value import missing, missing_slope
 from planopt.problems.problem import Problem
 
 ANCHORS, REGION_ANCHORS = 24, 64

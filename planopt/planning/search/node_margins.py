@@ -14,7 +14,7 @@ from planopt.objectives.terms.term import Nodes
 from planopt.planning.proof.rule import search_prediction
 from planopt.planning.tolerances import MARGIN_PAD_DB
 from planopt.planning.values.context import StepContext
-from planopt.problems.reach_cost import outage_share
+from planopt.problems.problem import outage_share
 from planopt.world.lattice import Lattice, RoadMap
 
 

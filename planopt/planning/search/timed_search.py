@@ -12,7 +12,7 @@ from planopt.arrays import Floats, Indices
 from planopt.channel.neighbours import PlaceTree
 from planopt.planning.search.lattice_search import steps_apart
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STANDSTILL_M
-from planopt.problems.reach_cost import step_cost_s
+from planopt.problems.problem import step_cost_s
 from planopt.world.lattice import CostToGo, RoadMap, lattice_paths, route_from
 from planopt.world.motion import MovingDiscs, closest_approach_m
 

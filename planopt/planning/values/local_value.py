@@ -27,7 +27,7 @@ from planopt.planning.programme.goal_value import (
     remembering,
 )
 from planopt.planning.values.context import StepContext, region_along, shares_places, structure_of
-from planopt.planning.values.rule_rows import RuleRows, has_step_rows, rule_rows
+from planopt.planning.values.objective_value import RuleRows, has_step_rows, rule_rows
 
 JOINT_NEIGHBOURS = 128
 """Number of measurements shared by all positions of a path, for terms that couple them."""

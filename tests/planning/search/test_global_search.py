@@ -22,7 +22,7 @@ from scenes import (
 from planopt.planning.plan import BEGINNING
 from planopt.planning.search import global_search
 from planopt.planning.search.global_search import FORBIDDEN, Ahead, GlobalStart
-from planopt.problems.reach_cost import outage_share
+from planopt.problems.problem import outage_share
 
 
 def found(problem, power_at=good_everywhere) -> GlobalStart:

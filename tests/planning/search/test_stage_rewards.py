@@ -8,8 +8,7 @@ from terms_scene import LEARNING, TRACKING, context_of, scorer_of, terms_problem
 
 from planopt.planning.search.guess_search import StageRewards
 from planopt.planning.search.node_margins import NodeField
-from planopt.planning.values.objective_value import ObjectiveValue
-from planopt.planning.values.rule_rows import Guide
+from planopt.planning.values.objective_value import Guide, ObjectiveValue
 
 
 def rewards_of(problem, reach_m=6.0):

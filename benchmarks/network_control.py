@@ -41,7 +41,6 @@ from planopt.coverage import (
     packing_reach_m,
     plan_moves,
     radio_tree,
-    rolled_out,
     signals,
     verify_moves,
 )
@@ -433,10 +432,10 @@ def steps(agents: int, rounds: int) -> dict[str, float]:
     # From a crowded corner nearly all speed limits bind.
     crowd, nobody = 0.3 * places, np.zeros(agents, dtype=bool)
     fast, share = MoveLimits(speed_m_s=0.3), np.ones(agents)
-    pending = rolled_out(ground, crowd, nobody, share, 0.3, AHEAD)
+    ends, none = ground.cover(crowd).targets_m, np.zeros((agents, 0, 2))
     jobs[f"spreading, cells along {AHEAD} steps"] = lambda: plan_moves(
-        ground, Motion.at_rest(crowd), foreseen_aims(ground, crowd, pending, nobody), fast, 1.0,
-        AHEAD,
+        ground, Motion.at_rest(crowd),
+        foreseen_aims(ground, crowd, ends, none, nobody, AHEAD, share, 0.3), fast, 1.0, AHEAD,
     )  # fmt: skip
     times: dict[str, float] = {}
     for name, job in jobs.items():

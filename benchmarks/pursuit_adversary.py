@@ -183,6 +183,10 @@ def worst(rounds, alpha, radius, first_m, most_s, seed, *, population=100, gener
                     drawn[:, :3] = generator.uniform(size=(population, 3))
                     drawn[:, 3] = generator.uniform(0.0, 2.0 * np.pi, population)
                     drawn[: population // 3, 4:] = 0.0
+                    # At the edge of its cell the pursuer misses an evader straight ahead longest.
+                    edge = slice(population // 6)
+                    off = 10.0 ** generator.uniform(-6.0, 0.0, (population // 6, 2))
+                    drawn[edge, 1], drawn[edge, 3] = (1.0 - off[:, 0]) / 16.0, off[:, 1]
                 else:
                     drawn[:3] = elite[:3]
                 lasts_s = np.array([run(each).capture_s for each in drawn])

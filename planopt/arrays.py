@@ -1,4 +1,4 @@
-"""Array types, and values with derivatives, smoothed near zero; shapes are in comments."""
+"""Array types, checks of user numbers, and values with derivatives; shapes are in comments."""
 
 from __future__ import annotations
 
@@ -7,9 +7,42 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from planopt.errors import InputError
+
 Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
+
+LARGEST = 1e12
+"""Maximum magnitude of numbers from a user's control loop."""
+
+
+def finite_array(key: str, given: object, shape: tuple[int, ...], remedy: str) -> Floats:
+    """Return user values as an array of a shape; raise `InputError` naming the wrong entry."""
+    try:
+        found = np.asarray(given)
+    except ValueError:  # Rows of different lengths
+        found = np.asarray(None)
+    # NumPy would convert text to numbers and drop imaginary parts.
+    if found.dtype.kind not in "iuf":
+        raise InputError("is not an array of numbers", key=key, remedy=remedy)
+    if found.shape != shape:
+        words = f"has shape {found.shape}, should have shape {shape}"
+        raise InputError(words, key=key, remedy=remedy)
+    for entry in np.argwhere(~(np.abs(found) <= LARGEST)):
+        words = f"contains {found[tuple(entry)]} at index {entry.tolist()}"
+        raise InputError(words, key=key, remedy=f"give finite numbers up to {LARGEST:g}")
+    return found.astype(np.float64, copy=False)
+
+
+def require_seed(seed: object) -> None:
+    """Raise an `InputError` if a random seed is not a whole number of at least 0."""
+    if not isinstance(seed, int | np.integer) or seed < 0:
+        raise InputError(
+            f"is {seed!r}, should be a whole number of at least 0",
+            key="seed",
+            remedy="give 0, 1, ...",
+        )
 
 
 @dataclass(frozen=True, eq=False)

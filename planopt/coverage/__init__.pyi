@@ -1,14 +1,12 @@
 """Public names of sensor networks; each is imported from its module when it is first used."""
 
 from planopt.coverage.assignment import NONE as NONE
-from planopt.coverage.assignment import Assignment as Assignment
 from planopt.coverage.assignment import Demand as Demand
 from planopt.coverage.assignment import accuracy_demand as accuracy_demand
 from planopt.coverage.assignment import capped_demand as capped_demand
 from planopt.coverage.assignment import deferred_acceptance as deferred_acceptance
 from planopt.coverage.assignment import demanded as demanded
 from planopt.coverage.assignment import fair_shares as fair_shares
-from planopt.coverage.assignment import optimal_assignment as optimal_assignment
 from planopt.coverage.assignment import propagate_flags as propagate_flags
 from planopt.coverage.assignment import table_demand as table_demand
 from planopt.coverage.assignment import trade_off_demand as trade_off_demand
@@ -22,7 +20,6 @@ from planopt.coverage.control.movers import coverage_aims as coverage_aims
 from planopt.coverage.control.movers import foreseen_aims as foreseen_aims
 from planopt.coverage.control.movers import law_moves as law_moves
 from planopt.coverage.control.movers import plan_moves as plan_moves
-from planopt.coverage.control.movers import rolled_out as rolled_out
 from planopt.coverage.control.programme import Inertia as Inertia
 from planopt.coverage.control.programme import Programmes as Programmes
 from planopt.coverage.control.programme import solve_programme as solve_programme

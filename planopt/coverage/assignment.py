@@ -3,10 +3,8 @@
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import cast
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment  # pyright: ignore[reportUnknownVariableType]
 
 from planopt.arrays import Floats, Indices, Mask
 from planopt.coverage.localisation import EventSensor
@@ -152,16 +150,6 @@ def propagate_flags(
     return Flags(history[-1], messages, np.array(history), tuple(np.split(order[lists % n], ends)))
 
 
-@dataclass(frozen=True, eq=False)
-class Assignment:
-    """Assignment of agents to events."""
-
-    event_of: Indices  # (n,) number of each agent's event; `NONE` for a covering agent
-    total_m: float  # Sum of distances between agents and their events
-    requests: int = 0  # Number of requests from events to agents
-    released: int = 0  # Number of rejected requests, including events dropped for a nearer one
-
-
 def fair_shares(demands: Indices, agents: int) -> Indices:
     """Return the number of agents per event: the demand, reduced if demands exceed `agents`."""
     # Agents go one by one to the event with the smallest fulfilled share of its demand (max-min
@@ -175,15 +163,9 @@ def fair_shares(demands: Indices, agents: int) -> Indices:
     return shares
 
 
-def deferred_acceptance(distances_m: Floats, demands: Indices) -> Assignment:
-    """Return a stable assignment by deferred acceptance, a distributed algorithm."""
-    # Shapes: distances_m (n, k); demands (k,).
-    _check(distances_m, demands)
-    return accepted(distances_m, demands)
-
-
-def accepted(distances_m: Floats, demands: Indices) -> Assignment:
-    """Return the deferred-acceptance assignment; agents at infinite distance are not requested."""
+def deferred_acceptance(distances_m: Floats, demands: Indices) -> Indices:
+    """Return the event of each agent, or `NONE`, in a stable assignment of agents to events."""
+    # Shapes: distances_m (n, k), infinite for agents that are not requested; demands (k,).
     # In each round every event requests as many agents as it lacks, nearest first and none twice.
     # Every agent keeps the nearest event among its requests and rejects the others. Ties go to the
     # smaller numbers. An event that runs out of agents stays short.
@@ -191,7 +173,7 @@ def accepted(distances_m: Floats, demands: Indices) -> Assignment:
     order = np.argsort(distances_m, axis=0, kind="stable")
     within = np.isfinite(distances_m).sum(axis=0)
     requested = np.zeros(events, dtype=np.intp)
-    event_of, released = np.full(agents, NONE, dtype=np.intp), 0
+    event_of = np.full(agents, NONE, dtype=np.intp)
     while True:
         lacking = demands - np.bincount(event_of[event_of != NONE], minlength=events)
         requests: list[tuple[int, int]] = []
@@ -201,50 +183,9 @@ def accepted(distances_m: Floats, demands: Indices) -> Assignment:
             requests.extend((agent, event) for agent in names)
             requested[event] += len(names)
         if not requests:
-            total_m = _total_m(event_of, distances_m)
-            return Assignment(event_of, total_m, int(requested.sum()), released)
+            return event_of
         for agent, event in requests:
             held = int(event_of[agent])
-            if held == NONE:
+            nearer = (distances_m[agent, event], event) < (distances_m[agent, held], held)
+            if held == NONE or nearer:
                 event_of[agent] = event
-                continue
-            released += 1
-            if (distances_m[agent, event], event) < (distances_m[agent, held], held):
-                event_of[agent] = event
-
-
-def optimal_assignment(distances_m: Floats, demands: Indices) -> Assignment:
-    """Return the assignment that minimises the total of distances (n, k) to events."""
-    # The linear programme has an integral optimum: its matrix is totally unimodular.
-    _check(distances_m, demands)
-    seats = np.repeat(np.arange(len(demands)), demands)
-    rows, columns = cast("tuple[Indices, Indices]", linear_sum_assignment(distances_m[:, seats]))
-    event_of = np.full(len(distances_m), NONE, dtype=np.intp)
-    event_of[rows] = seats[columns]
-    return Assignment(event_of, _total_m(event_of, distances_m))
-
-
-def _total_m(event_of: Indices, distances_m: Floats) -> float:
-    """Return the sum of the distances between agents and the events assigned to them."""
-    sent = np.flatnonzero(event_of != NONE)
-    return float(distances_m[sent, event_of[sent]].sum())
-
-
-def _check(distances_m: Floats, demands: Indices) -> None:
-    """Raise `InputError` if distances (n, k) and demands (k,) are inconsistent."""
-    if distances_m.ndim != 2 or demands.shape != distances_m.shape[1:]:
-        raise InputError(
-            f"has shape {distances_m.shape} for {len(demands)} events, should have shape "
-            "(agents, events)",
-            key="distances_m",
-        )
-    if not (np.isfinite(distances_m) & (distances_m >= 0.0)).all():
-        raise InputError("has a distance that is negative, NaN or infinite", key="distances_m")
-    if (demands < 0).any():
-        raise InputError(f"contain the negative number {int(demands.min())}", key="demands")
-    if demands.sum() > len(distances_m):
-        raise InputError(
-            f"add up to {int(demands.sum())} agents, but there are {len(distances_m)}",
-            key="demands",
-            remedy="reduce the demands with fair_shares",
-        )

@@ -17,7 +17,7 @@ from planopt.arrays import Floats, Indices, Mask
 from planopt.coverage.assignment import (
     NONE,
     Demand,
-    accepted,
+    deferred_acceptance,
     demanded,
     fair_shares,
     propagate_flags,
@@ -262,9 +262,10 @@ def doubt_sensors(
                 if misfit_level(fresh, sensing, joint) < OUTLIER_LEVEL:
                     since[same] = step
     doubted = replace(belief, doubts=doubts)
-    # An agent whose readings have been silent for a while refutes an event by its own reading.
+    # If only others still report detections, an agent refutes the event by its own reading.
     last = np.where(belief.held, belief.steps, NEVER).max(axis=1, initial=NEVER)
     silent = asks & belief.known & (step - last >= sensing.silent_steps)
+    silent &= step - belief.heard < sensing.silent_steps
     silent &= ~belief.explains(sensing, agents_m, signal) & ~doubted.excluded.diagonal()
     since[silent] = step
     if sensing.memory_s is not None:
@@ -416,7 +417,7 @@ def choose_teams(
     for same in views.values():
         mine = np.flatnonzero(known[same[0]])
         listed = np.unique(np.concatenate([lists[k][same[0]] for k in mine.tolist()]))
-        match = accepted(distances[np.ix_(listed, mine)], shares[same[0], mine]).event_of
+        match = deferred_acceptance(distances[np.ix_(listed, mine)], shares[same[0], mine])
         event_of = np.full(agents, NONE, dtype=np.intp)
         event_of[listed[match != NONE]] = mine[match[match != NONE]]
         after[same] = event_of[same]

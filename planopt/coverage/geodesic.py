@@ -29,6 +29,8 @@ HALVINGS = 8
 """Maximum number of halvings of a step until it lowers the cost of the agent's own cell."""
 NEAREST = 8
 """Number of agents, nearest in a straight line, that are candidates for the second nearest."""
+AT_CENTRE = 1e-9
+"""Distance to the centre of a cell, as a share of the region's radius, that counts as arrived."""
 AT_CORNER = 1e-9
 """Distance to a corner, as a share of the region's extent, that counts as being at it."""
 
@@ -333,7 +335,8 @@ def geodesic_targets(ground: GeodesicGround, agents_m: Floats, cells: GeodesicCe
     mass = np.where(cells.mass > 0.0, cells.mass, 1.0)
     step = -0.5 * cells.gradient / mass[:, None]
     before = np.bincount(cells.owner, ground.mass * cells.distance_m**2, minlength=count)
-    targets, waiting = agents_m.copy(), np.flatnonzero((step != 0.0).any(axis=1))
+    moves = np.linalg.norm(step, axis=1) > AT_CENTRE * ground.hull.radius_m
+    targets, waiting = agents_m.copy(), np.flatnonzero(moves)
     for halving in range(HALVINGS):
         trial = agents_m.copy()
         trial[waiting] = _reached(ground.area, agents_m[waiting], step[waiting] * 0.5**halving)

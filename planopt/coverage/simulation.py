@@ -5,9 +5,10 @@ from dataclasses import dataclass
 from typing import Any, cast
 
 import numpy as np
+import shapely
 from numpy.typing import ArrayLike
 
-from planopt.arrays import Floats, Indices, Mask
+from planopt.arrays import Floats, Indices, Mask, finite_array
 from planopt.coverage.assignment import NONE, Demand
 from planopt.coverage.beliefs import (
     Belief,
@@ -28,7 +29,6 @@ from planopt.coverage.control.movers import (
     coverage_aims,
     foreseen_aims,
     held_aims,
-    rolled_out,
 )
 from planopt.coverage.control.radio import radio_tree
 from planopt.coverage.events import Event, Sensing, event_places, signals
@@ -196,7 +196,7 @@ class NetworkController:
     def step(
         self,
         positions_m: ArrayLike | None = None,
-        readings: Signals | ArrayLike | None = None,
+        readings: ArrayLike | None = None,
         *,
         velocities_m_s: ArrayLike | None = None,
         headings_rad: ArrayLike | None = None,
@@ -207,44 +207,49 @@ class NetworkController:
         ----------
         positions_m, velocities_m_s, headings_rad
             Present state of the agents with shapes ``(n, 2)``, ``(n, 2)`` and ``(n,)``; None means
-            the state planned by the last step.
+            the state planned by the last step. An agent that is too close to the border or an
+            obstacle is planned from the nearest allowed position.
         readings
-            Present signal of each event at each agent with shape ``(k, n)``, or a function that
-            returns the signals of an event at some agents. Required if the scene has events.
+            Present signal of each event at each agent with shape ``(k, n)``. Required if the scene
+            has events.
 
         Raises
         ------
         InputError
-            An array has a wrong shape or non-finite values, an agent is outside the region, or
-            readings are missing.
+            An array has a wrong shape or non-finite values, an agent is outside the region or in an
+            obstacle, or readings are missing.
         """
-        agents, events = len(self._states), len(self.scene.events)
+        ground, events = self.scene.ground, len(self.scene.events)
         values = (
             ("positions_m", positions_m, self.motion.places_m),
             ("velocities_m_s", velocities_m_s, self.motion.velocities_m_s),
             ("headings_rad", headings_rad, self.motion.headings_rad),
         )
-        motion = Motion(
-            *(last if now is None else _numbers(key, now, last.shape) for key, now, last in values)
+        places, velocities, headings = (
+            last if now is None else finite_array(key, now, last.shape, "give a value per agent")
+            for key, now, last in values
         )
-        outside = np.flatnonzero(~self.scene.ground.allows(motion.places_m))
+        allowed = ground.allows(places)
+        free = np.asarray(shapely.intersects_xy(ground.free, *places.T), dtype=np.bool_)
+        outside = np.flatnonzero(~(allowed | free))
         if len(outside):
             raise InputError(
-                "is outside the region, in an obstacle or too close to one",
+                "is outside the region or in an obstacle",
                 key=f"positions_m[{outside[0]}]",
                 remedy="correct the position, or the region",
             )
+        places = np.where(allowed[:, None], places, ground.nearest(places))
+        motion = Motion(places, velocities, headings)
         if readings is None and events:
             raise InputError(
                 "are missing, but the problem has events",
                 key="readings",
                 remedy="give the signals as an array (events, agents)",
             )
-        if callable(readings):
-            return self.decide(motion, readings)
-        now = np.zeros((0, agents)) if readings is None else readings
-        signals_now = _numbers("readings", now, (events, agents))
-        return self.decide(motion, lambda event, who: signals_now[event, who])
+        shape = events, len(places)
+        now = np.zeros(shape) if readings is None else readings
+        signal = finite_array("readings", now, shape, "give a row per event, a column per agent")
+        return self.decide(motion, lambda event, who: signal[event, who])
 
     def decide(self, motion: Motion, readings: Signals) -> NetworkStep:
         """Return the decisions of the next step for validated arrays."""
@@ -302,14 +307,12 @@ class NetworkController:
         assert isinstance(mover, RecedingMover)
         share = scene.gains.shares(responds, scene.time_step_s)
         most_m, kept = mover.limits.speed_m_s * scene.time_step_s, self._pending[who, 1:]
-        rolled = (responds, share, most_m)
-        if kept.shape[1] != horizon - 1 or np.isnan(kept).any():
-            pending = rolled_out(scene.ground, here_m, *rolled, horizon, scene.partition)
-        else:
-            kept = scene.ground.nearest(kept.reshape(-1, 2)).reshape(kept.shape)
-            last = rolled_out(scene.ground, kept[:, -1], *rolled, 1, scene.partition)
-            pending = np.concatenate((kept, last), axis=1)
-        return foreseen_aims(scene.ground, targets_m, pending, responds, scene.partition)
+        if np.isnan(kept).any():
+            kept = kept[:, :0]
+        return foreseen_aims(
+            scene.ground, here_m, targets_m, kept, responds, horizon, share, most_m,
+            scene.partition,
+        )  # fmt: skip
 
     def _network(self, motion: Motion, who: Indices) -> Network:
         """Return the links between members: Voronoi neighbours, and the radio tree."""
@@ -348,8 +351,7 @@ class NetworkController:
             served = before.known & (self._response.shares[:, number] > 0)
             if sensing.memory_s is None:
                 served &= before.explains(sensing, here_m, signal)
-            asks = detects & ~served
-            asks = members & (asks | (states == number))
+            asks = members & (detects & ~served | (states == number))
             belief, sent = share_readings(
                 before.of(members), sensing, medium, here_m, signal, asks, self._steps,
                 scene.time_step_s,
@@ -406,21 +408,6 @@ class NetworkController:
             drifts[who[responds][bent]] = 0.0
         targets[who] = own
         return targets, drifts, cost
-
-
-def _numbers(key: str, values: Any, shape: tuple[int, ...]) -> Floats:
-    """Return values as an array; raise `InputError` for a wrong shape or non-finite values."""
-    try:
-        found = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        found = np.zeros(0)
-    if found.shape != shape or not np.isfinite(found).all():
-        raise InputError(
-            f"has shape {found.shape}, or contains NaN or infinite numbers",
-            key=key,
-            remedy=f"give finite numbers of shape {shape}",
-        )
-    return found
 
 
 def simulate_network(

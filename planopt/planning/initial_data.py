@@ -6,11 +6,10 @@ Ground truth, initial measurements and targets use separate random streams.
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 
-from planopt.arrays import Floats
+from planopt.arrays import Floats, require_seed
 from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.estimation.channel_fit import ChannelFit
 from planopt.channel.estimation.fit import fit_channel
@@ -91,12 +90,7 @@ def draw_initial_data(
     problem: Problem, seed: int, measurements: Sequence[Measurements] | None = None
 ) -> InitialData:
     """Return a drawn ground truth, and `measurements` or else drawn initial ones."""
-    if not isinstance(cast("object", seed), int | np.integer) or seed < 0:
-        raise InputError(
-            f"is {seed!r}, should be a whole number of at least 0",
-            key="seed",
-            remedy="give 0, 1, ...",
-        )
+    require_seed(seed)
     fading, places = np.random.SeedSequence(seed).spawn(2)
     further = [
         np.random.SeedSequence(seed, spawn_key=(FURTHER_STREAMS, number))

@@ -12,7 +12,7 @@ from typing import Any, Self, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planopt.arrays import Floats, Mask
+from planopt.arrays import Floats, Mask, finite_array
 from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import Belief
@@ -409,7 +409,7 @@ class Planner:
         robot = self.problem.robots[number]
         key = f"states[{number}]" if len(self.problem.robots) > 1 else "state"
         names = robot.dynamics.state_names
-        state = _numbers(key, given, (len(names),), ", ".join(names))
+        state = finite_array(key, given, (len(names),), f"give {', '.join(names)}")
         # Drift may carry a robot slightly out of bounds; a large offset means another frame.
         nearest = np.clip(state[:2], *np.reshape(self.problem.workspace.bounds_m, (2, 2)))
         reach = self._robots.owns[number].step_length_m if robot.moves_freely else 0.0
@@ -455,7 +455,7 @@ class Planner:
             raise InputError(
                 "was given, but the problem has no target", key="target_m", remedy="leave it out"
             )
-        return _numbers("target_m", place, (2,), "x_m, y_m")
+        return finite_array("target_m", place, (2,), "give x_m, y_m")
 
     def _was_connected(self, number: int, measured: Sequence[Measurements]) -> bool:
         """Return whether a robot is connected, according to measurements or its previous plan."""
@@ -482,16 +482,3 @@ def _links(given: Sequence[bool] | Mask) -> list[bool]:
                 remedy="give True or False",
             )
     return [bool(value) for value in values]
-
-
-def _numbers(key: str, given: ArrayLike, shape: tuple[int, ...], names: str) -> Floats:
-    """Return user values as a finite array of a shape; raise an InputError otherwise."""
-    try:
-        found = np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError):
-        found = np.zeros(0)
-    if found.shape != shape or not np.isfinite(found).all():
-        raise InputError(
-            f"is {given!r}, should be {shape[0]} finite numbers", key=key, remedy=f"give {names}"
-        )
-    return found

@@ -1,14 +1,14 @@
 """Simulation of pursuits in common time steps, with captures detected within a step."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import cast
+from dataclasses import dataclass, field, replace
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import linear_sum_assignment  # pyright: ignore[reportUnknownVariableType]
 
-from planopt.arrays import Floats, Indices
+from planopt.arrays import Floats, Indices, finite_array
 from planopt.errors import InputError
 from planopt.pursuit.arena import Arena
 from planopt.pursuit.certificate import Distances
@@ -33,6 +33,8 @@ from planopt.pursuit.service import (
 
 STEP_PIECES = 4
 """Number of straight segments of a pursuer's step on which captures are detected."""
+STATE = "give x and y in metres, and the heading in rad of a unicycle"
+"""Remedy for an invalid state of a pursuer."""
 UNKNOWN_M = 1e12
 """Distance assigned to an evader without a record; the assignment needs finite values."""
 
@@ -180,7 +182,7 @@ class PursuitController:
     def step(
         self,
         states: Sequence[ArrayLike],
-        reports: Reports | Mapping[tuple[int, int], Record],
+        reports: Mapping[tuple[int, int], Record | None],
         captured: Collection[int] = (),
     ) -> PursuitStep:
         """Return the points that pursuers drive to in the next step.
@@ -190,37 +192,71 @@ class PursuitController:
         states
             State of each pursuer: x and y in metres, and the heading of a unicycle.
         reports
-            Records by pursuer and evader index, or a function that returns them.
+            Latest records by pursuer and evader index. Sample times count from the first step.
         captured
             Indices of captured evaders.
 
         Raises
         ------
         InputError
-            The states are not one finite state per pursuer, or all evaders are captured.
+            The states are not one finite state per pursuer, a record or an index is invalid, or all
+            evaders are captured.
         """
-        pursuers = self.scene.pursuers
-        sizes = [len(each.motion.start(each.start_m)) for each in pursuers]
-        now = [np.asarray(state, dtype=np.float64) for state in states]
-        if [each.shape for each in now] != [(size,) for size in sizes] or not all(
-            np.isfinite(each).all() for each in now
-        ):
+        pursuers, evaders = self.scene.pursuers, range(len(self.scene.evaders))
+        rows = list(states) if np.iterable(states) else []
+        if len(rows) != len(pursuers):
             raise InputError(
-                "should be a list with one state for each pursuer",
+                f"has {len(rows)} entries for {len(pursuers)} pursuers",
                 key="states",
-                remedy=f"give finite numbers; the sizes of the states are {sizes}",
+                remedy="give a list with one state for each pursuer",
             )
-        left = np.setdiff1d(np.arange(len(self.scene.evaders)), list(captured))
+        now = [
+            finite_array(f"states[{number}]", state, each.motion.start(each.start_m).shape, STATE)
+            for number, (each, state) in enumerate(zip(pursuers, rows, strict=True))
+        ]
+        caught = list(captured) if np.iterable(captured) else [captured]
+        if any(each not in evaders for each in caught):
+            raise InputError(
+                f"is {captured!r}, should contain only indices of evaders",
+                key="captured",
+                remedy=f"give a list of numbers below {len(evaders)}",
+            )
+        left = np.setdiff1d(evaders, np.array(caught, dtype=np.intp))
         if not len(left):
             raise InputError(
                 "contains all evaders, so the pursuit is over",
                 key="captured",
                 remedy="call no further steps",
             )
-        if callable(reports):
-            return self.decide(now, reports, left)
-        records = dict(reports)
+        pairs, table = set(np.ndindex(len(pursuers), len(evaders))), cast("object", reports)
+        if not isinstance(table, Mapping) or not pairs.issuperset(cast("Any", table)):
+            raise InputError(
+                "is not a dictionary with keys (pursuer index, evader index)",
+                key="reports",
+                remedy="give records by these keys, such as {(0, 0): record}",
+            )
+        given = {pair: each for pair, each in reports.items() if each is not None}
+        records = {pair: self._valid(f"reports[{pair}]", each) for pair, each in given.items()}
         return self.decide(now, lambda pursuer, evader, _: records.get((pursuer, evader)), left)
+
+    def _valid(self, key: str, record: Record) -> Record:
+        """Return a user's record; raise an `InputError` if it is invalid."""
+        if not isinstance(cast("object", record), Record):
+            raise InputError(
+                f"is of type {type(record).__name__}",
+                key=key,
+                remedy="give a planopt.problems.Record, or None without a report",
+            )
+        place_m = finite_array(f"{key}.reported_m", record.reported_m, (2,), "give x and y")
+        numbers, now_s = (record.sampled_s, record.error_m), self._steps * self.scene.step_s
+        sampled_s, error_m = finite_array(key, numbers, (2,), "give sampled_s and error_m")
+        if sampled_s > now_s + 1e-6 or error_m < 0.0:
+            raise InputError(
+                f"has the sample time {sampled_s:g} s and the maximum error {error_m:g} m",
+                key=key,
+                remedy=f"give a time up to now, {now_s:g} s, and an error of at least 0",
+            )
+        return record if place_m is record.reported_m else replace(record, reported_m=place_m)
 
     def decide(
         self,

@@ -166,8 +166,8 @@ def draw_comparison(comparison: Comparison) -> Figure:
         panel.set_xlim(-0.5, len(layout.ticks) - 0.5)
     words = [f"{n}: {w}" for n, w in enumerate(_setting_words(comparison), 1) if layout.numbered]
     if same:
-        names = {name: metric_name(name) for name in same}
-        equal = [f"{n.words} {n.scale * same[key]:g} {n.unit}" for key, n in names.items()]
+        named = [(metric_name(key), value) for key, value in same.items()]
+        equal = [f"{n.words} {n.scale * v:g} {n.unit}".removesuffix(" 1") for n, v in named]
         words.append("\n".join(textwrap.wrap(f"equal in all runs: {', '.join(equal)}", 110)))
     for line in words:
         entries += panels[-1].plot([], [], linestyle="none", label=line)

@@ -226,7 +226,7 @@ def _draw_state(panel: Panel, picture: NetworkPicture, step: int) -> list[Artist
         ("estimate", estimates[np.isfinite(estimates).all(axis=1)], BLACK, "+", 110.0),
     ):
         if len(positions):
-            look = {"s": size, "color": colour, "marker": marker, "zorder": 3 + (size > 40.0)}
+            look = {"s": size, "color": colour, "marker": marker, "zorder": 4.0 - size / 200.0}
             drawn.append(panel.scatter(*positions.T, label=label, **look))
     return drawn
 
@@ -276,7 +276,7 @@ def _draw_errors(panel: Panel, picture: NetworkPicture) -> None:
     if np.isfinite(run.estimates_m).any():
         log_scale(panel, "y")
     panel.set_xlim(float(times_s[0]), float(times_s[-1]))
-    dress(panel, "estimation error (dashed: standard deviation)", TIME, "distance [m]")
+    dress(panel, "error (dashed: standard deviation)", TIME, "estimation error [m]")
 
 
 def _shade_events(panel: Panel, picture: NetworkPicture) -> None:

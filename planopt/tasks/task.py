@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Literal, cast, get_args
 
 import numpy as np
 
+from planopt.arrays import require_seed
 from planopt.errors import InputError, NoPlanError
 from planopt.files.compare import REPEATED, differences, in_words
 from planopt.files.tables import Column, Data, finite, read_table, whole_number
@@ -329,6 +330,7 @@ class Task:
 
     def act(self, action: Action, problem: Any, *, seed: int = 0, **settings: Any) -> Any:
         """Return the result of an action with settings; settings that are None are ignored."""
+        require_seed(seed)
         function = self.function(action)
         if function is None:
             known = [name for name in ("solve", "simulate") if getattr(self, name) is not None]
@@ -345,6 +347,7 @@ class Task:
 
     def control(self, problem: Any, *, seed: int = 0, **settings: Any) -> Any:
         """Return the controller of a problem with settings; settings that are None are ignored."""
+        require_seed(seed)
         function = self.function("controller")
         if function is None:
             raise InputError(

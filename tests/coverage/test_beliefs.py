@@ -136,6 +136,9 @@ def test_agents_without_messages_know_what_they_sense() -> None:
             own = run.beliefs_m[step, 0, known[step]]
             assert len(np.unique(own, axis=0)) == len(own)
         assert run.messages[there, 1:].sum() > 0
+        # An agent that alone loses its wrong estimate does not hide the good ones of others.
+        late = there & (run.times_s[:-1] >= 20.0)
+        assert np.linalg.norm(run.estimates_m[late, 0] - event.place_m, axis=1).max() < 1.0
     assert ignorant > 500
 
 

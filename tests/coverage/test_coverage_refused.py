@@ -21,14 +21,12 @@ from planopt.coverage import (
     checked_mass,
     convex_region,
     coverage,
-    deferred_acceptance,
     demanded,
     elect_leader,
     geodesic_ground,
     ground_sets,
     law_moves,
     locate_event,
-    optimal_assignment,
     plan_moves,
     propagate_flags,
     single_readings,
@@ -104,16 +102,6 @@ REFUSED = {
         partial(propagate_flags, CHAIN, np.array([1.0, 2.0, 3.0]), -1),
         partial(propagate_flags, CHAIN, np.array([1.0, 2.0, 3.0]), 1, loss=0.5),
         partial(elect_leader, Network(3, np.array([[0, 1]])), np.arange(3)),
-        *(
-            partial(method, distances, demands)
-            for method in (deferred_acceptance, optimal_assignment)
-            for distances, demands in (
-                (np.ones((3, 2)), np.array([1])),
-                (np.ones((3, 2)), np.array([2, 2])),
-                (np.ones((3, 2)), np.array([-1, 2])),
-                (np.full((3, 1), np.nan), np.array([1])),
-            )
-        ),
     ],
     "readings": [
         partial(

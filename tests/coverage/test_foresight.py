@@ -11,11 +11,12 @@ import planopt
 from planopt.coverage import (
     ConvexGround,
     ConvexRegion,
+    Gains,
     Motion,
     MoveLimits,
     foreseen_aims,
+    law_moves,
     plan_moves,
-    rolled_out,
 )
 from planopt.problems.tasks import problem_from
 
@@ -39,10 +40,19 @@ def test_an_iteration_never_raises_the_cost_of_a_plan(square: ConvexRegion, seed
     ground = ConvexGround(square)
     here = scattered(square, 30, np.random.default_rng(seed)) * 0.3
     nobody, share = np.zeros(30, dtype=np.bool_), np.full(30, GAIN)
-    path = rolled_out(ground, here, nobody, share, LIMITS.speed_m_s, HORIZON)
+    law = [here]
+    for _ in range(HORIZON):
+        ends = ground.cover(law[-1]).targets_m
+        law.append(law_moves(law[-1], ends, nobody, Gains(1.0, GAIN), 1.0, LIMITS.speed_m_s))
+    path, most_m = np.stack(law[1:], axis=1), LIMITS.speed_m_s
+    ends = ground.cover(here).targets_m
+    for kept in (path[:, :0], path[:, :3]):  # The law extends plans that are too short
+        aims = foreseen_aims(ground, here, ends, kept, nobody, HORIZON, share, most_m)
+        for step in range(HORIZON):
+            assert aims.places_m[:, step] == pytest.approx(ground.cover(path[:, step]).targets_m)
     for _ in range(4):
         weights = ground.cover(path[:, -1]).mass
-        aims = foreseen_aims(ground, here, path, nobody)
+        aims = foreseen_aims(ground, here, here, path, nobody, HORIZON, share, most_m)
         plan = plan_moves(ground, Motion.at_rest(here), aims, LIMITS, GAIN, HORIZON)
         before = plan_cost(ground, here, path, weights)
         after = plan_cost(ground, here, plan.paths_m, weights)

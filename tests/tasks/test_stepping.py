@@ -1,5 +1,7 @@
 """A user's own loop steps networks and pursuers; a simulation of the same problem acts alike."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from refusals import refused
@@ -47,6 +49,10 @@ def test_an_agent_that_was_pushed_returns(tmp_path):
         (pushed - 50.0, quiet),
         (pushed,),
         (pushed, [[np.nan] * 12]),
+        (np.full((12, 2), np.nan), quiet),
+        ([[1.0], [1.0, 2.0]], quiet),
+        ("positions", quiet),
+        (pushed, quiet[0]),
     ):
         with refused():
             network.step(*arguments)
@@ -58,16 +64,15 @@ def test_pursuers_are_driven_through_their_reports(planner):
     problem = planopt.load("pursuit_several")
     run = planopt.simulate(problem, planner=planner, seed=2).value
     pursuers = planopt.Planner(problem, planner=planner, seed=2)
+    held = {}
     for step, time_s in enumerate(run.times_s[:-1].tolist()):
         states = [each[step] for each in run.pursuers]
-
-        def report(pursuer, evader, held, step=step, time_s=time_s, states=states):
-            tracks = [Track(run.times_s[: step + 1], each[: step + 1]) for each in run.evaders_m]
-            pair, here_m = (pursuer, evader), states[pursuer][:2]
-            return run.scene.source.record(tracks, pair, here_m, time_s, held)
-
+        tracks = [Track(run.times_s[: step + 1], each[: step + 1]) for each in run.evaders_m]
+        for pair in np.ndindex(len(states), len(tracks)):
+            here_m = states[pair[0]][:2]
+            held[pair] = run.scene.source.record(tracks, pair, here_m, time_s, held.get(pair))
         captured = np.flatnonzero(run.capture_s <= time_s)
-        action = pursuers.step(states, report, captured)
+        action = pursuers.step(states, held, captured)
         np.testing.assert_array_equal(action.aims_m, run.aims_m[:, step])
         np.testing.assert_array_equal(action.chased, run.chased[:, step])
     assert len(run.uses) > 3
@@ -81,9 +86,28 @@ def test_reports_may_be_a_table():
     np.testing.assert_array_equal(pursuers.step([here], {}).aims_m, [here])
     record = planopt.problems.Record(0.0, np.array([50.0, 60.0]), 5.0)
     np.testing.assert_array_equal(pursuers.step([here], {(0, 0): record}).aims_m, [[50.0, 60.0]])
+    for states, reports, captured in (
+        ([here, here], {}, ()),
+        ([[np.nan, 0.0]], {}, ()),
+        ([here], {}, [0]),
+        ([here], {}, [3]),
+        ([here], None, ()),
+        ([here], {(0, 5): record}, ()),
+        ([here], {(0, 0): "north"}, ()),
+        ([here], {(0, 0): replace(record, reported_m=np.full(2, np.nan))}, ()),
+        ([here], {(0, 0): replace(record, sampled_s=100.0)}, ()),
+    ):
+        with refused():
+            pursuers.step(states, reports, captured)
     with refused():
-        pursuers.step([here, here], {})
-    with refused():
-        pursuers.step([here], {}, [0])
+        planopt.Planner(problem, seed=-1)
     with refused():
         planopt.Planner(planopt.load("pursuit_design"))
+
+
+def test_an_agent_near_an_obstacle_returns():
+    """An agent that drifted into the clearance is planned from the nearest allowed position."""
+    network = planopt.Planner(planopt.load("coverage_obstacles"), planner="receding")
+    places_m = network.step().motion.places_m.copy()
+    places_m[0] = (23.9, 10.0)  # The clearance of the wall at x = 24 is 0.5 m
+    assert network.step(places_m).motion.places_m[0, 0] <= 23.5 + 1e-9

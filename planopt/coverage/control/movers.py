@@ -136,38 +136,27 @@ def held_aims(targets_m: Floats, horizon: int) -> Aims:
 
 def foreseen_aims(
     ground: Ground,
-    targets_m: Floats,  # (n, 2) targets of the agents that respond to an event
-    pending_m: Floats,  # (n, N, 2) positions that the agents planned in the last step
+    agents_m: Floats,  # (n, 2)
+    targets_m: Floats,  # (n, 2) present targets
+    pending_m: Floats,  # (n, m, 2) positions that the agents planned in the last step, m <= N
     responds: Mask,
+    horizon: int,
+    share: Floats,  # (n,) share of its distance to the target that an agent moves in a step
+    most_m: float,  # Largest length of a move
     partition: Partition = "all",
 ) -> Aims:
-    """Return aims at the centroids of the Voronoi cells of agents' planned positions."""
-    found = held_aims(targets_m, pending_m.shape[1])
-    covers = ~responds
-    for step in range(pending_m.shape[1]):
-        cover = coverage_aims(ground, pending_m[:, step], responds, partition)
-        found.places_m[covers, step] = cover.targets_m[covers]
-        found.masses[covers, step] = cover.mass[covers]
+    """Return aims at the centroids of the cells of planned positions, extended by the law."""
+    found, places = held_aims(targets_m, horizon), agents_m
+    covers, ends = ~responds, np.where(responds[:, None], agents_m, targets_m)
+    for step in range(horizon):
+        moved = _clipped_moves(places, ends, share, most_m)
+        places = ground.nearest(pending_m[:, step] if step < pending_m.shape[1] else moved)
+        cover = coverage_aims(ground, places, responds, partition)
+        ends = cover.targets_m
+        found.places_m[covers, step], found.masses[covers, step] = ends[covers], cover.mass[covers]
     last = found.masses[:, -1:]
-    share = found.masses / np.where(last > 0.0, last, 1.0)
-    return Aims(found.places_m, np.where(last > 0.0, share, 1.0).clip(1.0 / HEAVY, HEAVY))
-
-
-def rolled_out(
-    ground: Ground,
-    agents_m: Floats,
-    responds: Mask,
-    share: Floats,  # (n,) share of its distance to the target that an agent moves in a step
-    most_m: float,
-    steps: int,
-    partition: Partition = "all",
-) -> Floats:
-    """Return the positions (n, steps, 2) that agents reach if the control law moves them."""
-    paths = [agents_m]
-    for _ in range(steps):
-        targets = coverage_aims(ground, paths[-1], responds, partition).targets_m
-        paths.append(ground.nearest(_clipped_moves(paths[-1], targets, share, most_m)))
-    return np.stack(paths[1:], axis=1)
+    weights = found.masses / np.where(last > 0.0, last, 1.0)
+    return Aims(found.places_m, np.where(last > 0.0, weights, 1.0).clip(1.0 / HEAVY, HEAVY))
 
 
 def plan_moves(

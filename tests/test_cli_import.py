@@ -194,6 +194,20 @@ def test_logs_that_do_not_fit_one_transmitter(
         assert " inf" not in said and "+- -" not in said and "(-," not in said
 
 
+def test_a_map_in_centimetres(yard: Path, tmp_path: Path, capsys) -> None:
+    """Cells of 50 m: the size of the cells, of the log and of the steps are implausible."""
+    Image.fromarray(yard_image()).save(tmp_path / "yard.pgm")
+    text = (yard / "yard.yaml").read_text()
+    (tmp_path / "yard.yaml").write_text(text.replace(f"resolution: {RESOLUTION}", "resolution: 50"))
+    data = imported(
+        *(capsys, "--map", tmp_path / "yard.yaml", "--log", yard / "metres.csv"),
+        *("--start", "500,500", "--goal", "500,5000", "--out", tmp_path / "mine.toml"),
+    )
+    said = " ".join(data["warnings"])
+    for words in ("cells of 50 m", "m of a map of 10,000 m", "may drive 200 m in a step"):
+        assert words in said, said
+
+
 def test_start_and_goal_in_degrees(yard: Path, tmp_path: Path, capsys) -> None:
     """The same problem as in metres; a suffix says which where both are possible."""
     places = np.array([[-12.0, -4.0], [50.0, 43.0]])

@@ -154,7 +154,7 @@ def _in_words(data: dict[str, Any]) -> str:
     for each in data["stations"]:
         x, y = each["position_m"]
         std = each["position_std_m"]
-        source = "not determined" if std is None else f"located within +- {std:.2g} m"
+        source = "not determined" if std is None else f"located with standard deviation {std:.2g} m"
         lines.append(
             f"  station {each['name']} at ({x:.1f}, {y:.1f}) m, "
             + (source if each["located"] else "as given")

@@ -48,6 +48,8 @@ ROUTE_DIAGONALS = 6.0
 """Maximum path length of a run in diagonals of the world."""
 MARGIN_SHARE = 0.1
 """Margin of the world around log, start and goal as a share of their extent, without a map."""
+SMALL_LOG = 0.03
+"""Smallest plausible extent of a log as a share of the map's."""
 TRANSMIT_POWER_DBM = 20.0
 """Assumed transmit power; plans do not depend on it, since the log has received powers."""
 SEARCHED_CELLS = 200
@@ -419,7 +421,7 @@ def _station(
     if given is None:
         notes.assume(
             f"{label} is at ({x:.1f}, {y:.1f}) m, located from {len(measurements)} readings "
-            f"within {found.region_m:.2g} m (95 %); plans use this position as if it were exact"
+            f"within {found.region_m:.3g} m (95 %); plans use this position as if it were exact"
             if math.isfinite(found.region_m)
             else f"{label} is at ({x:.1f}, {y:.1f}) m, which the readings do not determine"
         )
@@ -514,6 +516,14 @@ def _check_alignment(
 ) -> None:
     """Add a warning if the log lies outside the map or on obstacles."""
     inside = inside_bounds(workspace, positions_m)
+    log_m = float(np.hypot(*np.ptp(positions_m, axis=0)))
+    x_min, y_min, x_max, y_max = workspace.bounds_m
+    map_m = math.hypot(x_max - x_min, y_max - y_min)
+    if log_m < SMALL_LOG * map_m:
+        notes.warn(
+            f"the log spans {log_m:,.0f} m of a map of {map_m:,.0f} m (check the resolution of the "
+            "map, in metres per cell)"
+        )
     if not inside.all():
         notes.warn(
             f"{100.0 * (1.0 - inside.mean()):.0f} % of the measurements are outside the map (check "

@@ -24,8 +24,12 @@ STRONGEST_DBM = 30.0
 """Largest plausible received power (1 W), next to an antenna."""
 LARGEST_STEP_SHARE = 0.5
 """Largest plausible step length as a share of the diagonal of the world."""
+LONGEST_STEP_M = 100.0
+"""Largest plausible step length; steps must resolve obstacles and shadows."""
 FARTHEST_STATION = 10.0
-"""Largest plausible distance of a station in diagonals of the world (at least 2 km)."""
+"""Largest plausible distance of a station in diagonals of the world (within `FARTHEST_M`)."""
+FARTHEST_M = (2_000.0, 50_000.0)
+"""Bounds of the largest plausible distance of a station."""
 COARSEST_CELL_M = 5.0
 """Largest plausible cell side of an occupancy grid; robots map at centimetres."""
 JUMP_STEPS = 10.0
@@ -104,16 +108,16 @@ def _scales(problem: Problem) -> Iterator[str]:
     diagonal_m, step_s = _diagonal_m(problem), problem.planner.step_s
     for number, robot in enumerate(problem.robots):
         step_m = robot.speed_max_m_s * step_s
-        if step_m > LARGEST_STEP_SHARE * diagonal_m:
+        if step_m > min(LARGEST_STEP_SHARE * diagonal_m, LONGEST_STEP_M):
             yield (
                 f"planner.step_s {step_s:g} s: robots[{number}] may drive {step_m:g} m in a step, "
-                f"in a world of {diagonal_m:.4g} m (seconds and metres per second are expected)"
+                f"in a world of {diagonal_m:,.0f} m (seconds and metres per second are expected)"
             )
 
 
 def _stations(problem: Problem) -> Iterator[str]:
     low, high = np.reshape(problem.workspace.bounds_m, (2, 2))
-    farthest_m = max(FARTHEST_STATION * _diagonal_m(problem), 2_000.0)
+    farthest_m = float(np.clip(FARTHEST_STATION * _diagonal_m(problem), *FARTHEST_M))
     for number, station in enumerate(problem.stations):
         key = f"stations[{number}]"
         place = np.array(station.position_m)

@@ -332,7 +332,7 @@ def draw_moving(panel: Panel, problem: Problem, steps: int, *, predicted: bool) 
 
 
 def window_about(problem: Problem, positions_m: Floats) -> Bounds:
-    """Return a square around positions (n, 2), shifted into the workspace as far as possible."""
+    """Return a square around positions (n, 2), shifted into the workspace or cut off beyond it."""
     low, high = positions_m.min(axis=0), positions_m.max(axis=0)
     side = max(
         float((high - low).max()) * (1.0 + 2.0 * WINDOW_MARGIN),
@@ -347,8 +347,9 @@ def window_about(problem: Problem, positions_m: Floats) -> Bounds:
     )
     # Positions outside the bounds, such as base stations, remain visible.
     begin = np.minimum(np.maximum(begin, high + margin - side), low - margin)
-    x, y = begin.tolist()
-    return x, y, x + side, y + side
+    end = np.minimum(begin + side, np.maximum(last, high) + margin)
+    begin = np.maximum(begin, np.minimum(first, low) - margin)
+    return *begin.tolist(), *end.tolist()
 
 
 def map_window(problem: Problem, positions_m: Floats) -> Bounds:
@@ -365,16 +366,43 @@ def map_window(problem: Problem, positions_m: Floats) -> Bounds:
 
 def _is_small(problem: Problem, window: Bounds) -> bool:
     """Return True if a window is so small that an inset of the workspace is needed."""
-    x_min, _, x_max, _ = problem.workspace.bounds_m
-    return window[2] - window[0] < INSET_BELOW * (x_max - x_min)
+    shown, whole = (
+        max(x_max - x_min, y_max - y_min)
+        for x_min, y_min, x_max, y_max in (window, problem.workspace.bounds_m)
+    )
+    return shown < INSET_BELOW * whole
+
+
+def _point_beyond(panel: Panel, edge_m: Floats, away_m: Floats) -> None:
+    """Point from the edge of a panel to a station beyond it."""
+    distance_m = float(np.linalg.norm(away_m))
+    look = {"arrowstyle": "-|>", "edgecolor": BLACK, "facecolor": ORANGE, "linewidth": 1.2}
+    panel.annotate(
+        f"station {distance_m:.0f} m",
+        edge_m,
+        tuple(away_m / -distance_m * (64.0, 30.0)),
+        textcoords="offset points",
+        arrowprops=look,
+        fontsize=NOTE_PT,
+        bbox={"boxstyle": "round,pad=0.15", "facecolor": WHITE, "edgecolor": "none", "alpha": 0.8},
+        ha="center",
+        va="center",
+        zorder=PLACE_Z,
+    )
 
 
 def show_window(panel: Panel, problem: Problem, positions_m: Floats, window: Bounds) -> None:
     """Limit a panel to a window; in a small window, draw an inset of the whole workspace."""
     show_bounds(panel, window)
+    low, high = np.reshape(window, (2, 2))
+    for radio in problem.stations:
+        edge = np.clip(radio.site.position_m, low, high)
+        if (edge != radio.site.position_m).any():
+            _point_beyond(panel, edge, radio.site.position_m - edge)
+            positions_m = np.vstack([positions_m, edge])
     if not _is_small(problem, window):
         return
-    shares = (positions_m - np.array(window[:2])) / (window[2] - window[0])
+    shares = (positions_m - low) / (high - low)
     corners = [(x, y) for y in (0.01, 0.99 - INSET) for x in (0.01, 0.99 - INSET)]
     distances = [
         np.linalg.norm(shares - np.array(corner) - INSET / 2.0, axis=1).min() for corner in corners

@@ -142,6 +142,8 @@ def test_a_station_outside_the_bounds_stays_in_sight() -> None:
     places = np.array([[5.0, 5.0], [90.0, 10.0]])
     x_min, y_min, x_max, y_max = window_about(problem, places)
     assert x_min < 5.0 and x_max > 90.0 and y_min < 5.0 and y_max > 10.0
+    # Nothing else is shown beyond the bounds
+    assert -10.0 < x_min and -10.0 < y_min and y_max < 40.0 and x_max < 100.0
 
 
 def test_tiles_of_a_grid_have_no_seams() -> None:

@@ -43,6 +43,10 @@ def test_map_of_a_plan(solution, plan, problem):
     assert (plan.positions_m > (left, bottom)).all() and (plan.positions_m < (right, top)).all()
     assert right - left == pytest.approx(10 * 2.0)  # ten longest steps of 2 m
     assert axes.get_legend() is None and "rover, planned" in legend_of(figure)
+    (beyond,) = [text.get_text() for text in axes.texts if "station" in text.get_text()]
+    away = np.array(problem.stations[0].site.position_m)
+    away = away - np.clip(away, (left, bottom), (right, top))
+    assert beyond == f"station {np.hypot(*away):.0f} m"
     (inset,) = axes.child_axes
     assert inset.get_xlim() == (0.0, 100.0)
     frame = inset.lines[-1].get_xydata()
@@ -76,7 +80,7 @@ def test_certificate_in_words(solution):
 
     def words_of(solution):
         figure = draw_solution(solution)
-        return "\n".join(text.get_text() for axes in figure.axes for text in axes.texts)
+        return "\n".join(text.get_text() for axes in figure.axes[1:] for text in axes.texts)
 
     words = words_of(solution)
     for number in ("1.625 m", "0.812", "2.5e-09", "3.5e-07", "101.2", "103.5", "0.75 dB"):

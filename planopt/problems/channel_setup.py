@@ -612,8 +612,8 @@ class BaseStation(Part):
     gain_variable: Annotated[str | None, Field(min_length=1)] = None
     """Name of the station's path gain in dB; replaces channel.truth.variable."""
     log_file: FilePath | None = None
-    """CSV log of the station's initial measurements, in place of channel.measurements.file. Each
-    station needs its own log or power_column."""
+    """CSV log of the station's initial measurements, in place of channel.measurements.file, whose
+    default is the first log_file. Each station needs its own log or power_column."""
     power_column: Annotated[str | None, Field(min_length=1)] = None
     """Column of the station's power in dBm; replaces channel.measurements.columns.power."""
     transmitter: Annotated[str | None, Field(min_length=1)] = None

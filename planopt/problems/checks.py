@@ -331,7 +331,7 @@ def _check_own_channels(problem: Problem) -> None:
             problem,
             [(own.file, own.log_format.columns[2], own.log_format.where) for own in logs],
             "log_file",
-            "is missing: the station would use the same measurements as stations[{other}]",
+            "is missing or repeated: the station would have the measurements of stations[{other}]",
             "give each further station a log_file or a power_column of the same log, or give "
             "channel.measurements.transmitter_column",
         )

@@ -380,6 +380,20 @@ class ProblemFile(Table):
     report: ReportSettings = ReportSettings()
     compare: ComparisonSettings | None = None
 
+    @model_validator(mode="before")
+    @classmethod
+    def _common_log(cls, tables: Any) -> Any:
+        """Make the first log of a station the common log if there is none."""
+        try:
+            logs = [each["log_file"] for each in tables["stations"] if "log_file" in each]
+            channel = {"measurements": {}} | tables.get("channel", {})
+            if isinstance(logs[0], str) and not {"file", "count"} & channel["measurements"].keys():
+                channel["measurements"] = {"file": logs[0]} | channel["measurements"]
+                return {**tables, "channel": channel}
+        except (AttributeError, IndexError, KeyError, TypeError):
+            pass  # The fields' own validation reports it
+        return tables
+
     @model_validator(mode="after")
     def _fits_the_task(self) -> ProblemFile:
         fault = _reach_fault(self) if self.problem.task == "reach" else _terms_fault(self)

@@ -134,9 +134,9 @@ class MotionTask(Task):
         except NoPlanError as error:
             warnings.append(str(error))
         beliefs = (prepared.belief, *prepared.belief.further)
-        for belief in beliefs:
+        for radio, belief in zip(problem.stations, beliefs, strict=True):
             warnings += measured_warnings(belief.posterior.measurements)
-            warnings += [f"fit of the channel, seed 0: {words}" for words in belief.fit.warnings]
+            warnings += [f"fit of {radio.name}, seed 0: {words}" for words in belief.fit.warnings]
         count = sum(belief.fit.measurements for belief in beliefs)
         return {"measurements": count, "warnings": warnings}
 

@@ -11,6 +11,7 @@ from refusals import refused
 from planopt import Problem
 from planopt.extend import casadi_term
 from planopt.planning.initial_data import draw_initial_data
+from planopt.problems.channel_setup import LoggedMeasurements, log_of
 from planopt.problems.library import find_problem, read_toml
 from planopt.problems.problem import problem_from_tables
 
@@ -82,6 +83,23 @@ def test_what_does_not_go_is_refused_with_its_key(change: Change) -> None:
     with refused() as caught:
         changed(change)
     assert caught.value.remedy or caught.value.message
+
+
+@pytest.mark.parametrize("channel", [{}, {"channel": {}}, {"channel": {"measurements": {}}}])
+def test_logs_of_stations_need_no_common_log(channel: dict[str, Any]) -> None:
+    """Each station reads its own, without a table that repeats the first."""
+
+    def change(tables: dict[str, Any]) -> None:
+        del tables["channel"]
+        tables |= channel
+        for name, station in zip(("west.csv", "east.csv"), tables["stations"], strict=True):
+            station["log_file"] = name
+
+    problem = changed(change)
+    log = problem.channel.measurements
+    assert isinstance(log, LoggedMeasurements)
+    files = [log_of(log, station).file.name for station in problem.stations]
+    assert files == ["west.csv", "east.csv"]
 
 
 @pytest.mark.parametrize(

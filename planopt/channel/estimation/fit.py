@@ -114,9 +114,10 @@ def _by_correlation(data: _FitInput, method: FitMethod, loss: Loss) -> _Estimate
     line = least_squares(data.model, measurements)
     alpha = line.variance_db2
     bounds = covariance_bounds(alpha, allows.decorrelation_bounds_m)
-    correlation = empirical_correlation(measurements.positions_m, line.residual_db, allows.extent_m)
+    _, longest_m = allows.decorrelation_bounds_m
+    correlation = empirical_correlation(measurements.positions_m, line.residual_db, longest_m)
     covariance = fit_correlation(
-        correlation, alpha, len(line.residual_db), allows.extent_m, bounds, method, loss
+        correlation, alpha, len(line.residual_db), longest_m, bounds, method, loss
     )
     notes: list[str] = []
     if measurements.censored.any():
@@ -259,7 +260,7 @@ def suspected_floor(measurements: Measurements) -> str | None:
     return (
         f"{(exact == floor).sum()} of {len(exact)} powers equal the lowest, {floor:g} dBm, which "
         "is probably the receiver's floor; if so, the fit is biased: mark these powers as censored "
-        f"(--floor={floor:g})"
+        f"(--floor={floor:g}, or the key floor_dbm)"
     )
 
 

@@ -42,7 +42,7 @@ class Identifiability:
     n_pl_reason: str | None  # Reason why n_PL cannot be estimated, or None
     covariance_reason: str | None  # Reason why xi, beta and omega cannot be estimated, or None
     extent_m: float  # Diagonal of the smallest rectangle around all positions
-    # Range of beta: a third of the smallest useful spacing to the extent
+    # Range of beta: a third of the smallest useful spacing to the bounding box's diagonal
     decorrelation_bounds_m: tuple[float, float]
 
 

@@ -9,7 +9,7 @@ both tails, so that it remains informative if the probability rounds to 0 or 1.
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -30,6 +30,7 @@ from planopt.channel.kriging import (
     predict,
 )
 from planopt.channel.measurements import SAME_PLACE_M
+from planopt.channel.neighbours import NOWHERE, PlaceIndex
 from planopt.channel.parameter_uncertainty import MarginalPosterior, mixture
 from planopt.channel.parameters import require_finite, require_places
 from planopt.channel.posterior import ChannelPosterior, factored_near
@@ -180,16 +181,26 @@ class KnownPower:
 NOTHING_KNOWN = KnownPower(np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros(0))
 
 
-def known_power(station: ChannelPosterior, positions_m: Floats, threshold_dbm: float) -> KnownPower:
-    """Return power bounds at positions, out of (n, 2), with consistent readings (equation 3.12)."""
+def known_power(
+    station: ChannelPosterior,
+    positions_m: Floats,  # (n, 2)
+    threshold_dbm: float,
+    proven: PlaceIndex = NOWHERE,  # Positions from which packets arrived at this station
+) -> KnownPower:
+    """Return power bounds where readings and packets determine a connection (equation 3.12)."""
     places, read = station.index.within(positions_m, SAME_PLACE_M)
-    if not len(places):
+    arrived, _ = proven.within(positions_m, SAME_PLACE_M)
+    if not len(places) and not len(arrived):
         return NOTHING_KNOWN
-    rows, first = np.unique(places, return_index=True)
-    least, most = _power_bounds_dbm(station, read)
-    least, most = np.minimum.reduceat(least, first), np.maximum.reduceat(most, first)
-    known = (least >= threshold_dbm) | (most < threshold_dbm)
-    return KnownPower(rows[known], least[known], most[known])
+    least, most = np.full(len(positions_m), -np.inf), np.full(len(positions_m), np.inf)
+    if len(places):
+        rows, first = np.unique(places, return_index=True)
+        lowest, highest = _power_bounds_dbm(station, read)
+        least[rows] = np.minimum.reduceat(lowest, first)
+        most[rows] = np.maximum.reduceat(highest, first)
+    least[arrived] = np.maximum(least[arrived], threshold_dbm)
+    rows = np.flatnonzero((least >= threshold_dbm) | (most < threshold_dbm))
+    return KnownPower(rows, least[rows], np.maximum(most[rows], least[rows]))
 
 
 def _power_bounds_dbm(station: ChannelPosterior, read: Indices | slice) -> tuple[Floats, Floats]:
@@ -214,6 +225,8 @@ class ConnectivityLaw:
     posteriors: tuple[ChannelPosterior, ...]  # One per station
     thresholds_dbm: tuple[float, ...]  # Minimum power for a connection, one per station
     p_min: float  # Required probability; the combined law's margin is exact for it
+    # Positions from which packets arrived, and arrive again because multipath is constant there
+    proven: PlaceIndex = field(default=NOWHERE, kw_only=True)
 
     def combined(self, powers: Sequence[Prediction]) -> Prediction:
         """Return the normal law of the serving power, given each station's predicted power."""
@@ -221,22 +234,30 @@ class ConnectivityLaw:
 
     def known(self, positions_m: Floats) -> list[KnownPower]:
         """Return each station's power at positions (n, 2) where readings determine it."""
+        # A packet does not tell which of several stations received it.
+        proven = self.proven if len(self.posteriors) == 1 else NOWHERE
         return [
-            known_power(station, positions_m, threshold)
+            known_power(station, positions_m, threshold, proven)
             for station, threshold in zip(self.posteriors, self.thresholds_dbm, strict=True)
         ]
 
     def is_connected(self, positions_m: Floats) -> Mask:
-        """Return a mask (n,) of positions (n, 2) where a reading proves a connection."""
+        """Return a mask (n,) of positions (n, 2) where a reading or packet proves a connection."""
         found = np.zeros(len(positions_m), dtype=np.bool_)
         for known, threshold in zip(self.known(positions_m), self.thresholds_dbm, strict=True):
             found[known.rows[known.least_dbm >= threshold]] = True
+        found[self._proven(positions_m)] = True
         return found
+
+    def _proven(self, positions_m: Floats) -> Indices:
+        """Return the indices of positions (n, 2) from which a packet arrived."""
+        return self.proven.within(positions_m, SAME_PLACE_M)[0]
 
     @property
     def connected_m(self) -> Floats:
-        """Positions (k, 2) of readings that reach their station's threshold."""
-        found: list[Floats] = []
+        """Positions (k, 2) of readings that prove a connection, and of the latest packet."""
+        # Earlier packets came from positions next to readings.
+        found = [self.proven.positions_m[-1:]]
         for station, threshold in zip(self.posteriors, self.thresholds_dbm, strict=True):
             least, _ = _power_bounds_dbm(station, slice(None))
             found.append(station.measurements.positions_m[least >= threshold])
@@ -257,11 +278,18 @@ class ConnectivityLaw:
         """Return the normal law of the serving power at positions (n, 2), known or predicted."""
         if len(self.posteriors) == 1:
             return self.known(positions_m)[0].replace_in(self.predicted(positions_m, predict))
-        return self.combined(self.each_power(positions_m, predict))
+        power, rows = (
+            self.combined(self.each_power(positions_m, predict)),
+            self._proven(positions_m),
+        )
+        least = np.full(len(rows), self.thresholds_dbm[0])
+        return KnownPower(rows, least, np.full(len(rows), np.inf)).replace_in(power)
 
     def probability(self, positions_m: Floats, slack_db: float = 0.0) -> Floats:
         """Return P(connected) (n,) at positions (n, 2), thresholds lowered by `slack_db`."""
-        return any_probability(self.each_power(positions_m), self.thresholds_dbm, slack_db)
+        found = any_probability(self.each_power(positions_m), self.thresholds_dbm, slack_db)
+        found[self._proven(positions_m)] = 1.0
+        return found
 
     def margin_db(self, positions_m: Floats) -> Floats:
         """Return the margin (n,) of the chance constraint P(connected) >= p_min in dB."""

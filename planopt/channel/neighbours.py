@@ -152,6 +152,10 @@ class PlaceIndex:
         return PlaceTree(late) if len(late) else None
 
 
+NOWHERE = PlaceIndex(np.zeros((0, 2)))
+"""Index of no positions."""
+
+
 @dataclass(frozen=True, eq=False)
 class Window:
     """Block of measurements with the neighbours on which it is conditioned."""

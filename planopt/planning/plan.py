@@ -10,6 +10,7 @@ import numpy as np
 
 from planopt.arrays import Floats, Mask
 from planopt.bounds.bound import Bound
+from planopt.channel.neighbours import NOWHERE, PlaceIndex
 from planopt.planning.certificate import Certificate, Hole
 from planopt.problems.problem import Problem
 from planopt.robots.dynamics import Drive, rolled_out
@@ -225,6 +226,8 @@ class History:
     crossing_excess_m: float = 0.0
     # (n, 2) end positions of earlier steps without connection
     missed_m: Floats = field(default_factory=lambda: np.zeros((0, 2)), repr=False, compare=False)
+    # End positions of steps with a connection
+    connected: PlaceIndex = field(default=NOWHERE, repr=False, compare=False)
 
 
 CIRCLING_STEPS = 15
@@ -254,6 +257,7 @@ def history_of(
         outage_m=float(legs[since:].sum()),
         delivered_mbit=float(data_of_steps_mbit(problem, 0, count) @ connected),
         missed_m=track_m[1:-1][~connected[:-1]],
+        connected=PlaceIndex.of(track_m[1:][connected]),
         crossing_cost_m=sum(each.step_cost_m or 0.0 for each in priced),
         crossing_excess_m=sum(each.step_excess_m or 0.0 for each in priced),
         has_circled=not problem.workspace.moving

@@ -102,7 +102,7 @@ def _by_likelihood(data: _FitInput, *, has_prior: bool) -> _Estimate:
     known = data.parameters(line.coefficients, rough.values)
     prior = None
     if has_prior:
-        prior = LogNormal(MAP_EXTENT_SHARE * data.allows.extent_m, MAP_LOG_BETA_STD)
+        prior = LogNormal(MAP_EXTENT_SHARE * data.allows.rotated_extent_m, MAP_LOG_BETA_STD)
     found = reml_fit(data.model, data.measurements, bounds, known, prior)
     at = found.best.at
     return _Estimate(found.covariance, at.coefficients, at.coefficient_covariance, reml=found)

@@ -41,8 +41,9 @@ class Identifiability:
 
     n_pl_reason: str | None  # Reason why n_PL cannot be estimated, or None
     covariance_reason: str | None  # Reason why xi, beta and omega cannot be estimated, or None
-    extent_m: float  # Diagonal of the smallest rectangle around all positions
-    # Range of beta: a third of the smallest useful spacing to the bounding box's diagonal
+    extent_m: float  # Diagonal of the bounding box of all positions
+    rotated_extent_m: float  # Diagonal of the smallest rectangle around them, however rotated
+    # Range of beta: a third of the smallest useful spacing to the extent
     decorrelation_bounds_m: tuple[float, float]
 
 
@@ -53,11 +54,13 @@ def examine(measurements: Measurements, station: Station) -> Identifiability:
     positions = measurements.positions_m[exact]
     count = len(positions)
     distinct = np.unique(measurements.positions_m, axis=0)
+    extent = float(np.hypot(*np.ptp(distinct, axis=0)))
     return Identifiability(
         _n_pl_reason(positions, station, count),
         _covariance_reason(positions, count),
-        _extent_m(distinct),
-        _decorrelation_bounds_m(distinct),
+        extent,
+        _rotated_extent_m(distinct),
+        _decorrelation_bounds_m(distinct, extent),
     )
 
 
@@ -104,18 +107,17 @@ def _covariance_reason(positions: Floats, count: int) -> str | None:
     return None
 
 
-def _extent_m(positions_m: Floats) -> float:
+def _rotated_extent_m(positions_m: Floats) -> float:
     """Return the diagonal of the smallest rectangle around positions (n, 2), however rotated."""
     corners = shapely.get_coordinates(shapely.oriented_envelope(shapely.MultiPoint(positions_m)))
     return float(np.linalg.norm(corners - corners[0], axis=1).max())
 
 
-def _decorrelation_bounds_m(distinct: Floats) -> tuple[float, float]:
+def _decorrelation_bounds_m(distinct: Floats, extent_m: float) -> tuple[float, float]:
     """Return bounds of beta from distinct positions (n, 2)."""
     if len(distinct) < 2:
         return FALLBACK_DECORRELATION_M, FALLBACK_DECORRELATION_M
     # A quantile is robust against two positions that happen to be a centimetre apart.
-    extent_m = float(np.hypot(*np.ptp(distinct, axis=0)))
     spacing = max(float(np.quantile(nearest_distance_m(distinct), 0.05)), LEAST_EXTENT_M)
     return min(spacing, extent_m) / 3.0, extent_m
 

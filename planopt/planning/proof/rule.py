@@ -6,6 +6,7 @@ function of a plan's connection probabilities.
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
@@ -78,6 +79,12 @@ def stations_law(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> Co
     return ConnectivityLaw(tuple(posteriors), thresholds, problem.constraints.p_min)
 
 
+def law_after(law: ConnectivityLaw, history: History) -> ConnectivityLaw:
+    """Return the law given the packets of a run; none are known if shadowing changes with time."""
+    changes = any(math.isfinite(each.parameters.forgetting_s) for each in law.posteriors)
+    return law if changes else replace(law, proven=history.connected)
+
+
 def uncertain_law(
     problem: Problem, posteriors: Sequence[ChannelPosterior]
 ) -> ConnectivityLaw | None:
@@ -123,7 +130,8 @@ class VerifierContext:
     @property
     def law(self) -> ConnectivityLaw:
         """Probability model of connection."""
-        return self.uncertain or stations_law(self.problem, self.posteriors)
+        law = self.uncertain or stations_law(self.problem, self.posteriors)
+        return law_after(law, self.history)
 
     @property
     def position_m(self) -> Floats:

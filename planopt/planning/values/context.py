@@ -389,21 +389,12 @@ class StepContext(VerifierContext):
         # One at known connections, zero where a robot would not probe, else `predicted` (...).
         flat = places_m.reshape(-1, 2)
         found = np.where(self._probing.is_open(flat), predicted.reshape(-1), 0.0)
-        connected = self.law.is_connected(flat)
-        away = np.abs(flat - self._connected_here_m[:, None]).max(axis=2)
-        connected |= (away <= SAME_PLACE_M).any(axis=0)
-        return np.where(connected, 1.0, found).reshape(predicted.shape)
+        return np.where(self.law.is_connected(flat), 1.0, found).reshape(predicted.shape)
 
     @property
     def connected_m(self) -> Floats:
         """Positions (k, 2) known to be connected."""
-        return np.vstack([self.law.connected_m, self._connected_here_m])
-
-    @property
-    def _connected_here_m(self) -> Floats:
-        """Robot's position (1, 2) if its last packet arrived; otherwise empty, (0, 2)."""
-        arrived = self.history.steps > 0 and self.history.outage_steps == 0
-        return self.position_m[None] if arrived else np.zeros((0, 2))
+        return self.law.connected_m
 
     def chance(self, place_m: Floats) -> float:
         """Return the probability of connection at one position (2,), from a separate prediction."""

@@ -108,6 +108,22 @@ def test_any_of_several_stations_connects():
     assert law.probability(PLACES) == pytest.approx(found, rel=1e-12)
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_a_packet_proves_the_connection(count):
+    """Of one station or of several, in margins and draws; a contrary reading does not matter."""
+    tables = [Measurements(PLACES[2:], np.array([-99.0, -79.0]))] * count
+    before = law_of(*tables)
+    law = replace(before, proven=PlaceIndex.of(PLACES[1:3]))
+    found = chances(law, PLACES)
+    np.testing.assert_array_equal(found[1:3], 1.0)
+    np.testing.assert_array_equal(found[[0, 3]], chances(before, PLACES)[[0, 3]])
+    np.testing.assert_array_equal(law.is_connected(PLACES), [False, True, True, True])
+    assert (law.margin_db(PLACES[1:3]) >= 0.0).all()
+    assert law.probability(PLACES) == pytest.approx(found, rel=1e-12)
+    if count == 1:
+        assert (law.sample(PLACES[:2], 500, 3)[:, 1] >= THRESHOLD_DBM).all()
+
+
 def test_draws_keep_known_powers():
     """Known powers in every draw; elsewhere the joint law of all measurements."""
     law = law_of(Measurements(PLACES[:2], np.array([-79.0, -99.0])))

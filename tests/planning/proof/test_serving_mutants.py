@@ -31,8 +31,8 @@ MUTANTS = (
     (LAW, "prediction.mean_db - threshold\n", "prediction.mean_db - thresholds_dbm[0]\n"),
     (
         LAW,
-        "return self.combined(self.each_power(positions_m, predict))",
-        "return self.each_power(positions_m, predict)[0]",
+        "self.combined(self.each_power(positions_m, predict))",
+        "self.each_power(positions_m, predict)[0]",
     ),
     (RULE, "radio.threshold_dbm for radio in", "problem.stations[0].threshold_dbm for radio in"),
     (RULE, "tuple(posteriors), thresholds", "tuple(posteriors)[::-1], thresholds"),

@@ -232,7 +232,7 @@ def _within(fault: ErrorDetails, field: FieldInfo) -> str:
 
 def _meaning(field: FieldInfo) -> str | None:
     """Return the meaning of a key for a message; None for a key without description."""
-    return field.description and f"the key means: {field.description.rstrip('.')}"
+    return field.description and f"meaning: {field.description.rstrip('.')}"
 
 
 def _resolve(

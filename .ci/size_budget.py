@@ -13,11 +13,11 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_728,
-    "lines of code": 52_296,
-    "files": 249,
-    "functions": 3_782,
-    "docstring lines": 7_511,
+    "lines": 70_709,
+    "lines of code": 52_277,
+    "files": 247,
+    "functions": 3_779,
+    "docstring lines": 7_509,
     "lines of tests": 48_456,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""

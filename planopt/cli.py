@@ -76,7 +76,7 @@ planopt --help lists all commands."""
 
 
 @app.callback()
-def _planopt(  # pyright: ignore[reportUnusedFunction]
+def _planopt(
     context: typer.Context,
     version: Annotated[
         bool,

@@ -516,7 +516,7 @@ def table_of(data: type[Any]) -> type[BaseModel]:
     words = inspect.cleandoc(data.__dict__.get("__doc__") or "").partition("\n")[0]
     keys: dict[str, Any] = {}
     for key, kind in _kind_of(data).items():
-        keys[key] = (Literal[kind], Field(description=getattr(data, "summary", words)))  # pyright: ignore
+        keys[key] = (Literal[kind], Field(description=getattr(data, "summary", words)))
     base, not_keys = getattr(data, "Keys", Table), getattr(data, "not_keys", ())
     meanings = _meanings(data) if issubclass(data, Part) else {}
     for each in fields(data):

@@ -221,9 +221,9 @@ class Corridor:
         order = np.lexsort([cost, key])
         first = order[np.diff(key[order], prepend=-1) > 0]
         edges = (cost[first], (one[first], other[first]))
-        graph = sparse.coo_array(edges, shape=(len(points),) * 2).tocsr()
+        graph = sparse.coo_array(edges, shape=(len(points), len(points))).tocsr()
         ends = [0, self._nearest(goal_m)]
-        search = cast("Any", csgraph.dijkstra)  # pyright: ignore
+        search = cast("Any", csgraph.dijkstra)
         cost_m: Array
         self._next: Indices
         cost_m, self._next = search(graph, directed=False, indices=ends, return_predecessors=True)

@@ -6,6 +6,7 @@ obstacle constraints (solved by least squares). Inaccurate multipliers only loos
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import shapely
@@ -81,8 +82,8 @@ def local_optimum(problem: StageProblem, path_m: Array, surplus: float = 0.0) ->
             ]
         return found.reshape(len(found), -1)
 
-    limits = {"type": "ineq", "fun": room, "jac": room_slope}
-    options = {"maxiter": MOST_ITERATIONS, "ftol": 1e-10}
+    limits: Any = {"type": "ineq", "fun": room, "jac": room_slope}
+    options: Any = {"maxiter": MOST_ITERATIONS, "ftol": 1e-10}
     found = minimize(
         loss, path_m.ravel(), jac=True, method="SLSQP", constraints=limits, options=options
     )

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.special import stdtrit  # pyright: ignore[reportUnknownVariableType]
+from scipy.special import stdtrit
 
 from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.kriging import CONFIDENCE, binomial_interval

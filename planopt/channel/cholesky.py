@@ -7,6 +7,7 @@ On a busy machine, waiting BLAS threads made a fit of 102 measurements take 6 s 
 from collections.abc import Generator
 from contextlib import contextmanager
 from functools import cache
+from typing import Any, cast
 
 import numpy as np
 
@@ -19,10 +20,10 @@ from planopt.arrays import Floats
 from planopt.errors import InputError
 
 # Looked up by name, because a type checker cannot see into the compiled module.
-FACTOR, INVERT, INVERT_LOWER, SOLVE_LOWER = get_lapack_funcs(
+FACTOR, INVERT, INVERT_LOWER, SOLVE_LOWER = cast("Any", get_lapack_funcs)(
     ("potrf", "potri", "trtri", "trtrs"), dtype=np.float64
 )
-(SYMMETRIC,) = get_blas_funcs(("symm",), dtype=np.float64)
+SYMMETRIC = get_blas_funcs("symm", dtype=np.float64)
 
 INVERTED_ROWS = 64
 """Maximum number of rows that LAPACK inverts directly; more are inverted faster by halves."""

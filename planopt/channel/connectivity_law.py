@@ -13,11 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import (  # pyright: ignore[reportUnknownVariableType]
-    log_ndtr,
-    ndtr,  # pyright: ignore[reportUnknownVariableType]
-    ndtri_exp,
-)
+from scipy.special import log_ndtr, ndtr, ndtri_exp
 
 from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.gaussian_sites import MIN_NOISE_VARIANCE_DB2

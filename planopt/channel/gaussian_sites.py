@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import erfcx, log_ndtr  # pyright: ignore[reportUnknownVariableType]
+from scipy.special import erfcx, log_ndtr
 
 from planopt.arrays import Floats, Mask
 from planopt.channel.cholesky import log_determinant, lower_factor, one_blas_thread, solve_lower

@@ -12,11 +12,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import (  # pyright: ignore[reportUnknownVariableType]
-    gammaln,
-    psi,
-    zeta,  # pyright: ignore[reportUnknownVariableType]
-)
+from scipy.special import gammaln, psi, zeta
 
 from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.measurements import MAX_POWER_DB, Measurements

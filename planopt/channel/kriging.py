@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import betaincinv, ndtr, ndtri  # pyright: ignore[reportUnknownVariableType]
+from scipy.special import betaincinv, ndtr, ndtri
 
 from planopt.arrays import Floats, Indices
 from planopt.channel.cholesky import inverse, lower_factor, whiten, whitened_by

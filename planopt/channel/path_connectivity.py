@@ -4,12 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import (  # pyright: ignore[reportUnknownVariableType]
-    log_ndtr,
-    ndtr,  # pyright: ignore[reportUnknownVariableType]
-    ndtri_exp,
-    owens_t,
-)
+from scipy.special import log_ndtr, ndtr, ndtri_exp, owens_t
 
 from planopt.arrays import Floats
 from planopt.channel.cholesky import semidefinite_factor
@@ -126,7 +121,8 @@ def _products(bound: Floats, lower: Floats, uniform: Floats) -> Floats:
         room = bound[k] - drawn[:, :k] @ lower[k, :k]
         spread = lower[k, k]
         if spread > 0.0:
-            log_inside = _array(log_ndtr(np.clip(room / spread, -FAR, FAR)))
+            reach: Floats = np.clip(room / spread, -FAR, FAR)
+            log_inside = _array(log_ndtr(reach))
         else:
             # Earlier values determine this one, so it needs no draw.
             log_inside = np.where(room >= 0.0, 0.0, -np.inf)

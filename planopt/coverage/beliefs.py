@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtrc, chdtri  # pyright: ignore[reportUnknownVariableType]
+from scipy.special import chdtrc, chdtri
 
 from planopt.arrays import Floats, Indices, Mask
 from planopt.coverage.assignment import (

@@ -12,7 +12,7 @@ from typing import Any, cast
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from scipy.optimize import Bounds, minimize  # pyright: ignore[reportUnknownVariableType]
+from scipy.optimize import Bounds, minimize
 from scipy.spatial import KDTree
 
 from planopt.arrays import Floats, Indices, Mask
@@ -70,9 +70,9 @@ class Prices:
     def at(self, places_m: Floats, most_m2: float) -> Floats:
         """Return the prices (k,) at positions (k, 2), at most `most_m2`."""
         count = min(NEAREST, len(self.logarithms))
-        found = self.tree.query(places_m, k=[*range(1, count + 1)])  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
-        distances = np.asarray(found[0], dtype=np.float64)  # pyright: ignore[reportUnknownArgumentType]
-        numbers = np.asarray(found[1], dtype=np.intp)  # pyright: ignore[reportUnknownArgumentType]
+        found = self.tree.query(places_m, k=[*range(1, count + 1)])
+        distances = np.asarray(found[0], dtype=np.float64)
+        numbers = np.asarray(found[1], dtype=np.intp)
         weights = 1.0 / np.maximum(distances, max(1e-9 * float(distances.max()), 1e-150)) ** 2
         weights /= weights.sum(axis=1, keepdims=True)
         return np.minimum(np.exp((weights * self.logarithms[numbers]).sum(axis=1)), most_m2)
@@ -225,7 +225,7 @@ def _cells(ground: Ground, middles_m: Floats, sides_m: Floats) -> Cells:
 def _cells_of_nodes(ground: GeodesicGround, middles_m: Floats, sides_m: Floats) -> Cells:
     """Return the nodes of a ground, merged into one cell per square."""
     places, weight = ground.ends_m, ground.mass
-    square = np.asarray(KDTree(middles_m).query(places)[1], dtype=np.intp)  # pyright: ignore[reportUnknownMemberType, reportUnknownArgumentType]
+    square = np.asarray(KDTree(middles_m).query(places)[1], dtype=np.intp)
     count = len(middles_m)
     mass = _sums(square, weight, count)
     share = np.maximum(mass, 1e-300)[:, None]
@@ -256,10 +256,10 @@ def _pairs(
             boxes = slice(begin, begin + CHUNK)
             cut_m = float((radius[number] + extent[number]).max())
             cut_m += math.sqrt(2.0) * float(half_m[boxes].max())
-            near = KDTree(middles_m[boxes]).sparse_distance_matrix(  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
+            near = KDTree(middles_m[boxes]).sparse_distance_matrix(
                 tree, cut_m * (1.0 + 1e-9), output_type="coo_matrix"
             )
-            yield begin + np.asarray(near.row, dtype=np.intp), number[near.col]  # pyright: ignore[reportUnknownArgumentType, reportUnknownMemberType]
+            yield begin + np.asarray(near.row, dtype=np.intp), number[near.col]
 
 
 @dataclass(frozen=True, eq=False)
@@ -323,7 +323,7 @@ def _optimised(
                 args=(cells, at, count, smoothing * max(top, 1e-300)),
                 jac=True,
                 method="L-BFGS-B",
-                bounds=Bounds(-np.inf, np.log(limit)),  # pyright: ignore[reportArgumentType]
+                bounds=Bounds(-np.inf, np.log(limit)),
                 options={"maxiter": int(min(max(steps, 2.0), MOST_STEPS)), "maxcor": 15},
             ),
         )

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import ndtr  # pyright: ignore[reportUnknownVariableType]
+from scipy.special import ndtr
 
 from planopt.arrays import Floats, Indices
 from planopt.coverage.voronoi import Boundary, ConvexRegion, Moments, region_boundary
@@ -130,7 +130,8 @@ class GaussianMixture:
             side = np.where(dx < 0.0, -1.0, 1.0)
             at, off = (x - dx) / std, (y - dy) / std
             bell = np.exp(-0.5 * at * at) / np.sqrt(2.0 * np.pi)
-            below = side * ndtr(side * at)
+            nearer: Floats = side * at
+            below = side * ndtr(nearer)
             row = weight / (np.sqrt(2.0 * np.pi) * std) * np.exp(-0.5 * off * off) * rise
             first = dx * below - std * bell
             square = std * std * (below - at * bell) - 2.0 * std * dx * bell + dx * dx * below

@@ -351,8 +351,8 @@ def geodesic_targets(ground: GeodesicGround, agents_m: Floats, cells: GeodesicCe
 
 def _nearest(tree: KDTree, places: Floats, count: int) -> Indices:
     """Return the numbers (k, count) of the agents nearest to positions (k, 2), nearest first."""
-    found = tree.query(places, k=count)[1]  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
-    return np.asarray(found, dtype=np.intp).reshape(len(places), count)  # pyright: ignore[reportUnknownArgumentType]
+    found = tree.query(places, k=count)[1]
+    return np.asarray(found, dtype=np.intp).reshape(len(places), count)
 
 
 def _own_cost(ground: GeodesicGround, agents: Floats, owner: Indices, wanted: Indices) -> Floats:

@@ -132,8 +132,8 @@ class ConvexGround:
         grid = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
         samples = low + grid * (high - low)
         samples = samples[self.region.contains(samples)]
-        found = KDTree(agents_m).query(samples, k=2)  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
-        distances, agents = np.asarray(found[0], dtype=np.float64), np.asarray(found[1])  # pyright: ignore[reportUnknownArgumentType]
+        found = KDTree(agents_m).query(samples, k=2)
+        distances, agents = np.asarray(found[0], dtype=np.float64), np.asarray(found[1])
         reach = math.inf if self.sensing_range_m is None else self.sensing_range_m
         first, second = (np.minimum(distances, reach) ** 2).T
         share_m2 = float((high - low).prod()) / SAMPLES**2

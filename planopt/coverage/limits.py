@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from scipy.ndimage import maximum_filter  # pyright: ignore[reportUnknownVariableType]
+from scipy.ndimage import maximum_filter
 
 from planopt.arrays import Floats
 from planopt.channel.posterior import ChannelPosterior

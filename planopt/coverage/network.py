@@ -13,7 +13,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import Field
-from scipy.special import ndtr  # pyright: ignore[reportUnknownVariableType]
+from scipy.special import ndtr
 
 from planopt.arrays import Floats, Indices, Mask
 from planopt.errors import InputError

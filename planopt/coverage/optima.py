@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment  # pyright: ignore[reportUnknownVariableType]
+from scipy.optimize import linear_sum_assignment
 
 from planopt.arrays import Floats, Indices
 from planopt.coverage.geodesic import GeodesicGround, Ground

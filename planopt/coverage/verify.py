@@ -8,8 +8,8 @@ from typing import Any, cast
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from scipy.optimize import least_squares  # pyright: ignore[reportUnknownVariableType]
-from scipy.special import erfc  # pyright: ignore[reportUnknownVariableType]
+from scipy.optimize import least_squares
+from scipy.special import erfc
 
 from planopt.arrays import Floats
 from planopt.channel.kriging import Prediction
@@ -76,7 +76,7 @@ def verify_moves(
     if math.isfinite(limits.speed_m_s):
         require("speed", speed, limits.speed_m_s, SLACK * limits.speed_m_s)
     corners = np.stack((before_m, control, after_m), axis=1)
-    swept = shapely.convex_hull(shapely.multipoints(corners))  # pyright: ignore[reportArgumentType, reportCallIssue]
+    swept = shapely.convex_hull(shapely.multipoints(corners))
     found += _border_faults(free, np.asarray(swept), max(limits.body_radius_m, limits.clearance_m))
     if limits.body_radius_m > 0.0:
         timed = limits.turn_rate_rad_s is None
@@ -183,8 +183,8 @@ def _fails(law: LinkLaw, lengths_m: Floats, threshold_dbm: float) -> Floats:
         mean = law.theta[0] + slope * law.theta[1] - threshold_dbm
         (a, b), (_, c) = law.theta_covariance
         spread = np.sqrt(np.maximum(a + 2.0 * b * slope + c * slope**2, 0.0) + law.deviation_db**2)
-        tail = erfc(mean / np.maximum(spread, 1e-9) / math.sqrt(2.0))
-        return 0.5 * np.asarray(tail, dtype=np.float64)
+        score: Floats = mean / np.maximum(spread, 1e-9)
+        return 0.5 * erfc(score / math.sqrt(2.0))
 
     lengths = np.maximum(lengths_m, SHORTEST_M)
     grid = np.geomspace(SHORTEST_M, 2.0 * float(lengths.max()), SAMPLES)

@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components  # pyright: ignore[reportUnknownVariableType]
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from planopt.arrays import Floats, Indices, Mask
@@ -206,8 +206,7 @@ def merge_coincident(places_m: Floats, within_m: float) -> tuple[Floats, Indices
     """Merge points linked by gaps up to `within_m`; return merged points and group numbers."""
     # Shapes: places_m (n, d); returns (g, d) and (n,).
     tree = KDTree(places_m)
-    found = tree.query_pairs(within_m, output_type="ndarray")  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
-    pairs, count = cast("Indices", found), len(places_m)
+    pairs, count = tree.query_pairs(within_m, output_type="ndarray"), len(places_m)
     if not len(pairs):
         return places_m, np.arange(count)
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count))

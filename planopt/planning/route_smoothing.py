@@ -97,7 +97,7 @@ def _moved_out(index: ObstacleIndex, distance_m: float, places_m: Floats) -> Flo
         points = shapely.points(places[rows])
         near = index.polygons[index.tree.query_nearest(points, all_matches=False)[1]]
         lines: Any = shapely.shortest_line(shapely.boundary(near), points)  # pyright: ignore
-        ends: Floats = shapely.get_coordinates(lines)[::2]  # pyright: ignore
+        ends: Floats = shapely.get_coordinates(lines)[::2]
         outwards = np.where(shapely.contains(near, points), -1.0, 1.0)
         offset = outwards[:, None] * (places[rows] - ends)
         size = np.linalg.norm(offset, axis=1)

@@ -64,8 +64,8 @@ def read_term(value: object) -> Term:
 
 @lru_cache(maxsize=4)
 def _adapter_of(terms: tuple[type[Term], ...]) -> TypeAdapter[Any]:
-    choice: Any = Union[_tables_of(terms)]  # pyright: ignore  # noqa: UP007
-    tagged: Any = Annotated[choice, Field(discriminator="kind")]  # pyright: ignore
+    choice: Any = Union[_tables_of(terms)]  # noqa: UP007
+    tagged: Any = Annotated[choice, Field(discriminator="kind")]
     return TypeAdapter[Any](tagged)
 
 

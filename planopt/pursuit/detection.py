@@ -13,7 +13,7 @@ from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linprog  # pyright: ignore[reportUnknownVariableType]
+from scipy.optimize import linprog
 from scipy.sparse import coo_array
 
 from planopt.arrays import Floats, Indices, Mask
@@ -183,7 +183,9 @@ def _best_chains(
     shape = 2 * reports + starts, len(links)
     rows = coo_array((sign, (row, np.tile(links, 3))), shape=shape)
     limits = np.repeat([1.0, 0.0, 1.0], [reports, reports, starts])
-    found: Any = linprog(-worth, A_ub=rows, b_ub=limits, bounds=(0.0, 1.0), method="highs-ds")
+    found: Any = cast("Any", linprog)(
+        -worth, A_ub=rows, b_ub=limits, bounds=(0.0, 1.0), method="highs-ds"
+    )
     share = cast("Floats | None", found.x)
     if share is None:
         raise PlanoptError(f"the association of {reports} reports was not solved")

@@ -6,7 +6,7 @@ from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import linear_sum_assignment  # pyright: ignore[reportUnknownVariableType]
+from scipy.optimize import linear_sum_assignment
 
 from planopt.arrays import Floats, Indices, finite_array
 from planopt.errors import InputError

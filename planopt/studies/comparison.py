@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
-from scipy.special import stdtrit  # pyright: ignore[reportUnknownVariableType]
+from scipy.special import stdtrit
 
 from planopt.arrays import Floats
 from planopt.channel.calibration import FEWEST_GROUPS, ReliabilityBin, reliability

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import shapely
@@ -270,11 +270,7 @@ def overlapping(places_m: Floats, body_radius_m: float) -> tuple[int, int] | Non
     """Return the first pair of bodies at positions ``(n, 2)`` that touch; None without contact."""
     if body_radius_m == 0.0:
         return None
-    touching = cast(
-        "set[tuple[int, int]]",
-        KDTree(places_m).query_pairs(2.0 * body_radius_m),  # pyright: ignore[reportUnknownMemberType]
-    )
-    return min(touching, default=None)
+    return min(KDTree(places_m).query_pairs(2.0 * body_radius_m), default=None)
 
 
 def _ground(world: WorldTable, density: Density, body_radius_m: float) -> Ground:

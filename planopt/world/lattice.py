@@ -13,13 +13,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra  # pyright: ignore[reportUnknownVariableType]
+from scipy.sparse.csgraph import dijkstra
 
 from planopt.arrays import Floats, Indices, Mask
 from planopt.errors import InputError
@@ -441,7 +441,7 @@ def cheapest_paths(
     graph = csr_matrix((edge_cost_m, road_map.edge_to, road_map.edge_start), shape=(count, count))
     cost, following = cast(
         "tuple[Floats, NDArray[np.int32]]",
-        dijkstra(graph, indices=goal_node, return_predecessors=True, limit=limit_m),
+        cast("Any", dijkstra)(graph, indices=goal_node, return_predecessors=True, limit=limit_m),
     )
     return CostToGo(cost_m=cost, next_node=following)
 

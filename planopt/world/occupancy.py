@@ -210,7 +210,7 @@ def _components(closed: Mask) -> Indices:
     apart = np.zeros((row[-1] + 1, column[-1] + 1), dtype=np.bool_)
     apart[np.ix_(row, column)] = closed
     labels = np.zeros(apart.shape, dtype=np.intp)
-    ndimage.label(apart, output=labels)  # pyright: ignore[reportUnknownMemberType]
+    ndimage.label(apart, output=labels)
     return labels[np.ix_(row, column)]
 
 

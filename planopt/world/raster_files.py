@@ -14,7 +14,7 @@ import io
 import math
 import re
 from array import array
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import ModuleType
@@ -61,7 +61,7 @@ def write_netcdf(path: Path, rasters: Mapping[str, Raster], origin_deg: Origin |
     with netcdf_file(path, "w") as file:
         for name, axis in zip(NETCDF_AXES, (first.y_m, first.x_m), strict=True):
             file.createDimension(name, len(axis))
-            coordinate = file.createVariable(name, "d", (name,))
+            coordinate: Any = file.createVariable(name, "d", (name,))
             coordinate[:] = axis
             coordinate.units = "m"
             coordinate.axis = name.upper()
@@ -76,11 +76,11 @@ def write_netcdf(path: Path, rasters: Mapping[str, Raster], origin_deg: Origin |
             x, y = np.meshgrid(first.x_m, first.y_m)
             degrees = longitude_latitude_deg(np.stack([x.ravel(), y.ravel()], axis=1), origin_deg)
             for name, unit, values in zip(DEGREES, DEGREE_UNITS, degrees.T, strict=True):
-                variable = file.createVariable(name, "d", NETCDF_AXES)
+                variable: Any = file.createVariable(name, "d", NETCDF_AXES)
                 variable[:] = values.reshape(x.shape)
                 variable.units, variable.standard_name = unit, name
         for name, raster in rasters.items():
-            variable = file.createVariable(name, "d", NETCDF_AXES)
+            variable: Any = file.createVariable(name, "d", NETCDF_AXES)
             variable[:] = raster.values
             variable.units, variable.long_name = raster.unit, raster.quantity
             if origin_deg is not None:
@@ -205,7 +205,7 @@ def _read_hdf5(path: Path, content: bytes, variable: str) -> _Read:
             return found, attributes, "" if mapping is None else _text(mapping.attrs.get("crs_wkt"))
 
 
-def _require_map(held: Mapping[str, tuple[str, ...]], variable: str) -> None:
+def _require_map(held: Mapping[str, Sequence[str]], variable: str) -> None:
     """Raise an InputError for a file without `variable`, or with dimensions other than y, x."""
     for name in (*NETCDF_AXES, variable):
         if name not in held:

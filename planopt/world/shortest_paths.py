@@ -7,7 +7,7 @@ from typing import cast
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import dijkstra  # pyright: ignore[reportUnknownVariableType]
+from scipy.sparse.csgraph import dijkstra
 
 from planopt.arrays import Floats, Indices, Mask
 from planopt.world.clearance import ObstacleIndex, clearance_m, segment_lines

@@ -4,7 +4,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import bdtrc  # pyright: ignore[reportUnknownVariableType]
+from scipy.special import bdtrc
 
 from planopt.arrays import Floats, Indices
 from planopt.channel.cholesky import one_blas_thread

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from scipy.special import log_ndtr  # pyright: ignore[reportUnknownVariableType]
+from scipy.special import log_ndtr
 
 from planopt.arrays import Floats
 from planopt.channel.gaussian_sites import rounded_variance_db2

@@ -6,14 +6,14 @@ stay in a disc whose diameter is the largest length that the link's share of the
 
 import itertools
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra  # pyright: ignore[reportUnknownVariableType]
+from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
-from scipy.special import ndtr  # pyright: ignore[reportUnknownVariableType]
+from scipy.special import ndtr
 
 from planopt.arrays import Floats, Indices, Mask
 from planopt.coverage.control.safe_sets import SPARE, UNBOUNDED, SafeSets, half_planes, joined
@@ -148,8 +148,7 @@ def _links(places: Floats, stops: Floats, longest_m: float) -> tuple[Indices, Fl
     # Circles have centres (e, 2) and diameters (e,); the diameter counts as the link length.
     middle, half = 0.5 * (places + stops), 0.5 * np.linalg.norm(stops - places, axis=1)
     tree = KDTree(middle)
-    found = tree.query_pairs(longest_m + 2.0 * float(half.max()), output_type="ndarray")  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
-    pairs = cast("Indices", found)
+    pairs = tree.query_pairs(longest_m + 2.0 * float(half.max()), output_type="ndarray")
     one, other = pairs[:, 0], pairs[:, 1]
     if not half.any():
         centres = 0.5 * (places[one] + places[other])
@@ -183,7 +182,7 @@ def _tree(
     number = csr_array((np.arange(1, len(pairs) + 1), (pairs[:, 0], pairs[:, 1])), shape=shape)
     far, before = cast(
         "tuple[Floats, NDArray[np.int32]]",
-        dijkstra(graph, directed=False, indices=count, return_predecessors=True),
+        cast("Any", dijkstra)(graph, directed=False, indices=count, return_predecessors=True),
     )
     order = [int(agent) for agent in np.argsort(far, kind="stable")[1:] if np.isfinite(far[agent])]
     failure, link = np.full(count + 1, np.inf), np.zeros(count, dtype=np.intp)

@@ -6,7 +6,6 @@ The braking path of an agent is always inside both, so an agent can stop regardl
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
-from typing import cast
 
 import numpy as np
 import shapely
@@ -137,10 +136,7 @@ def separate_cells(
         # Add pairs whose reachable sets in a step, including present reserves, overlap.
         middle = 0.5 * (places_m + stops_m)
         wide = reach_m + 0.5 * np.linalg.norm(stops_m - places_m, axis=1) + body_radius_m
-        found = KDTree(middle).query_pairs(  # pyright: ignore[reportUnknownMemberType, reportUnknownVariableType]
-            2.0 * float(wide.max()), output_type="ndarray"
-        )
-        near = cast("Indices", found)
+        near = KDTree(middle).query_pairs(2.0 * float(wide.max()), output_type="ndarray")
         apart = np.linalg.norm(middle[near[:, 0]] - middle[near[:, 1]], axis=1)
         near = near[apart <= wide[near].sum(axis=1)]
         pairs = np.unique(np.concatenate((pairs, near)), axis=0)
@@ -227,9 +223,7 @@ def ground_sets(
     blind = np.flatnonzero(~ground.area.sees(places_m, ends))
     for which in blind:
         ends[which] = _last_free(ground, places_m[which], ends[which])
-    hulls = shapely.convex_hull(
-        shapely.multipoints(np.stack((places_m, stops_m, ends), axis=1))  # pyright: ignore[reportArgumentType, reportCallIssue]
-    )
+    hulls = shapely.convex_hull(shapely.multipoints(np.stack((places_m, stops_m, ends), axis=1)))
     meets = np.asarray(shapely.intersects(ground.area.border, hulls), dtype=np.bool_)
     # The clearance is round at corners but `allowed` is mitred, so an agent may be outside it.
     meets |= ~ground.allows(places_m)

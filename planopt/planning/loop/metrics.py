@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields
 
 import numpy as np
-from scipy.special import chdtri  # pyright: ignore[reportUnknownVariableType]
+from scipy.special import chdtri
 
 from planopt.arrays import Floats, Mask
 from planopt.channel.calibration import ReliabilityBin, reliability

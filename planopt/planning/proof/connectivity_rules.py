@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
-from scipy.special import betaincinv  # pyright: ignore[reportUnknownVariableType]
+from scipy.special import betaincinv
 
 from planopt.arrays import Floats, Mask
 from planopt.channel.joint import JointPrediction, longest_run

@@ -9,13 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import label  # pyright: ignore[reportUnknownVariableType]
+from scipy.ndimage import label
 from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import dijkstra  # pyright: ignore[reportUnknownVariableType]
+from scipy.sparse.csgraph import dijkstra
 
 from planopt.arrays import Floats, Indices, Mask
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
@@ -369,7 +369,7 @@ def goal_costs(grid: GoalGrid, contact_at: ContactAt, price: float) -> GoalCosts
     cost = length * (1.0 + 0.5 * price * (share[one] + share[other]))
     count = len(grid.nodes_m)
     graph = csr_matrix((cost, (one, other)), shape=(count, count))
-    to_goal = cast("Floats", dijkstra(graph, directed=False, indices=grid.goal))
+    to_goal: Floats = cast("Any", dijkstra)(graph, directed=False, indices=grid.goal)
     best = float(margin.max())
     if best < 0.0:
         best = max(best, float(contact_at(grid.nodes_m)[1].max()))

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_matrix
-from scipy.sparse.csgraph import connected_components  # pyright: ignore[reportUnknownVariableType]
+from scipy.sparse.csgraph import connected_components
 
 from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.kriging import Prediction, connection_probability

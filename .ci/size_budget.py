@@ -13,11 +13,11 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_709,
-    "lines of code": 52_277,
+    "lines": 70_757,
+    "lines of code": 52_307,
     "files": 247,
-    "functions": 3_779,
-    "docstring lines": 7_509,
+    "functions": 3_783,
+    "docstring lines": 7_515,
     "lines of tests": 48_456,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""

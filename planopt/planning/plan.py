@@ -126,13 +126,13 @@ class Plan:
     drive
         States and inputs along the path; None for the single integrator.
     route_m
-        ``(r, 2)`` route found from the last position to the goal.
+        ``(r, 2)`` route from the last position to the goal, smoothed by :func:`planopt.solve`. The
+        smoothed route ends just inside the goal's radius.
     holes
         Coverage holes on path and route to a goal.
     bound
-        Proven bound on the objective; None unless a proof was required. A proof also smooths
-        `route_m`, whose cost then is the cost-to-go in `objective`, or refines plans of sums over
-        steps.
+        Proven bound on the objective; None unless a proof was required. A proof also improves
+        `route_m` and the steps.
     """
 
     robot: str

@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any
+from time import perf_counter
+from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
@@ -31,18 +32,12 @@ from planopt.world.clearance import ObstacleIndex, index_obstacles, inside_bound
 
 MetreCost = Callable[[Floats], Floats]
 """Function that maps positions (n, 2) to the cost per metre there as an array (n,)."""
-PIECES = 128
-"""Number of pieces into which smoothing divides a route."""
 OFFSETS = np.array([-1.0, 0.0, 1.0])
 """Sideways displacements of a point in each pass, in units of the pass."""
-WIDEST, NARROWEST = 0.25, 0.002
-"""First and last unit of smoothing, in lengths of the pieces."""
+WIDEST = 0.25
+"""First unit of smoothing, in lengths of the pieces."""
 FINEST = 2.0
 """Minimum length of a piece, in spacings of the cost raster."""
-PASSES = 4
-"""Maximum number of passes with the same unit."""
-LOOKBACK = 24
-"""Maximum number of consecutive corners that are replaced by one straight leg."""
 CLEARINGS, MOVES_OUT, CLEARING_M = 8, 20, 0.01
 """Maximum numbers of added points and of moves; distance in addition to the clearance."""
 RASTER_SHARE = 3e-3
@@ -51,20 +46,34 @@ RASTER_M = (0.2, 3.0)
 """Minimum and maximum spacing of the cost raster."""
 
 
+class Effort(NamedTuple):
+    """Effort of smoothing a route."""
+
+    lookback: int  # Maximum number of consecutive corners replaced by one straight leg
+    pieces: int  # Number of pieces into which the route is divided
+    narrowest: float  # Last unit of smoothing, in lengths of the pieces
+    passes: int  # Maximum number of passes with the same unit
+
+
+QUICK, THOROUGH = Effort(6, 64, 0.02, 1), Effort(24, 128, 0.002, 4)
+"""Effort for every first plan, and with a proof."""
+
+
 def smooth_route(
     raster: CostRaster,
     index: ObstacleIndex,
     bounds_m: tuple[float, float, float, float],
     clearance_m: float,
     corners_m: Floats,  # (n, 2)
+    effort: Effort = THOROUGH,
 ) -> Floats:
     """Return a smoothed route (m, 2) between the same end points."""
     total = float(np.linalg.norm(np.diff(corners_m, axis=0), axis=1).sum())
-    longest = max(total / PIECES, FINEST * raster.spacing_m)
-    route = stops_along(_taut(raster, index, clearance_m, corners_m), longest)
+    longest = max(total / effort.pieces, FINEST * raster.spacing_m)
+    route = stops_along(_taut(raster, index, clearance_m, corners_m, effort.lookback), longest)
     unit = WIDEST * longest
-    while unit > NARROWEST * longest:
-        for _ in range(PASSES):
+    while unit > effort.narrowest * longest:
+        for _ in range(effort.passes):
             moved = _moved(raster, index, bounds_m, clearance_m, route, unit)
             is_same = np.array_equal(moved, route)
             route = moved
@@ -147,11 +156,11 @@ class CostRaster:
 
 
 def _taut(
-    raster: CostRaster, index: ObstacleIndex, clearance_m: float, corners_m: Floats
+    raster: CostRaster, index: ObstacleIndex, clearance_m: float, corners_m: Floats, back: int
 ) -> Floats:
     """Return the cheapest route with straight legs between some of the corners (n, 2)."""
     count = len(corners_m)
-    back = min(LOOKBACK, count - 1)
+    back = min(back, count - 1)
     legs = np.full((back, count), np.inf)
     for skipped in range(back):
         starts, ends = corners_m[: -1 - skipped], corners_m[1 + skipped :]
@@ -262,6 +271,12 @@ INSIDE_GOAL = 0.999
 """Distance of a smoothed route's end from the goal, as a share of the goal's radius."""
 
 
+def _may_change(plan: Plan) -> bool:
+    """Return whether a plan has a route that may be replaced."""
+    is_timed = plan.rung in (Rung.DIRECT, Rung.GIVE_WAY)
+    return plan.drive is None and len(plan.route_m) > 0 and not is_timed
+
+
 class RouteSmoothing:
     """Smoothing of a robot's routes with one belief."""
 
@@ -281,9 +296,19 @@ class RouteSmoothing:
         self._seen: Corridor | None = None
         self._cost_m = np.inf
 
+    def smoothed(self, plan: Plan) -> Plan:
+        """Return the plan with a smoothed route, if it is cheaper; its steps stay the same."""
+        if not _may_change(plan):
+            return plan
+        begun, bounds_m = perf_counter(), self._problem.workspace.bounds_m
+        found = self._inside_goal(np.vstack([plan.positions_m[-1:], plan.route_m]))
+        route = smooth_route(self._raster, self._index, bounds_m, self._clearance_m, found, QUICK)
+        chosen = self._cheaper(plan, self.with_route(plan, route))
+        return replace(chosen, wall_s=plan.wall_s + perf_counter() - begun)
+
     def improved(self, plan: Plan, corridor: Corridor) -> Plan:
         """Return the plan with the cheapest route through a corridor, if it is cheaper."""
-        if corridor is self._seen or plan.drive is not None or not len(plan.route_m):
+        if corridor is self._seen or not _may_change(plan):
             return plan
         self._seen = corridor
         places = plan.positions_m if self._moves_steps else plan.positions_m[-1:]
@@ -300,7 +325,14 @@ class RouteSmoothing:
         route = smooth_route(self._raster, self._index, bounds_m, self._clearance_m, found)
         self._cost_m = min(self._cost_m, self._cost_of(route))
         other = self.driven(plan, route) if self._moves_steps else self.with_route(plan, route)
-        return other if other is not None and other.objective < plan.objective else plan
+        return self._cheaper(plan, other)
+
+    def _cheaper(self, plan: Plan, other: Plan | None) -> Plan:
+        """Return `other` if it costs less and crosses no forbidden hole, else `plan`."""
+        if other is None or other.objective >= plan.objective:
+            return plan
+        is_hard = self._problem.constraints.rule.slack_max_db is not None
+        return plan if is_hard and other.holes else other
 
     def _cost_of(self, route_m: Floats) -> float:
         return float(self._raster.legs_m(route_m[:-1], route_m[1:]).sum())

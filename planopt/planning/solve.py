@@ -35,7 +35,7 @@ from planopt.planning.stepping import Stepper, expected_target, watch_target
 from planopt.planning.team.team_step import planning
 from planopt.problems.load import require_motion, with_overrides
 from planopt.problems.plausibility import JUMP_STEPS, measured_warnings
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, problem_of_robot
 from planopt.problems.settings import planner_kind
 from planopt.problems.tasks import TaskProblem, task_of
 from planopt.short_repr import wrapped
@@ -59,14 +59,29 @@ def solve(
 ) -> Solution:
     """Return the plans of all robots from their starts; arguments as for :func:`planopt.solve`.
 
-    The plans equal the first plans of a run with the same seed.
+    The plans equal the first plans of a run with the same seed, but for smoothed routes to a goal.
     """
     problem, given = with_measurements(problem, measurements)
     problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
     # An unreachable goal is detected before channel files are read.
     scenes = build_scenes(problem)
-    solution = solve_on(problem, prepare(problem, seed, given).belief, seed, scenes)
+    solution = with_smooth_routes(
+        solve_on(problem, prepare(problem, seed, given).belief, seed, scenes)
+    )
     return solution if prove_s is None else proven(solution, prove_s)
+
+
+def with_smooth_routes(solution: Solution) -> Solution:
+    """Return a solution with smoothed routes to the goals, and with the costs of these routes."""
+    problem, posteriors = solution.problem, solution.belief.posteriors
+    if not problem.has_goal:
+        return solution
+    from planopt.planning.route_smoothing import RouteSmoothing
+
+    robots = enumerate(solution.plans)
+    owns = [(problem_of_robot(problem, number), plan) for number, plan in robots]
+    plans = [RouteSmoothing(own, posteriors, False).smoothed(plan) for own, plan in owns]
+    return replace(solution, plans=tuple(plans))
 
 
 def proven(solution: Solution, prove_s: float) -> Solution:

@@ -47,7 +47,8 @@ def solve(
 ) -> Solution | TaskResult:
     """Plan once from the initial state: `horizon` steps per robot, or a design or deployment.
 
-    The plans are equal to a simulation's first plans with the same seed.
+    The steps are equal to those of a simulation's first plans with the same seed. Routes to a goal
+    are smoothed, and `objective` has their cost; a simulation plans again after each step instead.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ def test_overrides():
     assert found.problem.planner.name == "lattice"
     assert found.problem.objective.cost_to_go == "geodesic"
     assert found.plan.positions_m.shape == (4, 2)
-    assert found.plan.objective == found.plan.lattice_objective
+    assert found.plan.objective <= found.plan.lattice_objective
 
 
 @pytest.mark.parametrize(

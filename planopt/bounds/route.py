@@ -36,7 +36,7 @@ from planopt.world.shortest_paths import INNER_SHARE
 
 Array = Floats
 
-FIRST_TRIANGLES = 1_500, 600
+FIRST_TRIANGLES = 2_300, 200
 """Number of triangles added to the corridor of good routes before the first solve: a constant, and
 a number per second of available time."""
 FIRST_SOLVE_S = 2.0

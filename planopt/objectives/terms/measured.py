@@ -184,7 +184,7 @@ class LearningTerm(MeasuredTerm):
     def stage_bounds(self, at: TermContext) -> StageBounds | str:
         """Return upper bounds of criterion T one step ahead, with one station."""
         if self.criterion != "T" or len(at.law.posteriors) > 1:
-            return "without a proven bound for other criteria than T or several stations"
+            return f"without a proven bound for criterion = {self.criterion} or several stations"
         return StageBounds(lambda stage, field: field["trend"].positive_part(), most_steps=1)
 
     def node_gain(self, station: NodeChannel, posterior: ChannelPosterior) -> Floats:
@@ -291,7 +291,7 @@ class MappingTerm(MeasuredTerm):
         are at least the distances from the robot.
         """
         if self.form not in ("path", "information") or len(at.law.posteriors) > 1:
-            return "without a proven bound for this form or for several stations"
+            return f"without a proven bound for form = {self.form} or several stations"
         if self.form == "information":
             [posterior] = at.anticipated
             noise = posterior.parameters.multipath_std_db**2

@@ -129,22 +129,6 @@ def test_lengths_by_hand():
     assert [hole.to_end for hole in (first, middle, last)] == [False, False, True]
 
 
-def test_lengths_add_up_however_a_path_is_cut():
-    """Places between places change no total where both ends are alike."""
-    generator = np.random.default_rng(3)
-    x = np.sort(generator.uniform(0.0, 50.0, 40))
-    below = (x > 12.0) & (x < 30.0)
-    coarse = holes_along(line(*x), np.where(below, 0.1, 0.95), below)
-    between = np.sort(np.concatenate([x, 0.5 * (x[1:] + x[:-1])]))
-    inside = np.interp(between, x, below.astype(float)) == 1.0
-    edges = (np.interp(between, x, below.astype(float)) > 0.0) & ~inside
-    fine = holes_along(line(*between), np.where(inside, 0.1, 0.95), inside)
-    gaps = np.diff(x)[np.diff(below.astype(int)) != 0]
-    assert len(coarse) == len(fine) == 1 and edges.sum() == 2
-    # Half a step in and out of either end becomes a quarter.
-    assert coarse[0].length_m - fine[0].length_m == pytest.approx(0.25 * gaps.sum())
-
-
 def test_a_plan_names_the_hole_ahead_of_it():
     """Beyond its horizon as well, to the goal where that is in it."""
     for low, high, at_goal in ((18.0, 24.0, False), (30.0, 41.0, True)):

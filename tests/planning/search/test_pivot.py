@@ -87,23 +87,6 @@ def test_from_every_node(polygons, horizon):
         assert hidden == 0
 
 
-def test_weighted_ways_keep_the_cost_consistent():
-    """With prices on the nodes: from the path's end the pivot says what the cost-to-go says."""
-    problem = small_problem(BLOCK)
-    scene = build_scene(problem)
-    places = scene.road_map.nodes_m
-    metre_cost = 1.0 + 4.0 * (places[:, 1] > 12.0)
-    ways = lattice_paths(scene.road_map, scene.goal_node, metre_cost)
-    metres = []
-    for node in range(5, len(places), 101):
-        start = start_at(scene, node, ways, metre_cost=metre_cost)
-        pivot = find_pivot(scene, start, None, 2.0, 0.5)
-        assert to_go_m(pivot, places[node]) == pytest.approx(ways.cost_m[node], rel=1e-12)
-        assert pivot.metre_cost >= 1.0
-        metres.append(pivot.metre_cost)
-    assert min(metres) < 1.1 and max(metres) > 4.5
-
-
 def test_from_beside_the_path_the_joining_metres_count_too():
     """Seen from elsewhere: the metres to the path's end, at what they cost there, and the rest."""
     problem = small_problem()

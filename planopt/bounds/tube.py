@@ -337,7 +337,7 @@ def joined(rows: Indices, owner: Indices, corner: Array) -> tuple[Indices, Array
 def sure_rewards(
     problem: StageProblem, stage: int, cells: Cells, side: float
 ) -> tuple[Cells, Array]:
-    """Return pairs of a cell and a surely connected position in the cell, and rewards (s,)."""
+    """Return index pairs (cell, position) of known connections in cells, and their rewards (s,)."""
     places = problem.sure_m
     if not len(places) or not len(cells):
         return np.zeros((0, 2), dtype=np.intp), np.zeros(0)

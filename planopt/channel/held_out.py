@@ -71,7 +71,7 @@ def predictors_of(
 
 
 def learn_path_loss(measurements: Measurements, station: Station) -> Predictor:
-    """Learn a predictor by path loss alone: least squares and the residual standard deviation."""
+    """Fit a predictor of path loss alone; the residuals give the standard deviation."""
     if measurements.censored.all():
         raise InputError(
             "the path loss cannot be fitted: all measurements are censored (upper limits)"

@@ -106,7 +106,7 @@ def fit_each(options: LogOptions) -> tuple[dict[str, LogFit], dict[str, int]]:
 
 
 def _read_and_fit(options: LogOptions, log_format: LogFormat, site: Station | None) -> LogFit:
-    """Read the log of a transmitter and fit the channel; `site` is None to locate it."""
+    """Read the log of a transmitter and fit the channel; without `site`, locate the transmitter."""
     from planopt.channel.estimation.channel_fit import require_loss, require_method
     from planopt.channel.estimation.fit import fit_channel
     from planopt.channel.estimation.station_fit import fit_channel_and_station

@@ -176,7 +176,7 @@ def check(path: ResultArgument, json: JsonOption = False) -> int:
         "remarks": list(result.remarks),
     }
     lines = [
-        f"{path}: {result.verdict.value}",
+        f"{path}: {result.verdict.value}, by a second verification from the saved files",
         *([] if result.certificate is None else [f"  {planned}"]),
         *apart_in_words(certificate["min_separation_m"], certificate["min_moving_clearance_m"]),
         *([] if rule is None else [f"  {rule.words}"]),

@@ -43,7 +43,7 @@ def read_bytes(path: Path, largest: int = LARGEST_BINARY_BYTES) -> bytes:
         status = path.stat()
         if not stat.S_ISREG(status.st_mode):
             kind = "a folder, not a file" if path.is_dir() else "not a regular file"
-            raise InputError(f"is {kind}", file=path, remedy="name a file")
+            raise InputError(f"is {kind}", file=path, remedy="give the path of an ordinary file")
         with path.open("rb") as stream:
             # Files in /proc report size 0 and have content nevertheless.
             content = b"" if status.st_size > largest else stream.read(largest + 1)

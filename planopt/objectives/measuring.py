@@ -53,7 +53,7 @@ class MeasuringRule:
         return OPEN_SPACINGS * self.spacing_m
 
     def near(self, paths_m: Floats, beyond_m: float = 0.0) -> MeasuringRule:
-        """Return a rule with equal results within `beyond_m` metres of `paths_m` (..., 2)."""
+        """Return a rule that agrees with this one within `beyond_m` of `paths_m` (..., 2)."""
         places = paths_m.reshape(-1, 2)
         if not len(places) or sum(map(len, self.known_m)) <= FEW_KNOWN:
             return self

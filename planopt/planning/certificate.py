@@ -132,13 +132,11 @@ def holes_in_words(problem: Problem, holes: Sequence[Hole], verb: str = "crosses
     lines = named_holes(holes, f"{verb} a coverage hole of ", "shorter ones")
     if len(lines) > MOST_IN_WORDS:
         lines[-1] = f"{verb} {lines[-1]}"
-    price, p_min = problem.reach.outage_price, problem.constraints.p_min
-    total = sum(hole.length_m for hole in holes)
-    return [
-        *lines,
-        f"total length with P(connected) below {p_min:g}: {total:.0f} m (each metre "
-        f"expected out of contact adds {price:g} m to the priced length)",
-    ]
+    if len(holes) > 1:
+        total = sum(hole.length_m for hole in holes)
+        p_min = problem.constraints.p_min
+        lines.append(f"total length with P(connected) below {p_min:g}: {total:.0f} m")
+    return lines
 
 
 def goal_in_words(problem: Problem, holes: Sequence[Hole]) -> list[str]:

@@ -489,7 +489,7 @@ def _workspace(
     origin_deg: Origin | None,
     notes: _Notes,
 ) -> Workspace:
-    """Return the world with the grid's extent; without grid, log, start and goal plus a margin."""
+    """Return the world with the extent of the grid, or of all positions plus a margin."""
     if grid is not None and map_path is not None:
         unknown = float(grid.unknown.mean())
         notes.warn(*grid_warnings(map_path.name, grid))

@@ -287,7 +287,7 @@ def with_changes(problem: AnyProblem, changes: Mapping[str, object]) -> AnyProbl
 
 def _of_change(error: InputError, given: str) -> InputError:
     """Return the error about a changed problem, with the changes in its message."""
-    message = f'{error.message}; this comes from the setting "{given}"'
+    message = f'{error.message}, because of the setting "{given}"'
     return InputError(message, key=error.key, remedy=error.remedy)
 
 
@@ -336,7 +336,7 @@ def _entered(table: Any, name: str | int, key: str) -> dict[str, Any]:
 
 
 def _entries(table: Any, name: str | int, key: str) -> list[Any]:
-    """Return the list that a table or list contains under a name or index."""
+    """Return the list stored under a key of a table, or at an index of a list."""
     value: Any = table.get(name) if isinstance(name, str) else table[name]
     if not isinstance(value, list):
         raise InputError(

@@ -49,7 +49,7 @@ ORIGINS = {
 STOPPED = {
     "converged": "converged",
     "acceptable": "converged to its looser tolerance",
-    "lattice_only": "result discarded",
+    "lattice_only": "result not used",
     "iteration_limit": "stopped at the iteration limit",
     "time_limit": "stopped at the time limit",
     "infeasible": "found no feasible point",
@@ -329,13 +329,20 @@ def in_columns(cells: Sequence[tuple[str, str]]) -> list[str]:
     return lines
 
 
+ALMOST_SURE = 0.9999
+"""Probability above which no further digits are shown."""
+
+
 def planned_in_words(clearance_m: float | None, connectivity: float | None) -> str:
     """Return text on the clearance of planned paths and the minimum P(connected) of steps."""
     known = clearance_m is not None and isfinite(clearance_m)
     clear = (
         f"clearance from obstacles {shown_number(clearance_m, ' m')}" if known else "no obstacles"
     )
-    return f"{clear}; lowest predicted P(connected) of all steps {shown_number(connectivity)}"
+    lowest = shown_number(connectivity)
+    if connectivity is not None and ALMOST_SURE < connectivity < 1.0:
+        lowest = f"above {ALMOST_SURE:g}"
+    return f"{clear}; lowest predicted P(connected) of the planned steps {lowest}"
 
 
 def apart_in_words(separation_m: float | None, moving_clearance_m: float | None) -> tuple[str, ...]:
@@ -360,7 +367,7 @@ DIGITS = "123456789"
 
 
 class TerminalMap:
-    """Map of a problem in characters, with the paths driven so far."""
+    """Text-mode map of a problem, with the paths driven so far."""
 
     def __init__(self, problem: Problem, columns: int, rows: int) -> None:
         x_min, y_min, x_max, y_max = problem.workspace.bounds_m

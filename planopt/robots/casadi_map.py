@@ -274,9 +274,9 @@ def check_casadi_map(dynamics: CasadiMap) -> None:
         names: object = getattr(dynamics, key)
         if not isinstance(names, tuple) or not all(isinstance(name, str) for name in names):
             raise InputError(
-                f"is {names!r}, should be a tuple of names",
+                f"is {names!r}, but must be a tuple of names",
                 key=key,
-                remedy="give one name for each component",
+                remedy='give one name for each component, such as ("x", "y")',
             )
     states, inputs = len(dynamics.state_names), len(dynamics.input_names)
     sizes = [function.size_in(i) for i in range(function.n_in())]

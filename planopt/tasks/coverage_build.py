@@ -364,10 +364,10 @@ def _event(config: CoverageFile, number: int, ground: Ground) -> Event:
     if len(out):
         x, y = path[out[0]]
         raise InputError(
-            f"{table.name} is at ({x:g}, {y:g}) m at some time, which is outside the region, "
-            "in an obstacle or too close to one",
+            f"{table.name} passes ({x:g}, {y:g}) m, where no agent can be: outside the region, in "
+            "an obstacle or too close to one",
             key=f"{key}.place_m" if out[0] == 0 else f"{key}.velocity_m_s",
-            remedy="keep the event where agents can be",
+            remedy="move the event, or change its velocity",
         )
     return event
 

@@ -58,7 +58,7 @@ def nodes_in_passages(
     spacing_m: float,
     required_m: float,
 ) -> tuple[Indices, Floats]:
-    """Return the nodes (k, 2) in narrow passages as (iy, ix) and their new positions (k, 2)."""
+    """Return indices (iy, ix) of nodes to move into narrow passages, and their new positions."""
     passages = narrow_passages(workspace, index, DISC_RADIUS * spacing_m, required_m)
     if not len(passages):
         return np.zeros((0, 2), np.intp), np.zeros((0, 2))

@@ -142,7 +142,7 @@ def test_a_plan_names_the_hole_ahead_of_it():
         assert hole.to_end == at_goal == bool(goal_in_words(PROBLEM, plan.holes))
         assert np.allclose(plan.route_m[-1], PROBLEM.goal_m)
         told = " ".join(holes_in_words(PROBLEM, plan.holes))
-        assert f"{hole.length_m:.0f} m" in told and "adds 10 m to the priced length" in told
+        assert f"{hole.length_m:.0f} m" in told
 
 
 @pytest.mark.parametrize(("high_m", "in_goal"), [(24.0, False), (41.0, True)])

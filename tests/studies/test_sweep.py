@@ -17,6 +17,7 @@ from planopt.commands.compare import seed_range, swept
 from planopt.files.tables import encoded
 from planopt.planning.loop.results import RunSummary, summary_of
 from planopt.planning.solve import simulate
+from planopt.problems.library import library_folder
 from planopt.problems.load import with_changes
 from planopt.report import comparison_text, draw_comparison
 from planopt.report.comparison_figure import layout_of
@@ -247,7 +248,7 @@ def test_the_swept_key_stands_along_the_picture(comparison) -> None:
 
 def test_the_command(tmp_path: Path, capsys) -> None:
     """Two files, a sweep and a range of seeds; the same again is resumed."""
-    text = (planopt.problems.load.library_folder() / "open_field.toml").read_text()
+    text = (library_folder() / "open_field.toml").read_text()
     text = text.replace("max_steps = 200", "max_steps = 2").replace(
         "figures = true", "figures = false"
     )

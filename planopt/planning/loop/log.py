@@ -168,7 +168,7 @@ class TargetLog:
 
     @property
     def normalised_trace_p(self) -> Floats:
-        """Return the trace of the station's covariance over its initial value; (steps + 1,)."""
+        """Return the trace of the target covariance relative to its first value; (steps + 1,)."""
         return self.station_variance_m2 / self.station_variance_m2[0]
 
 

@@ -238,7 +238,7 @@ class Outage(Rule):
         return -longest_run(self.sizes, below, self._begun(history))
 
     def required(self, p_min: float, history: History, count: int) -> float:
-        """Return minus the limit of the outage."""
+        """Return the negative of the outage limit."""
         return -self.limit
 
     def held(self, keeps: Mask, history: History) -> Mask:

@@ -38,11 +38,8 @@ def finite_array(key: str, given: object, shape: tuple[int, ...], remedy: str) -
 def require_seed(seed: object) -> None:
     """Raise an `InputError` if a random seed is not a whole number of at least 0."""
     if not isinstance(seed, int | np.integer) or seed < 0:
-        raise InputError(
-            f"is {seed!r}, should be a whole number of at least 0",
-            key="seed",
-            remedy="give 0, 1, ...",
-        )
+        words = f"is {seed!r}, should be a whole number of at least 0"
+        raise InputError(words, key="seed", remedy="give 0, 1, ...")
 
 
 @dataclass(frozen=True, eq=False)

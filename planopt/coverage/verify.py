@@ -213,10 +213,10 @@ class SignalModel:
     speed_std_m_s: float | None  # Prior standard deviation of velocity components; None: static
 
 
-def _fitted(residuals: Callable[[Floats], Floats], first: Floats) -> Any:
-    """Minimise the sum of squared residuals from an initial guess."""
+def _fitted(residuals: Callable[[Floats], Floats], first: Floats, most: int | None = None) -> Any:
+    """Minimise the sum of squared residuals from an initial guess in at most `most` trials."""
     solver = cast("Any", least_squares)
-    return solver(residuals, first, x_scale="jac", ftol=FINE, xtol=FINE, gtol=FINE)
+    return solver(residuals, first, x_scale="jac", ftol=FINE, xtol=FINE, gtol=FINE, max_nfev=most)
 
 
 def estimate_fault(
@@ -244,10 +244,6 @@ def estimate_fault(
     # Velocity and strength are not saved; the best ones for the position are found first.
     away = ((positions_m - place_m) ** 2).sum(axis=1) / model.scale_m**2
     shape = 1.0 / (away + 1.0)
-    rest, misfit = (
-        np.zeros(0),
-        float((residuals(place_m) ** 2).sum()) if not (moves or loud) else 0.0,
-    )
     if moves or loud:
         guess = np.full(int(loud), float(shape @ signal / (shape @ shape)))
         speed = model.speed_std_m_s or 0.0
@@ -258,8 +254,11 @@ def estimate_fault(
         ]
         best = min(trials, key=lambda trial: trial.cost)
         rest, misfit = cast("Floats", best.x), 2.0 * float(best.cost)
+    else:
+        rest, misfit = np.zeros(0), float((residuals(place_m) ** 2).sum())
     found = _fitted(residuals, np.concatenate((place_m, rest)))
-    jacobian = cast("Floats", found.jac)
+    # The covariance is that at the estimate: of few readings it may change within a metre.
+    jacobian = cast("Floats", _fitted(residuals, np.concatenate((place_m, rest)), 1).jac)
     scale = np.linalg.norm(jacobian, axis=0)
     if not (scale > 0.0).all():
         return "the readings do not determine the position"

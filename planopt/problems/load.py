@@ -24,7 +24,7 @@ from planopt.problems.channel_setup import (
 )
 from planopt.problems.library import find_problem, read_toml
 from planopt.problems.objective import ReachObjective, TermsObjective, term_keys
-from planopt.problems.problem import NAME, Problem, check_problem, problem_from_tables, tables_of
+from planopt.problems.problem import NAME, Problem, check_problem, tables_of
 from planopt.problems.robot import Robot
 from planopt.problems.schema import world_table
 from planopt.problems.settings import names_with, planner_kind
@@ -130,11 +130,13 @@ def load_motion(path_or_name: Path | str) -> Problem:
     )
 
 
-def problem_to_dict(problem: Problem) -> dict[str, Any]:
+def problem_to_dict(problem: Problem | TaskProblem) -> dict[str, Any]:
     """Return `problem` as JSON-serialisable tables; :func:`problem_from_dict` reads them.
 
     Keys without a value are omitted, as in a problem file.
     """
+    if isinstance(problem, TaskProblem):
+        return problem.tables()
     return {key: saved_table(part) for key, part in tables_of(problem).items()}
 
 
@@ -169,8 +171,8 @@ def saved_table(part: Any) -> Any:
             return saved(part)
 
 
-def problem_from_dict(data: Mapping[str, Any], *, file: Path | None = None) -> Problem:
-    """Return the problem in the tables of :func:`problem_to_dict`, validated like a file.
+def problem_from_dict(data: Mapping[str, Any], *, file: Path | None = None) -> Any:
+    """Return the problem of any task in the tables of :func:`problem_to_dict`, validated.
 
     Parameters
     ----------
@@ -185,7 +187,7 @@ def problem_from_dict(data: Mapping[str, Any], *, file: Path | None = None) -> P
         Errors of a problem file, except for a missing ground-truth map or log.
     """
     folder = Path.cwd() if file is None else file.absolute().parent
-    return problem_from_tables(data, folder=folder, file=file)
+    return problem_from(data, folder=folder, file=file)
 
 
 def _without_python(channel: ChannelSetup) -> ChannelSetup:

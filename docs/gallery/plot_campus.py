@@ -19,6 +19,8 @@ import os
 from functools import partial
 from pathlib import Path
 
+import numpy as np
+
 from planopt.channel import (
     LogFormat,
     Station,
@@ -29,10 +31,7 @@ from planopt.channel import (
     predict_readings,
     read_log,
 )
-from planopt.channel.channel_map import measured_bounds_m
 from planopt.channel.held_out import learn_path_loss
-from planopt.channel.logs.log_format import parse_groups
-from planopt.channel.logs.power_log import read_groups
 from planopt.report import draw_calibration, draw_fit, draw_posterior_map
 
 CAMPUS = Path(os.environ.get("PLANOPT_DATA", "data")) / "campus"
@@ -80,10 +79,9 @@ def draw_map(name):
     """The map of one receiver, or None without its log."""
     if name not in logs:
         return None
-    posterior = condition(fits[name].parameters, logs[name])
-    maps = posterior_map(
-        posterior, measured_bounds_m(logs[name]), 25.0, floors_dbm[name] + MARGIN_DB
-    )
+    posterior, measured = condition(fits[name].parameters, logs[name]), logs[name].positions_m
+    bounds_m = (*measured.min(axis=0).tolist(), *measured.max(axis=0).tolist())
+    maps = posterior_map(posterior, bounds_m, 25.0, floors_dbm[name] + MARGIN_DB)
     return draw_posterior_map(maps, logs[name], stations[name], f"{name}: {len(logs[name])} powers")
 
 
@@ -110,7 +108,8 @@ def learn(log, station):
 
 reports = {}
 for name, log in logs.items():
-    days = read_groups(CAMPUS / f"{name}.csv", parse_groups("day"))
+    with (CAMPUS / f"{name}.csv").open() as file:
+        days = np.unique([row["day"] for row in csv.DictReader(file)], return_inverse=True)[1]
     reports[name] = held_out_report(log, days, days, partial(learn, station=stations[name]))
 
 for name, report in reports.items():

@@ -20,7 +20,6 @@ import numpy as np
 from planopt import load, simulate
 from planopt.channel import ChannelParameters, Station, sensitivity_curves
 from planopt.report import draw_sensitivity, save_animation
-from planopt.world.raster import cell_centres_m
 
 GRID = 320
 problem = load("fig1")
@@ -37,7 +36,7 @@ channel = ChannelParameters(
 # %%
 # Measured cells are drawn at random, anew for each of four placements. The average over the
 # workspace is taken on every eighth cell of the grid in each direction.
-x = cell_centres_m(0.0, side_m, side_m / GRID)
+x = (np.arange(GRID) + 0.5) * side_m / GRID
 cells = np.stack(np.meshgrid(x, x), axis=-1)
 shown = cells[4::8, 4::8].reshape(-1, 2)
 generator = np.random.default_rng(0)

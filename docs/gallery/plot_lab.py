@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from planopt import Measurements
-from planopt.channel.estimation.station_fit import fit_channel_and_station
+from planopt.channel import fit_channel_and_station
 from planopt.report import draw_stations
 
 LAB = Path(os.environ.get("PLANOPT_DATA", "data")) / "lab"

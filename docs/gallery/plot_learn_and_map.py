@@ -15,8 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from planopt import load
-from planopt.planning.solve import simulate
+from planopt import load, simulate
 from planopt.report import draw_run
 
 

@@ -23,7 +23,7 @@ from planopt.coverage.control.movers import Gains, coverage_aims, law_moves, pla
 from planopt.coverage.ground import ConvexGround
 from planopt.coverage.limits import Motion, MoveLimits
 from planopt.coverage.voronoi import convex_region
-from planopt.report import animate_network, draw_costs, draw_network, draw_step_times
+from planopt.report import animate_network, draw_costs, draw_step_times
 from planopt.tasks.coverage import picture
 
 rooms = planopt.simulate(planopt.load("coverage_obstacles"), seed=1)
@@ -71,8 +71,8 @@ radio = planopt.load("coverage_radio")
 kept = planopt.simulate(radio)
 by_law = planopt.simulate(radio, planner="law")
 print(f"H at the end: {kept.value.costs[-1]:.4g} connected, {by_law.value.costs[-1]:.4g} not")
-kept_figure = draw_network(replace(picture(kept), name="stays connected"))
-lost_figure = draw_network(replace(picture(by_law), name="without links"))
+kept_figure = kept.plot()
+lost_figure = by_law.plot()
 
 # %%
 # What a step costs: processor time of the laws, and of plans ten steps ahead for single and double

@@ -14,8 +14,7 @@ target a robot sees well, near the station it is heard.
 # world: both horizons meet the same channel, first measurements and target.
 from dataclasses import replace
 
-from planopt import load
-from planopt.planning.solve import simulate
+from planopt import load, simulate
 from planopt.report import draw_run
 
 problem = load("outdoor_track")

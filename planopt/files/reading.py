@@ -73,7 +73,9 @@ def read_text(path: Path, largest: int = LARGEST_TEXT_BYTES) -> str:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         fault = f"is not UTF-8 text: {error.reason} at byte {error.start}"
-        raise InputError(fault, file=path, remedy="save it as UTF-8 text") from None
+        raise InputError(
+            fault, file=path, remedy="save it as UTF-8 text, in Excel as CSV UTF-8"
+        ) from None
     if "\0" in text:
         fault = f"is not text: NUL at character {text.index(chr(0))}"
         raise InputError(fault, file=path, remedy="give a text file")

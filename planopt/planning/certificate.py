@@ -116,12 +116,12 @@ def holes_on(problem: Problem, power: Prediction, places_m: Floats) -> tuple[Hol
     return holes_along(places_m, chance, required_margins_db(problem, power) < -slack_db)
 
 
-def named_holes(holes: Sequence[Hole], before: str, more: str) -> list[str]:
+def named_holes(holes: Sequence[Hole], before: str) -> list[str]:
     """Return texts on the longest holes, each prefixed by `before`, and a count of the others."""
     longest = sorted(holes, key=lambda hole: -hole.length_m)[:MOST_IN_WORDS]
     named = [f"{before}{hole.words}" for hole in holes if hole in longest]
     left = len(holes) - len(longest)
-    return [*named, f"{left} {more}"] if left > 0 else named
+    return [*named, f"{left} shorter {'hole' if left == 1 else 'holes'}"] if left > 0 else named
 
 
 def holes_in_words(problem: Problem, holes: Sequence[Hole], verb: str = "crosses") -> list[str]:
@@ -129,7 +129,7 @@ def holes_in_words(problem: Problem, holes: Sequence[Hole], verb: str = "crosses
     holes = [hole for hole in holes if hole.length_m >= SHORTEST_IN_WORDS_M]
     if not holes:
         return []
-    lines = named_holes(holes, f"{verb} a coverage hole of ", "shorter ones")
+    lines = named_holes(holes, f"{verb} a coverage hole of ")
     if len(lines) > MOST_IN_WORDS:
         lines[-1] = f"{verb} {lines[-1]}"
     if len(holes) > 1:

@@ -223,7 +223,7 @@ class ReachPlanner:
         constraints = self.problem.constraints
         places = np.vstack([step.position_m, start.path_m, start.route_m])
         holes = holes_on(self.problem, step.power(places), places)
-        named = named_holes(holes, "a coverage hole of ", "shorter ones")
+        named = named_holes(holes, "a coverage hole of ")
         blocked = (
             f"no path to the goal {list(self.problem.goal_m)} keeps constraints.p_min "
             f"{constraints.p_min:g} with constraints.slack_max_db "

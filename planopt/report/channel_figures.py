@@ -40,6 +40,7 @@ from planopt.report.panel import (
     DEVIATION_MAP,
     LABEL_PT,
     MARKERS,
+    NOTE_BOX,
     NOTE_PT,
     OBSTACLE_EDGE,
     POWER_MAP,
@@ -48,7 +49,6 @@ from planopt.report.panel import (
     SERIES,
     SKY,
     VERMILLION,
-    WHITE,
     Look,
     Panel,
     curve_look,
@@ -516,9 +516,8 @@ def draw_draft(draft: Draft) -> Figure:
         circle = {"facecolors": "none", "edgecolors": BLACK, "linewidths": 1.4}
         own = panel.scatter(*place, s=260.0, zorder=PLACE_Z, label="its station", **circle)
         entries.append(own)
-        box = {"boxstyle": "round,pad=0.15", "facecolor": WHITE, "edgecolor": "none", "alpha": 0.8}
         note = {"xytext": (10, 10), "textcoords": "offset points", "zorder": PLACE_Z + 1.0}
-        panel.annotate(station.name, place, fontsize=NOTE_PT, bbox=box, **note)
+        panel.annotate(station.name, place, fontsize=NOTE_PT, bbox=NOTE_BOX, **note)
         show_bounds(panel, (x_min, y_min, x_max, y_max))
         bar = cast("Any", figure).colorbar(dots, ax=panel, aspect=30, pad=0.02).ax
         bar.set_ylabel("power [dBm]", fontsize=LABEL_PT)

@@ -19,6 +19,7 @@ from planopt.report.panel import (
     FRAME,
     GREEN,
     LABEL_PT,
+    NOTE_BOX,
     NOTE_PT,
     OBSTACLE,
     OBSTACLE_EDGE,
@@ -128,9 +129,8 @@ def draw_ground(panel: Panel, workspace: Workspace, title: str) -> None:
         x, y = shapely.get_coordinates(obstacle.polygon.representative_point())[0]
         until = "" if np.isinf(obstacle.until_s) else f" until {obstacle.until_s:g} s"
         words = f"from {obstacle.known_from_s:g} s{until}"
-        box = {"boxstyle": "round,pad=0.15", "facecolor": WHITE, "edgecolor": "none"}
         look = {"ha": "center", "va": "center", "clip_on": True, "zorder": PLACE_Z}
-        panel.text(x, y, words, fontsize=NOTE_PT, bbox=box, **look)
+        panel.text(x, y, words, fontsize=NOTE_PT, bbox=NOTE_BOX, **look)
     panel.plot(*rectangle(workspace.bounds_m), color=FRAME, linewidth=1.2, zorder=MARGIN_Z)
     dress(panel, title, X_LABEL, Y_LABEL, grid=False)
     panel.set_aspect("equal")
@@ -376,19 +376,11 @@ def _is_small(problem: Problem, window: Bounds) -> bool:
 def _point_beyond(panel: Panel, edge_m: Floats, away_m: Floats) -> None:
     """Point from the edge of a panel to a station beyond it."""
     distance_m = float(np.linalg.norm(away_m))
-    look = {"arrowstyle": "-|>", "edgecolor": BLACK, "facecolor": ORANGE, "linewidth": 1.2}
-    panel.annotate(
-        f"station {distance_m:.0f} m",
-        edge_m,
-        tuple(away_m / -distance_m * (64.0, 30.0)),
-        textcoords="offset points",
-        arrowprops=look,
-        fontsize=NOTE_PT,
-        bbox={"boxstyle": "round,pad=0.15", "facecolor": WHITE, "edgecolor": "none", "alpha": 0.8},
-        ha="center",
-        va="center",
-        zorder=PLACE_Z,
-    )
+    words, inwards = f"station {distance_m:.0f} m", tuple(away_m / -distance_m * (64.0, 30.0))
+    arrow = {"arrowstyle": "-|>", "edgecolor": BLACK, "facecolor": ORANGE, "linewidth": 1.2}
+    look = {"ha": "center", "va": "center", "fontsize": NOTE_PT, "bbox": NOTE_BOX}
+    look |= {"textcoords": "offset points", "arrowprops": arrow, "zorder": PLACE_Z}
+    panel.annotate(words, edge_m, inwards, **look)
 
 
 def show_window(panel: Panel, problem: Problem, positions_m: Floats, window: Bounds) -> None:

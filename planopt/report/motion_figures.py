@@ -21,7 +21,14 @@ from planopt.planning.reservations import (
     least_separations_m,
 )
 from planopt.problems.problem import Problem, problem_of_robot
-from planopt.report.maps import draw_ground, draw_moving, draw_places, map_window, window_about
+from planopt.report.maps import (
+    draw_ground,
+    draw_moving,
+    draw_places,
+    map_window,
+    show_window,
+    window_about,
+)
 from planopt.report.motion_map import (
     draw_belief_maps,
     draw_blocked,
@@ -489,6 +496,7 @@ def _draw_courier(run: Run) -> Figure:
         *draw_relaxed(panel, log),
         *draw_blocked(panel, run.blocked),
     ]
+    show_window(panel, problem, log.positions_m, problem.workspace.bounds_m)
     legend_below(figure, entries, COLUMNS)
     return figure
 

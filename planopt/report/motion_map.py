@@ -42,6 +42,7 @@ from planopt.report.panel import (
     CONNECTED,
     DEVIATION_MAP,
     DISCONNECTED,
+    NOTE_BOX,
     POWER_MAP,
     PROBABILITY_MAP,
     PURPLE,
@@ -200,9 +201,8 @@ def _draw_holes(panel: Panel, path_m: Floats, holes: Sequence[Hole]) -> list[Art
         label = "coverage hole on the path"
         entries += draw_path(panel, part, casing=7.0, zorder=PATH_Z - 0.3, label=label, **look)
         x, y = part[len(part) // 2]
-        box = {"boxstyle": "round,pad=0.15", "fc": WHITE, "ec": "none", "alpha": 0.8}
         words = f"{hole.length_m:.0f} m"
-        panel.text(x, y, words, zorder=PATH_Z + 0.5, clip_on=True, bbox=box)
+        panel.text(x, y, words, zorder=PATH_Z + 0.5, clip_on=True, bbox=NOTE_BOX)
     return entries
 
 

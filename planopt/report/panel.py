@@ -31,6 +31,7 @@ DASHES = ("-", "--", "-.", ":")
 
 OBSTACLE, OBSTACLE_EDGE, FRAME = "#efefef", "#8c8c8c", "#404040"
 BAND = "#d9d9d9"
+NOTE_BOX = {"boxstyle": "round,pad=0.15", "facecolor": WHITE, "edgecolor": "none", "alpha": 0.8}
 PREDICTED, TRUE, THRESHOLD = BLUE, BLACK, VERMILLION
 CONNECTED, DISCONNECTED = SKY, VERMILLION
 

@@ -216,4 +216,4 @@ def test_of_many_holes_the_longest_are_told():
     longest = replace(holes[3], length_m=9.0)
     told = holes_in_words(PROBLEM, (*holes[:3], longest, *holes[4:]))
     assert len(told) == 6 and "9 m" in told[3]
-    assert told[4].endswith(f"{len(holes) - 4} shorter ones")
+    assert told[4].endswith(f"{len(holes) - 4} shorter holes")

@@ -114,10 +114,9 @@ def _by_correlation(data: _FitInput, method: FitMethod, loss: Loss) -> _Estimate
     line = least_squares(data.model, measurements)
     alpha = line.variance_db2
     bounds = covariance_bounds(alpha, allows.decorrelation_bounds_m)
-    _, longest_m = allows.decorrelation_bounds_m
-    correlation = empirical_correlation(measurements.positions_m, line.residual_db, longest_m)
+    correlation = empirical_correlation(measurements.positions_m, line.residual_db, allows.extent_m)
     covariance = fit_correlation(
-        correlation, alpha, len(line.residual_db), longest_m, bounds, method, loss
+        correlation, alpha, len(line.residual_db), allows.extent_m, bounds, method, loss
     )
     notes: list[str] = []
     if measurements.censored.any():
@@ -388,7 +387,7 @@ def _channel_fit(estimate: _Estimate, data: _FitInput, method: FitMethod) -> Cha
         faults += [
             _mode_words(other.parameters, log_likelihood - other.log_likelihood) for other in others
         ]
-    faults += implausible_values(parameters, measurements, allows.extent_m)
+    faults += implausible_values(parameters, measurements, allows.rotated_extent_m)
     floor = suspected_floor(measurements)
     if floor is not None:
         faults.append(floor)

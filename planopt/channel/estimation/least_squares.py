@@ -42,7 +42,7 @@ class Identifiability:
     n_pl_reason: str | None  # Reason why n_PL cannot be estimated, or None
     covariance_reason: str | None  # Reason why xi, beta and omega cannot be estimated, or None
     extent_m: float  # Diagonal of the bounding box of all positions
-    rotated_extent_m: float  # Diagonal of the smallest rectangle around them, however rotated
+    rotated_extent_m: float  # Least diagonal of a rectangle around them, in any direction
     # Range of beta: a third of the smallest useful spacing to the extent
     decorrelation_bounds_m: tuple[float, float]
 
@@ -108,9 +108,14 @@ def _covariance_reason(positions: Floats, count: int) -> str | None:
 
 
 def _rotated_extent_m(positions_m: Floats) -> float:
-    """Return the diagonal of the smallest rectangle around positions (n, 2), however rotated."""
-    corners = shapely.get_coordinates(shapely.oriented_envelope(shapely.MultiPoint(positions_m)))
-    return float(np.linalg.norm(corners - corners[0], axis=1).max())
+    """Return the least diagonal of a rectangle around positions (n, 2) and along their hull."""
+    hull = shapely.get_coordinates(shapely.convex_hull(shapely.MultiPoint(positions_m)))
+    edges = np.diff(hull, axis=0)
+    lengths_m = np.hypot(edges[:, 0], edges[:, 1])
+    along = edges[lengths_m > 0.0] / lengths_m[lengths_m > 0.0, None]
+    across = along[:, ::-1] * np.array([-1.0, 1.0])
+    sides_m = (np.ptp(hull @ axes.T, axis=0) for axes in (along, across))
+    return float(np.hypot(*sides_m).min()) if len(along) else 0.0
 
 
 def _decorrelation_bounds_m(distinct: Floats, extent_m: float) -> tuple[float, float]:

@@ -136,9 +136,13 @@ class LogTable:
         return {fold(name): name for name in reversed(self.names)}
 
 
+UMLAUTS = str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue"})
+
+
 def fold(name: str) -> str:
-    """Return a name reduced to lower-case letters and digits."""
-    return "".join(letter for letter in name.lower() if letter.isalnum())
+    """Return a name reduced to lower-case letters and digits, without umlauts."""
+    plain = name.casefold().translate(UMLAUTS)
+    return "".join(letter for letter in plain if letter.isalnum())
 
 
 def read_delimited(path: Path, preambles: Sequence[str] = ()) -> LogTable:
@@ -247,9 +251,9 @@ ALIASES = {
         "localy",
         "power": "powerdbm power rssidbm rssi rsrpdbm rsrp signaldbm signal signallevel "
         "signalstrength signalstrengthdbm dbm rxpower rxpowerdbm rxlev rss rssdbm receivedpower "
-        "rxrssi level powermw strength",
+        "rxrssi level powermw strength pegel empfangspegel",
         "transmitter": "bssid ap mac tx txid transmitter transmitterid anchor beacon gateway "
-        "gatewayid accesspoint cellid cell cid pci ssid station node from source",
+        "gatewayid accesspoint cellid cell cid pci ssid station node from source sender",
         "name": "name id label",
         "height": "heightm height zm z antennaheight elevation",
         "time": "ts t time timestamp times datetime zeit date unixtime devicetime firstseen stamp",

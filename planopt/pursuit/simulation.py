@@ -205,11 +205,8 @@ class PursuitController:
         pursuers, evaders = self.scene.pursuers, range(len(self.scene.evaders))
         rows = list(states) if np.iterable(states) else []
         if len(rows) != len(pursuers):
-            raise InputError(
-                f"has {len(rows)} entries for {len(pursuers)} pursuers",
-                key="states",
-                remedy="give a list with one state for each pursuer",
-            )
+            words = f"has {len(rows)} entries for {len(pursuers)} pursuers"
+            raise InputError(words, key="states", remedy="give a list, one state for each pursuer")
         now = [
             finite_array(f"states[{number}]", state, each.motion.start(each.start_m).shape, STATE)
             for number, (each, state) in enumerate(zip(pursuers, rows, strict=True))
@@ -223,11 +220,8 @@ class PursuitController:
             )
         left = np.setdiff1d(evaders, np.array(caught, dtype=np.intp))
         if not len(left):
-            raise InputError(
-                "contains all evaders, so the pursuit is over",
-                key="captured",
-                remedy="call no further steps",
-            )
+            words = "contains all evaders, so the pursuit is over"
+            raise InputError(words, key="captured", remedy="call no further steps")
         pairs, table = set(np.ndindex(len(pursuers), len(evaders))), cast("object", reports)
         if not isinstance(table, Mapping) or not pairs.issuperset(cast("Any", table)):
             raise InputError(

@@ -85,11 +85,6 @@ class DraftStation:
     is_given: bool  # True for a known position, false for an estimated one
 
     @property
-    def region_m(self) -> float:
-        """Return the radius of the disc around the 95 % region of the estimated position."""
-        return math.sqrt(QUANTILE) * self.position_std_m
-
-    @property
     def position_std_m(self) -> float:
         """Return the standard deviation of the estimated position along its larger axis."""
         covariance = self.fit.station_covariance_m2
@@ -417,14 +412,15 @@ def _station(
         else fit_channel(measurements, given)
     )
     found = DraftStation(name, label, measurements, fit, given is not None)
-    x, y = fit.parameters.station.position_m
+    (x, y), within_m = fit.parameters.station.position_m, QUANTILE**0.5 * found.position_std_m
     if given is None:
-        notes.assume(
-            f"{label} is at ({x:.1f}, {y:.1f}) m, located from {len(measurements)} readings "
-            f"within {found.region_m:.3g} m (95 %); plans use this position as if it were exact"
-            if math.isfinite(found.region_m)
-            else f"{label} is at ({x:.1f}, {y:.1f}) m, which the readings do not determine"
+        words = (
+            f"located from {len(measurements)} readings within {within_m:.3g} m (95 %); plans use "
+            "this position as if it were exact"
         )
+        if not math.isfinite(within_m):
+            words = "which the readings do not determine"
+        notes.assume(f"{label} is at ({x:.1f}, {y:.1f}) m, {words}")
     # An assumption says that the position is estimated.
     said = [each for each in fit.warnings if not each.endswith("estimated, not given")]
     notes.warn(*(f"{label}: {warning}" for warning in said))

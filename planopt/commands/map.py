@@ -19,6 +19,7 @@ from planopt.commands.options import (
     option,
     progress,
     results_folder,
+    say,
     show,
     with_options,
 )
@@ -193,9 +194,12 @@ def _problem_map(
     from planopt.channel.channel_map import default_cell_m, serving_map
     from planopt.planning.initial_data import initial_belief
     from planopt.problems.load import load_motion
+    from planopt.problems.plausibility import problem_warnings
 
     _require_no_log_options(options)
     problem = load_motion(options.log)
+    for words in problem_warnings(problem):
+        say(f"{problem.name}: {words}")
     belief = initial_belief(problem)
     box = problem.workspace.bounds_m if bounds is None else bounds
     thresholds = [

@@ -148,7 +148,7 @@ def toml_text(tables: Tables, comments: Mapping[str, str] | None = None) -> str:
     """Return tables as TOML."""
     # Values are texts, booleans, finite numbers, arrays of these, tables, and arrays of tables. A
     # key without a value (None) is left out. The comment of a dotted key ends its line or, for a
-    # table, precedes its header.
+    # table, precedes its header; a key such as stations[1].name is of one entry of an array.
     return "\n".join(_table((), tables, comments or {})).strip("\n") + "\n"
 
 
@@ -167,12 +167,17 @@ def _table(path: tuple[str, ...], table: Tables, comments: Mapping[str, str]) ->
         own = (*path, key)
         name = ".".join(_key(part) for part in own)
         several = not isinstance(value, Mapping)
-        for entry in cast("list[Tables]", list(value) if several else [value]):
+        for number, entry in enumerate(cast("list[Tables]", list(value) if several else [value])):
             yield ""
             if comment := comments.get(".".join(own)):
                 yield f"# {comment}"
             yield f"[[{name}]]" if several else f"[{name}]"
-            yield from _table(own, entry, comments)
+            numbered = {
+                each.replace(f"{key}[{number}].", f"{key}.", 1): comment
+                for each, comment in comments.items()
+                if f"{key}[{number}]." in each
+            }
+            yield from _table(own, entry, {**comments, **numbered})
 
 
 def _is_array_of_tables(value: object) -> bool:

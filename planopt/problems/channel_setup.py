@@ -596,6 +596,9 @@ class BaseStation(Part):
 
     position_m: Pair
     """Position [x, y] in metres; it may be outside the bounds."""
+    position_known: bool = True
+    """False if position_m is a placeholder, because the log that should locate the station does not
+    determine it. Commands then warn; the channel is fitted as if the position were right."""
     height_m: Metres = 0.0
     """Height of the station antenna above the robots' antennas in metres."""
     transmit_power_dbm: Decibels

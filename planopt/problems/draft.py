@@ -29,7 +29,7 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import Station
 from planopt.errors import InputError, listed
 from planopt.files.writing import toml_text
-from planopt.problems.plausibility import grid_warnings, log_warnings, problem_warnings
+from planopt.problems.plausibility import log_warnings, problem_warnings
 from planopt.problems.problem import Problem, problem_from_tables
 from planopt.problems.schema import MAX_STATIONS, SCHEMA_VERSION
 from planopt.world.clearance import clearance_m, index_obstacles, inside_bounds
@@ -83,6 +83,11 @@ class DraftStation:
     measurements: Measurements
     fit: ChannelFit
     is_given: bool  # True for a known position, false for an estimated one
+
+    @property
+    def region_m(self) -> float:
+        """Return the radius of the disc around the 95 % region of the estimated position."""
+        return math.sqrt(QUANTILE) * self.position_std_m
 
     @property
     def position_std_m(self) -> float:
@@ -362,6 +367,8 @@ def _with_details(log_format: LogFormat, logs: Sequence[PowerLog], notes: _Notes
     if log_format.resolution_db == 0.0 and len(power) > 1 and (power == np.round(power)).all():
         notes.assume("powers are rounded to 1 dB")
         log_format = replace(log_format, resolution_db=1.0)
+    if log_format.position_std_m == 0.0:
+        notes.assume("measured positions are exact (--position-error)")
     return log_format
 
 
@@ -412,14 +419,17 @@ def _station(
         else fit_channel(measurements, given)
     )
     found = DraftStation(name, label, measurements, fit, given is not None)
-    (x, y), within_m = fit.parameters.station.position_m, QUANTILE**0.5 * found.position_std_m
+    (x, y), within_m = fit.parameters.station.position_m, found.region_m
     if given is None:
         words = (
             f"located from {len(measurements)} readings within {within_m:.3g} m (95 %); plans use "
             "this position as if it were exact"
         )
         if not math.isfinite(within_m):
-            words = "which the readings do not determine"
+            words = (
+                "a placeholder: the readings do not determine it (measure it and give --station "
+                f"{label}=X,Y, drive closer to the transmitter, or leave it out by --transmitter)"
+            )
         notes.assume(f"{label} is at ({x:.1f}, {y:.1f}) m, {words}")
     # An assumption says that the position is estimated.
     said = [each for each in fit.warnings if not each.endswith("estimated, not given")]
@@ -488,7 +498,6 @@ def _workspace(
     """Return the world with the extent of the grid, or of all positions plus a margin."""
     if grid is not None and map_path is not None:
         unknown = float(grid.unknown.mean())
-        notes.warn(*grid_warnings(map_path.name, grid))
         if unknown > 0.0:
             notes.assume(f"unknown cells ({100.0 * unknown:.0f} % of the map) are occupied")
         return Workspace(grid.bounds_m, grid_obstacles(grid, map_path.stem))
@@ -505,6 +514,10 @@ def _workspace(
         + ("; there are no obstacles (give --map)" if map_path is None else "")
     )
     return Workspace(bounds, obstacles)
+
+
+GPS_SHARE = 0.02
+"""Maximum share of measurements on obstacles that position errors explain."""
 
 
 def _check_alignment(
@@ -528,7 +541,12 @@ def _check_alignment(
     if inside.any() and workspace.obstacles:
         away = clearance_m(index_obstacles(workspace), positions_m[inside])
         blocked = float((away <= 0.0).mean())
-        if blocked > 0.0:
+        if 0.0 < blocked <= GPS_SHARE:
+            notes.assume(
+                f"{100.0 * blocked:.1f} % of the measurements are in occupied or unknown cells, "
+                "probably because of position errors (--position-error)"
+            )
+        elif blocked > GPS_SHARE:
             notes.warn(
                 f"{100.0 * blocked:.1f} % of the measurements on the map are in occupied or "
                 "unknown cells (check --origin LAT,LON,ANGLE; ANGLE is the direction of "
@@ -602,6 +620,7 @@ def _tables(
                 "name": each.name,
                 "transmitter": None if column is None else each.label,
                 "position_m": [round(float(x), 2) for x in each.fit.parameters.station.position_m],
+                "position_known": None if math.isfinite(each.region_m) else False,
                 "height_m": each.fit.parameters.station.height_m,
                 "transmit_power_dbm": TRANSMIT_POWER_DBM,
                 "threshold_dbm": threshold,
@@ -632,8 +651,13 @@ def _tables(
         comments["channel.measurements.origin_deg"] = "latitude and longitude of (0, 0)"
     if settings.threshold_dbm is None:
         comments["stations.threshold_dbm"] = "assumed"
-    if not all(each.is_given for each in stations):
-        comments["stations.position_m"] = "given or located, with the 95 % region stated above"
+    for number, each in enumerate(stations):
+        if not each.is_given:
+            comments[f"stations[{number}].position_m"] = (
+                f"located within {each.region_m:.3g} m (95 %)"
+                if math.isfinite(each.region_m)
+                else "placeholder: the readings do not determine it"
+            )
     return tables, comments
 
 

@@ -127,6 +127,12 @@ def _stations(problem: Problem) -> Iterator[str]:
                 f"{key}.position_m is {away_m / 1000.0:,.0f} km from the world (give metres in the "
                 "frame of world.bounds_m)"
             )
+        if not station.position_known:
+            yield (
+                f"{key}.position_m of {station.name} is a placeholder: the log does not determine "
+                "it, and P(connected) away from the readings is unreliable (measure the position, "
+                "drive closer to the transmitter, or leave it out)"
+            )
         for name in ("threshold_dbm", "receive_threshold_dbm"):
             value = getattr(station, name)
             if value is not None and not THRESHOLDS_DBM[0] <= value <= THRESHOLDS_DBM[1]:

@@ -13,11 +13,11 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_760,
-    "lines of code": 52_307,
+    "lines": 70_804,
+    "lines of code": 52_346,
     "files": 247,
-    "functions": 3_782,
-    "docstring lines": 7_514,
+    "functions": 3_783,
+    "docstring lines": 7_515,
     "lines of tests": 48_395,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""

@@ -29,7 +29,7 @@ from planopt.channel.measurements import Measurements
 from planopt.channel.parameters import Station
 from planopt.errors import InputError, listed
 from planopt.files.writing import toml_text
-from planopt.problems.plausibility import log_warnings, problem_warnings
+from planopt.problems.plausibility import grid_warnings, log_warnings, problem_warnings
 from planopt.problems.problem import Problem, problem_from_tables
 from planopt.problems.schema import MAX_STATIONS, SCHEMA_VERSION
 from planopt.world.clearance import clearance_m, index_obstacles, inside_bounds
@@ -232,7 +232,8 @@ def draft_problem(
     text = f"{heading}\n\n{toml_text(tables, comments)}"
     folder = file.absolute().parent
     problem = problem_from_tables(tomllib.loads(text), folder=folder, file=file)
-    notes.warn(*problem_warnings(problem))
+    # The grid's warnings are known, and an older problem file may still be in place.
+    notes.warn(*problem_warnings(replace(problem, file=None)))
     return Draft(
         text, problem, grid, tuple(stations), tuple(notes.assumptions), tuple(notes.warnings)
     )
@@ -498,6 +499,7 @@ def _workspace(
     """Return the world with the extent of the grid, or of all positions plus a margin."""
     if grid is not None and map_path is not None:
         unknown = float(grid.unknown.mean())
+        notes.warn(*grid_warnings(map_path.name, grid))
         if unknown > 0.0:
             notes.assume(f"unknown cells ({100.0 * unknown:.0f} % of the map) are occupied")
         return Workspace(grid.bounds_m, grid_obstacles(grid, map_path.stem))

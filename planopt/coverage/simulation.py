@@ -72,6 +72,7 @@ class Scene:
     # Distance to every member required for joining; None for points, which may coincide
     joins_apart_m: float | None = None
     body_radius_m: float = 0.0  # Radius of the bodies, which pack around an event; 0 for points
+    speed_up_s: float = 0.0  # Time of double integrators from rest to full speed; 0 for others
 
     def due(self, time_s: float) -> Mask:
         """Return a mask (n,) of the agents that are scheduled as members at a time."""
@@ -118,8 +119,8 @@ class NetworkRun:
     states: Indices
     targets_m: Floats  # (T, n, 2)
     costs: Floats  # (T,) coverage cost of all members before each step
-    # (T,) largest distance to a target; for an agent slowed by its limits, the smaller distance
-    # for which the law gives the same move
+    # (T,) largest distance to a target; for an agent that is held back, the smaller distance for
+    # which the law gives the same move; turning and speeding up count as moves
     residuals_m: Floats
     counts: Floats  # (T, n) estimate by each agent of the number of members; NaN for absent agents
     # (T, k) demand for the count of the nearest agent that knows the event; else 0
@@ -282,7 +283,10 @@ class NetworkController:
         self._pending = np.full((agents, *plan.paths_m.shape[1:]), np.nan)
         self._pending[who] = plan.paths_m
         left = np.linalg.norm(targets[who] - now.places_m, axis=1)
-        moved = np.linalg.norm(after.places_m - now.places_m, axis=1)
+        # Turning counts as the planned move, and full acceleration as a move at full speed.
+        moved = np.linalg.norm(plan.paths_m[:, 0] - now.places_m, axis=1)
+        changes = np.linalg.norm(after.velocities_m_s - now.velocities_m_s, axis=1)
+        moved = np.maximum(moved, scene.speed_up_s * changes)
         moved /= scene.gains.shares(responds, scene.time_step_s)
         residual = float(np.minimum(left, moved).max())
         known = np.array([belief.known.any() for belief in self._beliefs], dtype=np.bool_)

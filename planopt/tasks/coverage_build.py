@@ -243,27 +243,15 @@ def _scene(
     stand_off_m = None
     if sensing is not None and rules.stand_off:
         stand_off_m = sensing.sensor.best_distance_m
+    limits = config.limits
+    most = limits.acceleration_m_s2
     return Scene(
-        ground,
-        joins_s,
-        leaves_s,
-        events,
-        demands,
-        sensing,
-        stand_off_m,
-        control.partition,
-        control.gains,
-        rules.hysteresis_m,
-        config.counting,
-        config.links,
-        rules.flag_rounds,
-        control.time_step_s,
-        control.duration_s,
-        settled_m,
-        control.stop_when_settled,
-        2.0 * body_m + config.limits.longest_stop_m if body_m > 0.0 else None,
-        body_m,
-    )
+        ground, joins_s, leaves_s, events, demands, sensing, stand_off_m, control.partition,
+        control.gains, rules.hysteresis_m, config.counting, config.links, rules.flag_rounds,
+        control.time_step_s, control.duration_s, settled_m, control.stop_when_settled,
+        2.0 * body_m + limits.longest_stop_m if body_m > 0.0 else None, body_m,
+        0.0 if most is None else limits.speed_m_s / most,
+    )  # fmt: skip
 
 
 def overlapping(places_m: Floats, body_radius_m: float) -> tuple[int, int] | None:

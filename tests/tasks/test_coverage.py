@@ -14,6 +14,7 @@ from refusals import refused
 import planopt
 from planopt.cli import main
 from planopt.coverage import ABSENT, Motion, packing_reach_m, verify_moves
+from planopt.problems import problem_from_dict, problem_to_dict
 from planopt.problems.tasks import problem_from
 from planopt.report import draw_deployment, draw_network
 from planopt.tasks.coverage import picture
@@ -197,6 +198,17 @@ def test_receding_horizon_within_limits(written, tmp_path, run):
         assert run("check", out)[0] == 3
     with refused():
         planopt.simulate(planopt.load(file), planner="law")
+
+
+@pytest.mark.parametrize("limit", ["acceleration_max_m_s2", "turn_rate_max_rad_s"])
+def test_slow_agents_are_not_settled_at_the_start(limit):
+    """A run does not end while agents far from their targets speed up from rest, or turn."""
+    tables = problem_to_dict(planopt.load("coverage_unicycles"))
+    del tables["agents"]["turn_rate_max_rad_s"]
+    tables["agents"][limit] = 0.1
+    found = planopt.simulate(problem_from_dict(tables), seed=0).data
+    assert found["faults"] == []
+    assert found["metrics"]["cost_last"] < 0.2 * found["metrics"]["cost_first"]
 
 
 BODIES = (

@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_796,
-    "lines of code": 52_337,
+    "lines": 70_802,
+    "lines of code": 52_343,
     "files": 247,
     "functions": 3_783,
     "docstring lines": 7_515,
-    "lines of tests": 48_407,
+    "lines of tests": 48_417,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

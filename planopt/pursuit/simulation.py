@@ -190,7 +190,7 @@ class PursuitController:
         Parameters
         ----------
         states
-            State of each pursuer: x and y in metres, and the heading of a unicycle.
+            State of each pursuer: x and y in metres (clipped to the bounds), heading of a unicycle.
         reports
             Latest records by pursuer and evader index. Sample times count from the first step.
         captured
@@ -199,8 +199,8 @@ class PursuitController:
         Raises
         ------
         InputError
-            The states are not one finite state per pursuer, a record or an index is invalid, or all
-            evaders are captured.
+            The states are not one finite state per pursuer, a pursuer is in an obstacle, a record
+            or an index is invalid, or all evaders are captured.
         """
         pursuers, evaders = self.scene.pursuers, range(len(self.scene.evaders))
         rows = list(states) if np.iterable(states) else []
@@ -211,6 +211,12 @@ class PursuitController:
             finite_array(f"states[{number}]", state, each.motion.start(each.start_m).shape, STATE)
             for number, (each, state) in enumerate(zip(pursuers, rows, strict=True))
         ]
+        arena = self.scene.arena
+        now = [np.concatenate((arena.within(state[:2]), state[2:])) for state in now]
+        for number, (x, y, *_) in enumerate(now):
+            if not arena.is_free(np.array((x, y)), 0.0):
+                key, words = f"states[{number}]", f"is at ({x:g}, {y:g}) m, in an obstacle"
+                raise InputError(words, key=key, remedy="correct the position or the obstacle")
         caught = list(captured) if np.iterable(captured) else [captured]
         if any(each not in evaders for each in caught):
             raise InputError(

@@ -105,6 +105,16 @@ def test_reports_may_be_a_table():
         planopt.Planner(planopt.load("pursuit_design"))
 
 
+def test_a_pursuer_in_a_building_is_refused():
+    """A pursuer beside a building or beyond the bounds drives around it; inside, none can."""
+    problem = planopt.load("pursuit_obstacles")
+    report = {(0, 0): planopt.problems.Record(0.0, np.array([250.0, 90.0]), 5.0)}
+    for place in ([59.0, 90.0], [-1.0, 90.0]):
+        assert planopt.Planner(problem).step([place], report).aims_m[0, 0] < 60.0
+    with refused():
+        planopt.Planner(problem).step([[100.0, 90.0]], report)
+
+
 def test_an_agent_near_an_obstacle_returns():
     """An agent that drifted into the clearance is planned from the nearest allowed position."""
     network = planopt.Planner(planopt.load("coverage_obstacles"), planner="receding")

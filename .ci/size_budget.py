@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_802,
-    "lines of code": 52_343,
+    "lines": 70_808,
+    "lines of code": 52_348,
     "files": 247,
     "functions": 3_783,
     "docstring lines": 7_515,
-    "lines of tests": 48_417,
+    "lines of tests": 48_447,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

@@ -12,7 +12,8 @@ from itertools import combinations
 import numpy as np
 
 from planopt.arrays import Floats
-from planopt.planning.plan import Plan
+from planopt.planning.certificate import plan_message
+from planopt.planning.plan import Plan, Verdict
 from planopt.planning.proof.motion import verify_apart
 from planopt.planning.proof.rule import obstacles_ahead, steps_ahead
 from planopt.problems.problem import Problem
@@ -73,12 +74,17 @@ def others_of(motions: Sequence[TimedMotion], number: int) -> dict[int, TimedMot
 
 def with_separations(problem: Problem, driven: int, plans: Sequence[Plan]) -> list[Plan]:
     """Return the plans of one step, with the robots' mutual separations in their certificates."""
+    # A plan made first is verified before the others; a planner of the user may come too close.
     motions = [planned_motion(problem, plan) for plan in plans]
     found: list[Plan] = []
     for number, plan in enumerate(plans):
         moving = discs_to_avoid(problem, driven, others_of(motions, number))
         apart = verify_apart(moving, motions[number], len(plan.positions_m) - 1)
         certificate = replace(plan.certificate, min_separation_m=apart.min_separation_m)
+        if apart.reasons and plan.verdict is Verdict.VERIFIED:
+            certificate = replace(certificate, reasons=apart.reasons)
+            message = plan_message(certificate, plan.positions_m)
+            plan = replace(plan, verdict=Verdict.VIOLATED, message=message)
         found.append(replace(plan, certificate=certificate))
     return found
 

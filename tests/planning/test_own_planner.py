@@ -10,8 +10,10 @@ from planopt import InputError, Verdict, check, load, load_result, simulate, sol
 from planopt.extend import PlannerKind, register_planner, released, unregister_planner
 from planopt.planning.candidates import held
 from planopt.planning.loop.log import Outcome
+from planopt.planning.plan import Rung, Termination
 from planopt.planning.planners import LawnmowerPlanner
 from planopt.problems import problem_to_dict, settings
+from planopt.problems.load import with_changes
 from planopt.problems.problem import problem_from_tables
 from planopt.problems.settings import OWN, planner_kind, planner_names
 
@@ -142,3 +144,31 @@ def test_a_planner_to_a_goal(planner, reason: str, tmp_path, own_parts) -> None:
         result.save(tmp_path)
         assert check(tmp_path).verdict is Verdict.VERIFIED
         assert load_result(tmp_path) == result
+
+
+class Meeting(Eastward):
+    """Drives every robot to the middle of the world, and releases plans that are not sound."""
+
+    def plan(self, context, scorer, warm=None):
+        """A straight line."""
+        begun, problem = perf_counter(), context.problem
+        x_min, y_min, x_max, y_max = problem.workspace.bounds_m
+        aim = np.array([0.5 * (x_min + x_max), 0.5 * (y_min + y_max)])
+        shares = np.linspace(0.0, 1.0, problem.planner.horizon + 1)[1:, None]
+        to_aim = aim - context.position_m
+        away = np.linalg.norm(to_aim)
+        reach = min(1.0, problem.planner.horizon * self._step_m / away)
+        path = context.position_m + shares * reach * to_aim
+        found = scorer.candidate(held(context, list(path)), Rung.PLAN, Termination.LATTICE_ONLY)
+        return scorer.plan_from(scorer.assessed(found), wall_s=perf_counter() - begun)
+
+
+def test_robots_that_come_too_close_are_not_verified(own_parts, tmp_path) -> None:
+    """Neither of a pair, whichever was planned first, as the check from the files finds."""
+    register_planner(PlannerKind("meeting", Meeting))
+    problem = with_changes(load("team_map"), {"constraints.separation_m": 3.0})
+    solution = solve(problem, planner="meeting", horizon=6)
+    assert {plan.verdict for plan in solution.plans} == {Verdict.VIOLATED}
+    assert all("separation_m" in plan.message for plan in solution.plans)
+    solution.save(tmp_path)
+    assert check(tmp_path).verdict is solution.verdict

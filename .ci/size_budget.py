@@ -13,8 +13,8 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_808,
-    "lines of code": 52_348,
+    "lines": 70_809,
+    "lines of code": 52_349,
     "files": 247,
     "functions": 3_783,
     "docstring lines": 7_515,

@@ -353,10 +353,11 @@ def _in_words(data: dict[str, Any], fits: Sequence[dict[str, Any]]) -> str:
         lines += [
             f"{masks['folder']}: Nav2 masks {', '.join(masks['masks'])}; parameters "
             "nav2_filters.yaml",
-            f"  P(connected) is below {masks['keepout_below']:g} in "
-            f"{100.0 * masks['keepout_share']:.1f} % of the cells, which the keepout mask "
-            f"forbids, and at least {masks['p_min']:g} in "
-            f"{100.0 * masks['contact_share']:.1f} %",
+            f"  keepout: P(connected) is below {masks['keepout_below']:g} in "
+            f"{100.0 * masks['keepout_share']:.1f} % of the cells"
+            + ("" if masks["keepout_share"] else ": nothing is forbidden (raise --keepout-below)"),
+            f"  contact: P(connected) is at least {masks['p_min']:g} in "
+            f"{100.0 * masks['contact_share']:.1f} % of the cells",
             f"  next: ros2 launch {masks['folder']}/nav2_filters.launch.py",
         ]
     return "\n".join(lines)

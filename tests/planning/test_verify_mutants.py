@@ -573,7 +573,7 @@ MUTANTS = (
     (SEARCHES, "5 * price * (costs.share[near] + share", "0 * price * (costs.share[near] + share"),
     (SEARCHES, "5 * price * (share[one] + share[other]", "0 * price * (share[one] + share[other]"),
     (SEARCHES, "0.5 * price * (share[one] + share[", "1.0 * price * (share[one] + share["),
-    (SEARCHES, "dijkstra(graph, directed=False,", "dijkstra(graph, directed=True,"),
+    (SEARCHES, "(graph, directed=False,", "(graph, directed=True,"),
     (SEARCHES, "indices=grid.goal", "indices=0"),
     (SEARCHES, "at_goal = int(np.argmin(", "at_goal = int(np.argmax("),
     (SEARCHES, "kept[doubtful] = is_clear(swept, clearance)", "pass"),

@@ -93,7 +93,7 @@ def local_optimum(problem: StageProblem, path_m: Array, surplus: float = 0.0) ->
 def tilts_near(
     problem: StageProblem, paths_m: Sequence[Array], kinks_m: Array
 ) -> list[tuple[Array, Array]]:
-    """Return multipliers for each path; stages at obstacles or at `kinks_m` have little weight."""
+    """Return multipliers fitted to each path, with little weight at obstacles and at `kinks_m`."""
     found: list[tuple[Array, Array]] = []
     for path in paths_m:
         is_free = np.ones(len(path), dtype=np.bool_)

@@ -157,7 +157,7 @@ THRESHOLD_ROUNDING = 0.01
 
 @dataclass(frozen=True)
 class PathUncertainty:
-    """Sum of variances above a threshold, weighted by closeness, in dB^2 (equation 4.4)."""
+    """Weighted sum of the excess of each variance over a threshold, in dB^2 (equation 4.4)."""
 
     # L_ii^2: variance given the earlier positions; psi(l) = exp(-zeta l), l the path length.
 

@@ -183,7 +183,7 @@ class Retreats:
         return np.where(np.isfinite(steps)[:, None], places[nearest], stops_m), steps
 
     def best(self, stops_m: Floats, arrivals: Indices) -> Floats:
-        """Return the largest packet information (c, k) among retreats reachable by each step."""
+        """Return the largest information (c, k) of a packet from a retreat reached by each step."""
         # Shapes: stops_m (c, 2); arrivals (c,).
         found = np.zeros((len(stops_m), self.information.shape[1]))
         away = np.linalg.norm(stops_m[:, None] - self.places_m, axis=2)

@@ -115,7 +115,7 @@ class PairedInformation:
     given_nats: float = 0.0  # Information of what the posterior is assumed to know of the path loss
 
     def informed(self, path_m: Floats | None) -> PairedInformation:
-        """Return the bound for a posterior with more path-loss information than a path yields."""
+        """Return the bound if the path loss is known at least as well as after `path_m`."""
         if path_m is None:
             return self
         moments, spread = posterior_moments(self.posterior, path_m), self.posterior.theta_covariance

@@ -289,7 +289,7 @@ def with_changes(problem: AnyProblem, changes: Mapping[str, object]) -> AnyProbl
 
 def _of_change(error: InputError, given: str) -> InputError:
     """Return the error about a changed problem, with the changes in its message."""
-    message = f'{error.message}, because of the setting "{given}"'
+    message = f'{error.message}, in the setting "{given}"'
     return InputError(message, key=error.key, remedy=error.remedy)
 
 

@@ -109,7 +109,7 @@ class SnapshotService:
         return self.rate_divisor * self.rounds_s
 
     def sample_numbers(self, time_s: float) -> NDArray[np.int64]:
-        """Return, by level (L + 1,), the number of the last round that ended by `time_s`."""
+        """Return the index (L + 1,) of each level's last round that ended before `time_s`."""
         # Round k of a level samples at k periods. Numbers may be negative because the network has
         # always been running.
         ended = (time_s - self.rounds_s) / self.periods_s

@@ -102,7 +102,7 @@ def simulate(
 
 
 def _controller(problem: PursuitProblem, *, seed: int) -> PursuitController:
-    """Return the controller of the pursuers; a seed determines the starts."""
+    """Return the controller of the pursuers; `seed` determines their start positions."""
     return PursuitController(problem.scene(np.random.default_rng(seed)))
 
 
@@ -301,8 +301,8 @@ def _in_words(result: TaskResult) -> Sequence[str]:
             f"s, mean error {metrics['mean_error_m']:.2f} m"
         )
     lines.append(
-        f"  blocks sent by motes to report evaders: {metrics['report_blocks']}; false alarms and "
-        f"reports of other evaders used: {metrics['wrong_records']}"
+        f"  blocks sent by motes to report evaders: {metrics['report_blocks']}; reports used that "
+        f"were false alarms or of another evader: {metrics['wrong_records']}"
     )
     if guarantee["detour"] > 1.0:
         lines.append(
@@ -320,8 +320,7 @@ def _in_words(result: TaskResult) -> Sequence[str]:
             reached = (
                 "one report was enough, so the bound on later reports was not tested"
                 if share is None
-                else "distance bound at a report at most "
-                f"{100.0 * share:.1f} % of the value that the theorem allows"
+                else f"the distance measure never exceeded {100.0 * share:.1f} % of its bound"
             )
             words = f"capture guaranteed{within}; {reached}"
         lines.append(f"  theorem '{theorem}' ({THEOREM_WORDS[theorem]}): {words}")

@@ -49,7 +49,7 @@ PICTURE = "design.png"
 
 REQUIREMENT_WORDS = {
     "payload of a slot below what it carries": "bits to send in a slot",
-    "y = v_e period below 1": "y",
+    "y = v_e period below 1": "y, movement of the evader between rounds",
     "a of the error over 1 - y below 1": "a, with the position error scaled by 1 / (1 - y)",
     "growth while waiting below 1": "growth of the distance during a wait",
     "floor below the capture radius": "guaranteed final distance",
@@ -69,7 +69,7 @@ BINDING_WORDS = {
 }
 """Descriptions of the active constraints in text."""
 SYMBOLS = {
-    "a": "remaining distance after a drive to a fresh report",
+    "a": "distance to the evader that remains after a drive to a fresh report",
     "x": "movement of the evader during the age of a report",
     "y": "movement of the evader between rounds",
 }
@@ -501,7 +501,7 @@ def _requirements_in_words(requirements: Sequence[dict[str, Any]]) -> list[str]:
         table.append([words, *sides, "" if each["holds"] else "violated"])
     lines = aligned(table, 1)
     used = {s for s in SYMBOLS if any(re.search(rf"(^|\+ |\) ){s}\b", row[0]) for row in table)}
-    return lines + [f"{s}: {SYMBOLS[s]}, per metre of distance" for s in sorted(used)]
+    return [f"{s}: {SYMBOLS[s]}, per metre of distance" for s in sorted(used)] + lines
 
 
 def _figures(result: TaskResult) -> dict[str, Figure]:

@@ -155,7 +155,7 @@ def convex_fit(
 def nls_fit(
     correlation: EmpiricalCorrelation, alpha_db2: float, count: int, bounds: CovarianceBounds
 ) -> CovarianceFit:
-    """Fit xi, beta and omega by nonlinear least squares of the exponential to all bins."""
+    """Fit xi, beta and omega of the exponential to all bins by nonlinear least squares."""
     lag, share = correlation.lag_m, np.clip(correlation.covariance_db2 / alpha_db2, -1e3, 1e3)
     root = np.sqrt(correlation.pairs / correlation.pairs.sum())
     low, high = (math.log(end) for end in bounds.decorrelation_m)

@@ -277,7 +277,7 @@ def _cells(positions: Floats) -> list[list[str]]:
 
 
 def _is_wanted(topic: str, kind: str, definition: str) -> bool:
-    """Return whether a topic may have positions or powers."""
+    """Return whether a topic could contain positions or powers."""
     if kind in PREFERRED:
         return NOT_DRIVEN.search(topic.lower()) is None
     words = {fold(word) for word in re.findall(r"\w+", definition)}

@@ -39,7 +39,7 @@ class SafeSets:
     radii_m: Floats
 
     def share_inside(self, starts_m: Floats, ends_m: Floats) -> Floats:
-        """Return the share (n,) of each line, from its start on, that is inside the agent's set."""
+        """Return the fraction (n,) of each line before it first leaves the agent's set."""
         # The starts count as inside.
         share = np.ones(len(starts_m))
         move = ends_m - starts_m

@@ -103,7 +103,7 @@ def program_of(expression: Any, steps: int) -> str:
             remedy="give the number of planned steps",
         )
     symbols = {name: ca.SX.sym(name, *shape) for name, shape in _shapes(steps).items()}
-    remedy = f"return a scalar of {', '.join(symbols)}"
+    remedy = f"return a scalar computed from {', '.join(symbols)}"
     try:
         value = _value(expression, symbols, remedy)
         function = ca.Function("value", list(symbols.values()), [ca.densify(ca.SX(value))])
@@ -208,7 +208,7 @@ def _parsed(program: str, symbols: Mapping[str, Any], steps: int) -> Any:
                     return _built(right, names, symbols)
                 case _:
                     raise ValueError(
-                        "should be `name = expression` with a new name, or the final value"
+                        "should be `name = expression` with a new name; only the last is the value"
                     )
         except (SyntaxError, ValueError, KeyError, TypeError, RecursionError, MemoryError) as error:
             reason = "not an expression, or nested too deeply"

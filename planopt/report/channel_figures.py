@@ -26,6 +26,7 @@ from planopt.report.maps import (
     X_LABEL,
     Y_LABEL,
     believed_rasters,
+    draw_discs,
     draw_ground,
     draw_layer,
     draw_level,
@@ -513,11 +514,15 @@ def draw_draft(draft: Draft) -> Figure:
             entries.append(panel.scatter(*spots.T, s=14.0, zorder=PATH_Z, label=label, **look))
         entries += draw_places(panel, draft.problem)
         place = station.fit.parameters.station.position_m
-        circle = {"facecolors": "none", "edgecolors": BLACK, "linewidths": 1.4}
-        own = panel.scatter(*place, s=260.0, zorder=PLACE_Z, label="its station", **circle)
-        entries.append(own)
+        name = station.name
+        if not math.isfinite(station.region_m):
+            name += "\nposition not determined"
+        elif not station.is_given:
+            disc = {"facecolors": "none", "zorder": PLACE_Z, "label": "95 % region"}
+            region_m = np.array([station.region_m])
+            entries.append(draw_discs(panel, np.array([place]), region_m, **disc))
         note = {"xytext": (10, 10), "textcoords": "offset points", "zorder": PLACE_Z + 1.0}
-        panel.annotate(station.name, place, fontsize=NOTE_PT, bbox=NOTE_BOX, **note)
+        panel.annotate(name, place, fontsize=NOTE_PT, bbox=NOTE_BOX, **note)
         show_bounds(panel, (x_min, y_min, x_max, y_max))
         bar = cast("Any", figure).colorbar(dots, ax=panel, aspect=30, pad=0.02).ax
         bar.set_ylabel("power [dBm]", fontsize=LABEL_PT)

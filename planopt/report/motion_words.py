@@ -20,6 +20,7 @@ from planopt.planning.certificate import (
 )
 from planopt.planning.loop.metrics import run_holes, run_reliability
 from planopt.planning.plan import Plan, Verdict
+from planopt.problems.channel_setup import FittedTruth
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.report.tables import BAND_ENDS, BANDS, metric_name, reliability_lines, symbols_in_words
 from planopt.short_repr import shown_number
@@ -200,6 +201,8 @@ def run_in_words(run: Run) -> list[str]:
             crossed = f"{one.robot} crossed" if len(run.runs) > 1 else "crossed"
             lines += holes_in_words(problem, run_holes(one), crossed)
     lines += reliability_lines(run_reliability(run.runs), "steps")
+    if isinstance(problem.channel.truth, FittedTruth):
+        lines.append("the simulated channel is drawn from the fit to the log: no test of the fit")
     return [head, *(f"  {line}" for line in lines)]
 
 
@@ -279,6 +282,8 @@ def problem_in_words(problem: Problem) -> list[str]:
     truth, measured = problem.channel.truth, problem.channel.measurements
     source = getattr(truth, "file", None)
     kind = "simulated, drawn at random" if source is None else f"ground truth from {source}"
+    if isinstance(truth, FittedTruth):
+        kind = "simulated, drawn from the fit to the log"
     count = getattr(measured, "count", None)
     first = f"from {getattr(measured, 'file', None)}" if count is None else str(count)
     lines = [

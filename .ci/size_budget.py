@@ -13,8 +13,8 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_818,
-    "lines of code": 52_358,
+    "lines": 70_820,
+    "lines of code": 52_360,
     "files": 247,
     "functions": 3_783,
     "docstring lines": 7_515,

@@ -229,7 +229,7 @@ def window_sites(
     start: WindowSites | None,
     tolerance: float,
 ) -> WindowSites:
-    """Match the Gaussian sites of intervals by sweeps over all windows until convergence."""
+    """Fit a Gaussian site to each interval; sweep over all windows until convergence."""
     omega2 = parameters.multipath_std_db**2
     rows, mean = intervals.rows, mean_db[intervals.rows]
     limit = intervals.known.upper_db - mean

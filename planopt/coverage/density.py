@@ -71,9 +71,11 @@ class CallableDensity:
         values = np.asarray(self.density(places_m), dtype=np.float64)
         shape = (len(places_m),)
         if values.shape != shape or not (np.isfinite(values) & (values >= 0.0)).all():
+            fault = "negative, NaN or infinite values"
+            if values.shape != shape:
+                fault = f"values of shape {values.shape} for {len(places_m)} positions"
             raise InputError(
-                f"returned values of shape {values.shape} for {len(places_m)} positions, or "
-                "negative, NaN or infinite values",
+                f"returned {fault}",
                 key="density",
                 remedy=f"return finite values of at least 0 with shape {shape}",
             )

@@ -254,7 +254,7 @@ def add_own_blocks(hessian: Floats, own: Floats) -> None:
 
 
 def by_positions(found: PathDerivatives, gates: Gates | None) -> PathDerivatives:
-    """Return derivatives w.r.t. positions from derivatives w.r.t. positions and gates."""
+    """Eliminate the gates by the chain rule and return derivatives w.r.t. positions only."""
     if gates is None:
         return found
     steps = len(found.gradient) // 3

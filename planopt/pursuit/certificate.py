@@ -220,7 +220,7 @@ def floor_m(theorem: Theorem, case: Case) -> float:
 
 
 def capture_time_s(theorem: Theorem, case: Case, distance_m: float, radius_m: float) -> float:
-    """Return the maximum time to capture from a first sampled distance; infinite if unbounded."""
+    """Return the bound on the capture time, given the first sampled distance; inf if unbounded."""
     if not floor_m(theorem, case) < radius_m:
         return math.inf
     if theorem is Theorem.SNAPSHOTS:

@@ -237,7 +237,7 @@ def _rate_chart(rows: Sequence[Row], best: Mapping[Question, float], kind: str) 
 
 
 def _fallback_chart(rows: Sequence[Row]) -> Chart:
-    """Return the fallbacks that released the plans of each planner, as stacked shares."""
+    """Return a stacked bar chart of the share of each planner's plans by fallback."""
     planners = list(dict.fromkeys(row.planner for row in rows))
     counts: dict[str, dict[str, int]] = {planner: {} for planner in planners}
     for row in rows:

@@ -303,7 +303,7 @@ def _dot(a: Floats, b: Floats) -> Floats:
 
 
 def _row_of(table: Floats, column: NDArray[np.int64]) -> Floats:
-    """Return, for each row of `table` (p, w, ...), the entry in the row's `column` (p,)."""
+    """Return ``table[i, column[i]]`` for each row i of `table` (p, w, ...)."""
     return table[np.arange(len(table)), column]
 
 

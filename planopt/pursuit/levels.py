@@ -112,7 +112,7 @@ class LevelBounds:
         return float(max(driving.max(), waiting.max()))
 
     def capture_time_s(self, distance_m: float, radius_m: float) -> float:
-        """Return the bound on the capture time, given the first sampled distance (equation 8.19)."""
+        """Return the bound on the capture time from the first sampled distance (equation 8.19)."""
         if not self.floor_m() < radius_m:
             return math.inf
         bound_m = first_m = self.start_m(distance_m)

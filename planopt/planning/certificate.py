@@ -540,8 +540,8 @@ class Crossing:
         length, outside = f"{self.kept_m:.0f} m", f"{self.outside_m:.0f} m"
         part = f"all of its {length}" if outside == length else f"{outside} of its {length}"
         return (
-            "No route stays connected throughout. The route with the least outage has P(connected) "
-            f"below {self.p_min:g} over {part}. {cost}"
+            "No route stays connected throughout: even the route with the least outage has "
+            f"P(connected) below {self.p_min:g} over {part}. {cost}"
         )
 
     def __str__(self) -> str:

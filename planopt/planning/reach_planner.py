@@ -394,7 +394,7 @@ class DrivenReach:
         return found, None if found.drive is None else cost.pivot_of(found.path_m, found.drive)
 
     def _direct(self, scorer: Scorer, start: GlobalStart, warm: Plan | None) -> Candidate | None:
-        """Return a candidate along the shortest path, node by node with stops."""
+        """Return a candidate that follows the shortest path and stops at each node."""
         if not stands(self._problem, scorer.state):
             drive = shifted_drive(self._problem, warm)
         else:

@@ -257,7 +257,7 @@ def staleness(chase: Chase, bounds: ServiceBounds) -> float:
 
 
 def _follow(chase: Chase, bounds: ServiceBounds) -> Stage:
-    """Return a driving stage for records with age and error bounded by the sampled distance."""
+    """Return the stage of a drive to a record; the sampled distance bounds its age and error."""
 
     def drive(bound_m: Floats) -> tuple[Floats, Floats]:
         sampled_m = _least_distance_m(chase, bounds, bound_m)

@@ -341,13 +341,11 @@ ALMOST_SURE = 0.9999
 def planned_in_words(clearance_m: float | None, connectivity: float | None) -> str:
     """Return text on the clearance of planned paths and the minimum P(connected) of steps."""
     known = clearance_m is not None and isfinite(clearance_m)
-    clear = (
-        f"clearance from obstacles {shown_number(clearance_m, ' m')}" if known else "no obstacles"
-    )
+    clear = f"a clearance of {shown_number(clearance_m, ' m')} from obstacles and " if known else ""
     lowest = shown_number(connectivity)
     if connectivity is not None and ALMOST_SURE < connectivity < 1.0:
-        lowest = f"above {ALMOST_SURE:g}"
-    return f"{clear}; lowest predicted P(connected) of the planned steps {lowest}"
+        lowest = f"{ALMOST_SURE:g}"
+    return f"the planned steps have {clear}a predicted P(connected) of at least {lowest}"
 
 
 def apart_in_words(separation_m: float | None, moving_clearance_m: float | None) -> tuple[str, ...]:

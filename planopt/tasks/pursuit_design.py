@@ -69,9 +69,9 @@ BINDING_WORDS = {
 }
 """Descriptions of the active constraints in text."""
 SYMBOLS = {
-    "a": "distance to the evader that remains after a drive to a fresh report",
-    "x": "movement of the evader during the age of a report",
-    "y": "movement of the evader between rounds",
+    "a": "distance after a drive to a fresh report, divided by the distance before it",
+    "x": "movement of the evader during the age of a report, divided by its distance",
+    "y": "movement of the evader between rounds, divided by its distance",
 }
 """Meanings of the symbols in descriptions of requirements."""
 ACTIVE = 1e-6
@@ -475,7 +475,9 @@ def in_words(result: TaskResult) -> Sequence[str]:
     if data["message"]:
         lines.append(f"  not verified: {data['message']}")
     else:
-        lines.append(f"  verified: a slot has room for {blocks} blocks, so every report is on time")
+        lines.append(
+            f"  verified: every report is on time, as a slot has room for {blocks} blocks of bits"
+        )
     effects = sorted(data["sensitivities"].items(), key=lambda item: -abs(item[1]))
     what = "energy" if problem.method.of_energy else "power"
     shown = ", ".join(
@@ -501,7 +503,7 @@ def _requirements_in_words(requirements: Sequence[dict[str, Any]]) -> list[str]:
         table.append([words, *sides, "" if each["holds"] else "violated"])
     lines = aligned(table, 1)
     used = {s for s in SYMBOLS if any(re.search(rf"(^|\+ |\) ){s}\b", row[0]) for row in table)}
-    return [f"{s}: {SYMBOLS[s]}, per metre of distance" for s in sorted(used)] + lines
+    return [f"{s}: {SYMBOLS[s]}" for s in sorted(used)] + lines
 
 
 def _figures(result: TaskResult) -> dict[str, Figure]:

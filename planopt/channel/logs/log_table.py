@@ -263,7 +263,7 @@ ALIASES = {
 
 
 def alias(table: LogTable, role: str) -> str | None:
-    """Return the column with a known name of this role, or None."""
+    """Return the column whose name is a known alias of this role, or None."""
     found = next((each for each in ALIASES[role] if each in table.folded), None)
     return None if found is None else table.folded[found]
 

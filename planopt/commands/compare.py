@@ -447,7 +447,7 @@ def _freeze(rows: list[Row], manifest: Manifest, file: Path, replace: bool, json
     changed = [case for case in known if references[case] != known[case]]
     if changed and not replace:
         raise InputError(
-            f"has {len(changed)} references that differ from the new results: " + "; ".join(changes),
+            f"has {len(changed)} references that differ from new results: " + "; ".join(changes),
             file=file,
             remedy="add --replace to overwrite them, and explain each change in the commit message",
         )

@@ -1,7 +1,7 @@
 """Run the tests of what has changed, in a given time: ``make quick``.
 
 With ``--quick SECONDS`` only the tests are collected that stand where the files that changed since
-the last commit but one do (``planopt/channel/maps/tile.py``: ``tests/channel/maps``), and the
+the last commit but one do (``planopt/channel/logs/power_log.py``: ``tests/channel``), and the
 golden cases. The first test of every file runs, then the second of every file, and so on until the
 time is over. No list of tests has to be kept up to date.
 """

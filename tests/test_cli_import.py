@@ -192,6 +192,12 @@ def test_logs_that_do_not_fit_one_transmitter(
         said = capsys.readouterr().out
         assert words in said and ("not determined" in said) == (code == 3)
         assert " inf" not in said and "+- -" not in said and "(-," not in said
+    # The file marks a position that the log does not determine, and later commands warn of it.
+    text = out.read_text()
+    assert ("position_known = false" in text) == ("# placeholder" in text) == (code == 3)
+    assert ("# located within" in text) == (code == 0)
+    assert main(["validate", str(out)]) == 0
+    assert ("position_m of station is a placeholder" in capsys.readouterr().out) == (code == 3)
 
 
 def test_a_map_in_centimetres(yard: Path, tmp_path: Path, capsys) -> None:

@@ -155,10 +155,14 @@ def test_masks_of_a_log(log, tmp_path, capsys):
 
 
 def test_masks_of_a_problem(tmp_path, capsys):
-    """The best of both stations over the bounds; options of logs do not belong to it."""
+    """The best of both stations over the bounds, by name too; no options of logs."""
     file = str(library_folder() / "two_station_courier.toml")
-    assert main(["map", file, "--nav2", str(tmp_path), "--cell", "20", "--json"]) == 0
-    data = json.loads(capsys.readouterr().out)
+    found = []
+    for named in (file, "two_station_courier"):
+        assert main(["map", named, "--nav2", str(tmp_path), "--cell", "20", "--json"]) == 0
+        found.append(json.loads(capsys.readouterr().out))
+    data, by_name = found
+    assert by_name == data
     problem = planopt.load(file)
     assert len(data["fits"]) == 2 and data["nav2"]["p_min"] == problem.constraints.p_min
     x_min, _, x_max, _ = problem.workspace.bounds_m

@@ -439,7 +439,7 @@ def _number(table: dict[str, object], key: str) -> float:
 def _shown(value: object) -> str:
     """Return a value formatted for a message."""
     text = "missing" if value is None else repr(value)
-    return text if len(text) <= 60 else f"{text[:60]}...'"
+    return text if len(text) <= 60 else f"{text[:60]}...{text[-1]}"
 
 
 def _one_of(table: dict[str, object], key: str, allowed: tuple[str, ...]) -> str:

@@ -18,7 +18,7 @@ BUDGET = {
     "files": 247,
     "functions": 3_783,
     "docstring lines": 7_515,
-    "lines of tests": 48_457,
+    "lines of tests": 48_461,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

@@ -71,15 +71,19 @@ def test_predictions_of_solvers_ignore_readings():
 
 
 def test_revisited_positions_of_a_run_are_reported_as_known():
-    """Of each step to a position measured before: probability one if and only if connected."""
+    """One if and only if connected where measured; one where only a packet had arrived before."""
     run = simulate(load("fig4"), seed=3, horizon=4)
-    known = 0
+    known = proven = 0
     for robot, belief in zip(run.runs, run.beliefs, strict=True):
         log, places = robot.log, belief.posterior.measurements.positions_m
         for step in range(2, len(log.t_s)):
             here = log.positions_m[step]
-            if (log.positions_m[1:step] == here).all(axis=1).any():
+            visits = (log.positions_m[1:step] == here).all(axis=1)
+            if visits.any():
                 measured = (places == here).all(axis=1).any()
                 known += measured
                 assert not measured or log.connectivity[step] == log.connected[step]
-    assert known > 20
+            if log.connected[1:step][visits].any():
+                proven += not (places == here).all(axis=1).any()
+                assert log.connectivity[step] == 1.0
+    assert known > 20 and proven > 5

@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_820,
-    "lines of code": 52_360,
+    "lines": 70_831,
+    "lines of code": 52_372,
     "files": 247,
     "functions": 3_783,
     "docstring lines": 7_515,
-    "lines of tests": 48_461,
+    "lines of tests": 48_474,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

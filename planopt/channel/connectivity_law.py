@@ -251,12 +251,15 @@ class ConnectivityLaw:
 
     @property
     def connected_m(self) -> Floats:
-        """Positions (k, 2) of readings that prove a connection, and of the latest packet."""
-        # Earlier packets came from positions next to readings.
-        found = [self.proven.positions_m[-1:]]
+        """Positions (k, 2) where readings or packets prove a connection."""
+        places, found = self.proven.positions_m, list[Floats]()
+        unread = np.ones(len(places), dtype=np.bool_)
         for station, threshold in zip(self.posteriors, self.thresholds_dbm, strict=True):
             least, _ = _power_bounds_dbm(station, slice(None))
             found.append(station.measurements.positions_m[least >= threshold])
+            known = known_power(station, places, threshold)
+            unread[known.rows[known.least_dbm >= threshold]] = False
+        found.append(places[unread])
         return np.vstack(found)
 
     def each_power(self, positions_m: Floats, predict: Predictor = predict) -> list[Prediction]:

@@ -226,7 +226,7 @@ class History:
     crossing_excess_m: float = 0.0
     # (n, 2) end positions of earlier steps without connection
     missed_m: Floats = field(default_factory=lambda: np.zeros((0, 2)), repr=False, compare=False)
-    # End positions of steps with a connection
+    # End positions of steps with a known connection, not a predicted one
     connected: PlaceIndex = field(default=NOWHERE, repr=False, compare=False)
 
 
@@ -243,6 +243,7 @@ def history_of(
     certificates: Iterable[Certificate] = (),
     *,
     gave_way: Sequence[bool] = (),
+    observed: Mask | None = None,  # (n,) whether `connected` was observed; None: always
 ) -> History:
     """Return the history of a run whose robot moved along a track."""
     priced = [each for each in certificates if each.step_excess_m is not None]
@@ -257,7 +258,9 @@ def history_of(
         outage_m=float(legs[since:].sum()),
         delivered_mbit=float(data_of_steps_mbit(problem, 0, count) @ connected),
         missed_m=track_m[1:-1][~connected[:-1]],
-        connected=PlaceIndex.of(track_m[1:][connected]),
+        connected=PlaceIndex.of(
+            track_m[1:][connected if observed is None else connected & observed]
+        ),
         crossing_cost_m=sum(each.step_cost_m or 0.0 for each in priced),
         crossing_excess_m=sum(each.step_excess_m or 0.0 for each in priced),
         has_circled=not problem.workspace.moving

@@ -411,7 +411,7 @@ class Planner:
                 if stated is None
                 else stated
             )
-            self._robots.observe(now, measured, links, seen)
+            self._robots.observe(now, measured, links, seen, observed=stated is not None)
         else:
             self._robots.place(now, measured)
             self._is_placed = True

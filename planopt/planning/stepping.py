@@ -259,6 +259,7 @@ class Stepper:
         self.aims: list[list[Aim]] = [[] for _ in numbers]
         self.learnt: list[list[bool]] = [[] for _ in numbers]
         self.connected = np.zeros((0, len(numbers)), dtype=np.bool_)
+        self._observed: list[bool] = []  # By step, whether the connections were observed
         self.watches = [watch]
         self._warm: list[Plan | None] = [None for _ in numbers]
 
@@ -296,6 +297,7 @@ class Stepper:
                     self.connected[:, number],
                     [plan.certificate for plan in made],
                     gave_way=[plan.rung is Rung.GIVE_WAY for plan in made],
+                    observed=np.array(self._observed, dtype=np.bool_),
                 )
                 for number, (own, driven, made) in enumerate(
                     zip(self.owns, self.states, self.plans, strict=True)
@@ -336,6 +338,8 @@ class Stepper:
         measured: Sequence[Sequence[Measurements]],
         connected: Sequence[bool] | Mask,
         target_m: Floats | None = None,  # (robots, 2)
+        *,
+        observed: bool = True,  # False for connections inferred from readings or predictions
     ) -> None:
         """Record the outcome of a step; if an error is raised, all robots stay unchanged."""
         beliefs = self._learnt(measured)
@@ -351,6 +355,7 @@ class Stepper:
             self.states[number].append(state)
             self.learnt[number].append(belief is not self.beliefs[number])
         self.beliefs, self.connected = beliefs, links
+        self._observed.append(observed)
         self.watches.append(watch)
 
     def _learnt(self, measured: Sequence[Sequence[Measurements]]) -> list[Belief]:

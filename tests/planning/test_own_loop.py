@@ -304,3 +304,15 @@ def test_what_does_not_fit_the_problem(log: Measurements) -> None:
     ):
         with pytest.raises(InputError):
             call()
+
+
+def test_a_predicted_connection_is_no_packet():
+    """Only stated connections make a position certain; those that steps infer do not."""
+    chances = []
+    for stated in (None, True):
+        planner = Planner(load("munich_courier"), horizon=3)
+        place = planner.step(planner.problem.robots[0].start_m).next_position_m
+        planner.step(place, connected=stated)
+        plan = planner.step(place, connected=stated)
+        chances.append(plan.connectivity[0])
+    assert chances[0] < 1.0 == chances[1]

@@ -119,6 +119,7 @@ def test_a_packet_proves_the_connection(count):
     np.testing.assert_array_equal(found[[0, 3]], chances(before, PLACES)[[0, 3]])
     np.testing.assert_array_equal(law.is_connected(PLACES), [False, True, True, True])
     assert (law.margin_db(PLACES[1:3]) >= 0.0).all()
+    assert {tuple(place) for place in law.connected_m} == {tuple(place) for place in PLACES[1:]}
     assert law.probability(PLACES) == pytest.approx(found, rel=1e-12)
     if count == 1:
         assert (law.sample(PLACES[:2], 500, 3)[:, 1] >= THRESHOLD_DBM).all()

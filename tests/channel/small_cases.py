@@ -60,3 +60,15 @@ def small_case(seed):
         Station((float(offset[0]), float(offset[1])), rng.choice([0.0, 5.0])),
         rng.choice([np.inf, np.inf, 30.0]),
     )
+
+
+def assert_usable(fit):
+    """Check that a fit is finite, positive where it must be, and consistent with its own words."""
+    p = fit.parameters
+    numbers = [p.k_pl_db, p.n_pl, p.shadow_std_db, p.decorrelation_m, p.multipath_std_db]
+    assert np.isfinite(numbers).all() and np.isfinite(fit.theta_covariance).all()
+    assert min(numbers[2:]) > 0.0
+    assert (np.array(list(fit.standard_errors.values())) >= 0.0).all()
+    eigenvalues = np.linalg.eigvalsh(fit.theta_covariance)
+    assert eigenvalues[0] >= -1e-9 * eigenvalues[1]
+    assert fit.status == "ok" or fit.warnings

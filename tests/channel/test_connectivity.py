@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
-from planopt.channel import ChannelParameters, Measurements, Station
 from planopt.channel.kriging import bound_margin_db, connection_probability
 
 MEAN = np.array([-90.0, -83.0, -70.0, -83.0])
@@ -39,9 +38,3 @@ def test_what_is_not_predicted_stays_unknown():
     assert np.isnan(found[0, 0])
     assert found[0, 1] > 0.97
     assert np.isnan(bound_margin_db(mean, mean, -82.0, 0.8)[0, 0])
-
-
-CHANNEL = ChannelParameters(-30.0, 2.5, 4.0, 20.0, 2.0, Station((0.0, 0.0)))
-MEASURED = Measurements(
-    np.array([[10.0, 0.0], [0.0, 30.0], [50.0, 5.0]]), np.full(3, -70.0), np.zeros(3, bool)
-)

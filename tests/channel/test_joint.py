@@ -15,7 +15,6 @@ from planopt.channel import (
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((5.0, -10.0), 12.0))
 DATA = simulated(CHANNEL, 0, 60, 200.0)
-NOTHING = Measurements(np.zeros((0, 2)), np.zeros(0), np.zeros(0, dtype=bool))
 PATH = np.column_stack([np.linspace(20.0, 150.0, 14), 60.0 + 30.0 * np.sin(np.arange(14.0))])
 
 

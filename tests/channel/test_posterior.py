@@ -62,23 +62,6 @@ def test_estimated_theta_equals_dense_universal_kriging(count):
     np.testing.assert_allclose(found.deviation_db, deviation, atol=1e-8)
 
 
-@pytest.mark.parametrize("theta", ["estimated", "known"])
-def test_batch_equals_sequential(theta):
-    """Appending one by one, past the spare capacity, equals conditioning at once to 1e-10."""
-    data = measured(120)
-    posterior = condition(PARAMETERS, subset(data, slice(0, 5)), theta=theta)
-    for index in range(5, 120):
-        posterior = posterior.extend(subset(data, slice(index, index + 1)))
-    batch = condition(PARAMETERS, data, theta=theta)
-    np.testing.assert_allclose(posterior.theta, batch.theta, atol=1e-10)
-    np.testing.assert_allclose(
-        posterior.predict(places()).mean_db, batch.predict(places()).mean_db, atol=1e-10
-    )
-    np.testing.assert_allclose(
-        posterior.predict(places()).deviation_db, batch.predict(places()).deviation_db, atol=1e-10
-    )
-
-
 def test_branches_of_one_posterior_do_not_disturb_each_other():
     """Two different extensions of the same posterior share a buffer, and each is right."""
     data = measured(40)

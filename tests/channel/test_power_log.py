@@ -17,7 +17,6 @@ from planopt.channel.logs.log_format import (
     parse_where,
 )
 from planopt.channel.logs.power_log import at_file_line, read_groups, read_power_log
-from planopt.world.geodesy import parse_origin
 
 
 def written(tmp_path, text, encoding="utf-8"):
@@ -229,15 +228,6 @@ def test_a_label_that_cannot_be_printed(tmp_path) -> None:
     """Terminal codes would reach the terminal."""
     path = written(tmp_path, "x_m,y_m,power_dbm,rx\n1,2,-70,\x1b[2J\n")
     refuses(path, receiver_column="rx")
-
-
-def test_a_log_in_degrees(tmp_path: Path) -> None:
-    """The same places in degrees and in metres."""
-    path = tmp_path / "log.csv"
-    path.write_text("lat,lon,power_dbm\n48.1374,11.5755,-60\n48.1383,11.5755,-70\n")
-    form = LogFormat(("lon", "lat", "power_dbm"), origin_deg=parse_origin("48.1374,11.5755"))
-    found = read_log(path, form).positions_m
-    np.testing.assert_allclose(found, [[0.0, 0.0], [0.0, 100.1]], atol=0.05)
 
 
 @pytest.mark.parametrize(

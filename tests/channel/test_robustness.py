@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from small_cases import small_case
+from small_cases import assert_usable, small_case
 
 from planopt import InputError
 from planopt.channel import condition, fit_channel
@@ -26,21 +26,8 @@ ROTATED = (
 long."""
 
 
-def assert_usable(fit):
-    """Finite, positive where it must be, and consistent with its own words."""
-    p = fit.parameters
-    numbers = [p.k_pl_db, p.n_pl, p.shadow_std_db, p.decorrelation_m, p.multipath_std_db]
-    assert np.isfinite(numbers).all()
-    assert min(numbers[2:]) > 0.0
-    errors = np.array(list(fit.standard_errors.values()))
-    assert (errors >= 0.0).all()
-    eigenvalues = np.linalg.eigvalsh(fit.theta_covariance)
-    assert eigenvalues[0] >= -1e-9 * eigenvalues[1]
-    assert fit.status == "ok" or fit.warnings
-
-
 @pytest.mark.parametrize(
-    "block", [pytest.param(n, marks=[pytest.mark.slow] if n % 2 else []) for n in range(BLOCKS)]
+    "block", [pytest.param(n, marks=[pytest.mark.slow] if n % 4 else []) for n in range(BLOCKS)]
 )
 def test_every_fit_is_usable_or_refused(block):
     """Each case is fitted with finite numbers that predict finite ones, or refused by examine."""

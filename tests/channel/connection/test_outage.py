@@ -5,8 +5,6 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from scipy.stats import binomtest
 from simulated_channel import simulated
 
@@ -33,29 +31,6 @@ THRESHOLD = -82.0
 
 def rng():
     return np.random.default_rng(3)
-
-
-@settings(max_examples=60)
-@given(st.integers(0, 10**6), st.integers(2, 12))
-def test_the_longest_run_is_that_of_all_stretches(seed, count):
-    """Of each drive, one by one."""
-    generator = np.random.default_rng(seed)
-    legs = generator.uniform(0.0, 5.0, count - 1)
-    connected = generator.random((5, count)) < 0.5
-    expected = [
-        max(
-            (
-                sum(size for size, _ in run)
-                for now, run in itertools.groupby(
-                    zip(legs, drive[1:], strict=True), lambda leg: leg[1]
-                )
-                if not now
-            ),
-            default=0.0,
-        )
-        for drive in connected
-    ]
-    np.testing.assert_allclose(longest_run(legs, ~connected[:, 1:]), expected)
 
 
 def independent():

@@ -2,44 +2,23 @@
 
 import dataclasses
 import math
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
 from refusals import refused
 from simulated_channel import simulated, subset
+from small_cases import assert_usable
 
-from planopt.channel import (
-    ChannelParameters,
-    LogFormat,
-    Measurements,
-    Station,
-    fit_channel,
-    read_log,
-)
+from planopt.channel import ChannelParameters, Measurements, Station, fit_channel
 from planopt.channel.parameters import PRIOR_N_PL, regressors
 
 METHODS = ("lemma1", "capped", "convex", "nls", "reml")
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((50.0, 50.0), 10.0))
-CAMPUS = Path(os.environ.get("PLANOPT_DATA", "")) / "campus"
 
 
 def values(fit):
     p = fit.parameters
     return np.array([p.k_pl_db, p.n_pl, p.shadow_std_db, p.decorrelation_m, p.multipath_std_db])
-
-
-def assert_usable(fit):
-    """Finite, positive where it must be, and consistent with its own words."""
-    assert np.isfinite(values(fit)).all()
-    assert (values(fit)[2:] > 0.0).all()
-    assert np.isfinite(fit.theta_covariance).all()
-    assert not np.isnan(list(fit.standard_errors.values())).any()
-    assert (np.array(list(fit.standard_errors.values())) >= 0.0).all()
-    eigenvalues = np.linalg.eigvalsh(fit.theta_covariance)
-    assert eigenvalues[0] >= -1e-9 * eigenvalues[1]
-    assert fit.status == "ok" or fit.warnings
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -217,31 +196,3 @@ def test_indistinguishable_parameters_are_reported():
     fit = fit_channel(dated, Station((50.0, 50.0), 5.0), forgetting_s=1e-9)
     assert math.isinf(fit.standard_errors["shadow_std_db"])
     assert fit.status == "degenerate" and "do not determine" in " ".join(fit.warnings)
-
-
-@pytest.mark.skipif(not CAMPUS.exists(), reason="the campus logs are not shipped")
-@pytest.mark.parametrize(
-    ("name", "station", "line"),
-    [
-        ("honors", (507.4, -66.6), 3.3),
-        ("hospital", (496.5, 671.8), 2.2),
-        ("garage", (83.6, -390.9), 3.9),
-    ],
-)
-def test_campus_logs(name, station, line):
-    """Real logs: 8 dB in all, half or more of it correlated, n_PL as in the data's notes.
-
-    The line is a little steeper than the one noted there, which took the floor as exact. With so
-    many readings the priors move the exponent and the distance by one standard error at most.
-    """
-    measurements = read_log(CAMPUS / f"{name}.csv", LogFormat(censored_column="near_floor"))
-    fit = fit_channel(measurements, Station(station), "reml")
-    _, n_pl, shadow, beta, multipath = values(fit)
-    assert fit.status == "ok"
-    assert line < n_pl < line + 0.8
-    assert 7.0 < np.hypot(shadow, multipath) < 9.5
-    assert 0.45 < shadow**2 / (shadow**2 + multipath**2) < 0.8
-    assert 50.0 < beta < 180.0
-    with_priors = values(fit_channel(measurements, Station(station), "map"))
-    assert with_priors[1] == pytest.approx(n_pl, abs=fit.standard_errors["n_pl"])
-    assert with_priors[3] == pytest.approx(beta, abs=fit.standard_errors["decorrelation_m"])

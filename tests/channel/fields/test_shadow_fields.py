@@ -36,18 +36,6 @@ def test_covariance_at_every_lag(shape, decorrelation):
     assert (np.abs(means.mean(axis=0) - expected) < 4.5 * error).all()
 
 
-def test_opposite_edges_are_not_neighbours():
-    """The torus is long enough: first and last column are as uncorrelated as their distance."""
-    generator = np.random.default_rng(4)
-    ends = np.array(
-        [
-            shadow_field_db((1, 40), 1.0, 1.0, 4.0, generator).values_db[0, [0, -1]]
-            for _ in range(900)
-        ]
-    )
-    assert abs(np.corrcoef(ends.T)[0, 1]) < 4.0 / np.sqrt(900)
-
-
 def test_report_of_padding_and_clipping():
     """Padding grows with the decorrelation distance; what is clipped stays under tolerance."""
     short = shadow_field_db((10, 30), 1.0, 2.0, 1.0, np.random.default_rng(0))

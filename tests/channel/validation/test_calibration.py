@@ -95,7 +95,7 @@ def test_one_outcome_counts_the_groups():
     assert share_interval(np.zeros(20), np.full(20, 50.0)) == pytest.approx((0.0, 1.0 - low))
 
 
-@pytest.mark.parametrize("share", [0.7, 0.95, 0.995])
+@pytest.mark.parametrize("share", [0.7, 0.995])
 @pytest.mark.parametrize("together", [0.0, 0.3])
 def test_interval_holds_where_steps_belong_together(share, together):
     """Runs that share their luck (Gaussian copula): 95 % of intervals hold the truth, or more."""

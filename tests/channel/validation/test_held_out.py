@@ -1,9 +1,6 @@
 """Held-out walks: predictors, scores against sums by hand, and a real log where it is there."""
 
 import dataclasses
-import os
-from functools import partial
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,14 +11,12 @@ from simulated_channel import simulated, subset
 from planopt import InputError
 from planopt.channel import (
     ChannelParameters,
-    LogFormat,
     Measurements,
     Prediction,
     Station,
     fit_channel,
     held_out_report,
     predictors_of,
-    read_log,
 )
 from planopt.channel.held_out import (
     deal,
@@ -31,13 +26,10 @@ from planopt.channel.held_out import (
     learn_plain_process,
     part_between,
 )
-from planopt.channel.logs.log_format import parse_groups
-from planopt.channel.logs.power_log import read_groups
 
 PREDICTORS = ["channel", "marginal", "path_loss", "plain_line", "plain_process"]
 CHANNEL = ChannelParameters(-30.0, 2.8, 6.0, 30.0, 2.0, Station((20.0, 35.0), 3.0))
 PLAIN = ChannelParameters(-40.0, 3.0, 6.0, 40.0, 2.0, Station((50.0, 50.0), 10.0))
-CAMPUS = Path(os.environ.get("PLANOPT_DATA", "")) / "campus"
 
 
 COUNT = 20_000
@@ -157,20 +149,6 @@ def test_channel_and_marginal_beat_path_loss():
         score = found.scores[name]
         assert score.of_path_loss.high < 1.0
         assert 0.88 < score.coverage[0.95].value <= 1.0
-
-
-@pytest.mark.skipif(not CAMPUS.is_dir(), reason="the campus logs are not here")
-def test_campus():
-    """Days held out whole, every twentieth row of a real log: better than path loss."""
-    file = CAMPUS / "honors.csv"
-    rows = slice(None, None, 20)
-    measurements = read_log(file, LogFormat(censored_column="near_floor")).take(rows)
-    groups = read_groups(file, parse_groups("day"))[rows]
-    learn = predictors_of(partial(fit_channel, station=Station((507.4, -66.6))))
-    found = held_out_report(measurements, groups, groups, learn)
-    for name in ("channel", "marginal"):
-        assert found.scores[name].of_path_loss.value < 0.92
-        assert 0.83 < found.scores[name].coverage[0.9].value < 0.97
 
 
 def test_nothing_leaks():

@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import shapely
-from scenes import RING, good_everywhere, small_problem
+from scenes import RING, small_problem
 
 import planopt
 from planopt import InputError, Measurements, Problem, load
 from planopt.channel import Nakagami, true_power_dbm
 from planopt.cli import main
 from planopt.planning.free_space import free_places
-from planopt.planning.initial_data import draw_truth, learn, prepare
+from planopt.planning.initial_data import draw_truth, prepare
 from planopt.problems import (
     FittedTruth,
     LoggedMeasurements,
@@ -127,17 +127,6 @@ def test_places_are_uniform():
     inside = ((places > (14.0, 9.0)) & (places < (26.0, 21.0))).all(axis=1).mean()
     share = 144.0 / (1200.0 - RING.area)
     assert inside == pytest.approx(share, abs=4.0 * np.sqrt(share / 4000))
-
-
-def test_learning_from_given_measurements(problem):
-    """Fitted by the problem's method and conditioned on all of them."""
-    places = np.random.default_rng(2).uniform((0, 0), (120, 100), (40, 2))
-    measured = Measurements(places, good_everywhere(places), np.zeros(40, dtype=bool))
-    belief = learn(
-        replace(problem, channel=replace(problem.channel, fit_method="capped")), measured
-    )
-    assert belief.fit.method == "capped"
-    assert len(belief.posterior.measurements) == 40
 
 
 WORLD = planopt.load("open_field")

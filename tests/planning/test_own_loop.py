@@ -310,7 +310,7 @@ def test_a_predicted_connection_is_no_packet():
     """Only stated connections make a position certain; those that steps infer do not."""
     chances = []
     for stated in (None, True):
-        planner = Planner(load("munich_courier"), horizon=3)
+        planner = Planner(load("open_field"), horizon=3)
         place = planner.step(planner.problem.robots[0].start_m).next_position_m
         planner.step(place, connected=stated)
         plan = planner.step(place, connected=stated)

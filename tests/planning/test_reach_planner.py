@@ -5,23 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
-from scenes import (
-    CUP,
-    RING,
-    WALL,
-    bad_disc,
-    bad_everywhere,
-    belief_of,
-    good_everywhere,
-    small_problem,
-    verified,
-)
+from failing_solvers import no_numbers, with_status
+from scenes import CUP, RING, WALL, bad_disc, belief_of, good_everywhere, small_problem, verified
 
 import planopt.planning.refinement as refine_module
 from planopt import Plan, Problem, Verdict
 from planopt.extend import Rung, Termination
 from planopt.planning.programme import path_nlp
-from planopt.planning.programme.solver import NlpPoint
 from planopt.planning.reach_planner import ReachPlanner
 from planopt.planning.scene import build_scene
 from planopt.problems.problem import path_cost_s
@@ -110,20 +100,6 @@ def test_straight_way_costs_what_the_formula_says(planner):
         assert plan.objective == plan.lattice_objective
 
 
-@pytest.mark.parametrize("name", ["wall, long", "brackets", "sixty steps ahead"])
-def test_same_again(name):
-    """Bit for bit the same from a new planner, and from one that has planned other things."""
-    problem = SCENES[name]
-    first = planned(problem)
-    used = ReachPlanner(problem, build_scene(problem))
-    belief = belief_of(problem)
-    used.plan(belief, first.positions_m[3])
-    for plan in (planned(problem), used.plan(belief, first.positions_m[0])):
-        assert (plan.positions_m == first.positions_m).all()
-        assert plan.objective == first.objective
-        assert plan.certificate == first.certificate
-
-
 def test_hole_below_the_bound_is_gone_round():
     """The bound is kept at every step, and no path is straight."""
     problem = small_problem(horizon=16)
@@ -149,17 +125,6 @@ def test_start_below_the_bound():
     assert f"{max(certificate.relaxation_db):.2f} dB" in plan.message
     assert "steps 1 to 2" in plan.message
     assert (plan.connectivity[-2:] >= 0.9 - 1e-6).all()
-
-
-def test_bound_that_is_met_nowhere():
-    """No plan is called good, and the message has numbers; the path itself is still safe."""
-    problem = small_problem(WALL)
-    plan = planned(problem, bad_everywhere)
-    assert plan.verdict is Verdict.VIOLATED
-    assert "met nowhere in the workspace" in plan.message
-    assert "dB" in plan.message
-    assert plan.certificate.min_clearance_m >= 0.5 - 1e-6
-    assert plan.certificate.dynamics_defect <= 1e-5
 
 
 def test_warm_plan_is_no_worse():
@@ -189,32 +154,6 @@ def test_boxed_in():
     assert "stands still" in plan.message
 
 
-CALL = path_nlp.call_nlp
-
-
-def falling_back(status, change):
-    """A solver that reports a status and changes the places that it found."""
-
-    def call(solver, horizon, start, parameters, variable_bounds, row_bounds):
-        point = CALL(solver, horizon, start, parameters, variable_bounds, row_bounds)
-        return replace(point, positions_m=change(point.positions_m), termination=status)
-
-    return call
-
-
-def not_numbers(_solver, n, _start, _parameters, _variable_bounds, row_bounds):
-    """What a solver leaves after an evaluation error."""
-    rows = len(row_bounds.lower)
-    return NlpPoint(
-        np.full((n, 2), np.nan),
-        np.full(n, np.nan),
-        np.full(rows, np.nan),
-        np.full(3 * n, np.nan),
-        Termination.NUMERICAL_FAILURE,
-        3,
-    )
-
-
 def in_zigzag(positions_m):
     """30 m to and fro."""
     return positions_m + 15.0 * (-1.0) ** np.arange(len(positions_m))[:, None]
@@ -222,23 +161,20 @@ def in_zigzag(positions_m):
 
 # Name: (solver, how the step's termination is reported).
 FAILURES = {
-    "no numbers": (not_numbers, Termination.NUMERICAL_FAILURE),
-    "wild points": (falling_back(Termination.CONVERGED, in_zigzag), Termination.CONVERGED),
+    "no numbers": (no_numbers, Termination.NUMERICAL_FAILURE),
+    "wild points": (with_status(Termination.CONVERGED, in_zigzag), Termination.CONVERGED),
     "into the wall": (
-        falling_back(Termination.CONVERGED, lambda q: q * (1.0, 0.0) + (0.0, 15.0)),
+        with_status(Termination.CONVERGED, lambda q: q * (1.0, 0.0) + (0.0, 15.0)),
         Termination.CONVERGED,
     ),
     "out of the workspace": (
-        falling_back(Termination.CONVERGED, lambda q: q + (0.0, 40.0)),
+        with_status(Termination.CONVERGED, lambda q: q + (0.0, 40.0)),
         Termination.CONVERGED,
     ),
-    "out of time": (
-        falling_back(Termination.TIME_LIMIT, lambda q: q + 3.0),
-        Termination.TIME_LIMIT,
-    ),
-    "infeasible": (falling_back(Termination.INFEASIBLE, lambda q: 0.0 * q), Termination.INFEASIBLE),
+    "out of time": (with_status(Termination.TIME_LIMIT, lambda q: q + 3.0), Termination.TIME_LIMIT),
+    "infeasible": (with_status(Termination.INFEASIBLE, lambda q: 0.0 * q), Termination.INFEASIBLE),
     "out of iterations": (
-        falling_back(Termination.ITERATION_LIMIT, in_zigzag),
+        with_status(Termination.ITERATION_LIMIT, in_zigzag),
         Termination.ITERATION_LIMIT,
     ),
 }

@@ -7,7 +7,7 @@ import pytest
 import shapely
 from scenes import CUP, RING, WALL, small_problem
 
-from planopt import InputError, NoPlanError, Obstacle, Solution, Verdict, load
+from planopt import NoPlanError, Obstacle, Solution, Verdict, load
 from planopt.planning.scene import build_scene, first_moves
 from planopt.planning.solve import solve
 
@@ -16,32 +16,6 @@ from planopt.planning.solve import solve
 def solution() -> Solution:
     """The open field as it is."""
     return solve(load("open_field"))
-
-
-def test_overrides():
-    """They are in the problem that was solved."""
-    found = solve(load("open_field"), horizon=3, planner="lattice", cost_to_go="geodesic")
-    assert found.problem.planner.horizon == 3
-    assert found.problem.planner.name == "lattice"
-    assert found.problem.objective.cost_to_go == "geodesic"
-    assert found.plan.positions_m.shape == (4, 2)
-    assert found.plan.objective <= found.plan.lattice_objective
-
-
-@pytest.mark.parametrize(
-    ("override", "key"),
-    [
-        ({"horizon": 0}, "planner.horizon"),
-        ({"horizon": 10_000}, "planner.horizon"),
-        ({"planner": "oracle"}, "planner.name"),
-        ({"cost_to_go": "crow"}, "objective.cost_to_go"),
-    ],
-)
-def test_override_that_is_not_allowed(override, key):
-    """One clear error with the key of the problem file."""
-    with pytest.raises(InputError) as caught:
-        solve(load("open_field"), **override)
-    assert caught.value.key == key
 
 
 @pytest.mark.parametrize("horizon", [1, 10])

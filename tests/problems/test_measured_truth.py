@@ -78,17 +78,6 @@ def test_sites_without_their_data_are_refused(
         planopt.load("lab_map")
 
 
-@pytest.mark.parametrize("name", [name for name in SITES if name != "flat_courier"])
-def test_other_sites_drive_through_measured_power(name: str) -> None:
-    """Where the data are present."""
-    if next(entry for entry in list_problems() if entry.name == name).lacks_data:
-        pytest.skip("needs measurements that are not part of planopt")
-    tables = problem_to_dict(planopt.load(name))
-    tables["planner"]["max_steps"] = 20
-    run = planopt.simulate(problem_from_dict(tables), horizon=1)
-    assert run.metrics["reading_share"] >= 0.7
-
-
 def test_workspace_without_any_reading_is_refused() -> None:
     """The ground truth would be unknown everywhere."""
     tables = problem_to_dict(planopt.load("flat_courier"))

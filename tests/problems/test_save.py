@@ -27,8 +27,6 @@ from small_tables import (
 from planopt import Problem, load
 from planopt.channel import LogFormat, Nakagami
 from planopt.problems import LoggedMeasurements, problem_from_dict, problem_to_dict
-from planopt.problems.tasks import MOTION
-from planopt.studies.bench_cases import library_names
 
 RAYLEIGH = {"kind": "rayleigh"}
 J_CH = {"variance_threshold_db2": 2.0, "closeness_per_m": 0.1}
@@ -36,16 +34,6 @@ J_CH = {"variance_threshold_db2": 2.0, "closeness_per_m": 0.1}
 
 def there_and_back(problem: Problem) -> Problem:
     return problem_from_dict(json.loads(json.dumps(problem_to_dict(problem))), file=problem.file)
-
-
-@pytest.mark.parametrize("name", library_names(MOTION))
-def test_library_problems_survive_json_exactly(name: str) -> None:
-    """Every number, name, ring and hole of a library problem comes back bit for bit."""
-    problem = load(name)
-    back = there_and_back(problem)
-    assert back == problem
-    for before, after in zip(problem.workspace.obstacles, back.workspace.obstacles, strict=True):
-        assert before.polygon.wkb == after.polygon.wkb
 
 
 @pytest.mark.parametrize("name", ["munich_courier", "outdoor_track", "connect_rooftop"])

@@ -205,7 +205,7 @@ def draft_problem(
     )
     origin_deg = log_format.origin_deg
     workspace = _workspace(map_path, grid, pooled, (start, goal), origin_deg, notes)
-    _check_alignment(workspace, pooled, notes)
+    _check_alignment(workspace, pooled, map_path is not None, notes)
     for each in stations:
         place = np.array([each.fit.parameters.station.position_m])
         if map_path is not None and not each.is_given and not inside_bounds(workspace, place).all():
@@ -523,14 +523,17 @@ GPS_SHARE = 0.02
 
 
 def _check_alignment(
-    workspace: Workspace, positions_m: np.ndarray[Any, np.dtype[np.float64]], notes: _Notes
+    workspace: Workspace,
+    positions_m: np.ndarray[Any, np.dtype[np.float64]],
+    has_map: bool,
+    notes: _Notes,
 ) -> None:
     """Add a warning if the log lies outside the map or on obstacles."""
     inside = inside_bounds(workspace, positions_m)
     log_m = float(np.hypot(*np.ptp(positions_m, axis=0)))
     x_min, y_min, x_max, y_max = workspace.bounds_m
     map_m = math.hypot(x_max - x_min, y_max - y_min)
-    if log_m < SMALL_LOG * map_m:
+    if has_map and log_m < SMALL_LOG * map_m:
         notes.warn(
             f"the log spans {log_m:,.0f} m of a map of {map_m:,.0f} m (check the resolution of the "
             "map, in metres per cell)"

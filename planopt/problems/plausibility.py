@@ -111,7 +111,8 @@ def _scales(problem: Problem) -> Iterator[str]:
         if step_m > min(LARGEST_STEP_SHARE * diagonal_m, LONGEST_STEP_M):
             yield (
                 f"planner.step_s {step_s:g} s: robots[{number}] may drive {step_m:g} m in a step, "
-                f"in a world of {diagonal_m:,.0f} m (seconds and metres per second are expected)"
+                f"in a world of {diagonal_m:,.0f} m (reduce planner.step_s, or check speeds "
+                "in m/s)"
             )
 
 

@@ -51,7 +51,7 @@ def drawn_ground(rng: np.random.Generator) -> ConvexGround | GeodesicGround:
 def test_no_deployment_is_below() -> None:
     """Random regions, densities, obstacles and numbers of agents, settled and not."""
     rng, shares = np.random.default_rng(11), list[float]()
-    for _ in range(16):
+    for _ in range(8):
         ground, count = drawn_ground(rng), int(rng.integers(1, 14))
         start = draw_start(ground, count, rng)
         cost = settle(ground, start)[1]
@@ -84,12 +84,12 @@ def test_wrong_prices_only_loosen(square: ConvexRegion) -> None:
     rng, ground = np.random.default_rng(3), ConvexGround(square)
     places, cost = settle(ground, draw_start(ground, 6, rng))
     prices = _first_prices(ground, places)
-    middles, sides = _leaves(ground, prices, math.inf, 12.0)
+    middles, sides = _leaves(ground, prices, math.inf, 6.0)
     cells = _cells(ground, middles, sides)
     good = prices.at(cells.centroids_m, math.inf)
     bounds = [
         certified(ground, cells, middles, sides, good * factor, 6)
-        for factor in (0.01, 0.5, 1.0, 2.0, *np.exp(rng.normal(0.0, 0.5, (10, len(good)))))
+        for factor in (0.01, 0.5, 1.0, 2.0, *np.exp(rng.normal(0.0, 0.5, (2, len(good)))))
     ]
     assert max(bounds) <= cost
     assert bounds[2] > 0.5 * cost
@@ -97,14 +97,14 @@ def test_wrong_prices_only_loosen(square: ConvexRegion) -> None:
 
 def test_a_single_agent(square: ConvexRegion) -> None:
     """For one agent the bound approaches the cost at the centroid, also with a sensing range."""
-    for reach in (None, 30.0, 80.0):
+    for reach in (None, 30.0):
         ground, middle = ConvexGround(disc(), sensing_range_m=reach), np.zeros((1, 2))
         cost = ground.cover(middle).cost
-        assert cost_bound(ground, middle) == pytest.approx(cost, rel=1e-4)
+        assert cost_bound(ground, middle, 0.2) == pytest.approx(cost, rel=1e-4)
     bump = GaussianMixture(np.ones(1), np.array([[50.0, 50.0]]), np.array([10.0]))
     ground, middle = ConvexGround(square, bump), np.array([[50.0, 50.0]])
     cost = ground.cover(middle).cost
-    assert 0.97 * cost < cost_bound(ground, middle + 1.0, 4.0) <= cost
+    assert 0.97 * cost < cost_bound(ground, middle + 1.0) <= cost
 
 
 def test_scaling_and_shape() -> None:

@@ -141,19 +141,6 @@ def test_first_moves_by_brute_force(seed: int) -> None:
         assert open_way == (swept[0] >= 0.5)
 
 
-def test_first_moves_from_a_node_are_its_moves(munich: Workspace) -> None:
-    """From a node, with the reach of one step, they are the 21 moves of the lattice."""
-    window = Workspace((0.0, -350.0, 120.0, -250.0), munich.obstacles)
-    lattice = build_lattice(window, np.array([45.0, -351.0]), 6.0, 2.0)
-    index = index_obstacles(munich)
-    positions = lattice.positions_m
-    for y, x in [(10, 12), (20, 20), (25, 30)]:  # No node near them is moved.
-        iy, ix, ok = moves_from(index, lattice, positions[y, x], 6.0, 2.0)
-        assert len(ok) == 21
-        found = {(b - x, a - y): open_way for a, b, open_way in zip(iy, ix, ok, strict=True)}
-        assert all(found[dx, dy] == lattice.open_moves[k, y, x] for k, (dx, dy) in enumerate(MOVES))
-
-
 WALL = shapely.box(4.4, 0.0, 4.6, 6.2)
 BLOCK = shapely.Polygon([(6.5, 3.5), (8.4, 4.4), (7.4, 6.6)])
 
@@ -260,29 +247,6 @@ def test_numbering_and_sources():
     assert len(road_map.edge_to) == opened - count  # all moves but "stay"
     steps = road_map.nodes_m[road_map.edge_to] - road_map.nodes_m[road_map.edge_from]
     np.testing.assert_allclose(np.linalg.norm(steps, axis=1), road_map.edge_length_m, atol=1e-12)
-
-
-def test_costs_are_symmetric_and_bounded():
-    """From a to b costs what b to a does, at least the distance; 2.8 % more at most if free."""
-    road_map = small_road_map(spacing_m=0.5)
-    centre = int(road_map.number[7, 9])
-    costs = lattice_paths(road_map, centre).cost_m
-    distance = np.linalg.norm(road_map.nodes_m - road_map.nodes_m[centre], axis=1)
-    assert (costs >= distance - 1e-9).all()
-    assert (costs <= 1.028 * distance + 1e-9).all()
-    for node in (0, 17, len(costs) - 1):
-        assert lattice_paths(road_map, node).cost_m[centre] == pytest.approx(costs[node])
-
-
-def test_costs_avoid_dear_places():
-    """An expensive column is crossed at its cheap end if the detour is shorter than the cost."""
-    road_map = small_road_map()
-    factor = np.ones(len(road_map.nodes_m))
-    dear = (np.abs(road_map.nodes_m[:, 0] - 5.0) <= 1.0) & (road_map.nodes_m[:, 1] < 6.5)
-    factor[dear] = 100.0
-    start, goal = road_map.number[0, 0], int(road_map.number[0, -1])
-    way = route_from(road_map, lattice_paths(road_map, goal, factor), int(start), 100.0)
-    assert not dear[way].any()
 
 
 def test_path_ends_at_the_given_length():

@@ -108,18 +108,6 @@ def test_munich(munich: Workspace) -> None:
     assert sum(len(polygon.interiors) for polygon in polygons) > 20
 
 
-def test_every_format_gives_the_same_polygon(tmp_path: Path) -> None:
-    """The same footprint through GeoJSON, WKT, building file and Python is the same polygon."""
-    polygon = shapely.Polygon(SQUARE)
-    files = [
-        saved(tmp_path, "a.geojson", shapely.to_geojson(polygon)),
-        saved(tmp_path, "a.wkt", polygon.wkt),
-        saved(tmp_path, "a.json", {"buildings": [{"name": "a", "exterior": SQUARE}]}),
-    ]
-    read = [*(read_obstacles(path)[0] for path in files), obstacle_from_wkt("a", polygon.wkt)]
-    assert all(obstacle.name == "a" and obstacle.polygon == polygon for obstacle in read)
-
-
 @pytest.mark.parametrize(
     ("name", "content"),
     [

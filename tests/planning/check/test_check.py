@@ -33,37 +33,6 @@ from planopt.problems.load import with_overrides
 from planopt.tasks.motion import NoPlan
 
 
-@pytest.fixture(scope="module")
-def solution() -> Solution:
-    """A verified plan of six steps beside the wall."""
-    found = solve(load("open_field"), horizon=6)
-    assert found.plan.verdict is Verdict.VERIFIED
-    return found
-
-
-@pytest.fixture(scope="module")
-def simulation() -> Run:
-    """A run of eight steps, some of which measured."""
-    problem = load("open_field")
-    return simulate(
-        replace(problem, planner=replace(problem.planner, max_steps=8)), horizon=4, seed=1
-    )
-
-
-@pytest.fixture
-def plan_folder(tmp_path: Path, solution: Solution) -> Path:
-    """The plan, saved."""
-    solution.save(tmp_path / "plan")
-    return tmp_path / "plan"
-
-
-@pytest.fixture
-def run_folder(tmp_path: Path, simulation: Run) -> Path:
-    """The run, saved."""
-    simulation.save(tmp_path / "run")
-    return tmp_path / "run"
-
-
 def edit_json(folder: Path, name: str, change: Callable[[dict], object]) -> None:
     """Change a JSON file."""
     data = json.loads((folder / name).read_text())

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from planopt import Run, Solution, load, simulate, solve
+from planopt import Run, Solution
 from planopt.files.tables import encoded
 from planopt.files.writing import strict_text
 from planopt.planning.files.result_json import (
@@ -28,52 +28,38 @@ CERTIFICATE = {
 }
 
 
-@pytest.fixture(scope="module")
-def solution() -> Solution:
-    """A plan of three steps in the open field."""
-    return solve(load("open_field"), horizon=3)
-
-
-@pytest.fixture(scope="module")
-def simulation() -> Run:
-    """Four steps of the open field."""
-    problem = load("open_field")
-    short = replace(problem, planner=replace(problem.planner, max_steps=4))
-    return simulate(short, horizon=5)
-
-
 def test_keys_of_solve(solution: Solution) -> None:
     """Every key that other tools rely on, N + 1 places, and numbers to the last bit."""
     data = json.loads(strict_text(solution_json(solution)))
     assert set(data) >= SOLVE and set(data["certificate"]) >= CERTIFICATE
-    assert (data["problem"], data["horizon"], data["seed"]) == ("open_field", 3, 0)
+    assert (data["problem"], data["horizon"], data["seed"]) == ("open_field", 6, 0)
     assert data["sense"] == "min" and data["bound"] is None and data["gap"] is None
     robot = data["robots"][0]
     assert set(robot) >= {"name", "t_s", "x_m", "y_m", "connectivity", "verdict", "certificate"}
-    assert len(robot["t_s"]) == len(robot["connectivity"]) == 4
+    assert len(robot["t_s"]) == len(robot["connectivity"]) == 7
     back = np.stack([robot["x_m"], robot["y_m"]], axis=1)
     assert np.array_equal(back, solution.plan.positions_m)
 
 
 def test_keys_of_simulate(simulation: Run) -> None:
     """Every key that other tools rely on; the start takes no planning time."""
-    log = replace(simulation.run.log, step_s=np.array([0.0, 1.0, 2.0, 3.0, 4.0]))
+    log = replace(simulation.run.log, step_s=np.arange(9.0))
     data = run_json(replace(simulation, runs=(replace(simulation.run, log=log),)))
     strict_text(data)
     assert set(data) >= SIMULATE
     assert data["outcome"] == "step_limit" and data["metrics"]["goal_time_s"] is None
-    assert sum(data["rungs"].values()) == 4
-    assert len(data["robots"][0]["x_m"]) == 5
-    assert data["step_s"] == {"p50": 2.5, "p95": pytest.approx(3.85), "max": 4.0}
+    assert sum(data["rungs"].values()) == 8
+    assert len(data["robots"][0]["x_m"]) == 9
+    assert data["step_s"] == {"p50": 4.5, "p95": pytest.approx(7.65), "max": 8.0}
 
 
 def test_released_plans_are_whole(simulation: Run) -> None:
     """Each released plan has its N + 1 places; the robot drove to the second."""
     [plans] = [one["released"] for one in released_plans_json(simulation)]
     track = simulation.run.log.positions_m
-    assert len(plans) == 4
+    assert len(plans) == 8
     for step, plan in enumerate(plans, start=1):
-        assert len(plan["x_m"]) == len(plan["y_m"]) == 6
+        assert len(plan["x_m"]) == len(plan["y_m"]) == 5
         assert [plan["x_m"][1], plan["y_m"][1]] == track[step].tolist()
 
 

@@ -3,63 +3,32 @@
 import csv
 import json
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from planopt import InputError, Run, Solution, load
+from planopt import InputError, Run, Solution
 from planopt.files.tables import documented
 from planopt.planning.files.belief_file import known_before_steps
 from planopt.planning.files.run_tables import KNOWLEDGE_COLUMNS, STEP_COLUMNS
 from planopt.planning.files.saved import read_object, saved_from
-from planopt.planning.solve import simulate, solve
 
 HEADER = (
     "robot,step,t_s,x_m,y_m,predicted_db,deviation_db,connectivity,true_db,connected,rung,verdict"
 )
 
 
-@pytest.fixture(scope="module")
-def solution() -> Solution:
-    """A plan of three steps."""
-    return solve(load("open_field"), horizon=3)
-
-
-@pytest.fixture(scope="module")
-def simulation() -> Run:
-    """A run of six steps."""
-    problem = load("open_field")
-    return simulate(
-        replace(problem, planner=replace(problem.planner, max_steps=6)), horizon=4, seed=2
-    )
-
-
-@pytest.fixture
-def plan_folder(tmp_path: Path, solution: Solution) -> Path:
-    """The plan, saved."""
-    solution.save(tmp_path / "plan")
-    return tmp_path / "plan"
-
-
-@pytest.fixture
-def run_folder(tmp_path: Path, simulation: Run) -> Path:
-    """The run, saved."""
-    simulation.save(tmp_path / "run")
-    return tmp_path / "run"
-
-
 def test_a_plan_has_the_files_of_the_contract(plan_folder: Path, solution: Solution) -> None:
     """JSON with the problem, a table with the contract's columns, truth empty, no other file."""
     assert {f.name for f in plan_folder.iterdir()} == {"plan.json", "steps.csv", "belief.npz"}
     lines = (plan_folder / "steps.csv").read_text().splitlines()
-    assert lines[0] == HEADER and len(lines) == 5
+    assert lines[0] == HEADER and len(lines) == 8
     rows = list(csv.DictReader(lines))
     assert [float(row["x_m"]) for row in rows] == solution.plan.positions_m[:, 0].tolist()
     assert {(row["true_db"], row["connected"]) for row in rows} == {("", "")}
     data = json.loads((plan_folder / "plan.json").read_text())
-    assert data["problem_file"]["planner"]["horizon"] == 3
+    assert data["problem_file"]["planner"]["horizon"] == 6
 
 
 def test_a_run_has_the_files_of_the_contract(run_folder: Path, simulation: Run) -> None:
@@ -68,7 +37,7 @@ def test_a_run_has_the_files_of_the_contract(run_folder: Path, simulation: Run) 
     rows = list(csv.DictReader((run_folder / "steps.csv").read_text().splitlines()))
     assert [float(row["true_db"]) for row in rows] == simulation.run.log.true_dbm.tolist()
     assert {row["connected"] for row in rows} <= {"0", "1"}
-    assert len(json.loads((run_folder / "run.json").read_text())["plans"][0]["released"]) == 6
+    assert len(json.loads((run_folder / "run.json").read_text())["plans"][0]["released"]) == 8
 
 
 def test_each_step_knows_what_was_measured_before_it(simulation: Run) -> None:

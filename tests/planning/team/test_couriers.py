@@ -128,7 +128,7 @@ def drawn_couriers(seed, count=5, separation_m=3.0):
     return replace(problem, constraints=replace(problem.constraints, separation_m=separation_m))
 
 
-@pytest.mark.parametrize("seed", [200, 201, 202])
+@pytest.mark.parametrize("seed", [200, 201])
 def test_drawn_couriers_arrive(seed):
     """Five between blocks; nobody picked their places."""
     problem = drawn_couriers(seed)

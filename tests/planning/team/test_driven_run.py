@@ -49,7 +49,7 @@ def random_scene(seed: int) -> Problem:
     return problem_from_tables(tables, folder=Path(), file=None)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_every_released_plan_is_sound(seed: int) -> None:
     """Clear, driven, on a declared rung; what is not verified lacks connectivity alone."""
     problem = random_scene(seed)

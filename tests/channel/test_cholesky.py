@@ -16,7 +16,7 @@ from planopt.channel.cholesky import (
 
 
 def test_agrees_with_numpy():
-    """Factor, solve, inverse and determinant of a random covariance."""
+    """Factors, solutions, inverse and determinant; what is no covariance is refused."""
     root = np.random.default_rng(0).standard_normal((6, 6))
     matrix = root @ root.T + np.eye(6)
     lower = lower_factor(matrix)
@@ -25,12 +25,10 @@ def test_agrees_with_numpy():
     np.testing.assert_allclose(lower.T @ solve_upper(lower, root), root, atol=1e-12)
     np.testing.assert_allclose(inverse(lower), np.linalg.inv(matrix), atol=1e-12)
     assert log_determinant(lower) == pytest.approx(np.linalg.slogdet(matrix)[1])
-
-
-def test_a_matrix_that_is_no_covariance_is_refused():
-    """An indefinite matrix is a defect of the caller, and is not factored silently."""
     with pytest.raises(AssertionError):
         lower_factor(np.diag([1.0, -1.0]))
+    covariance = np.array([[4.0, 1.0], [1.0, 3.0]])
+    np.testing.assert_array_equal(semidefinite_factor(covariance), np.linalg.cholesky(covariance))
 
 
 @pytest.mark.parametrize("rank", [1, 2, 5])
@@ -42,12 +40,6 @@ def test_product_is_the_covariance(rank):
     lower = semidefinite_factor(covariance)
     np.testing.assert_array_equal(lower, np.tril(lower))
     np.testing.assert_allclose(lower @ lower.T, covariance, atol=1e-4)
-
-
-def test_regular_matrix_gives_the_cholesky_factor():
-    """Nothing is lost where the matrix is regular."""
-    covariance = np.array([[4.0, 1.0], [1.0, 3.0]])
-    np.testing.assert_array_equal(semidefinite_factor(covariance), np.linalg.cholesky(covariance))
 
 
 def threads():

@@ -25,14 +25,10 @@ def test_margin_is_zero_where_the_probability_is_p_min(p_min):
     )
 
 
-def test_certain_power_is_connected_or_not():
-    """Deviation zero: one from the threshold on, zero below it."""
+def test_powers_that_are_certain_or_not_predicted():
+    """Deviation zero decides, and NaN stays NaN, on rasters too."""
     found = connection_probability(np.array([-82.0, -82.1]), np.zeros(2), -82.0)
     np.testing.assert_array_equal(found, [1.0, 0.0])
-
-
-def test_what_is_not_predicted_stays_unknown():
-    """NaN in, NaN out, on rasters too."""
     mean = np.array([[np.nan, -80.0]])
     found = connection_probability(mean, np.array([[np.nan, 1.0]]), -82.0)
     assert np.isnan(found[0, 0])

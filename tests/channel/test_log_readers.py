@@ -308,8 +308,8 @@ GSM,262,2,801,78,0,11.5755,48.1374,1000,7,1,1282569574,1300175362,0
 """  # noqa: E501
 
 
-def test_stations_of_opencellid(tmp_path: Path) -> None:
-    """Cells of the log are found by their number; others and unlisted ones are left out."""
+def test_stations_from_tables(tmp_path: Path) -> None:
+    """Cells of OpenCelliD by their number, and anchors in metres with decimal commas."""
     path = tmp_path / "cells.csv"
     path.write_text(OPENCELLID)
     found = read_stations(path, ["77", "99"], ORIGIN)
@@ -320,10 +320,6 @@ def test_stations_of_opencellid(tmp_path: Path) -> None:
         read_stations(path, ["77"], ORIGIN)
     with pytest.raises(InputError, match="--origin"):
         read_stations(path, ["78"])
-
-
-def test_stations_in_metres(tmp_path: Path) -> None:
-    """With heights, semicolons and decimal commas."""
     path = tmp_path / "anchors.csv"
     path.write_text("anchor;x_m;y_m;height_m\n1;1,5;2;0,8\n2;3;4;\n")
     found = read_stations(path, ["1", "2"])

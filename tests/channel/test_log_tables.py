@@ -49,11 +49,17 @@ def test_decimal_commas(tmp_path: Path) -> None:
         np.testing.assert_array_equal(log.power_dbm, [-60.25, -70.0])
 
 
-def test_commas_and_points(tmp_path: Path) -> None:
-    """A comma in one number and a point in another of a column: either may be for thousands."""
+def test_wrong_columns_and_cells_are_located(tmp_path: Path) -> None:
+    """Two kinds of decimal marks, a missing column, and a text that is no date."""
     error = refused(written(tmp_path, "x;y;rssi\n1,5;2;-60\n1.5;2;-61\n"))
     assert (error.row, error.key) == (2, "x")
     assert "'1,5' has a decimal comma, but '1.5' in line 3 has a point" in error.message
+    error = refused(written(tmp_path, "x,y,quality\n1,2,50\n"))
+    assert error.message == "is not a column; the columns are x, y, quality"
+    assert error.row == 1
+    path = written(tmp_path, "x,y,rssi,when\n1,2,-60,2026-03-14\n3,4,-70,tomorrow\n")
+    error = refused(path, time_column="when")
+    assert (error.row, error.key) == (3, "when") and "is not a date" in error.message
 
 
 @pytest.mark.parametrize(
@@ -96,13 +102,6 @@ def test_metres_and_degrees_in_one_log(tmp_path: Path) -> None:
     np.testing.assert_allclose(log.positions_m, [[0.0, 0.0], [0.0, 100.1]], atol=0.05)
 
 
-def test_a_missing_column_is_named(tmp_path: Path) -> None:
-    """With the names that are there."""
-    error = refused(written(tmp_path, "x,y,quality\n1,2,50\n"))
-    assert error.message == "is not a column; the columns are x, y, quality"
-    assert error.row == 1
-
-
 @pytest.mark.parametrize(
     ("name", "unit"), [("power_mW", None), ("power", "mW"), ("rx_power_mw", None), ("power", None)]
 )
@@ -136,13 +135,6 @@ def test_times(first: str, second: str, expected: list[float], tmp_path: Path) -
     path = written(tmp_path, f"x,y,rssi,when\n1,2,-60,{first}\n3,4,-70,{second}\n")
     found = read_log(path, LogFormat(time_column="when")).time_s
     np.testing.assert_allclose(found, expected, atol=1e-6)
-
-
-def test_dates_that_are_none(tmp_path: Path) -> None:
-    """The line is named."""
-    path = written(tmp_path, "x,y,rssi,when\n1,2,-60,2026-03-14\n3,4,-70,tomorrow\n")
-    error = refused(path, time_column="when")
-    assert (error.row, error.key) == (3, "when") and "is not a date" in error.message
 
 
 def test_accuracies(tmp_path: Path) -> None:

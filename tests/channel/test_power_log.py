@@ -47,11 +47,15 @@ def test_reads_what_is_there(tmp_path):
 
 
 def test_named_columns_flags_and_floor(tmp_path):
-    """Columns by other names; flags and floor both censor, and the floor is the limit."""
+    """Flags and floor both censor, the floor is the limit, and powers below it may be anything."""
     path = written(tmp_path, "e,n,rssi,cut\n0,0,-70,0\n1,0,-80,TRUE\n2,0,-99,false\n3,0,-95,1\n")
     log = read_log(path, LogFormat(("e", "n", "rssi"), censored_column="cut", floor_dbm=-95.0))
     np.testing.assert_array_equal(log.censored, [False, True, True, True])
     np.testing.assert_array_equal(log.power_dbm, [-70, -80, -95, -95])
+    path = written(tmp_path, "x_m,y_m,power_dbm\n1,2,-70\n3,1,-999\n")
+    measurements = read_log(path, LogFormat(floor_dbm=-110.0))
+    assert measurements.power_dbm.tolist() == [-70.0, -110.0]
+    assert measurements.censored.tolist() == [False, True]
 
 
 @pytest.mark.parametrize(
@@ -78,11 +82,18 @@ def test_bad_content_is_located(tmp_path, text):
     refuses(written(tmp_path, text))
 
 
-def test_bad_flags(tmp_path):
-    """A flag column must exist and hold 0, 1, true or false."""
+def test_texts_that_cannot_be_read(tmp_path):
+    """No file, a folder, bytes that are not UTF-8, wrong flags, and labels with terminal codes."""
     path = written(tmp_path, "x_m,y_m,power_dbm,cut\n1,2,-70,0\n1,2,-70,maybe\n")
     refuses(path, censored_column="cut")
     refuses(path, censored_column="floor")
+    refuses(tmp_path / "absent.csv")
+    refuses(tmp_path)
+    path = tmp_path / "binary.csv"
+    path.write_bytes(b"\x89PNG\xff\xfe")
+    refuses(path)
+    path = written(tmp_path, "x_m,y_m,power_dbm,rx\n1,2,-70,\x1b[2J\n")
+    refuses(path, receiver_column="rx")
 
 
 def test_times_receivers_and_what_holds_for_all(tmp_path):
@@ -118,17 +129,8 @@ def test_bad_times_and_receivers(tmp_path, cells, option):
     refuses(path, **{option: "absent"})
 
 
-def test_files_that_are_no_text(tmp_path):
-    """A missing file, a folder and bytes that are not UTF-8."""
-    refuses(tmp_path / "absent.csv")
-    refuses(tmp_path)
-    path = tmp_path / "binary.csv"
-    path.write_bytes(b"\x89PNG\xff\xfe")
-    refuses(path)
-
-
 def test_an_index_becomes_a_line(tmp_path):
-    """The measurement at the station is located in the file, past comments and blank lines."""
+    """A measurement at the station is located in the file, also where only some rows were read."""
     path = written(tmp_path, "# c\nx_m,y_m,power_dbm\n1,2,-70\n\n# d\n0,0,-50\n3,4,-80\n")
     with pytest.raises(InputError) as caught:
         examine(read_log(path), Station((0.0, 0.0)))
@@ -136,6 +138,11 @@ def test_an_index_becomes_a_line(tmp_path):
     assert (error.file, error.row) == (str(path), 6)
     assert "path loss is undefined" in str(error)
     assert at_file_line(InputError("no row"), path).row is None
+    path = written(tmp_path, TRANSMITTERS)
+    chosen = LogFormat(where=(("tx", "2"),))
+    with pytest.raises(InputError) as caught:
+        examine(read_log(path, chosen), Station((7.0, 8.0)))
+    assert at_file_line(caught.value, path, chosen).row == 6
 
 
 TRANSMITTERS = """x_m,y_m,power_dbm,tx,day
@@ -170,15 +177,6 @@ def test_only_some_rows(tmp_path):
         )
 
 
-def test_a_line_among_some_rows(tmp_path):
-    """An index counts the rows that were read, a line all of them."""
-    path = written(tmp_path, TRANSMITTERS)
-    chosen = LogFormat(where=(("tx", "2"),))
-    with pytest.raises(InputError) as caught:
-        examine(read_log(path, chosen), Station((7.0, 8.0)))
-    assert at_file_line(caught.value, path, chosen).row == 6
-
-
 def test_rows_that_are_not_there(tmp_path):
     """What the column has instead is said; so is a column that is missing, and a bad option."""
     path = written(tmp_path, TRANSMITTERS)
@@ -189,17 +187,13 @@ def test_rows_that_are_not_there(tmp_path):
             parse_where([text])
 
 
-def test_columns_option():
-    """Named columns replace defaults; anything else is refused."""
+def test_options_of_columns_and_station():
+    """Named columns replace defaults; a station is two or three finite numbers, or unknown."""
     assert parse_columns("x=east, y=north,power=rssi") == ("east", "north", "rssi")
     assert parse_columns("power=rssi") == (None, None, "rssi")
     for text in ("", "east", "x=", "z=up", "x=a,,y=b"):
         with refused():
             parse_columns(text)
-
-
-def test_station_option():
-    """Two or three finite numbers, or unknown."""
     assert parse_station(" unknown ") is None
     assert parse_station("1,-2.5") == Station((1.0, -2.5))
     assert parse_station("1, 2, 30") == Station((1.0, 2.0), 30.0)
@@ -214,20 +208,6 @@ def test_station_option():
 def test_values_out_of_range(row: str, tmp_path) -> None:
     """File, line and column are named, and the range is."""
     refuses(written(tmp_path, f"# c\nx_m,y_m,power_dbm\n1,2,-70\n{row}\n"))
-
-
-def test_a_floor_makes_a_power_of_any_value_censored(tmp_path) -> None:
-    """Receivers write -999 where they heard nothing."""
-    path = written(tmp_path, "x_m,y_m,power_dbm\n1,2,-70\n3,1,-999\n")
-    measurements = read_log(path, LogFormat(floor_dbm=-110.0))
-    assert measurements.power_dbm.tolist() == [-70.0, -110.0]
-    assert measurements.censored.tolist() == [False, True]
-
-
-def test_a_label_that_cannot_be_printed(tmp_path) -> None:
-    """Terminal codes would reach the terminal."""
-    path = written(tmp_path, "x_m,y_m,power_dbm,rx\n1,2,-70,\x1b[2J\n")
-    refuses(path, receiver_column="rx")
 
 
 @pytest.mark.parametrize(
@@ -279,9 +259,13 @@ def test_groups(log, text, labels):
     np.testing.assert_array_equal(read_groups(log, parse_groups(text)), labels)
 
 
-def test_parsed():
-    """A block is a number, a name is not."""
+def test_groups_by_names_and_blocks(log):
+    """A block is a number, a name is not; wrong cells and columns are named."""
     assert parse_groups("day, t_s:2.5") == (GroupColumn("day"), GroupColumn("t_s", 2.5))
+    with refused():
+        read_groups(log, parse_groups("day:2"))
+    with refused():
+        read_groups(log, parse_groups("week"))
 
 
 @pytest.mark.parametrize("text", ["", "day,", ":600", "t_s:", "t_s:0", "t_s:-1", "t_s:x", "t:inf"])
@@ -289,11 +273,3 @@ def test_unreadable(text):
     """An error that says how to write it."""
     with refused():
         parse_groups(text)
-
-
-def test_bad_cells(log):
-    """Text where a number is required, and a missing column, name line and column."""
-    with refused():
-        read_groups(log, parse_groups("day:2"))
-    with refused():
-        read_groups(log, parse_groups("week"))

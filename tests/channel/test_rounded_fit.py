@@ -63,10 +63,6 @@ def test_omega_is_biased_only_if_rounding_is_unknown(fits):
     assert told[:, 0].mean() == pytest.approx(6.0, abs=3.0 * error[0])
     # Its distribution has a long tail.
     assert np.median(told[:, 2]) == pytest.approx(20.0, abs=3.0 * 1.25 * error[2])
-
-
-def test_standard_error_of_omega_is_its_spread(fits):
-    """Rounded measurements count as telling of omega^2."""
     omegas = estimates([fit for *_, fit, _ in fits])[:, 1]
     errors = [fit.standard_errors["multipath_std_db"] for *_, fit, _ in fits]
     assert np.std(omegas) == pytest.approx(np.median(errors), rel=0.5)

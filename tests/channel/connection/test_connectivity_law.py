@@ -120,17 +120,13 @@ def test_probability_against_draws() -> None:
     assert any_probability(each, THRESHOLDS, slack_db=3.0) == pytest.approx(lower, abs=2.5e-3)
 
 
-def test_serving_power_reaches_the_first_threshold_where_a_station_reaches_its_own() -> None:
-    """By hand."""
+def test_serving_power() -> None:
+    """It reaches the first threshold where a station reaches its own; one alone stays as it is."""
     powers = np.array([[-81.0, -79.0, -90.0], [-75.0, -90.0, -90.0], [-90.0, -90.0, -83.5]])
     found = serving_power_dbm(powers, THRESHOLDS)
     assert found == pytest.approx([-79.0, -79.0, -80.5])
     connected = (powers >= np.array(THRESHOLDS)[:, None]).any(axis=0)
     assert ((found >= THRESHOLDS[0]) == connected).all()
-
-
-def test_one_station_is_left_as_it_is() -> None:
-    """Not even rounded."""
     (alone,) = predictions(1)
     law = serving_prediction([alone], THRESHOLDS[:1], 0.9)
     assert law is alone

@@ -94,23 +94,13 @@ def test_every_prefix_against_scipy():
     assert found.error.max() <= 1e-4
 
 
-def test_independent_far_tail():
-    """Products that no sampler would hit keep their digits: P = Phi(-20)^3, about 1e-265."""
+def test_prefixes_in_extreme_cases():
+    """Far tails keep their digits, one variable is exact, and covariances may be singular."""
     found = prefix_probabilities(np.full(3, -20.0), np.eye(3), rng())
     np.testing.assert_allclose(found.probability, norm.cdf(-20.0) ** np.arange(1.0, 4.0), rtol=1e-9)
-
-
-@pytest.mark.parametrize("far", [1e3, 1e12, 1e160])
-def test_bounds_out_of_all_proportion(far):
-    """Certain and impossible, without overflow."""
-    covariance = 0.5 + 0.5 * np.eye(3)
-    bound = np.array([far, -far, far])
-    found = prefix_probabilities(bound, covariance, rng())
-    np.testing.assert_allclose(found.probability, [1.0, 0.0, 0.0], atol=1e-12)
-
-
-def test_singular_covariance():
-    """A repeated variable changes nothing; a constant is in or out."""
+    found = prefix_probabilities(np.array([2.0]), np.array([[4.0]]), rng())
+    assert found.probability[0] == pytest.approx(norm.cdf(1.0), rel=1e-14)
+    assert found.error[0] == 0.0
     covariance = np.array([[1.0, 1.0, 0.5], [1.0, 1.0, 0.5], [0.5, 0.5, 1.0]])
     found = prefix_probabilities(np.array([0.3, 0.3, 0.1]), covariance, rng())
     expected = multivariate_normal.cdf([0.3, 0.1], cov=[[1.0, 0.5], [0.5, 1.0]])
@@ -123,11 +113,13 @@ def test_singular_covariance():
     np.testing.assert_allclose(outside.probability, [1.0, 0.5, 0.0], atol=1e-12)
 
 
-def test_one_variable_is_exact():
-    """No randomness is needed for one."""
-    found = prefix_probabilities(np.array([2.0]), np.array([[4.0]]), rng())
-    assert found.probability[0] == pytest.approx(norm.cdf(1.0), rel=1e-14)
-    assert found.error[0] == 0.0
+@pytest.mark.parametrize("far", [1e3, 1e12, 1e160])
+def test_bounds_out_of_all_proportion(far):
+    """Certain and impossible, without overflow."""
+    covariance = 0.5 + 0.5 * np.eye(3)
+    bound = np.array([far, -far, far])
+    found = prefix_probabilities(bound, covariance, rng())
+    np.testing.assert_allclose(found.probability, [1.0, 0.0, 0.0], atol=1e-12)
 
 
 def test_error_estimate_covers():
@@ -202,8 +194,8 @@ def test_corrected_product_under_negative_correlation(seed, count, strength):
         assert found.corrected_product.value == pytest.approx(found.exact.value, abs=slack)
 
 
-def test_negative_correlation_is_said():
-    """No product bound, and why; Hunter's is the lower bound."""
+def test_certain_and_negatively_correlated_places():
+    """Known powers are in or out; without a product bound Hunter's is the lower bound."""
     covariance = np.array([[1.0, -0.2, 0.1], [-0.2, 1.0, 0.3], [0.1, 0.3, 1.0]])
     found = joint_connectivity(JointPrediction(np.full(3, 1.5), covariance), 0.0)
     assert found.exact is None
@@ -213,10 +205,6 @@ def test_negative_correlation_is_said():
     assert "-0.2" in found.product.reason
     assert found.corrected_product.value < found.at_each.prod()
     assert found.lower == found.hunter.value
-
-
-def test_certain_places():
-    """Powers that are known count as in or out."""
     certain = JointPrediction(np.array([1.0, 2.0]), np.zeros((2, 2)))
     inside = joint_connectivity(certain, 0.0, np.random.default_rng(0))
     assert inside.exact.value == inside.lower == inside.upper.value == 1.0

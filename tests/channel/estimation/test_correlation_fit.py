@@ -23,7 +23,7 @@ from planopt.channel.estimation.correlation_fit import (
 
 
 def test_correlation_is_a_sum_over_pairs():
-    """Bins, mean lags and mean products agree with a double loop over 40 points."""
+    """As a double loop has it; no pair is lost between blocks, the largest lag included."""
     rng = np.random.default_rng(0)
     positions, residual = rng.uniform(0, 10, (40, 2)), rng.standard_normal(40)
     extent = float(np.hypot(*np.ptp(positions, axis=0)))
@@ -37,10 +37,6 @@ def test_correlation_is_a_sum_over_pairs():
     np.testing.assert_allclose(found.lag_m, expected[:, 0])
     np.testing.assert_allclose(found.covariance_db2, expected[:, 1])
     np.testing.assert_array_equal(found.pairs, [len(sums[k]) for k in sorted(sums)])
-
-
-def test_blocks_do_not_lose_pairs():
-    """More points than one block holds: every pair is counted once, the largest lag included."""
     positions = np.random.default_rng(1).uniform(0, 1, (1200, 2))
     positions[:2] = [[0, 0], [1, 1]]
     found = empirical_correlation(positions, np.ones(1200), np.sqrt(2.0))

@@ -99,11 +99,18 @@ def test_both_maxima_are_reported():
 
 
 def test_what_is_hardly_determined_is_said():
-    """A few measurements: status `weak`, and the parameter with its standard error in words."""
+    """Few measurements, or shadowing that is forgotten at once: status, and words for why."""
     fit = fit_channel(simulated(CHANNEL, 2, 30, 100.0), CHANNEL.station)
     assert fit.status == "weak"
     words = "the decorrelation distance is poorly determined: "
     assert any(text.startswith(words) and "with standard error" in text for text in fit.warnings)
+    rng = np.random.default_rng(1)
+    places = rng.uniform(0.0, 100.0, (60, 2))
+    power = -60.0 + rng.normal(0.0, 3.0, 60)
+    dated = Measurements(places, power, np.zeros(60, bool), time_s=np.arange(60.0))
+    fit = fit_channel(dated, Station((50.0, 50.0), 5.0), forgetting_s=1e-9)
+    assert math.isinf(fit.standard_errors["shadow_std_db"])
+    assert fit.status == "degenerate" and "do not determine" in " ".join(fit.warnings)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -185,14 +192,3 @@ def test_places_hardly_apart_are_one_place(extent_m, method):
     told = Measurements(places, rng.normal(-70.0, 3.0, 40), np.zeros(40, bool))
     with refused():
         fit_channel(told, Station((50.0, 50.0)), method)
-
-
-def test_indistinguishable_parameters_are_reported():
-    """Shadowing that is forgotten at once is multipath: no errors, and words for why."""
-    rng = np.random.default_rng(1)
-    places = rng.uniform(0.0, 100.0, (60, 2))
-    power = -60.0 + rng.normal(0.0, 3.0, 60)
-    dated = Measurements(places, power, np.zeros(60, bool), time_s=np.arange(60.0))
-    fit = fit_channel(dated, Station((50.0, 50.0), 5.0), forgetting_s=1e-9)
-    assert math.isinf(fit.standard_errors["shadow_std_db"])
-    assert fit.status == "degenerate" and "do not determine" in " ".join(fit.warnings)

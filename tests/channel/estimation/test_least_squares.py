@@ -109,28 +109,20 @@ def test_a_measurement_at_the_station_is_named():
     examine(measurements, Station((0.0, 0.0), 3.0))
 
 
-def test_circle_around_station_leaves_exponent_undetermined():
-    """At one distance n_PL is not identifiable, but the covariance is."""
+def test_what_measurements_identify():
+    """One distance hides n_PL; few or crowded exact values hide the covariance; beta has bounds."""
     angle = np.linspace(0, 6, 20)
     circle = np.stack([np.cos(angle), np.sin(angle)], axis=1) * 30.0
     found = examine(at(circle), ORIGIN)
     assert "one distance" in (found.n_pl_reason or "")
     assert found.covariance_reason is None
     assert examine(at(circle + np.array([5.0, 0.0])), ORIGIN).n_pl_reason is None
-
-
-def test_censored_measurements_do_not_count():
-    """Only exact values identify; few or crowded ones do not identify the covariance."""
     line = np.arange(1, 21)[:, None] * np.array([[1.0, 0.0]])
     assert examine(at(line), ORIGIN).covariance_reason is None
     few = examine(at(line, np.arange(20) > 4), ORIGIN)
     assert "5 uncensored" in (few.covariance_reason or "")
     crowded = examine(at([[1, 0]] * 5 + [[2, 0]] * 5), ORIGIN)
     assert "three places" in (crowded.covariance_reason or "")
-
-
-def test_bounds_of_beta_follow_spacing_and_extent():
-    """On a lattice the bounds are a third of its pitch and the diagonal, at any offset."""
     lattice = np.stack(np.meshgrid(np.arange(5), np.arange(4)), axis=-1).reshape(-1, 2) * 6.0
     for offset in (1.0, 3e6):
         found = examine(at(np.repeat(lattice, 2, axis=0) + offset), ORIGIN)

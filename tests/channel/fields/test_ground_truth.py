@@ -33,25 +33,21 @@ PARAMETERS = ChannelParameters(-40.0, 3.0, 5.0, 20.0, 2.0, Station((-10.0, 5.0),
 
 
 def test_gains_become_powers_clipped_at_the_floor():
-    """Transmit power added, NaN and weak gains at the floor, the map itself untouched."""
+    """Transmit power is added; NaN and weak gains are at the floor, and censored."""
     truth = raster_truth(MAP, 30.0, -130.0, None, np.random.default_rng(0))
     np.testing.assert_array_equal(
         true_power_dbm(truth, CENTRES), [-50.0, -70.0, -100.0, -99.0, -100.0, -65.0]
     )
     assert truth.floor_dbm == -100.0
     assert np.isnan(GAINS[0, 2])
-
-
-def test_what_is_at_the_floor_is_censored():
-    """Only that; positions and powers are those measured."""
     found = measure(raster_truth(MAP, 30.0, -130.0, None, np.random.default_rng(0)), CENTRES)
     np.testing.assert_array_equal(found.censored, [False, False, True, False, True, False])
     np.testing.assert_array_equal(found.positions_m, CENTRES)
     assert found.power_dbm[2] == -100.0
 
 
-def test_a_place_keeps_its_fading():
-    """The same seed gives the same field; another seed another; asking twice changes nothing."""
+def test_fading_of_places():
+    """A seed fixes the fading, which comes before the floor."""
     one, again, other = (
         raster_truth(MAP, 30.0, -130.0, Rician(10.0), np.random.default_rng(seed))
         for seed in (1, 1, 2)
@@ -61,10 +57,6 @@ def test_a_place_keeps_its_fading():
     np.testing.assert_array_equal(first, true_power_dbm(again, CENTRES))
     assert (first != true_power_dbm(other, CENTRES)).any()
     assert first[0] != -50.0
-
-
-def test_fading_comes_before_the_floor():
-    """Gains just below the floor rise above it in some places, and none falls under it."""
     wide = Raster(np.arange(100.0), np.arange(100.0), np.full((100, 100), -130.5))
     truth = raster_truth(wide, 0.0, -130.0, Rician(10.0), np.random.default_rng(3))
     assert truth.raster.values.min() == -130.0

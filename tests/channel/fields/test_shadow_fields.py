@@ -36,8 +36,8 @@ def test_covariance_at_every_lag(shape, decorrelation):
     assert (np.abs(means.mean(axis=0) - expected) < 4.5 * error).all()
 
 
-def test_report_of_padding_and_clipping():
-    """Padding grows with the decorrelation distance; what is clipped stays under tolerance."""
+def test_seed_fixes_the_field_and_xi_scales_it():
+    """Never standardised; padding grows with the decorrelation distance, and little is clipped."""
     short = shadow_field_db((10, 30), 1.0, 2.0, 1.0, np.random.default_rng(0))
     long = shadow_field_db((10, 30), 1.0, 2.0, 40.0, np.random.default_rng(0))
     assert short.values_db.shape == long.values_db.shape == (10, 30)
@@ -45,10 +45,6 @@ def test_report_of_padding_and_clipping():
     assert min(long.padding) > max(short.padding)
     assert 0.0 <= short.clipped_share <= CLIPPED_SHARE_TOLERANCE
     assert 0.0 <= long.clipped_share <= CLIPPED_SHARE_TOLERANCE
-
-
-def test_seed_fixes_the_field_and_xi_scales_it():
-    """Never standardised: doubling xi doubles the same realisation."""
     one = shadow_field_db((8, 8), 1.0, 2.0, 3.0, np.random.default_rng(5)).values_db
     again = shadow_field_db((8, 8), 1.0, 2.0, 3.0, np.random.default_rng(5)).values_db
     double = shadow_field_db((8, 8), 1.0, 4.0, 3.0, np.random.default_rng(5)).values_db
@@ -56,11 +52,16 @@ def test_seed_fixes_the_field_and_xi_scales_it():
     np.testing.assert_allclose(double, 2.0 * one)
 
 
-def test_a_torus_that_does_not_fit_is_refused(monkeypatch):
-    """A clear error instead of a machine out of memory."""
+def test_fields_that_do_not_fit_are_refused(monkeypatch):
+    """A clear error instead of a machine out of memory; repeated places do not count."""
     monkeypatch.setattr("planopt.channel.shadow_fields.MAX_TORUS_CELLS", 10_000)
     with refused():
         shadow_field_db((20, 20), 1.0, 2.0, 500.0, np.random.default_rng(0))
+    monkeypatch.setattr("planopt.channel.shadow_fields.MAX_PLACES", 3)
+    generator = np.random.default_rng(0)
+    scattered_field_db(np.zeros((10, 2)), 1.0, 1.0, generator)
+    with refused():
+        scattered_field_db(np.eye(4, 2).cumsum(axis=0) + np.arange(4)[:, None], 1.0, 1.0, generator)
 
 
 DRAWS = 1200
@@ -93,15 +94,6 @@ def test_repeated_places_share_their_value():
     assert values[0] == values[2] != values[1]
     assert np.abs(values[3:] - values[0]).max() < 1e-3
     assert scattered_field_db(places[:0], 2.0, 5.0, np.random.default_rng(2)).shape == (0,)
-
-
-def test_too_many_places(monkeypatch):
-    """A clear error instead of a machine out of memory; repeated places do not count."""
-    monkeypatch.setattr("planopt.channel.shadow_fields.MAX_PLACES", 3)
-    generator = np.random.default_rng(0)
-    scattered_field_db(np.zeros((10, 2)), 1.0, 1.0, generator)
-    with refused():
-        scattered_field_db(np.eye(4, 2).cumsum(axis=0) + np.arange(4)[:, None], 1.0, 1.0, generator)
 
 
 def test_places_added_to_a_lattice():

@@ -84,18 +84,14 @@ def test_only_the_rounded_and_censored_are_changed():
     assert (np.abs(sites.noise_variance_db2[20:30] / (4.0 + 6.75) - 1.0) < 0.5).all()
 
 
-def test_position_errors_widen_the_site_tolerance():
-    """Beside a strong exact value a limit says less where the place is uncertain."""
+def test_what_a_limit_tells():
+    """A limit far above says nothing; beside an exact value an uncertain place says less."""
     positions = np.array([[50.0, 0.0], [50.5, 0.0]])
     flags = np.array([False, True])
     sharp = Measurements(positions, np.array([-90.0, -95.0]), flags)
     vague = dataclasses.replace(sharp, position_std_m=np.full(2, 20.0))
     first, second = gaussian_sites(CHANNEL, sharp), gaussian_sites(CHANNEL, vague)
     assert second.noise_variance_db2[1] != pytest.approx(first.noise_variance_db2[1], rel=0.05)
-
-
-def test_an_uninformative_limit_changes_nothing():
-    """A limit far above what is expected has a capped variance and leaves the posterior alone."""
     measurements, power = simulated(5, share=0.1)
     where = int(np.argmin(power))
     high = np.where(measurements.censored, 100.0, measurements.power_dbm)

@@ -57,8 +57,8 @@ def test_default_grid() -> None:
     assert 190 <= (box[2] - box[0]) / default_cell_m(box) <= 211
 
 
-def test_as_xarray() -> None:
-    """Values by coordinates, units, and what they are of."""
+def test_as_xarray(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Values by coordinates with units; without the package the error says what to install."""
     pytest.importorskip("xarray")
     maps = posterior_map(condition(PARAMETERS, measured(40)), (0.0, 10.0, 100.0, 45.0), 10.0, -72.0)
     dataset = maps.to_xarray()
@@ -71,10 +71,6 @@ def test_as_xarray() -> None:
         assert float(dataset[name].sel(x_m=75.0, y_m=35.0)) == raster.values[2, 7]
     assert dataset["mean_dbm"].attrs["units"] == "dBm"
     assert dataset.attrs == {"threshold_dbm": -72.0, "posterior": "exact"}
-
-
-def test_without_xarray(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The error says what to install."""
     monkeypatch.setitem(sys.modules, "xarray", None)
     maps = posterior_map(condition(PARAMETERS, measured(9)), (0.0, 0.0, 20.0, 20.0), 10.0, -72.0)
     with refused():

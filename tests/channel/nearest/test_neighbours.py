@@ -80,7 +80,7 @@ def test_surrounding_windows_have_the_nearest():
 
 
 def test_earlier_windows_look_back_only():
-    """Beside a block are members of blocks before it alone, all of them up to the limit."""
+    """Beside a block are members of earlier blocks alone; the first blocks are far apart."""
     points = uneven(300)
     before = set()
     windows = earlier_windows(points, place_blocks(points, 25), 40)
@@ -89,10 +89,6 @@ def test_earlier_windows_look_back_only():
         assert len(window.near) == min(40, len(before))
         before |= set(window.own)
     assert before == set(range(300))
-
-
-def test_blocks_come_from_coarse_to_fine():
-    """The first blocks are far apart: among 6 of 40 no two are neighbours."""
     points = np.random.default_rng(2).uniform(0.0, 1.0, (1000, 2))
     centres = [
         points[w.own].mean(axis=0) for w in earlier_windows(points, place_blocks(points, 25), 9)

@@ -16,12 +16,16 @@ from planopt.channel.calibration import (
 
 
 def test_groups_of_one_size_are_students_interval():
-    """Equal denominators make it the ordinary interval of a mean of group means."""
+    """The interval of a mean of group means; the root is of all three, and no share below zero."""
     means = np.array([0.91, 0.95, 0.93, 0.99, 0.90])
     found = grouped_ratio(means * 40.0, np.full(5, 40.0))
     low, high = stats.t.interval(0.95, 4, means.mean(), stats.sem(means))
     assert found.value == pytest.approx(means.mean())
     assert (found.low, found.high) == pytest.approx((low, high))
+    found = grouped_ratio(np.array([0.0, 9.0]), np.array([1.0, 1.0]))
+    assert found.low == 0.0
+    root = found.root()
+    assert (root.value, root.low, root.high) == pytest.approx((4.5**0.5, 0.0, found.high**0.5))
 
 
 def test_interval_holds_where_members_belong_together():
@@ -36,14 +40,6 @@ def test_interval_holds_where_members_belong_together():
         naive += abs(found.value - 1.0) <= 1.96 * 0.3 / np.sqrt(size.sum())
     assert 0.91 <= held / 400 <= 0.98
     assert naive / 400 < 0.5
-
-
-def test_root_and_floor():
-    """The root is of all three; no share is below zero."""
-    found = grouped_ratio(np.array([0.0, 9.0]), np.array([1.0, 1.0]))
-    assert found.low == 0.0
-    root = found.root()
-    assert (root.value, root.low, root.high) == pytest.approx((4.5**0.5, 0.0, found.high**0.5))
 
 
 def test_bins_partition_the_predictions():
@@ -74,8 +70,8 @@ def test_no_interval_from_few_groups():
         assert (one.agrees is None) == (one.interval is None)
 
 
-def test_independent_outcomes_are_the_exact_binomial_interval():
-    """One outcome a group: a design effect of g / (g - 1), and Clopper and Pearson's interval."""
+def test_intervals_of_shares():
+    """Exact binomial for one outcome a group; runs connected throughout count as groups."""
     groups, hits = 40, 31
     low, high = share_interval(np.arange(groups) < hits, np.ones(groups))
     exact = stats.binomtest(hits, groups).proportion_ci(0.95, method="exact")
@@ -84,10 +80,6 @@ def test_independent_outcomes_are_the_exact_binomial_interval():
     )
     assert (low, high) == pytest.approx(tuple(fewer))
     assert low < exact.low and high > exact.high
-
-
-def test_one_outcome_counts_the_groups():
-    """Twenty runs that were connected throughout: the interval of 20 trials, t's correction off."""
     low, high = share_interval(np.full(20, 50.0), np.full(20, 50.0))
     assert high == 1.0
     worth = 20 * (stats.t.ppf(0.975, 999) / stats.t.ppf(0.975, 19)) ** 2

@@ -120,14 +120,18 @@ def test_scores_by_hand():
         assert ratio.low <= ratio.value <= ratio.high
 
 
-def test_only_limits_have_no_error():
-    """Where nothing but upper limits was held out there is nothing to report."""
+def test_only_limits_teach_nothing():
+    """Neither an error nor a predictor comes of upper limits alone."""
     measurements = Measurements(np.zeros((4, 2)), np.full(4, 9.0), np.ones(4, dtype=bool))
     groups = np.array([0, 0, 1, 1])
     with pytest.raises(InputError):
         held_out_report(measurements, groups, groups, lambda _: {"path_loss": constant(0.0)})
     with refused():
         learn_path_loss(measurements, CHANNEL.station)
+    limits = dataclasses.replace(simulated(PLAIN, 2, 9, 90.0), censored=np.ones(9, dtype=bool))
+    for learn in (learn_plain_process, lambda m: learn_plain_line(m, PLAIN.station)):
+        with pytest.raises(InputError):
+            learn(limits)
 
 
 def test_channel_and_marginal_beat_path_loss():
@@ -189,7 +193,7 @@ FLAT = dataclasses.replace(PLAIN, n_pl=0.0)
 
 
 def test_line_is_a_polynomial_of_degree_one_in_the_logarithm():
-    """NumPy's, of the uncensored powers alone, with the deviation of its residuals."""
+    """NumPy's, of the exact powers alone; the mean where no slope can be estimated."""
     measurements = simulated(PLAIN, 0, 80, 200.0, 0.3)
     exact = measurements.take(np.flatnonzero(~measurements.censored))
     found = learn_plain_line(measurements, PLAIN.station)(measurements)
@@ -201,10 +205,6 @@ def test_line_is_a_polynomial_of_degree_one_in_the_logarithm():
     np.testing.assert_allclose(found.mean_db, np.polyval(line, np.log10(distance[1])), rtol=1e-9)
     centred = np.log10(distance[0]) - np.log10(distance[0]).mean()
     np.testing.assert_allclose(found.deviation_db**2, covariance[0, 0] * centred @ centred)
-
-
-def test_line_at_one_distance_is_the_mean():
-    """If no slope can be estimated, the powers are predicted by their mean."""
     angle = np.linspace(0.0, 6.0, 12)
     places = PLAIN.station.position_m + 30.0 * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     powers = -70.0 + np.arange(12.0)
@@ -243,11 +243,3 @@ def test_process_does_not_depend_on_the_order_of_rows(monkeypatch):
     )
     for other in others:
         np.testing.assert_array_equal(other, first)
-
-
-def test_upper_limits_alone_are_refused():
-    """There is nothing to learn."""
-    limits = dataclasses.replace(simulated(PLAIN, 2, 9, 90.0), censored=np.ones(9, dtype=bool))
-    for learn in (learn_plain_process, lambda m: learn_plain_line(m, PLAIN.station)):
-        with pytest.raises(InputError):
-            learn(limits)

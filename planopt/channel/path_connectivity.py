@@ -57,7 +57,7 @@ def _score(values: Floats) -> Floats:
 
 
 def _owen(score: Floats, across: Floats, narrow: Floats) -> Floats:
-    """Return Owen's function T(score, across / (score narrow)); a score may be zero."""
+    """Return Owen's function T(score, across / (score * narrow)); a score may be zero."""
     # Adding zero turns -0 into 0. The caller replaces the results of 0 / 0.
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         slope = across / (score * narrow + 0.0)

@@ -34,7 +34,7 @@ def demanded(demand: Demand, agents: int) -> int:
 
 
 def table_demand(steps: Mapping[int, int]) -> Demand:
-    """Return a demand that looks up the largest key of `steps` not above the number of agents."""
+    """Return a demand: the value in `steps` of its largest key not above the number of agents."""
     entries = sorted(steps.items(), reverse=True)
     return lambda agents: next((wanted for number, wanted in entries if number <= agents), 0)
 

@@ -468,7 +468,7 @@ def misfit_level(readings: Readings, sensing: Sensing, event: EventEstimate) -> 
 
 
 def faulty_reading(readings: Readings, sensing: Sensing, hull: ConvexRegion) -> int:
-    """Return the number of the reading that the others of its step contradict; `NONE` if none.
+    """Return the index of the reading that the others of its step contradict; `NONE` if none.
 
     The test is that of equation (7.22).
 

@@ -130,7 +130,7 @@ class Motion:
 
 
 def packing_reach_m(agents: int, body_radius_m: float) -> float:
-    """Return the largest distance of bodies packed around an event; 0 for bodies of radius 0."""
+    """Return the largest distance from an event to bodies packed around it; 0 for points."""
     # In the hexagonal packing, ``m`` shells about a central body hold ``1 + 3 m (m + 1)`` bodies,
     # the outermost at ``2 m`` radii. One more shell is allowed because bodies that arrive one by
     # one leave gaps.

@@ -116,7 +116,7 @@ class MeasuringRule:
         return Gates(value, paths_m, offset.reshape(count, steps, -1, 2), known_log, own_log)
 
     def _beside(self, places_m: Floats) -> tuple[Floats, Floats]:
-        """Return distances (n, m) and offsets (n, m, 2) from measurements that may close a gate."""
+        """Return distances (n, m) and offsets (n, m, 2) to measurements that may close a gate."""
         # For several stations, use the one whose nearest measurement is farthest away.
         found: tuple[Floats, Floats] | None = None
         for known in self.near(places_m).known_m:
@@ -187,7 +187,7 @@ class Gates:
 
 
 def _log_gate(squared_m2: Floats, rule: MeasuringRule) -> Floats:
-    """Return ``(3, ...)``: the log of a gate s, and two derivatives w.r.t. squared distance."""
+    """Return ``(3, ...)``: the log of a gate s, and two derivatives in the squared distance."""
     # s = u^3 (10 - 15 u + 6 u^2) rises from 0 (closed) to 1 (fully open) with two continuous
     # derivatives. If s = 0, log s is minus infinity and the derivatives are set to 0, like those of
     # the gate itself.

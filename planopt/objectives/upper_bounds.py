@@ -127,7 +127,7 @@ class PairedInformation:
         return replace(self, posterior=posterior, given_nats=0.5 * np.linalg.slogdet(gain)[1])
 
     def nearest_m(self, discs: Discs) -> Floats:
-        """Return the distances (n,) of the discs' nearest points from the station."""
+        """Return the distance (n,) from the station to the nearest point of each disc."""
         station = self.posterior.parameters.station
         across = np.hypot(*(discs.centre_m - np.asarray(station.position_m)).T) - discs.radius_m
         return np.maximum(np.hypot(np.maximum(across, 0.0), station.height_m), MIN_DISTANCE_M)

@@ -285,10 +285,10 @@ def plan_message(certificate: Certificate, positions_m: Floats) -> str:
             )
         else:
             parts.append(
-                f"P(connected) is below the required value at {steps}, up to {worst:.2f} dB below "
-                f"the power needed. This is allowed if a detour costs more: the priced length is "
-                f"{path_m:.4g} m for the planned route, and {best_m:.4g} m for the cheapest "
-                "route of the verifier"
+                f"P(connected) is below the required value at {steps}: the power is up to "
+                f"{worst:.2f} dB too low. Avoiding it would cost more: plan and remaining route "
+                f"have a priced length of {path_m:.1f} m; the verifier allows a little more than "
+                f"the {best_m:.1f} m of the cheapest route it finds"
             )
     if np.linalg.norm(positions_m[1:] - positions_m[0], axis=1).max() <= STANDSTILL_M:
         parts.append("the plan stands still")
@@ -485,7 +485,7 @@ class Relaxation:
         short = "" if self.shortfall is None else _shown(self.shortfall, self.shortfall_unit)
         by = f", short by {short}" if short else ""
         change = (
-            "without it there is a plan"
+            "without this constraint there is a plan"
             if self.relaxed_value is None
             else f"{_shown(self.relaxed_value, self.unit)} would suffice"
         )
@@ -532,8 +532,8 @@ class Crossing:
     def why(self) -> str:
         """Return the cost of the path, and the alternative that stays connected."""
         cost = (
-            f"The planned route has a priced length of {self.cost_m:.0f} m: its length plus "
-            f"{self.outage_price:g} m for each metre expected out of contact."
+            f"The cheapest route on the lattice has a priced length of {self.cost_m:.0f} m: its "
+            f"length plus {self.outage_price:g} m for each metre expected out of contact."
         )
         if self.outside_m < SHORTEST_IN_WORDS_M and not self.at_goal:
             return f"The shortest route that stays connected is {self.kept_m:.0f} m long. {cost}"

@@ -158,7 +158,7 @@ class Problem:
     def save(self, file: Path | str) -> None:
         """Write the problem file.
 
-        Obstacles are written as polygons; logs and maps are named by their files.
+        Obstacles are written as polygons; logs and maps are referred to by file name.
 
         Parameters
         ----------

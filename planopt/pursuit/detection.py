@@ -1,9 +1,9 @@
-"""Imperfect detection, and association: the evader that a report without a name belongs to.
+"""Imperfect detection, and data association: which evader caused a report without a name.
 
-Motes miss evaders and raise false alarms. Samples of all levels coincide, so a miss or false alarm
-appears at every level. An evader explains a chain of reports. A link between two reports is worth
-the logarithm of its likelihood ratio to a false alarm (equation 8.22). The chains of greatest worth
-that share no report are a minimum-cost flow, whose linear programme has integer solutions.
+Motes miss evaders and raise false alarms. All levels sample at the same times, so a miss or false
+alarm affects every level. Each evader causes one chain of reports. A link between two reports has
+the log-likelihood ratio to a false alarm as its weight (equation 8.22). Disjoint chains of maximum
+total weight are a minimum-cost flow, whose linear programme has integer solutions.
 """
 
 import math

@@ -396,7 +396,7 @@ class FloodingRun:
 
     @property
     def peak_load(self) -> int:
-        """Return the maximum number of blocks that a mote sent in a frame."""
+        """Return the largest number of blocks that any mote sent in any frame."""
         return len(self.motes_by_load) - 1
 
     @property

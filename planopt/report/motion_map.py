@@ -179,7 +179,7 @@ def draw_plans(panel: Panel, problem: Problem, plans: Sequence[Plan], first: int
 
 
 def draw_blocked(panel: Panel, blocked: Sequence[BlockedPath]) -> list[Artist]:
-    """Draw the cheapest paths, which a hard chance constraint forbids, with their holes."""
+    """Draw the cheapest paths that a hard chance constraint forbids, and their coverage holes."""
     entries: list[Artist] = []
     for one in blocked:
         entries += _draw_dotted(panel, one.path_m, "cheapest path (violates a constraint)")

@@ -50,7 +50,6 @@ ORIGINS = {
 STOPPED = {
     "converged": "converged",
     "acceptable": "converged to its looser tolerance",
-    "lattice_only": "result replaced",
     "iteration_limit": "stopped at the iteration limit",
     "time_limit": "stopped at the time limit",
     "infeasible": "found no feasible point",
@@ -96,14 +95,23 @@ def _value(problem: Problem, objective: float) -> str:
     return f"objective {shown_number(objective)} (larger is better; terms: {terms})"
 
 
+def _origin(plan: Plan) -> str:
+    """Return the origin of a plan's path, and what the solver contributed, as text."""
+    count = f"{plan.iterations} iteration" + ("" if plan.iterations == 1 else "s")
+    if plan.termination.value != "lattice_only":
+        return f"{ORIGINS[plan.rung.value]}; solver {STOPPED[plan.termination.value]} after {count}"
+    origin = (
+        ORIGINS[plan.rung.value] if plan.rung.value != "plan" else "path found without the solver"
+    )
+    return origin + (f", better than the solver's ({count})" if plan.iterations else "")
+
+
 def plan_in_words(problem: Problem, plan: Plan) -> list[str]:
     """Return verdict, objective, distances, connectivity and coverage holes of a robot's plan."""
     proof, unit = plan.certificate, " s" if problem.has_goal else ""
     limited = problem.constraints.requires_connection or problem.has_goal
-    count = f"{plan.iterations} iteration" + ("" if plan.iterations == 1 else "s")
     lines = [
-        f"{plan.robot}: {plan.verdict.value}; {ORIGINS[plan.rung.value]}; solver "
-        f"{STOPPED[plan.termination.value]} after {count}; computed in "
+        f"{plan.robot}: {plan.verdict.value}; {_origin(plan)}; computed in "
         f"{shown_number(plan.wall_s, ' s', 2)}",
         f"  {_value(problem, plan.objective)}; "
         f"{shown_number(plan.lattice_objective, unit)} before refinement",

@@ -190,7 +190,7 @@ def head(figure: Figure, words: str) -> None:
 def draw_intervals(
     panel: Panel, x: Values, y: Values, low: Values, high: Values, **look: Any
 ) -> Artist:
-    """Draw markers (n,) with bars from `low` to `high`, none if NaN; return the markers."""
+    """Draw markers (n,) with bars from `low` to `high` (no bar where NaN); return the markers."""
     # Rounding may put a bound on the wrong side of the value; NaN is kept.
     ends = (np.maximum(np.subtract(y, low), 0.0), np.maximum(np.subtract(high, y), 0.0))
     bars = {"elinewidth": 1.5, "capsize": 3.0, "linestyle": "none"}

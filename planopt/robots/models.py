@@ -222,7 +222,7 @@ class DoubleIntegrator(Dynamics):
         return np.repeat([control, -control], half, axis=0)
 
     def may_reach(self, state: Floats, places_m: Floats, duration_s: float, slack_m: float) -> Mask:
-        """Return a mask of positions in range of acceleration from the position after coasting."""
+        """Return a mask of positions reachable in `duration_s`, with a margin of `slack_m`."""
         offset = places_m - (state[:2] + duration_s * state[2:])
         radius = 0.5 * self.acceleration_max_m_s2 * duration_s**2
         return np.hypot(offset[:, 0], offset[:, 1]) <= radius + slack_m

@@ -225,7 +225,7 @@ def swept_values(sweep: object) -> Mapping[str, Sequence[Any]] | None:
 
 
 def chosen_seeds(seeds: object) -> list[int]:
-    """Return the seeds; `seeds` may also be their number."""
+    """Return the seeds, from a list of seeds or from their number."""
 
     def is_whole(value: object) -> bool:
         return isinstance(value, int | np.integer) and not isinstance(value, bool)

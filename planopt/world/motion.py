@@ -37,7 +37,7 @@ class StepCurve(Protocol):
 
     @property
     def curving_m(self) -> float:
-        """Bound on the second derivative of :meth:`at` between the breaks."""
+        """Bound in metres on the second time derivative of :meth:`at` between the breaks."""
         ...
 
     @property
@@ -144,7 +144,7 @@ class Arc:
 
     @property
     def curving_m(self) -> float:
-        """Magnitude of the second derivative (centripetal acceleration)."""
+        """Magnitude in metres of the second derivative w.r.t. time (0 to 1 over a step)."""
         return abs(self.length_m * self.turn_rad)
 
     def points_m(self) -> tuple[Floats, float]:

@@ -225,7 +225,7 @@ def _degrees_of(corners: Floats, code: int) -> Floats:
         convert = pyproj.Transformer.from_crs(code, 4326, always_xy=True)
     except pyproj.exceptions.CRSError as error:
         raise InputError(
-            f"has the unknown reference system EPSG:{code}", remedy="name a system of EPSG"
+            f"has the unknown reference system EPSG:{code}", remedy="give a valid EPSG code"
         ) from error
     return np.stack(convert.transform(*corners.T), axis=-1)
 

@@ -272,7 +272,7 @@ class RestrictedLikelihood:
         return expected if self.prior is None else expected + self.prior.information(covariance[2])
 
     def _whole(self, covariance: Covariance, site_tolerance: float) -> Evaluation:
-        """Evaluate the likelihood of a single window, matching all interval sites jointly."""
+        """Evaluate the likelihood of a single window, with all interval sites fitted jointly."""
         data, rows = self.data, self.data.intervals
         shadow, nugget, beta = covariance
         correlation = data.correlation(0, beta)
@@ -444,7 +444,7 @@ def _interval_prior(
     latent_db2: Floats,  # (n, n) covariance of shadowing
     noise_db2: Floats,  # (n,) of the Gaussian measurements
 ) -> tuple[LatentPrior, float]:
-    """Return the interval powers' prior, and the log-likelihood of the Gaussian measurements."""
+    """Return the prior of the powers in intervals, and the log-likelihood of the other readings."""
     # If rounded intervals may determine theta, log L is taken at the line.
     if data.intervals is None:
         raise AssertionError("there are intervals")

@@ -88,7 +88,7 @@ class LogFormat(Part):
     accuracy_column: ColumnName | None = None
     """Column of the radius in metres that contains the position with probability 68 %."""
     power_unit: PowerUnit | None = None
-    """Unit of the power: dBm or mW; default: as name and values of the column show."""
+    """Unit of the power: dBm or mW; default: inferred from the column's name and values."""
     reader: ColumnName | None = None
     """Name of the program that wrote the log; default: detected."""
 

@@ -146,7 +146,7 @@ def fold(name: str) -> str:
 
 
 def read_delimited(path: Path, preambles: Sequence[str] = ()) -> LogTable:
-    """Read a table of delimited text; lines before the header may start with `preambles`."""
+    """Read a table of delimited text; lines before the header may start with any of `preambles`."""
     lines = list(_lines(read_text(path), tuple(preambles)))
     named = EXCEL_DELIMITER.fullmatch(lines[0][1]) if lines else None
     if named is not None:

@@ -171,7 +171,7 @@ def _position_columns(
 
 
 def _named(table: LogTable, name: str) -> str:
-    """Return the column of a table whose name equals `name`, in the table's own spelling."""
+    """Return the name of the column that matches `name` regardless of case."""
     return table.folded.get(fold(name), name)
 
 

@@ -200,7 +200,7 @@ def _parsed(program: str, symbols: Mapping[str, Any], steps: int) -> Any:
     for row, line in enumerate(lines, start=1):
         try:
             if len(lines) * steps > MOST_LINES or len(line) > LONGEST_LINE:
-                raise ValueError("the program or a line is longer than this horizon allows")
+                raise ValueError("there are too many lines for this horizon, or a line is too long")
             match ast.parse(line).body:
                 case [ast.Assign([ast.Name(name)], right)] if name not in symbols:
                     names[name] = _built(right, names, symbols)
@@ -217,7 +217,8 @@ def _parsed(program: str, symbols: Mapping[str, Any], steps: int) -> Any:
             elif isinstance(error, KeyError):  # Name, or class of an operation
                 name = getattr(error.args[0], "__name__", error.args[0])
                 reason = (
-                    f"{name} is not an operation, a function, an earlier line or an indexed input"
+                    f"{name} is not a supported operation or function, nor an earlier line or an "
+                    "indexed input"
                 )
             raise InputError(
                 f"is invalid in line {row} of {len(lines)}, {line[:30]!r}: {reason}",

@@ -172,7 +172,7 @@ class Term:
         raise self._without("probe_values")
 
     def derivatives(self, path: NearPath) -> Part:
-        """Return the term's value of one path with derivatives, for solvers."""
+        """Return the term's value for one path, with derivatives, for solvers."""
         raise self._without("derivatives")
 
     def slope(self, paths: Paths, number: int) -> Pull:
@@ -205,7 +205,7 @@ class Term:
         return "without a proven bound"
 
     def move_reward(self, lengths_m: Floats, step_s: float) -> Floats:
-        """Return the rewards of moves of these lengths, independent of position."""
+        """Return the part of the reward of moves that depends on their lengths alone."""
         return np.zeros(len(lengths_m))
 
 

@@ -82,7 +82,7 @@ class Key:
         return max(value, self.limit) if down else min(value, self.limit)
 
     def changed(self, problem: Problem, value: float) -> Problem:
-        """Return the problem with this key set to another value."""
+        """Return the problem with this key set to `value`."""
         table, name = self.name.split(".")
         if table == "planner":
             return replace(problem, planner=replace(problem.planner, step_s=value))

@@ -81,7 +81,7 @@ def run_metrics(
     channel: ChannelLog | None,
     costs: Mapping[str, float],
 ) -> dict[str, float]:
-    """Return the metrics of a run over all robots, by name."""
+    """Return the metrics of a run over all robots, keyed by the metric's name."""
     found: dict[str, float] = {}
     each = [run.metrics for run in runs]
     led = [robot.goal_m is not None for robot in problem.robots]

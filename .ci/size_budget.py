@@ -13,11 +13,11 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_831,
-    "lines of code": 52_372,
+    "lines": 70_844,
+    "lines of code": 52_382,
     "files": 247,
-    "functions": 3_783,
-    "docstring lines": 7_515,
+    "functions": 3_784,
+    "docstring lines": 7_516,
     "lines of tests": 48_474,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""

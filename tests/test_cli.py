@@ -51,17 +51,13 @@ def strict(text: str) -> dict:
     return json.loads(text, parse_constant=refuse)
 
 
-def test_solve_prints_one_json_object(field: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """A verified plan: exit code 0, one object on stdout, nothing on stderr."""
+def test_solve_prints_json_or_text(field: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A verified plan: exit code 0, one object on stdout, or the verdict first, in words."""
     assert main(["solve", str(field), "--horizon", "3", "--json"]) == 0
     printed = capsys.readouterr()
     data = strict(printed.out)
     assert printed.err == ""
     assert data["verdict"] == "verified" and data["horizon"] == 3
-
-
-def test_solve_prints_text(field: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Without --json the verdict comes first, in words."""
     assert main(["solve", str(field), "--planner", "lattice", "--cost-to-go", "geodesic"]) == 0
     text = capsys.readouterr().out
     assert text.startswith("open_field: verified, horizon 10 steps, planner lattice")
@@ -193,13 +189,10 @@ def test_list_and_schema(capsys) -> None:
     assert "constraints" in readable["properties"]
 
 
-def test_no_summary_of_a_command_is_cut(capsys) -> None:
+def test_help_and_version(capsys) -> None:
+    """All are exit code 0 on stdout; no summary is cut; without arguments three are shown."""
     main(["--help"])
     assert "...\n" not in capsys.readouterr().out.replace("[ARGS]...\n", "")
-
-
-def test_help_and_version(capsys) -> None:
-    """All are exit code 0 on stdout; without arguments the first three commands are shown."""
     assert main([]) == 0
     shown = re.findall("^  planopt ([a-z]+)", capsys.readouterr().out, re.MULTILINE)
     assert shown == ["list", "solve", "simulate"]

@@ -17,13 +17,23 @@ ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 
-def test_first_plan_and_own_loop_are_short() -> None:
-    """The README's Python: a first plan of at most 15 lines, then a user's own loop of 10."""
+def test_readme() -> None:
+    """The animation loads quickly, every verdict is explained, and its Python is short."""
     codes = re.findall(r"^```python\n(.*?)^```", README, flags=re.MULTILINE | re.DOTALL)
     most = (15, 10)
     assert 1 <= len(codes) <= len(most)
     for code, lines in zip(codes, most, strict=False):
         assert len(code.strip().splitlines()) <= lines
+    from PIL import Image
+
+    file = ROOT / "docs" / "pictures" / "munich_courier.gif"
+    assert f"({file.relative_to(ROOT)})" in README
+    assert file.stat().st_size < 2_000_000
+    with Image.open(file) as animation:
+        assert getattr(animation, "n_frames", 1) > 20
+    from planopt import Verdict
+
+    assert all(f"| `{verdict.value}` |" in README for verdict in Verdict)
 
 
 PAGES = [
@@ -48,24 +58,6 @@ def test_links(file: Path) -> None:
     targets = re.findall(r"\]\(([^)#]+)\)", text) + re.findall(r"\{image\} (\S+)", text)
     for target in targets:
         assert target.startswith("https://") or (file.parent / target).exists(), target
-
-
-def test_animation_is_small() -> None:
-    """The README's animation loads quickly: GIF, more than one frame, below 2 MB."""
-    from PIL import Image
-
-    file = ROOT / "docs" / "pictures" / "munich_courier.gif"
-    assert f"({file.relative_to(ROOT)})" in README
-    assert file.stat().st_size < 2_000_000
-    with Image.open(file) as animation:
-        assert getattr(animation, "n_frames", 1) > 20
-
-
-def test_exit_codes_and_verdicts() -> None:
-    """The README explains every verdict there is."""
-    from planopt import Verdict
-
-    assert all(f"| `{verdict.value}` |" in README for verdict in Verdict)
 
 
 def keys_of(node: Any) -> Iterator[str]:

@@ -18,16 +18,12 @@ def test_messages_can_be_printed(kind: type[Exception]) -> None:
 
 
 def test_long_names_and_messages_are_cut() -> None:
-    """Their beginning and end remain; what is not long stays as it is."""
+    """Their beginning and end remain, in file, key and remedy too."""
     assert printable("a" * 300) == "a" * 300
     cut = printable(f"key {'a' * 100_000}z: is wrong")
     assert len(cut) < 300 and cut.startswith("key aaa") and cut.endswith("aaz: is wrong")
     assert "..." in cut
     assert len(printable("word " * 10_000)) < 1300
-
-
-def test_every_part_of_an_input_error_is_cut() -> None:
-    """File, key and remedy too."""
     long = "x" * 50_000
     error = InputError(long, file=long, key=long, row=3, remedy=long)
     assert len(str(error)) < 1300

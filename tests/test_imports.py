@@ -41,14 +41,10 @@ def test_import_of_package_is_light() -> None:
     assert not loaded & {"numpy", *HEAVY}
 
 
-def test_command_line_is_light() -> None:
-    """Nothing heavy is loaded to print a help page."""
+def test_help_is_light() -> None:
+    """Nothing heavy is loaded to print a help page, whose planners are written out."""
     numerics = {"numpy", "pydantic", "rich", "scipy", "shapely"}
     assert not modules_after("import planopt.cli") & (HEAVY | numerics)
-
-
-def test_help_names_all_planners() -> None:
-    """The text is written out, so that printing it loads no registry."""
     from planopt.commands.options import PLANNERS
     from planopt.problems.settings import OWN
 
@@ -93,10 +89,13 @@ def test_public_name(package: ModuleType, name: str) -> None:
 
 
 def test_public_names_are_few() -> None:
-    """Who completes ``planopt.`` sees what most problems need; four packages have the rest."""
+    """Completion shows what most problems need; four packages have the rest; tools get no hints."""
     assert len(planopt.__all__) <= 35
     assert not [name for name in planopt.__all__ if name in planopt.extend.__all__]
     assert len(planopt.channel.__all__) > 40
+    with pytest.raises(AttributeError, match=r"'__wrapped__'$"):
+        planopt.__wrapped__  # noqa: B018
+    assert type(planopt.load("open_field").report) is planopt.problems.ReportSettings
 
 
 @pytest.mark.parametrize(
@@ -120,14 +119,3 @@ def test_unknown_name(package: ModuleType, name: str, hint: str) -> None:
     with pytest.raises(ImportError, match=said):
         exec(f"from {package.__name__} import {name}")
     assert not hasattr(package, name)
-
-
-def test_private_names_have_no_hint() -> None:
-    """Tools ask any module for them."""
-    with pytest.raises(AttributeError, match=r"'__wrapped__'$"):
-        planopt.__wrapped__  # noqa: B018
-
-
-def test_settings_of_the_report_are_public() -> None:
-    """What a problem's `report` takes."""
-    assert type(planopt.load("open_field").report) is planopt.problems.ReportSettings

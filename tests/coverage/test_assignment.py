@@ -44,10 +44,11 @@ def test_never_more_than_there_are(demand: Demand) -> None:
     assert wanted == sorted(wanted)
 
 
-def test_caps() -> None:
-    """The smallest of the share, the cap and what coverage leaves."""
+def test_demands() -> None:
+    """The smallest of share, cap and what coverage leaves; functions of the user's own."""
     demand = capped_demand(0.3, 6, 4)
     assert [demand(n) for n in (1, 4, 5, 10, 11, 19, 50)] == [0, 0, 1, 3, 4, 6, 6]
+    assert demanded(lambda n: n // 2, 9) == 4
 
 
 def test_accuracy_meets_its_bound() -> None:
@@ -84,11 +85,6 @@ def test_trade_off_is_the_minimum() -> None:
                 for p in range(1, n)
             ]
             assert costs[demand(n) - 1] == pytest.approx(min(costs), rel=1e-12)
-
-
-def test_functions_of_the_users_own() -> None:
-    """The result of a function is checked."""
-    assert demanded(lambda n: n // 2, 9) == 4
 
 
 def scene(region: ConvexRegion, seed: int, count: int) -> tuple[Network, NDArray[np.float64]]:

@@ -109,16 +109,12 @@ def test_kinds_of_density_agree(hexagon: ConvexRegion) -> None:
 
 
 def test_closed_forms(square: ConvexRegion) -> None:
-    """One agent in a square: a b (a^2 + b^2) / 12 about the middle, and Steiner off it."""
+    """A square about its middle and off it, discs within cells, and other units of length."""
     middle = coverage(voronoi_cells(square, np.array([[50.0, 50.0]])))
     assert middle.cost == pytest.approx(1e8 / 6.0)
     off = coverage(voronoi_cells(square, np.array([[20.0, 90.0]])))
     assert off.cost == pytest.approx(1e8 / 6.0 + 1e4 * (30.0**2 + 40.0**2))
     assert off.centroids_m[0] == pytest.approx([50.0, 50.0])
-
-
-def test_range_within_the_cell(square: ConvexRegion) -> None:
-    """Agents that sense less than their cells see discs, one on the border half of one."""
     agents = np.array([[30.0, 30.0], [80.0, 100.0]])
     found = coverage(voronoi_cells(square, agents), UNIFORM, 10.0)
     assert found.mass == pytest.approx([100.0 * math.pi, 50.0 * math.pi])
@@ -129,8 +125,8 @@ def test_range_within_the_cell(square: ConvexRegion) -> None:
     assert found.cost == pytest.approx(inner + 100.0 * (1e4 - 150.0 * math.pi))
 
 
-def test_agents_at_one_place(square: ConvexRegion) -> None:
-    """Coincident agents share the derivative; moving them together changes H by all of it."""
+def test_agents_in_special_places(square: ConvexRegion) -> None:
+    """Coincident agents share the derivative; an agent whose cell has no mass stays."""
     agents = np.array([[20.0, 30.0], [20.0, 30.0], [70.0, 60.0]])
     found = coverage(voronoi_cells(square, agents))
     alone = coverage(voronoi_cells(square, agents[1:]))
@@ -138,6 +134,16 @@ def test_agents_at_one_place(square: ConvexRegion) -> None:
     assert found.gradient[0] == pytest.approx(found.gradient[1])
     assert found.gradient[:2].sum(axis=0) == pytest.approx(alone.gradient[0])
     assert found.centroids_m[[0, 2]] == pytest.approx(alone.centroids_m)
+    x = np.arange(5.0, 100.0, 10.0)
+    values = np.zeros((10, 10))
+    values[:, 0] = 1.0
+    found = coverage(
+        voronoi_cells(square, np.array([[10.0, 50.0], [90.0, 40.0]])),
+        RasterDensity(Raster(x, x, values)),
+    )
+    assert found.mass[1] == pytest.approx(0.0, abs=1e-9)
+    assert found.centroids_m[1].tolist() == [90.0, 40.0]
+    assert found.centroids_m[0] == pytest.approx([5.0, 50.0])
 
 
 @pytest.mark.parametrize("gain", [1.0, 0.3])
@@ -157,20 +163,6 @@ def test_cost_falls_along_the_law(
         promised = gain * (2.0 - gain) * float(before.mass @ (offset * offset).sum(axis=1))
         assert after.cost <= before.cost - promised + 1e-9 * before.cost
         before = after
-
-
-def test_empty_cells_stay(square: ConvexRegion) -> None:
-    """An agent whose cell has no mass has its own place as centroid."""
-    x = np.arange(5.0, 100.0, 10.0)
-    values = np.zeros((10, 10))
-    values[:, 0] = 1.0
-    found = coverage(
-        voronoi_cells(square, np.array([[10.0, 50.0], [90.0, 40.0]])),
-        RasterDensity(Raster(x, x, values)),
-    )
-    assert found.mass[1] == pytest.approx(0.0, abs=1e-9)
-    assert found.centroids_m[1].tolist() == [90.0, 40.0]
-    assert found.centroids_m[0] == pytest.approx([5.0, 50.0])
 
 
 def test_scaling(hexagon: ConvexRegion) -> None:

@@ -69,12 +69,15 @@ def test_exact_within_the_bound() -> None:
     assert not all(early)
 
 
-def test_averaging_is_the_matrix() -> None:
-    """A round multiplies by the weights."""
+def test_averaging_and_election() -> None:
+    """A round multiplies by the weights; the largest identity wins, by counted messages."""
     network = random_network(13)
     weights = metropolis_weights(network)
     values = np.random.default_rng(0).random((network.count, 3))
     assert average_round(values, network) == pytest.approx(weights @ values)
+    network = network_of(nx.path_graph(3))
+    # All send; agents 0 and 1 learn of 9 or pass 4 on; agent 0 learns it last.
+    assert elect_leader(network, np.array([3, 4, 9])) == (2, 4 + (1 + 2) + 1)
 
 
 def test_averaging_with_losses() -> None:
@@ -89,13 +92,6 @@ def test_averaging_with_losses() -> None:
     for _ in range(4000):
         held = average_round(held, network, loss=0.6, generator=generator)
     assert (np.rint(inverted(held)) == network.count).all()
-
-
-def test_election() -> None:
-    """The largest identity wins, by messages of agents that have heard of a larger one."""
-    network = network_of(nx.path_graph(3))
-    # All send; agents 0 and 1 learn of 9 or pass 4 on; agent 0 learns it last.
-    assert elect_leader(network, np.array([3, 4, 9])) == (2, 4 + (1 + 2) + 1)
 
 
 def test_minima_distribution() -> None:

@@ -71,18 +71,14 @@ def test_agents_at_one_place_leave_each_other(square: ConvexRegion, walled: Geod
         assert costs[-1] < 1.3 * apart[-1]
 
 
-def test_event_law_is_the_exact_geometric_series() -> None:
-    """After m steps the distance to the event is (1 - k dt)^m of what it was, in any dimension."""
+def test_laws_of_events_and_speed() -> None:
+    """A geometric series towards the event, in any dimension; fast moves keep their direction."""
     for dimension in (1, 2, 3):
         start, event = np.full((1, dimension), 8.0), np.full((1, dimension), 3.0)
         place = start
         for _ in range(6):
             place = law_moves(place, event, np.array([True]), Gains(0.5, 1.0), 0.8)
         assert place == pytest.approx(event + 0.6**6 * (start - event), rel=1e-12)
-
-
-def test_speed_is_clipped_without_turning() -> None:
-    """A fast move keeps its direction and gets the largest speed."""
     agents, targets = np.zeros((2, 2)), np.array([[30.0, 40.0], [0.3, 0.4]])
     moved = law_moves(agents, targets, np.array([True, False]), Gains(), 1.0, 2.0)
     assert moved == pytest.approx(np.array([[1.2, 1.6], [0.3, 0.4]]))

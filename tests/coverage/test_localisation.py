@@ -53,7 +53,7 @@ def test_slope() -> None:
 
 
 def test_information_by_differences() -> None:
-    """The information is that of the log-likelihood's expected curvature."""
+    """That of the log-likelihood's expected curvature, and none at the event itself."""
     places = np.random.default_rng(0).random((6, 2)) * 4.0 + EVENT - 2.0
     step, jacobian = 1e-6, np.zeros((6, 2))
     for axis in range(2):
@@ -63,10 +63,6 @@ def test_information_by_differences() -> None:
     counts = np.arange(1.0, 7.0)
     wanted = jacobian.T @ (counts[:, None] * jacobian) / SENSOR.noise_std**2
     assert fisher_information(SENSOR, places, EVENT, counts) == pytest.approx(wanted, rel=1e-6)
-
-
-def test_no_information_at_the_event() -> None:
-    """Measurements at the event contain no information on its position."""
     there = fisher_information(SENSOR, np.repeat(EVENT[None], 5, axis=0), EVENT)
     assert (there == 0.0).all() and cramer_rao_m2(there) == math.inf
 

@@ -35,8 +35,8 @@ from planopt.problems import (
 from planopt.problems.schema import json_schema
 
 
-def test_left_out_keys_get_the_documented_defaults(tables: Tables, built: Build) -> None:
-    """The small tables name only what is required; the rest has the defaults of the schema."""
+def test_values_land_in_the_right_fields(tables: Tables, built: Build) -> None:
+    """Each under its own name; left-out keys have the documented defaults."""
     problem = built(tables)
     assert problem.planner.horizon == 10
     assert problem.planner.name == "auto"
@@ -45,10 +45,6 @@ def test_left_out_keys_get_the_documented_defaults(tables: Tables, built: Build)
     assert problem.channel.measurements == SampledMeasurements(50)
     assert problem.channel.fit_method == "capped"
     assert problem.report.figures
-
-
-def test_values_land_in_the_right_fields(tables: Tables, built: Build) -> None:
-    """Each value of the truth arrives under its own name, whole numbers as floats."""
     tables["channel"]["truth"] |= {"k_pl_db": -31, "floor_db": -120}
     assert built(tables).channel.truth == ModelTruth(
         k_pl_db=-31.0,

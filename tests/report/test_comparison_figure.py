@@ -17,7 +17,7 @@ def looks_of(comparison):
 
 
 def test_units_and_settings(comparison):
-    """Every metric with its unit; every setting in the legend."""
+    """Every metric with its unit; every setting in the legend; shares end at their limits."""
     figure = drawn(draw_comparison(comparison))
     assert labels_of(figure) == {
         "horizon [steps]",
@@ -32,6 +32,8 @@ def test_units_and_settings(comparison):
         "geodesic cost-to-go, planner auto",
         "connected cost-to-go, planner lattice",
     ]
+    low, high = panel_of(drawn(draw_comparison(comparison)), "steps connected").get_ylim()
+    assert -5.0 <= low < high <= 105.0
 
 
 def test_means_and_intervals(comparison):
@@ -111,9 +113,3 @@ def test_traces_are_means_over_runs_with_bands(comparison):
         assert corners.min() == pytest.approx((starts.mean() - half) * fall[-1], rel=1e-4)
     few = panel_of(drawn(draw_traces(with_traces(comparison, 3))), "tr P")
     assert len(few.lines) == 2 and not few.collections
-
-
-def test_shares_end_at_their_limits(comparison):
-    """An axis of shares does not extend far beyond 0 and 100 %."""
-    low, high = panel_of(drawn(draw_comparison(comparison)), "steps connected").get_ylim()
-    assert -5.0 <= low < high <= 105.0

@@ -136,18 +136,14 @@ def test_places_are_shown_and_little_outside_the_workspace(seed: int) -> None:
             assert max(x_max + 50.0, y_max) <= high + edge
 
 
-def test_a_station_outside_the_bounds_stays_in_sight() -> None:
-    """Of a team's map."""
+def test_what_is_shown_beyond_the_bounds() -> None:
+    """A station outside stays in sight; neighbouring tiles of a grid are one outline."""
     problem = small_problem(bounds_m=(0.0, 0.0, 40.0, 30.0))
     places = np.array([[5.0, 5.0], [90.0, 10.0]])
     x_min, y_min, x_max, y_max = window_about(problem, places)
     assert x_min < 5.0 and x_max > 90.0 and y_min < 5.0 and y_max > 10.0
     # Nothing else is shown beyond the bounds
     assert -10.0 < x_min and -10.0 < y_min and y_max < 40.0 and x_max < 100.0
-
-
-def test_tiles_of_a_grid_have_no_seams() -> None:
-    """Neighbouring tiles are one outline; the area and separate obstacles stay."""
     tiles = [shapely.box(x, 0, x + 2, 2) for x in (0, 2, 4)]
     house = shapely.box(10, 0, 11, 1)
     found = joined([*tiles, house])

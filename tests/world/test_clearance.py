@@ -33,21 +33,13 @@ places = st.tuples(st.floats(-10, 20), st.floats(-10, 20))
 
 
 def test_known_distances() -> None:
-    """In the courtyard, between the arms of the hook, inside, on the border and outside."""
+    """In the courtyard, between arms, inside, on the border; swept, and past a thin wall."""
     positions = np.array([[4.5, 4.5], [14, 5], [0.5, 0.5], [0, 3], [-3, -4], [1.25, 2]])
     np.testing.assert_allclose(clearance_m(INDEX, positions), [3.5, 2, 0, 0, 5, 0.25])
-
-
-def test_known_swept_distances() -> None:
-    """Ways within the courtyard, through its wall, across the hook's opening, and standing."""
     path = np.array([[2, 2], [7, 2], [7, 7], [15, 7], [15, 4], [15, 4], [13, 9]])
     np.testing.assert_allclose(
         swept_clearance_m(INDEX, path), [1, 1, 0, 1, 1, np.hypot(*(path[5] - (16, 4)))]
     )
-
-
-def test_thin_wall_between_samples() -> None:
-    """Both ends are far from a thin wall that the path crosses: the clearance is 0."""
     wall = shapely.Polygon([(0, -5), (0.001, -5), (0.001, 5), (0, 5)])
     index = index_obstacles(Workspace(BOUNDS, (Obstacle("wall", wall),)))
     path = np.array([[-3.0, 0.0], [3.0, 0.1]])
@@ -116,17 +108,13 @@ def by_hand(at: NDArray[np.float64]) -> NDArray[np.float64]:
     return nearest
 
 
-def test_standing_is_a_point() -> None:
-    """A path of no length, or too short to be squared, has the clearance of its position."""
+def test_paths_without_length_and_worlds_without_obstacles() -> None:
+    """A path of no length is a position; without obstacles the clearance is infinite."""
     path = np.array([[0.0, -2.0], [0.0, -2.0], [1e-200, -2.0]])
     np.testing.assert_array_equal(swept_clearance_m(INDEX, path), [2.0, 2.0])
     walls = np.full(2, YARD)
     ways = segment_lines(path[:-1], path[1:])
     np.testing.assert_array_equal(distances_m(ways, walls), [2.0, 2.0])  # and GEOS warns of nothing
-
-
-def test_without_obstacles_and_without_places() -> None:
-    """Without obstacles the clearance is infinite; without positions the result is empty."""
     path = np.array([[0.0, 0.0], [1.0, 0.0]])
     np.testing.assert_array_equal(clearance_m(EMPTY, path), [np.inf, np.inf])
     np.testing.assert_array_equal(swept_clearance_m(EMPTY, path), [np.inf])
@@ -152,15 +140,11 @@ def test_inside_bounds() -> None:
 
 
 def test_containing_obstacle() -> None:
-    """Walls contain, their border too, courtyards and free places do not."""
+    """Walls and borders contain, courtyards do not; of several obstacles the first is named."""
     assert containing_obstacle(INDEX, np.array([0.5, 0.5])) is WORLD.obstacles[0]
     assert containing_obstacle(INDEX, np.array([18.0, 3.0])) is WORLD.obstacles[1]
     assert containing_obstacle(INDEX, np.array([4.5, 4.5])) is None
     assert containing_obstacle(EMPTY, np.array([0.5, 0.5])) is None
-
-
-def test_first_of_several_obstacles_contains() -> None:
-    """Where obstacles overlap, the first in the problem's order is named."""
     sizes = np.random.default_rng(0).permutation(np.arange(1, 40))
     nested = tuple(Obstacle(str(size), shapely.box(-size, -size, size, size)) for size in sizes)
     index = index_obstacles(Workspace(BOUNDS, nested))

@@ -30,22 +30,14 @@ def test_agrees_with_proj(origin: tuple[float, float]) -> None:
     assert (error <= 1e-4 + 1.1 * distance**3 / (6.0 * 6.33e6**2)).all()
 
 
-def test_across_the_date_line() -> None:
-    """Longitudes of 179.99 and -179.99 degrees are neighbours."""
+def test_frames_at_the_edge() -> None:
+    """The date line, distances beyond the plane, and axes that are not east and north."""
     found = east_north_m(np.array([-179.99, 179.99]), np.array([10.0, 10.0]), (10.0, 180.0))
     assert found[0, 0] == pytest.approx(-found[1, 0]) and 0.0 < found[0, 0] < 1200.0
-
-
-def test_too_far() -> None:
-    """No number where the plane is none; the bound is `FARTHEST_M`."""
     degree_m = 111_132.0
     near, far = 0.99 * FARTHEST_M / degree_m, 1.01 * FARTHEST_M / degree_m
     found = east_north_m(np.zeros(3), np.array([45.0 + near, 45.0 + far, -45.0]), (45.0, 0.0))
     assert np.isfinite(found[0]).all() and np.isnan(found[1:]).all()
-
-
-def test_axes_that_are_not_east_and_north() -> None:
-    """The x axis points 90 degrees to the left of east: north is x, west is y."""
     longitude, latitude = np.array([11.58, 11.57]), np.array([48.14, 48.13])
     east, north = east_north_m(longitude, latitude, ORIGINS[0]).T
     x, y = east_north_m(longitude, latitude, (*ORIGINS[0], 90.0)).T

@@ -80,7 +80,7 @@ def test_equal_to_brute_force(seed: int, margin_m: float, step_m: float) -> None
 
 
 def test_nodes_are_strictly_within_the_bounds() -> None:
-    """Without obstacles every node is free and only moves off the lattice are closed."""
+    """Without obstacles every node is free; the nearest node is that of brute force."""
     anchor = np.array([3.0, 40.0])  # outside: nodes are only counted from it
     lattice = build_lattice(Workspace(BOUNDS, ()), anchor, math.sqrt(5), 2.0)
     positions = lattice.positions_m
@@ -91,6 +91,12 @@ def test_nodes_are_strictly_within_the_bounds() -> None:
     assert lattice.free.all()
     for (dx, dy), allowed in zip(MOVES, lattice.open_moves, strict=True):
         assert allowed.sum() == (39 - abs(dx)) * (23 - abs(dy))
+    lattice = build_lattice(Workspace(BOUNDS, ()), np.array([0.3, 0.2]), 3.0, 0.0)
+    positions = lattice.positions_m
+    for place in np.random.default_rng(0).uniform((-40, -30), (40, 30), (50, 2)):
+        iy, ix = nearest_node(lattice, place)
+        distance = np.hypot(*np.moveaxis(positions - place, -1, 0))
+        assert distance[iy, ix] == distance.min()
 
 
 def test_thin_wall_closes_moves_across() -> None:
@@ -110,16 +116,6 @@ def test_useless_lattices_are_refused(step_m: float) -> None:
     anchor = np.array([100.0, 100.0])
     with refused():
         build_lattice(Workspace(BOUNDS, ()), anchor, step_m, 2.0)
-
-
-def test_nearest_node() -> None:
-    """Nearest by brute force, and clamped outside."""
-    lattice = build_lattice(Workspace(BOUNDS, ()), np.array([0.3, 0.2]), 3.0, 0.0)
-    positions = lattice.positions_m
-    for place in np.random.default_rng(0).uniform((-40, -30), (40, 30), (50, 2)):
-        iy, ix = nearest_node(lattice, place)
-        distance = np.hypot(*np.moveaxis(positions - place, -1, 0))
-        assert distance[iy, ix] == distance.min()
 
 
 @settings(max_examples=25, deadline=None)
@@ -250,7 +246,7 @@ def test_numbering_and_sources():
 
 
 def test_path_ends_at_the_given_length():
-    """It stops at the first node past the length, at the goal, and where there is no path."""
+    """At the first node past the length, at the goal, or at once where there is no path."""
     road_map = small_road_map()
     goal, start = int(road_map.number[0, 8]), int(road_map.number[0, 0])
     ways = lattice_paths(road_map, goal)
@@ -261,10 +257,6 @@ def test_path_ends_at_the_given_length():
         assert steps.sum() >= length > steps[:-1].sum()
     assert route_from(road_map, ways, start, 1e6)[-1] == goal
     np.testing.assert_array_equal(route_from(road_map, ways, goal, 5.0), [goal])
-
-
-def test_island_has_no_path():
-    """Behind a wall without an end the cost is infinite and the path is the node alone."""
     road_map = small_road_map(shapely.box(4.2, -1.0, 4.8, 9.0))
     ways = lattice_paths(road_map, int(road_map.number[3, 8]))
     here = int(road_map.number[3, 1])

@@ -72,8 +72,8 @@ def test_arc_clearance_is_that_of_dense_samples(seed: int) -> None:
     assert way.clearance_m(index) == pytest.approx(nearest, abs=abs(way.length_m) / 20000)
 
 
-def test_arc_around_a_disc_has_the_closed_form() -> None:
-    """A quarter about a square's corner: the distance of concentric circles."""
+def test_arcs_in_closed_form() -> None:
+    """Concentric circles, zero within and across an obstacle, and no jump to a straight line."""
     index = index_of(shapely.Polygon([(-2, -2), (0, -2), (0, 0), (-2, 0)]))
     way = Arc(np.array([3.0, 0.0]), math.pi / 2.0, 3.0 * math.pi / 2.0, math.pi / 2.0)
     assert way.clearance_m(index) == pytest.approx(3.0, abs=1e-12)
@@ -81,10 +81,6 @@ def test_arc_around_a_disc_has_the_closed_form() -> None:
     edge = index_of(shapely.Polygon([(-5, 4), (5, 4), (5, 5), (-5, 5)]))
     bow = Arc(np.array([-1.0, 0.0]), math.pi / 2.0, math.pi, -math.pi)
     assert bow.clearance_m(edge) == pytest.approx(3.0, abs=1e-12)
-
-
-def test_arc_inside_and_across() -> None:
-    """Zero within an obstacle and across one, though both ends are outside."""
     square = shapely.box(-1.0, -1.0, 1.0, 1.0)
     inside = Arc(np.array([0.0, 0.0]), 0.0, 0.5, 1.0)
     across = Arc(np.array([-2.0, 0.0]), 0.3, 4.1, -0.6)
@@ -93,10 +89,6 @@ def test_arc_inside_and_across() -> None:
     assert across.clearance_m(index_of(square)) == 0.0
     # A hole is free.
     assert inside.clearance_m(ring) > 0.3
-
-
-def test_an_arc_that_hardly_turns_is_a_line() -> None:
-    """No jump where the formula changes."""
     index = index_of(shapely.box(-1.0, 1.0, 1.0, 2.0))
     at = [
         Arc(np.array([-2.0, 0.0]), 0.0, 4.0, turn).clearance_m(index)
@@ -105,13 +97,17 @@ def test_an_arc_that_hardly_turns_is_a_line() -> None:
     assert at == pytest.approx([1.0] * 6, abs=2e-8)
 
 
-def test_standing_and_turning_in_place() -> None:
-    """A path without length is its position."""
+def test_standing_and_points() -> None:
+    """A path without length is its position; the bound of points is taken off, never below zero."""
     index = index_of(shapely.box(1.0, -1.0, 2.0, 1.0))
     assert Arc(np.zeros(2), 0.3, 0.0, 2.0).clearance_m(index) == pytest.approx(1.0)
     assert Parabola(np.zeros(2), np.zeros(2), np.zeros(2)).clearance_m(index) == pytest.approx(1.0)
     assert Arc(np.zeros(2), 0.3, 1.0, 2.0).clearance_m(index_of()) == math.inf
     assert Parabola(np.zeros(2), np.ones(2), np.ones(2)).clearance_m(index_of()) == math.inf
+    index = index_of(shapely.box(1.0, -1.0, 2.0, 1.0))
+    places = np.array([[0.0, 0.0], [0.5, 0.0]])
+    assert PointCurve(places, 0.2).clearance_m(index) == pytest.approx(0.3)
+    assert PointCurve(places, 0.7).clearance_m(index) == 0.0
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -125,14 +121,6 @@ def test_parabola_clearance_is_a_tight_bound_below(seed: int) -> None:
     line = shapely.LineString(samples)
     nearest = min(line.distance(p) for p in index.polygons)
     assert nearest - 2e-6 <= way.clearance_m(index) <= nearest + 1e-9
-
-
-def test_points_with_a_bound() -> None:
-    """The bound is taken off, never below zero."""
-    index = index_of(shapely.box(1.0, -1.0, 2.0, 1.0))
-    places = np.array([[0.0, 0.0], [0.5, 0.0]])
-    assert PointCurve(places, 0.2).clearance_m(index) == pytest.approx(0.3)
-    assert PointCurve(places, 0.7).clearance_m(index) == 0.0
 
 
 DENSE = np.linspace(0.0, 1.0, 40001)
@@ -197,17 +185,13 @@ def test_a_convoy_keeps_its_distance() -> None:
     assert curve_distance_m(way, way) == 0.0
 
 
-def test_what_is_not_known_is_taken_off() -> None:
-    """The bounds of both paths are subtracted, and no distance is negative."""
+def test_bounds_of_what_is_not_known() -> None:
+    """They are subtracted, no distance is negative, and endless curves claim nothing."""
     one = PointCurve(np.array([[0.0, 0.0], [1.0, 0.0]]), 0.25)
     two = PointCurve(np.array([[0.0, 2.0], [0.5, 2.0], [1.0, 2.0]]), 0.5)
     assert curve_distance_m(one, two) == pytest.approx(1.25)
     assert curve_distance_m(one, replace(two, within_m=5.0)) == 0.0
     assert curve_distance_m(one, replace(two, within_m=math.inf)) == 0.0
-
-
-def test_ways_that_curve_without_end_are_not_looked_at_for_ever() -> None:
-    """What cannot be known is not claimed."""
     far = Parabola(np.zeros(2), np.full(2, 1e12), np.full(2, 1e12))
     endless = Parabola(np.zeros(2), np.zeros(2), np.full(2, np.inf))
     still = even_motion(np.array([[5.0, 0.0], [5.0, 0.0]]))
@@ -275,7 +259,7 @@ def test_never_above_any_sample_and_met_by_one(a0, a1, b0, b1):
 
 
 def test_equal_times_are_what_counts():
-    """Ways that cross are no meeting where one passes later; a chase keeps its distance."""
+    """Paths that cross do not meet where one passes later; ends come out to the last digit."""
     cross = closest_approach_m(*map(np.array, ([0.0, 0], [10.0, 0], [5.0, -5], [5.0, 5])))
     assert cross == pytest.approx(0.0, abs=1e-12)
     later = closest_approach_m(*map(np.array, ([0.0, 0], [10.0, 0], [9.0, -9], [9.0, 1])))
@@ -284,10 +268,6 @@ def test_equal_times_are_what_counts():
     assert chase == 3.0
     swap = closest_approach_m(*map(np.array, ([0.0, 0], [4.0, 0], [4.0, 0], [0.0, 0])))
     assert swap == pytest.approx(0.0, abs=1e-12)
-
-
-def test_ends_come_out_exactly_and_not_a_number_stays_one():
-    """A path that leads away is nearest at its start, to the last digit."""
     begin, end = np.array([0.1, 0.7]), np.array([7.3, 11.9])
     assert (nearest_to_origin_m(begin, end) == begin).all()
     assert (nearest_to_origin_m(end, begin) == begin).all()

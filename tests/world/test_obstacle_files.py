@@ -90,18 +90,14 @@ def test_wkt(tmp_path: Path, text: str, expected: list[tuple[str, float]]) -> No
     assert names_and_areas(saved(tmp_path, "a.wkt", text)) == expected
 
 
-def test_building_file(tmp_path: Path) -> None:
-    """Buildings have names and may have holes; other keys are ignored."""
+def test_building_files(tmp_path: Path, munich: Workspace) -> None:
+    """Buildings have names and holes; all 742 footprints of Munich are valid."""
     buildings = [
         {"name": "Hall", "top_z": 9, "exterior": SQUARE, "holes": [HOLE]},
         {"exterior": FAR},
     ]
     path = saved(tmp_path, "a.json", {"frame": "x", "buildings": buildings})
     assert names_and_areas(path) == [("Hall", 15.5), ("building 2", 0.5)]
-
-
-def test_munich(munich: Workspace) -> None:
-    """All 742 footprints come through, unchanged and valid."""
     polygons = [obstacle.polygon for obstacle in munich.obstacles]
     assert len(polygons) == 742
     assert shapely.is_valid(polygons).all()
@@ -169,24 +165,16 @@ def test_closing_direction_and_type_do_not_matter(ring: object) -> None:
     assert footprint("a", ring).polygon.area == 16.0
 
 
-def test_holes_and_heights() -> None:
-    """Holes are cut out and heights left out."""
+def test_repaired_outlines() -> None:
+    """Holes are cut out and heights left out; spikes and holes on the border are repaired."""
     polygon = footprint(
         "a", [(*corner, 7) for corner in CORNERS], [[(1, 1), (2, 1), (2, 2)]]
     ).polygon
     assert polygon.area == 15.5
     assert not polygon.has_z
-
-
-def test_spike_is_repaired() -> None:
-    """A spike has no area, so removing it leaves one meaning."""
     polygon = footprint("a", [(0, 0), (4, 0), (4, 4), (2, 4), (2, 9), (2, 4), (0, 4)]).polygon
     assert polygon.is_valid
     assert polygon.bounds == (0, 0, 4, 4)
-
-
-def test_hole_on_the_border_is_repaired() -> None:
-    """A hole that shares a side with the outline is a notch."""
     polygon = footprint("a", CORNERS, [[(0, 1), (0, 2), (1, 2), (1, 1)]]).polygon
     assert polygon.is_valid
     assert polygon.area == 15.0

@@ -209,8 +209,8 @@ def test_image_of_another_format(tmp_path: Path) -> None:
         read_grid(tmp_path / "hall.yaml")
 
 
-def test_too_many_cells(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The size that an image declares is looked at before its pixels are."""
+def test_grids_that_are_too_large(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The declared size is looked at before pixels are; ragged patterns are refused."""
     monkeypatch.setattr(occupancy, "MOST_CELLS", 5)
     with refused():
         read_grid(ros_map(tmp_path))
@@ -218,6 +218,9 @@ def test_too_many_cells(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None
     (tmp_path / "hall.pgm").write_bytes(b"P5\n1000000 1000000\n255\n")
     with refused():
         read_grid(tmp_path / "hall.yaml")
+    monkeypatch.setattr(occupancy, "MOST_EDGES", 100)
+    with refused():
+        polygons_of(np.indices((10, 10)).sum(axis=0) % 2 == 0)
 
 
 CSV = """\
@@ -335,38 +338,23 @@ def test_squares_do_not_change_the_union(occupied: NDArray[np.bool_]) -> None:
     assert shapely.union_all(polygons).equals(cells_of(occupied))
 
 
-def test_place_and_scale() -> None:
-    """Row 0 is the smallest y; the origin is the corner of its first cell."""
+def test_polygons_of_cells() -> None:
+    """Place and scale, holes with islands, unknown cells, and names."""
     occupied = np.zeros((3, 4), dtype=bool)
     occupied[0, 1:3] = True
     (polygon,) = polygons_of(occupied, resolution_m=0.05, origin_m=(-10.0, 7.0))
     assert polygon.equals(shapely.box(-10.0 + 0.05, 7.0, -10.0 + 0.15000000000000002, 7.05))
-
-
-def test_holes_and_islands_in_them() -> None:
-    """A ring of walls has a hole, and what stands in it is another obstacle."""
     occupied = np.ones((7, 7), dtype=bool)
     occupied[1:6, 1:6] = False
     occupied[3, 3] = True
     first, second = sorted(polygons_of(occupied), key=lambda polygon: -polygon.area)
     assert (len(first.interiors), first.area, second.area) == (1, 24.0, 1.0)
-
-
-def test_unknown_cells_and_names() -> None:
-    """Unknown cells are closed or open, as specified; several obstacles are numbered."""
     occupied, unknown = np.zeros((2, 5), dtype=bool), np.zeros((2, 5), dtype=bool)
     occupied[0, 0] = unknown[1, 4] = True
     grid = OccupancyGrid(occupied, unknown, 1.0, (0.0, 0.0))
     assert [obstacle.name for obstacle in grid_obstacles(grid, "hall")] == ["hall 1", "hall 2"]
     assert [obstacle.name for obstacle in grid_obstacles(grid, "hall", "free")] == ["hall"]
     assert grid_obstacles(grid_of(np.zeros((3, 3), dtype=bool)), "hall") == ()
-
-
-def test_too_ragged(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A pattern of single cells is refused before its polygons are made."""
-    monkeypatch.setattr(occupancy, "MOST_EDGES", 100)
-    with refused():
-        polygons_of(np.indices((10, 10)).sum(axis=0) % 2 == 0)
 
 
 def test_a_large_map_takes_seconds() -> None:

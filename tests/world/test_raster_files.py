@@ -316,14 +316,10 @@ def netcdf(path: Path, dimensions: tuple[str, str], kind: str = "i2") -> Path:
 
 
 def test_netcdf_packed_and_north_up(tmp_path: Path) -> None:
-    """Scale, offset and fill value are honoured; rows are turned to ascend."""
+    """Scale, offset and fill value are honoured; other dimensions and text are refused."""
     found = read_raster(netcdf(tmp_path / "map.nc", ("y", "x")), "gain")
     np.testing.assert_array_equal(found.y_m, Y)
     np.testing.assert_array_equal(found.values, [[-98, -97.5, -97], [np.nan, -99, -98.5]])
-
-
-def test_netcdf_on_other_dimensions(tmp_path: Path) -> None:
-    """x, y instead of y, x is refused, as is a coordinate of text."""
     with refused():
         read_raster(netcdf(tmp_path / "map.nc", ("x", "y")), "gain")
     with refused():

@@ -269,8 +269,8 @@ def test_convex_is_one_piece(ring: list[tuple[float, float]]) -> None:
     assert (turns(piece) > 0).all()
 
 
-def test_letter_l_is_two_pieces() -> None:
-    """One reflex corner needs one cut, also with repeated and collinear corners."""
+def test_cuts_into_convex_pieces() -> None:
+    """One reflex corner needs one cut, and rounding is no reflex corner."""
     plain = shapely.Polygon([(0, 0), (2, 0), (2, 1), (1, 1), (1, 3), (0, 3)])
     written = shapely.Polygon(
         [(0, 0), (1, 0), (2, 0), (2, 0), (2, 1), (1, 1), (1, 1), (1, 2), (1, 3), (0, 3), (0, 1)]
@@ -278,10 +278,6 @@ def test_letter_l_is_two_pieces() -> None:
     assert len(convex_pieces(plain)) == 2
     assert_exact_cover(written, convex_pieces(written))
     assert len(convex_pieces(written)) <= 3
-
-
-def test_rounding_is_not_a_reflex_corner() -> None:
-    """A corner that rounding put a tenth of a nanometre inside its side costs no extra piece."""
     ring = [(0, 0), (1, 1e-10), (2, 0), (2, 1), (0, 1)]
     (piece,) = convex_pieces(shapely.Polygon(ring))
     assert len(piece) == 4
@@ -331,7 +327,7 @@ def test_both_rows_keep_the_distance(seed):
 
 
 def test_nearest_discs_have_the_lines():
-    """Fewer lines than discs; those far away get none, those that are needed always."""
+    """Far discs get none, needed ones always, and a path through the centre one across it."""
     generator = np.random.default_rng(1)
     discs = random_discs(generator, 6)
     path = np.cumsum(generator.normal(size=(STEPS + 1, 2)), axis=0)
@@ -345,10 +341,6 @@ def test_nearest_discs_have_the_lines():
     worst[gaps.argmax(axis=0), np.arange(STEPS)] = True
     needed = moving_lines(discs, path, 0.0, 2, -100.0, worst)
     assert (needed.piece[:, 0] == gaps.argmax(axis=0)).all()
-
-
-def test_a_path_through_the_centre_has_a_line_across_it():
-    """No direction leads from the centre to it, and neither does any from a shared standstill."""
     centres = np.zeros((1, 2, 2))
     one, flag = np.ones((1, 1)), np.zeros(1, dtype=bool)
     disc = MovingDiscs(("m",), centres, one, np.zeros(1), flag)

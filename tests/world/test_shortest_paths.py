@@ -33,14 +33,10 @@ def length_to(ways, x, y):
     return path_lengths_m(ways, np.array([[x, y]]))[0]
 
 
-def test_without_obstacles():
-    """The air line."""
+def test_round_a_block():
+    """Straight in the open, by two corners round a block, and no farther than the radius."""
     _, ways = ways_of()
     assert length_to(ways, 8.0, 19.0) == pytest.approx(5.0)
-
-
-def test_round_a_block():
-    """Two corners: to the block, along it, and on."""
     _, ways = ways_of(BLOCK)
     exact = 2.0 * math.hypot(5.0, 5.0) + 10.0
     assert length_to(ways, 25.0, 15.0) == pytest.approx(exact)
@@ -48,10 +44,6 @@ def test_round_a_block():
     assert turns is not None
     assert len(turns) == 3
     assert math.isinf(length_to(ways, 15.0, 15.0))
-
-
-def test_beyond_the_radius_nothing_is_reached():
-    """24.1 m are too long for a radius of 24 m, not for one of 24.2 m."""
     for radius, reached in ((24.0, False), (24.2, True)):
         _, ways = ways_of(BLOCK, radius=radius)
         assert math.isfinite(length_to(ways, 25.0, 15.0)) == reached
@@ -77,25 +69,17 @@ def test_with_a_clearance(clearance):
     assert segment_clearance_m(index, way[:-1], way[1:]).min() >= clearance - 1e-9
 
 
-def test_no_path_through_a_thin_wall():
-    """A courtyard with walls of a centimetre is closed, from inside and from outside."""
+def test_closed_ways():
+    """Thin walls and the border close; a start within the clearance still has a way."""
     inside = np.array([15.0, 15.0])
     for start, other in ((inside, START), (START, inside)):
         _, ways = ways_of(RING, start=start)
         assert math.isinf(length_to(ways, *other))
         assert not is_near_joined(ways, other[None], 0.5)[0]
-
-
-def test_the_border_closes():
-    """If an obstacle reaches over the border there is no path behind it."""
     wall = shapely.box(10, -1, 11, 20)
     _, ways = ways_of(wall)
     exact = math.hypot(5, 5) + 1.0 + math.hypot(5, 5)
     assert length_to(ways, 16.0, 15.0) == pytest.approx(exact)
-
-
-def test_a_start_nearer_than_the_clearance():
-    """It still sees what lies before it."""
     _, ways = ways_of(BLOCK, start=np.array([9.8, 15.0]), clearance=0.5)
     assert length_to(ways, 5.0, 15.0) == pytest.approx(4.8)
 

@@ -21,7 +21,6 @@ BEGUN = pytest.StashKey[float]()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
-    """Add the options."""
     parser.addoption("--quick", type=float, metavar="SECONDS", help="only what has changed")
     parser.addoption("--write-messages", action="store_true", help="rewrite error_messages.json")
 
@@ -41,7 +40,6 @@ def pytest_unconfigure(config: pytest.Config) -> None:
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Collect only what has changed."""
     chosen = config.stash.get(CHANGED, None)
     if chosen is None or any(
         one.is_relative_to(collection_path) or collection_path.is_relative_to(one) for one in chosen
@@ -51,7 +49,6 @@ def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool 
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Take turns of all files."""
     if config.getoption("--quick") is None:
         return
     taken: Counter[Path] = Counter()

@@ -45,7 +45,6 @@ writing = False
 
 
 def read_table() -> dict[str, str]:
-    """Return the expected messages by test."""
     table = json.loads(FILE.read_text(encoding="utf-8"))
     return {test: message for message, tests in table.items() for test in tests}
 
@@ -88,7 +87,6 @@ def refused(kind: type[Exception] = InputError) -> Iterator[pytest.ExceptionInfo
 
 
 def expect_message(text: str) -> None:
-    """Compare a message with the table."""
     for pattern, replacement in VARIABLE:
         text = re.sub(pattern, replacement, text)
     test = os.environ["PYTEST_CURRENT_TEST"].removesuffix(" (call)").removeprefix("tests/")[:300]

@@ -114,7 +114,6 @@ def test_a_saved_run_is_checked(field: Path, tmp_path: Path, capsys) -> None:
 
 
 def test_a_run_that_arrives_is_exit_code_0(near: Path, capsys) -> None:
-    """The text says that it arrived."""
     assert main(["simulate", str(near), "--horizon", "3"]) == 0
     assert capsys.readouterr().out.startswith("open_field: reached")
 
@@ -244,8 +243,6 @@ def test_an_interrupt_that_is_swallowed_still_stops() -> None:
 
 
 def test_an_interrupt_outside_of_a_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Ctrl-C before a command has begun."""
-
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 

@@ -31,7 +31,6 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def found(capsys, *arguments: object) -> dict:
-    """The JSON object of a command."""
     assert main([*map(str, arguments), "--json"]) in FITTED
     return json.loads(capsys.readouterr().out)
 
@@ -51,7 +50,6 @@ def test_every_fit_is_that_of_its_rows(log: Path, tmp_path: Path, capsys) -> Non
 
 
 def test_transmitters_are_located(log: Path, capsys) -> None:
-    """Each where it is."""
     each = found(capsys, "fit", log, "--each", "bssid", "--station", "unknown")
     for name, site in SITES.items():
         assert np.hypot(*np.subtract(each["fits"][name]["station"], site)) < 5.0
@@ -92,7 +90,6 @@ def test_the_best_server(log: Path, tmp_path: Path, capsys) -> None:
     ],
 )
 def test_refusals(arguments: list[str], log: Path, capsys) -> None:
-    """What is missing is named."""
     refused_command(capsys, "fit", log, *arguments)
 
 

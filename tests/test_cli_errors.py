@@ -54,7 +54,6 @@ def test_a_bad_problem(command: str, tmp_path: Path, capsys) -> None:
     ],
 )
 def test_bad_usage(arguments: list[str], capsys) -> None:
-    """Options and arguments that cannot be used."""
     refused_command(capsys, *arguments)
 
 

@@ -197,7 +197,6 @@ def test_receivers_ages_and_errors(shared_log: Path, station: str, capsys) -> No
 
 
 def test_without_receivers_and_forgetting(shared_log: Path, capsys) -> None:
-    """No receivers, no forgetting."""
     assert main(["fit", str(shared_log), "--station", "0,0", "--json"]) in FITTED
     data = json.loads(capsys.readouterr().out)
     assert data["forgetting_s"] is None and data["reference_receiver"] is None

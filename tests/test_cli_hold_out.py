@@ -125,7 +125,6 @@ def test_words_and_picture(log: Path, tmp_path: Path, capsys) -> None:
     ],
 )
 def test_refused(log: Path, tmp_path: Path, options: list[str], capsys) -> None:
-    """One line, exit code 2, nothing written."""
     out = tmp_path / "out"
     refused_command(capsys, "fit", log, "--station", "0,0", *options, "--out", out)
     assert not out.exists()

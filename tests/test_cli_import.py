@@ -272,12 +272,10 @@ def refused(capsys, yard: Path, *arguments: object, **replaced: object) -> dict:
     ],
 )
 def test_what_is_missing_is_said(replaced, more, yard: Path, capsys) -> None:
-    """One line with the option to give."""
     expect_message(refused(capsys, yard, *more, **replaced)["error"])
 
 
 def test_an_existing_file_is_kept(made: Path, yard: Path, capsys) -> None:
-    """Unless --force is given."""
     before = made.read_bytes()
     assert (
         "--force"

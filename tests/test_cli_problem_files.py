@@ -64,7 +64,6 @@ def test_init_that_fails_leaves_nothing(tmp_path: Path, capsys, monkeypatch) -> 
     [["p.toml", "--from", "nowhere"], ["p.toml", "--from", "../open_field"], ["p.json"]],
 )
 def test_what_cannot_begin(arguments: list[str], tmp_path: Path, capsys) -> None:
-    """One line, and no file."""
     name, *more = arguments
     refused_command(capsys, "init", tmp_path / name, *more)
     assert not list(tmp_path.iterdir())

@@ -98,7 +98,6 @@ def test_a_comparison_is_stopped_with_its_workers(
 
 
 def test_workers_end_with_a_killed_process(tmp_path: Path) -> None:
-    """It cannot tell them to."""
     problem, out = written(tmp_path / "p.toml", steps=200), tmp_path / "out"
     process = started(
         *("compare", problem, "--horizons", "1", "--costs-to-go", "geodesic"),

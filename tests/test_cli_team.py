@@ -62,7 +62,6 @@ def test_simulate_and_check(short: Path, tmp_path: Path, capsys) -> None:
 
 
 def test_text_says_verdict_and_outcome(short: Path, capsys) -> None:
-    """Without --json, in words, every robot named."""
     assert main(["solve", str(short), "--horizon", "2"]) == 0
     assert capsys.readouterr().out.startswith(f"{short.stem}: verified, horizon 2")
     assert main(["simulate", str(short), "--horizon", "2", "--planner", "random"]) == 0
@@ -83,7 +82,6 @@ def test_what_is_not_verified_is_exit_code_3(short: Path, capsys) -> None:
 
 
 def test_costs_to_go_are_refused(short: Path, capsys) -> None:
-    """There is no goal to go to."""
     refused_command(capsys, "compare", short, "--horizons", "2", "--costs-to-go", "geodesic")
     refused_command(capsys, "solve", short, "--cost-to-go", "geodesic")
 

@@ -20,7 +20,6 @@ MODULES = sorted(
 @pytest.mark.usefixtures("own_parts")
 @pytest.mark.parametrize("name", MODULES)
 def test_examples_run(name: str) -> None:
-    """Every example prints what its docstring says."""
     found = doctest.testmod(importlib.import_module(name), verbose=False)
     assert found.attempted > 0 and found.failed == 0
 

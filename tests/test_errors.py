@@ -32,7 +32,6 @@ def test_long_names_and_messages_are_cut() -> None:
 
 
 def test_errors_come_back_from_other_processes() -> None:
-    """Attributes included."""
     error = InputError("is wrong", file="a.toml", key="robots", row=3, remedy="mend it")
     again = pickle.loads(pickle.dumps(error))
     assert str(again) == str(error) and vars(again) == vars(error)

@@ -79,7 +79,6 @@ def simulated(folder: Path, capsys: pytest.CaptureFixture[str], *replaced: str) 
 
 
 def test_the_problem_itself_is_sound(tmp_path: Path, capsys) -> None:
-    """What the tests below damage."""
     (tmp_path / "p.toml").write_text(PROBLEM)
     assert main(["simulate", str(tmp_path / "p.toml"), "--out", str(tmp_path / "out")]) == 0
     capsys.readouterr()
@@ -147,7 +146,6 @@ def test_positions_closer_than_resolution(station: str, tmp_path: Path, capsys) 
 
 
 def test_places_of_which_some_are_too_near(tmp_path: Path, capsys) -> None:
-    """A fit of the rest."""
     rows = [f"{i}e-301,0,{-30 - i}" for i in range(5)] + [f"{i},{i},{-50 - i}" for i in range(9)]
     (tmp_path / "log.csv").write_text("\n".join(["x_m,y_m,power_dbm", *rows]))
     assert main(["fit", str(tmp_path / "log.csv"), "--station", "50,0"]) in (0, 3)

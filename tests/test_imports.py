@@ -32,7 +32,6 @@ def modules_after(statement: str) -> set[str]:
 
 
 def test_import_of_package_is_light() -> None:
-    """`import planopt` loads none of its packages."""
     loaded = modules_after("import planopt")
     assert {name for name in loaded if name.startswith("planopt")} == {
         "planopt",
@@ -70,7 +69,6 @@ def test_verifier_stands_alone(module: str) -> None:
 
 
 def test_check_plans_nothing() -> None:
-    """`planopt check` loads nothing that plans."""
     loaded = modules_after("import planopt.planning.check.check")
     assert not loaded & HEAVY
     assert not [name for name in loaded if name.startswith(SOLVING)]

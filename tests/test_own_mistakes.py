@@ -61,7 +61,6 @@ def expression_of(value) -> type:
 
 
 def test_lists_in_a_term_become_tuples() -> None:
-    """Terms are compared and hashed."""
     assert own_class(OwnTerm, x=0.0)(x=[1.0, 2.0]).x == (1.0, 2.0)
 
 
@@ -159,7 +158,6 @@ def test_wrong_planners(base, make) -> None:
 
 
 def test_a_path_may_be_a_list(base) -> None:
-    """Anything that is a table of numbers."""
     make = planner_of(lambda self, at, scorer, warm=None: released(scorer, [[10.0, 15.0]] * 2, 0.0))
     register_planner(PlannerKind("listing", make))
     assert solve(base, planner="listing").plan.positions_m.shape == (3, 2)
@@ -308,7 +306,6 @@ def test_faults_of_planopt_stay_what_they_are(monkeypatch, base) -> None:
 
 
 def test_the_line_is_that_of_the_users_code(base) -> None:
-    """The file in which the class stands."""
     with pytest.raises(InputError) as caught:
         made(base, objective=expression_of(lambda self, path: path.nowhere)())
     assert caught.value.file == str(Path(__file__))
@@ -339,8 +336,6 @@ def with_stations(base: Problem, names: list[str]) -> Problem:
 
 
 def nameless() -> OwnTerm:
-    """A term without a kind."""
-
     @dataclass(frozen=True)
     class Nameless(OwnTerm):
         pass
@@ -349,8 +344,6 @@ def nameless() -> OwnTerm:
 
 
 def plain() -> OwnTerm:
-    """A term that is no dataclass."""
-
     class Plain(OwnTerm):
         kind: ClassVar[str] = "plain"
 

@@ -126,7 +126,6 @@ def test_no_problem_file_at_all(name: str, tmp_path: Path, capsys) -> None:
 
 
 def test_a_folder(tmp_path: Path, capsys) -> None:
-    """Where a file should be."""
     refused_command(capsys, "solve", tmp_path)
 
 

@@ -11,7 +11,6 @@ DEVIATION = np.array([4.0, 2.0, 9.0, 0.5])
 
 
 def test_probability_is_the_normal_tail():
-    """Phi((mean - threshold) / deviation)."""
     expected = norm.sf(-82.0, loc=MEAN, scale=DEVIATION)
     np.testing.assert_allclose(connection_probability(MEAN, DEVIATION, -82.0), expected)
 

@@ -137,7 +137,6 @@ def test_every_reader_is_tested_and_documented() -> None:
 
 
 def database(path: Path, *statements: str) -> Path:
-    """An SQLite file."""
     connection = sqlite3.connect(path)
     for statement in statements:
         connection.execute(statement)
@@ -269,7 +268,6 @@ class Points(list):
         self.geom_type = np.array([kind] * len(places))
 
     def to_crs(self, code: int) -> "Points":
-        """Projected coordinates become degrees."""
         assert code == 4326
         return Points([(11.5755, 48.1374), (11.5755, 48.1383)])
 
@@ -281,12 +279,10 @@ class GeoFrame(dict):
 
     @property
     def columns(self) -> list[str]:
-        """Names of the columns."""
         return list(self)
 
     @property
     def geometry(self) -> Points:
-        """The points."""
         return self["geometry"]
 
 

@@ -120,7 +120,6 @@ def test_lists_are_arrays() -> None:
 
 @pytest.mark.parametrize("table", TABLES.values(), ids=TABLES)
 def test_public_calls_take_tables(table: Callable[[dict[str, Any]], Any]) -> None:
-    """Each gives what it gives for measurements."""
     given = table(COLUMNS)
     fit = fit_channel(given, STATION)
     assert fit.parameters == fit_channel(ARRAYS, STATION).parameters

@@ -87,7 +87,6 @@ def test_receiver_offsets_do_not_enter_least_squares():
 
 
 def test_censored_ones_are_left_out_of_least_squares():
-    """A limit changes nothing of it."""
     measurements = simulated(CHANNEL, 7, 30, 200.0)
     flags = np.arange(30) >= 25
     limited = dataclasses.replace(measurements, censored=flags)

@@ -103,7 +103,6 @@ def test_degenerate_parameters_with_duplicates_stay_finite(parameters):
 
 
 def test_coordinates_near_three_million_keep_their_digits():
-    """Shifting the whole scene changes nothing."""
     data = measured(50)
     shift = np.array([3e6, 5e6])
     moved = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((3000005.0, 4999990.0), 12.0))

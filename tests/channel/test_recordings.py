@@ -94,7 +94,6 @@ def drive(with_tf: bool = False) -> list[Message]:
 
 
 def written(path: Path, messages: list[Message]) -> Path:
-    """An MCAP file, by the library."""
     with path.open("wb") as stream:
         writer = mcap_ros2.Writer(stream)
         kinds = {kind: text for _, kind, text, _, _ in messages}
@@ -207,7 +206,6 @@ def test_old_bags_of_standard_messages(tmp_path: Path) -> None:
 
 
 def test_foxglove_json(tmp_path: Path) -> None:
-    """MCAP without ROS: JSON messages."""
     path = tmp_path / "json.mcap"
     with path.open("wb") as stream:
         writer = Writer(stream)

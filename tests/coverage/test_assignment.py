@@ -72,7 +72,6 @@ def test_accuracy_meets_its_bound() -> None:
 
 
 def test_trade_off_is_the_minimum() -> None:
-    """No other whole number gives less."""
     for area, kappa, w_c, w_s in (
         (100.0, 2.0, 1.0, 3.0),
         (5.0, 9.0, 0.1, 2.0),
@@ -223,7 +222,6 @@ def test_matching_is_what_lists_give() -> None:
 
 
 def test_no_events() -> None:
-    """Without events or demands nobody is assigned."""
     nothing = np.array([], dtype=np.intp)
     assert (deferred_acceptance(np.zeros((3, 0)), nothing) == NONE).all()
     assert (deferred_acceptance(np.ones((3, 1)), np.array([0])) == NONE).all()

@@ -150,7 +150,6 @@ def test_agents_without_messages_know_what_they_sense() -> None:
 
 
 def test_numbers_of_agents_do_not_matter() -> None:
-    """Relabelled agents make the same decisions."""
     events = Event("a", (15.0, 15.0), 3.0), Event("b", (25.0, 25.0), 6.0, 20.0)
     scene, order = scene_of(16, *events), np.random.default_rng(5).permutation(16)
     starts = starts_of(16, 5)

@@ -26,7 +26,6 @@ from planopt.world import Raster
 
 
 def disc(radius_m: float = 50.0, sides: int = 400) -> ConvexRegion:
-    """A polygon with many corners."""
     turn = 2.0 * np.pi * np.arange(sides) / sides
     return convex_region(radius_m * np.stack((np.cos(turn), np.sin(turn)), axis=1))
 
@@ -78,7 +77,6 @@ def test_no_deployment_is_below_in_many_regions() -> None:
 
 
 def test_wrong_prices_only_loosen(square: ConvexRegion) -> None:
-    """The certificate holds for any prices."""
     from planopt.coverage.cost_bounds import _cells, _first_prices, _leaves
 
     rng, ground = np.random.default_rng(3), ConvexGround(square)

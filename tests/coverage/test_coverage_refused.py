@@ -116,7 +116,6 @@ REFUSED = {
 
 @pytest.mark.parametrize("subject", REFUSED)
 def test_coverage_refused(subject):
-    """Nothing else is raised, whatever the argument."""
     for call in REFUSED[subject]:
         with refused():
             call()

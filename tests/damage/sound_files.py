@@ -176,7 +176,6 @@ def _short(name: str, max_steps: str) -> str:
 
 
 def _measured() -> list[tuple[float, float, float]]:
-    """Return places and powers."""
     places = [(3.0 + (7 * i) % 40, 2.0 + (11 * i) % 37) for i in range(40)]
     return [
         (x, y, float(-30.0 - 25.0 * np.log10(np.hypot(x, y)) + 4.0 * np.sin(i)))

@@ -22,7 +22,6 @@ PART = 250
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The sound inputs."""
     folder = tmp_path_factory.mktemp("inputs")
     write_inputs(folder)
     return folder
@@ -53,7 +52,6 @@ def run_cases(root: Path, seed: int, count: int) -> Counter[int]:
 
 
 def test_sound_inputs_are_read(root: Path) -> None:
-    """The other tests find effects of damage."""
     count = len(list(root.glob("*/case.json")))
     assert set(run_cases(root, -1, count)) <= {0, 3}
 

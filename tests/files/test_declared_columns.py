@@ -49,7 +49,6 @@ def test_what_is_written_is_read(tmp_path: Path) -> None:
     ],
 )
 def test_what_cannot_be_read(tmp_path: Path, text: str) -> None:
-    """File, row and column are named."""
     path = tmp_path / "table.csv"
     path.write_text(text)
     with refused():
@@ -59,5 +58,4 @@ def test_what_cannot_be_read(tmp_path: Path, text: str) -> None:
 
 
 def test_columns_are_documented() -> None:
-    """Name, unit and meaning."""
     assert "| `t_s` | s | time |" in documented(COLUMNS)

@@ -78,7 +78,6 @@ def test_members_that_are_no_sound_array(content: bytes, tmp_path: Path) -> None
 
 
 def test_objects_are_never_unpickled(tmp_path: Path) -> None:
-    """A pickle may run any code."""
     path = tmp_path / "a.npz"
     np.savez(path, gain=np.array([{}], dtype=object))
     with refused():

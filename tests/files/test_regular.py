@@ -32,7 +32,6 @@ def test_what_is_no_regular_file(name: str, tmp_path: Path) -> None:
 
 
 def test_a_missing_file_and_a_name_that_cannot_be(tmp_path: Path) -> None:
-    """Each is one error with the file."""
     with refused():
         read_bytes(tmp_path / "none")
     for name in ("a\0b", "n" * 5000):
@@ -62,7 +61,6 @@ def test_a_file_that_says_it_is_empty_is_still_bounded() -> None:
 
 @pytest.mark.parametrize("content", [b"a\xff", b"a\0b"])
 def test_what_is_no_text(content: bytes, tmp_path: Path) -> None:
-    """The message says where."""
     (tmp_path / "a").write_bytes(content)
     with refused():
         read_text(tmp_path / "a")

@@ -53,7 +53,6 @@ def test_an_error_leaves_the_old_files(old: Path, error: BaseException) -> None:
 
 
 def test_a_file_of_an_unknown_name_replaces_nothing(old: Path) -> None:
-    """It would outlive its result."""
     before = contents(old)
     with pytest.raises(ValueError, match=r"extra\.csv"), replaced_results(old, FILES) as new:
         (new / "extra.csv").write_text("new")
@@ -61,7 +60,6 @@ def test_a_file_of_an_unknown_name_replaces_nothing(old: Path) -> None:
 
 
 def test_errors_name_the_folder_of_the_user(old: Path) -> None:
-    """Not the hidden one."""
     with pytest.raises(OutputError) as caught, replaced_results(old, FILES) as new:
         (new / "a.json").mkdir()
         write_text(new / "a.json", "text")

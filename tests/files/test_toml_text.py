@@ -41,6 +41,5 @@ def test_comments_and_keys_without_a_value() -> None:
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), object()])
 def test_values_that_toml_lacks(value: object) -> None:
-    """They are a fault of the caller."""
     with pytest.raises((ValueError, TypeError)):
         toml_text({"a": value})

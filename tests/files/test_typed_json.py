@@ -115,6 +115,5 @@ def test_missing_and_unknown_parts() -> None:
 
 
 def test_what_json_has_no_form_for() -> None:
-    """It is a fault of the caller."""
     with pytest.raises(TypeError, match="set"):
         encoded({"a": {1, 2}})

@@ -54,7 +54,6 @@ def edited(name: str, edits: Mapping[str, Any]) -> planopt.Problem:
 
 
 def plan(name: str, edits: Mapping[str, Any] | None = None, **settings: Any) -> dict[str, Any]:
-    """The first plan of each robot."""
     try:
         found = planopt.solve(edited(name, edits or {}), **settings)
     except planopt.NoPlanError:
@@ -256,7 +255,6 @@ def differences(reference: Any, now: Any, where: str = "") -> list[str]:
 
 
 def read_references() -> dict[str, Any]:
-    """Read the references by case."""
     return json.loads(REFERENCES.read_text(encoding="utf-8"))
 
 

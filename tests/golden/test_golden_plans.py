@@ -13,7 +13,6 @@ def test_golden_case(name: str) -> None:
 
 
 def test_every_reference_has_a_case() -> None:
-    """And the other way round."""
     assert list(REFERENCES) == list(CASES)
 
 

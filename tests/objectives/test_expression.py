@@ -95,7 +95,6 @@ def test_every_function_is_numpys(name):
 
 @pytest.mark.parametrize("text", sorted(BY_HAND))
 def test_text_by_hand_means_what_python_means(text):
-    """Operators, their order, branches and infinity."""
     program = f"a = mean_db[0, 0]\nb = connectivity[2, 0]\n{text}"
     values = given()
     expected = BY_HAND[text](values["mean_db"][:, 0, 0], values["connectivity"][:, 2, 0])
@@ -103,13 +102,11 @@ def test_text_by_hand_means_what_python_means(text):
 
 
 def test_a_constant_is_as_long_as_the_batch():
-    """Of a batch of paths."""
     program = program_of(lambda _path: ca.SX(2.5), STEPS)
     np.testing.assert_array_equal(expression_values(program, STEPS, given(5)), np.full(5, 2.5))
 
 
 def test_no_value_is_said_without_a_warning():
-    """A logarithm of what is negative."""
     program = program_of(lambda path: ca.log(-(path.mean_db[0] ** 2)), STEPS)
     assert np.isnan(expression_values(program, STEPS, given())).all()
 
@@ -126,7 +123,6 @@ def test_no_value_is_said_without_a_warning():
     ],
 )
 def test_what_is_no_scalar_of_the_symbols_is_refused(expression):
-    """With an error of ours."""
     with refused():
         program_of(expression, STEPS)
 

@@ -212,13 +212,11 @@ def test_without_multipath_information_is_refused():
     ],
 )
 def test_bad_input_is_ours(make):
-    """Every check raises InputError."""
     with pytest.raises(InputError):
         make()
 
 
 def test_cross_covariance_is_a_block_of_the_joint_one():
-    """Path and grid predicted together."""
     whole = joint_prediction(POSTERIOR, np.vstack([PATH, GRID])).covariance_db2
     found = cross_covariance_db2(POSTERIOR, PATH, known_places(POSTERIOR, GRID))
     np.testing.assert_allclose(found, whole[:5, 5:], atol=1e-10)
@@ -319,7 +317,6 @@ CLOSE = condition(CHANNEL, drawn(30, side_m=20.0))
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("name", ["T", "D", "A", *MAPPING])
 def test_gated_gains_have_the_derivatives_of_their_values(name, seed):
-    """Through S, B and the gates."""
     rule, path, _ = partly_open(seed)
     require_derivatives(lambda at: local(name, at, CLOSE, 30, rule), path, 5e-6)
 

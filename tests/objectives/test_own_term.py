@@ -82,8 +82,6 @@ def test_an_expression_follows_the_horizon() -> None:
 
 
 def test_an_expression_that_is_none_is_refused(near_term):
-    """The key of the term is named."""
-
     @dataclass(frozen=True)
     class BadTerm(near_term):
         """No scalar."""

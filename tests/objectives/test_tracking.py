@@ -92,7 +92,6 @@ def test_moving_the_scene_and_another_unit_change_nothing(mirror, scale):
     ],
 )
 def test_bad_input_is_ours(make):
-    """Every check raises InputError."""
     with pytest.raises(InputError):
         make()
 

@@ -62,7 +62,6 @@ def test_one_axis_is_the_whole_filter(criterion):
 
 
 def test_steps_beyond_the_horizon_are_at_the_last_velocity():
-    """And of weight one."""
     few = replace(
         SETTINGS, tracking=replace(SETTINGS.tracking, target_m=TARGET[:3], weight=np.full(3, 2.0))
     )
@@ -108,7 +107,6 @@ def test_retreats_never_cost_and_are_reached_in_time():
 
 
 def test_the_best_retreat_within_reach_is_taken_at_every_step():
-    """Against a loop over places and steps."""
     generator = np.random.default_rng(3)
     places, told = generator.uniform(0.0, 12.0, (7, 2)), generator.uniform(0.0, 5.0, (7, 9))
     retreats = Retreats(places, told, LONGEST_M, 0)

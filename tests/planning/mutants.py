@@ -11,7 +11,6 @@ import numpy as np
 
 
 def source_of(module: str) -> str:
-    """The text of a module."""
     spec = find_spec(module)
     assert spec is not None and spec.origin is not None
     return Path(spec.origin).read_text()
@@ -46,7 +45,6 @@ def replaceable(
 
 
 def all_hold(facts: Iterable[Callable[[], object]]) -> bool:
-    """Whether no test fails."""
     try:
         with np.errstate(all="ignore"):
             for fact in facts:

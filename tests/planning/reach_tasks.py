@@ -13,7 +13,6 @@ from planopt.world import empty_lines
 
 
 def no_lines(horizon, count):
-    """Empty slots only."""
     return empty_lines(horizon, count)
 
 
@@ -27,8 +26,6 @@ def with_line(lines, segment, normal, offset_m):
 
 
 def constant_margins(value_db):
-    """Margins that are the same everywhere."""
-
     def margins(positions_m):
         n = len(positions_m)
         return Derivatives(np.full(n, value_db), np.zeros((n, 2)), np.zeros((n, 3)))

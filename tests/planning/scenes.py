@@ -76,7 +76,6 @@ RING = shapely.Polygon(
 def workspace_of(
     bounds_m: tuple[float, float, float, float], polygons: tuple[shapely.Polygon, ...]
 ) -> Workspace:
-    """A rectangle with these obstacles."""
     obstacles = tuple(Obstacle(f"obstacle {k}", polygon) for k, polygon in enumerate(polygons))
     return Workspace(bounds_m, obstacles)
 
@@ -137,18 +136,14 @@ def small_problem(
 
 
 def good_everywhere(positions_m: np.ndarray) -> np.ndarray:
-    """Connected everywhere."""
     return np.full(len(positions_m), GOOD)
 
 
 def bad_everywhere(positions_m: np.ndarray) -> np.ndarray:
-    """Connected nowhere."""
     return np.full(len(positions_m), BAD)
 
 
 def bad_where(is_bad: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> PowerAt:
-    """Connected but where `is_bad(x, y)` holds."""
-
     def power(positions_m: np.ndarray) -> np.ndarray:
         return np.where(is_bad(positions_m[:, 0], positions_m[:, 1]), BAD, GOOD)
 
@@ -156,7 +151,6 @@ def bad_where(is_bad: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> PowerAt
 
 
 def bad_disc(x_m: float, y_m: float, radius_m: float) -> PowerAt:
-    """Connected but in a disc."""
     return bad_where(lambda x, y: np.hypot(x - x_m, y - y_m) < radius_m)
 
 

@@ -19,7 +19,6 @@ class SendingTerm(Term):
 
     @property
     def structure(self):
-        """Steps add up."""
         return "stagewise"
 
     def value(self, at, path_m):
@@ -28,7 +27,6 @@ class SendingTerm(Term):
         return -float(_needed(power.mean_db, power.deviation_db).sum())
 
     def values(self, paths):
-        """Return the same of many paths."""
         found = _needed(paths.power.mean_db, paths.power.deviation_db)
         return -found.reshape(paths.shape).sum(axis=1)
 

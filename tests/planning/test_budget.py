@@ -27,7 +27,6 @@ NO_TIME = 1e-9
 
 
 def with_budget(problem: Problem, budget_s: float | None) -> Problem:
-    """The problem with another budget."""
     return replace(problem, planner=replace(problem.planner, budget_s=budget_s))
 
 

@@ -37,7 +37,6 @@ def scorer_of(problem, power_at=good_everywhere, pivot=None) -> Scorer:
 
 
 def assessed(scorer: Scorer, path_m) -> Candidate:
-    """A judged lattice candidate."""
     path = np.asarray(path_m, dtype=float)
     return scorer.assessed(scorer.candidate(path, Rung.LATTICE, Termination.LATTICE_ONLY))
 
@@ -131,7 +130,6 @@ def test_below_the_bound_is_sound():
 
 
 def test_words_of_a_relaxed_plan():
-    """The steps and the worst dB."""
     problem = small_problem()
     scorer = scorer_of(problem, bad_disc(5.0, 15.0, 3.5))
     candidate = assessed(scorer, straight_path(problem, 2.0)[1:])

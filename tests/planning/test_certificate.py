@@ -32,7 +32,6 @@ FAR = replace(PROOF, relaxed_steps=(2,), relaxation_db=(1.25,), best_margin_db=(
 
 
 def said(proofs: list[Certificate]) -> list[str]:
-    """The lines about their steps."""
     return excused_in_words(excused_steps(proofs))
 
 
@@ -114,7 +113,6 @@ PROBLEM = small_problem()
 
 
 def line(*x_m: float) -> np.ndarray:
-    """Places along y = 15."""
     return np.array([(x, 15.0) for x in x_m])
 
 
@@ -210,7 +208,6 @@ def test_plans_say_what_they_cross_and_why(tmp_path):
 
 
 def test_of_many_holes_the_longest_are_told():
-    """And how many are not."""
     below = np.arange(40) % 4 == 1
     holes = holes_along(line(*range(40)), np.where(below, 0.1, 0.95), below)
     longest = replace(holes[3], length_m=9.0)

@@ -23,7 +23,6 @@ SEEDS = range(60)
 
 @pytest.fixture(scope="module")
 def fig4():
-    """The outdoor scene, cut short."""
     problem = load("fig4")
     return replace(problem, planner=replace(problem.planner, max_steps=4, horizon=2))
 

@@ -138,7 +138,6 @@ def test_plan_is_worth_as_much_as_from_random_starts(dynamics, target_m) -> None
 
 
 def begun(dynamics, scorer, inputs) -> Guess:
-    """A start that drives these inputs."""
     drive = rolled_out(dynamics, scorer.state, inputs, 1.0)
     path = drive.positions_m[1:]
     return Guess(path, scorer.objective(path), 0.0, drive, clear=False)
@@ -214,6 +213,5 @@ def test_plan_is_verified_and_no_better_than_the_exact_models(own, exact) -> Non
 
 
 def test_a_function_is_not_for_files() -> None:
-    """Saving says so."""
     with pytest.raises(InputError, match="cannot be saved"):
         problem_to_dict(with_dynamics(terms_problem(TRACKING), wheels()))

@@ -35,7 +35,6 @@ def reach(*polygons: shapely.Polygon, dynamics: Dynamics, rest=(), **settings) -
 
 
 def driven(problem: Problem, power_at=good_everywhere):
-    """A closed loop."""
     return simulate(problem, prepared=prepared_of(problem, power_at))
 
 

@@ -41,7 +41,6 @@ def enumerated_best(context, scorer, ground):
     ids=str,
 )
 def test_no_enumerated_way_is_worth_more(term):
-    """Of five hundred, valued from all measurements."""
     context, belief = context_of(terms_problem(term, horizon=STEPS))
     scorer, ground = scorer_of(context, belief)
     plan = HorizonPlanner(context.problem, ground).plan(context, scorer)

@@ -59,7 +59,6 @@ def planned(problem, warm=None, seed=0):
 )
 @pytest.mark.parametrize("horizon", [1, 8])
 def test_plan_is_verified_and_better_than_its_start(terms, horizon):
-    """Whatever the objective and the horizon."""
     plan, _, scorer = planned(terms_problem(*terms, horizon=horizon))
     assert plan.verdict is Verdict.VERIFIED
     assert plan.rung in (Rung.PLAN, Rung.LATTICE)
@@ -174,13 +173,11 @@ def planned_by(planner: HorizonPlanner, warm: Plan | None = None, problem=PROBLE
 
 
 def fresh(problem=PROBLEM) -> HorizonPlanner:
-    """A planner that has not planned_by."""
     context, belief = context_of(problem)
     return HorizonPlanner(problem, scorer_of(context, belief)[1])
 
 
 def assert_same(plan: Plan, other: Plan) -> None:
-    """To the last digit."""
     np.testing.assert_array_equal(plan.positions_m, other.positions_m)
     assert (plan.objective, plan.rung, plan.termination, plan.verdict) == (
         other.objective,

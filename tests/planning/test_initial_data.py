@@ -28,13 +28,11 @@ from planopt.world import Raster, write_rasters
 
 @pytest.fixture(scope="module")
 def problem():
-    """The open field."""
     return load("open_field")
 
 
 @pytest.fixture(scope="module")
 def prepared(problem):
-    """Of seed 4."""
     return prepare(problem, 4)
 
 

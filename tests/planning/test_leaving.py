@@ -16,7 +16,6 @@ INDEX = index_obstacles(PROBLEM.workspace)
 
 
 def left(place, problem=PROBLEM):
-    """The path away from a place."""
     return leaving_path(problem, INDEX, NOTHING_MOVES, np.array(place))
 
 

@@ -142,7 +142,6 @@ def test_a_plan_knows_only_what_stands_then():
 
 
 def test_what_is_gone_is_in_nobodys_way():
-    """The way leads through where it stood."""
     wall = shapely.box(25.0, 0.0, 26.0, 28.5)
     run, (line,) = fenced_run(fenced(0.0, until_s=4.0, polygon=wall))
     assert run.outcome is Outcome.REACHED and line.intersects(wall)

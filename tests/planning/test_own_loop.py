@@ -84,7 +84,6 @@ def test_a_loop_by_hand_is_the_simulation(name: str, steps: int) -> None:
 
 @pytest.fixture(scope="module")
 def log() -> Measurements:
-    """Measurements of the open field."""
     return prepare(load("open_field"), 0).belief.posterior.measurements
 
 

@@ -25,7 +25,6 @@ class Eastward:
         self._step_m = 0.5 * problem.step_length_m
 
     def plan(self, context, scorer, warm=None):
-        """A straight line."""
         begun = perf_counter()
         horizon = context.problem.planner.horizon
         steps = np.arange(1, horizon + 1)[:, None] * np.array([self._step_m, 0.0])
@@ -34,7 +33,6 @@ class Eastward:
 
 @pytest.fixture
 def eastward(own_parts) -> None:
-    """The planner ``eastward``, registered."""
     register_planner(PlannerKind("eastward", Eastward))
 
 
@@ -89,7 +87,6 @@ def test_names_that_cannot_be(name: str) -> None:
 
 
 def test_a_planner_that_cannot_be_imported() -> None:
-    """The error names what is missing."""
     for make in ("no_such_module:Planner", "planopt.errors:Nothing"):
         with pytest.raises(InputError, match="cannot be imported"):
             PlannerKind("mine", make).maker()
@@ -150,7 +147,6 @@ class Meeting(Eastward):
     """Drives every robot to the middle of the world, and releases plans that are not sound."""
 
     def plan(self, context, scorer, warm=None):
-        """A straight line."""
         begun, problem = perf_counter(), context.problem
         x_min, y_min, x_max, y_max = problem.workspace.bounds_m
         aim = np.array([0.5 * (x_min + x_max), 0.5 * (y_min + y_max)])

@@ -23,7 +23,6 @@ class Mean(OwnRule):
     kind: ClassVar[str] = "mean"
 
     def achieved(self, probability, history):
-        """Return it."""
         steps = history.steps + probability.shape[-1]
         return (history.connected_steps + probability.sum(axis=-1)) / steps
 
@@ -36,7 +35,6 @@ class Weakest(OwnRule):
     steps: float = 2
 
     def achieved(self, probability, history):
-        """Return it."""
         return probability[..., : int(self.steps)].min(axis=-1)
 
 
@@ -47,7 +45,6 @@ class Odd(OwnRule):
     kind: ClassVar[str] = "odd"
 
     def achieved(self, probability, history):
-        """Return the probabilities themselves."""
         return probability
 
 
@@ -135,7 +132,6 @@ class Checked(OwnRule):
             raise ValueError("is large: mend steps, at most: 9")
 
     def achieved(self, probability, history):
-        """Return the mean."""
         return probability.mean(axis=-1)
 
 
@@ -159,7 +155,6 @@ def test_what_a_rule_says_of_settings_is_told_whole(steps, words):
 
 
 def test_names_of_planopt_stay():
-    """No own rule takes one."""
     with pytest.raises(InputError, match="cannot be the name of a rule"):
 
         @dataclass(frozen=True)

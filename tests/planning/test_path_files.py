@@ -25,7 +25,6 @@ def solution() -> planopt.Solution:
 
 
 def there(degrees: np.ndarray) -> np.ndarray:
-    """Positions of longitudes and latitudes."""
     return east_north_m(degrees[:, 0], degrees[:, 1], ORIGIN)
 
 

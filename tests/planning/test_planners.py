@@ -31,7 +31,6 @@ PATH = {"kind": "mapping", "form": "path", "variance_threshold_db2": 2.0, "close
 
 
 def scene(*terms, **planner):
-    """Problem, context, scorer and ground."""
     problem = terms_problem(*terms, **planner)
     situation, belief = context_of(problem)
     scorer, ground = scorer_of(situation, belief)
@@ -39,7 +38,6 @@ def scene(*terms, **planner):
 
 
 def moved(situation, scorer, position_m):
-    """The same with the robot elsewhere."""
     moved = replace(situation, state=position_m)
     return moved, replace(scorer, context=moved)
 

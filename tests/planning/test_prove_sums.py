@@ -56,7 +56,6 @@ class Doubled(TrackingTerm):
     kind: ClassVar[str] = "doubled_for_bounds"
 
     def value(self, at: object, path_m: np.ndarray) -> float:
-        """Return twice the information."""
         return 2.0 * super().value(at, path_m)
 
 

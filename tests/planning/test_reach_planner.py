@@ -155,7 +155,6 @@ def test_boxed_in():
 
 
 def in_zigzag(positions_m):
-    """30 m to and fro."""
     return positions_m + 15.0 * (-1.0) ** np.arange(len(positions_m))[:, None]
 
 

@@ -26,7 +26,6 @@ def ruled(p_min, rule, **settings):
 
 
 def planned(problem, **history):
-    """The plan from the start."""
     planner = ReachPlanner(problem, build_scene(problem))
     return planner.plan(belief_of(problem, GAP), np.array(START), None, History(**history))
 

@@ -97,7 +97,6 @@ def test_of_a_plan_and_a_saved_run(run: planopt.Run, tmp_path: Path, capsys) -> 
 
 
 def test_rerun(run: planopt.Run, tmp_path: Path) -> None:
-    """The recording is one of Rerun."""
     pytest.importorskip("rerun")
     run.save_recording(tmp_path / "run.rrd")
     content = (tmp_path / "run.rrd").read_bytes()
@@ -107,7 +106,6 @@ def test_rerun(run: planopt.Run, tmp_path: Path) -> None:
 def test_recordings_that_cannot_be_written(
     run: planopt.Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Unknown endings, and missing packages."""
     with refused():
         run.save_recording(tmp_path / "run.bag")
 

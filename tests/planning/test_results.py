@@ -86,8 +86,6 @@ def test_a_frame_has_the_rows_of_the_file(results: dict[str, Solution | Run], na
 def test_without_pandas_there_is_an_error_that_names_it(
     results: dict[str, Solution | Run], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Not a traceback of an import."""
-
     def missing(name: str, *rest: object) -> object:
         if name == "pandas":
             raise ImportError(name)

@@ -14,7 +14,6 @@ from planopt.planning.solve import solve
 
 @pytest.fixture(scope="module")
 def solution() -> Solution:
-    """The open field as it is."""
     return solve(load("open_field"))
 
 
@@ -41,7 +40,6 @@ def test_threshold_that_cannot_be_met(horizon):
     ],
 )
 def test_exit_codes(solution, verdict, code):
-    """Design section 3."""
     assert replace(solution, plans=(replace(solution.plan, verdict=verdict),)).exit_code == code
 
 

@@ -60,7 +60,6 @@ def test_a_terminal_weight_is_the_last_steps():
     ],
 )
 def test_keys_that_do_not_fit_are_refused(keys, words):
-    """With the key's name."""
     with pytest.raises(InputError, match=words):
         terms_problem({**TRACKING, **keys})
 

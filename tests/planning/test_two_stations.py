@@ -31,7 +31,6 @@ POWERS = (west_power, east_power)
 
 
 def planned(problem: Problem, belief) -> Plan:
-    """A plan from the start."""
     planner = ReachPlanner(problem, build_scene(problem))
     return planner.plan(belief, np.asarray(problem.robots[0].start_m))
 
@@ -67,7 +66,6 @@ def test_a_silent_station_changes_nothing(planner: str) -> None:
 
 @pytest.mark.parametrize("planner", ["lattice", "nlp", "scp"])
 def test_the_order_of_stations_does_not_matter(planner: str) -> None:
-    """To rounding, or to the solver's tolerance."""
     problem = two_station_problem(horizon=10, planner=planner)
     belief = belief_in(problem, POWERS)
     plan = planned(problem, belief)
@@ -98,7 +96,6 @@ def test_the_second_station_helps_where_both_are_weak(slack_max_db: float | None
 
 @pytest.fixture(scope="module")
 def driven() -> Iterator[Run]:
-    """A run from west to east."""
     problem = two_station_problem(horizon=4)
     yield simulate(problem, seed=1, prepared=prepared_in(problem, POWERS))
 
@@ -121,7 +118,6 @@ def courier(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_saved_run_is_judged_again(courier: Path) -> None:
-    """From one belief file of both stations."""
     result = check(courier)
     assert result.reasons == ()
 

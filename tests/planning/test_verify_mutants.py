@@ -97,7 +97,6 @@ class Said:
 
 
 def along(*x: float, y: float = 15.0) -> list[tuple[float, float]]:
-    """Places in a row."""
     return [(each, y) for each in x]
 
 
@@ -439,7 +438,6 @@ def verdict_of(case: Case) -> str:
 
 
 def rounded(metres: float | None) -> float | None:
-    """To a tenth of a metre."""
     return None if metres is None else round(metres, 1)
 
 
@@ -459,7 +457,6 @@ def expected(case: Case) -> Said:
 
 
 def posterior_of(problem: Problem, case: Case) -> ChannelPosterior:
-    """The belief of a case."""
     posterior = belief_of(problem, case.power_at).posterior
     if case.position_std_m == 0.0:
         return posterior

@@ -81,7 +81,6 @@ def swapped(problem: Problem) -> Problem:
 
 
 def swapped_belief(belief: Belief) -> Belief:
-    """The same of what is believed."""
     return replace(belief.further[0], further=(alone_in(belief, 0),))
 
 

@@ -88,7 +88,6 @@ WHEELS = {"start_m": [12.0, 8.0], "dynamics": "unicycle", "turn_rate_max_rad_s":
 
 
 def test_every_dynamics_is_welcome(tmp_path):
-    """With a separation and beside what moves."""
     problem = loaded(tmp_path, heavy(5.0, 8.0, 0.0, 0.0), WHEELS, separation_m=3.0)
     assert problem.constraints.separation_m == 3.0
     assert len(problem.workspace.moving) == 1

@@ -46,7 +46,6 @@ def warned(command: str, path: Path, capsys) -> str:
     ],
 )
 def test_implausible_problems(old: str, new: str, words: str, tmp_path: Path, capsys) -> None:
-    """Valid, with a warning."""
     assert old in FIELD
     path = tmp_path / "field.toml"
     path.write_text(FIELD.replace(old, new))

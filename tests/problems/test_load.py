@@ -126,8 +126,6 @@ def test_what_is_not_there_is_one_error(name: str) -> None:
 def test_file_that_cannot_be_read_is_one_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A failing disk gives the system's reason."""
-
     def fail(_: Path) -> os.stat_result:
         raise OSError(5, "Input/output error")
 

@@ -79,7 +79,6 @@ def test_sites_without_their_data_are_refused(
 
 
 def test_workspace_without_any_reading_is_refused() -> None:
-    """The ground truth would be unknown everywhere."""
     tables = problem_to_dict(planopt.load("flat_courier"))
     tables["channel"]["truth"]["where"] = {"anchor": "4", "use": "later", "drive": "1"}
     tables["channel"]["truth"]["within_m"] = 1e-9

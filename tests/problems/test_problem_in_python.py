@@ -293,7 +293,6 @@ def test_ground_truth_of_arrays_and_functions() -> None:
 
 
 def test_ground_truth_of_several_stations() -> None:
-    """The first axis counts them."""
     truth = FunctionTruth(
         power_dbm=lambda places: np.stack([power_dbm(places), power_dbm(places) - 7.0])
     )

@@ -238,7 +238,6 @@ def test_the_bases_are_no_errors(tables: Tables, built: Build, base: Tables) -> 
     ],
 )
 def test_what_is_just_allowed(tables: Tables, built: Build, base: Tables, changes: Tables) -> None:
-    """The other side of the limits above."""
     set_keys(tables, base)
     set_keys(tables, changes)
     built(tables)

@@ -120,7 +120,6 @@ def test_every_key_is_described() -> None:
 def test_terms_are_read_in_order(
     tables: Tables, built: Build, task: str, terms: list[Tables], found: tuple[object, ...]
 ) -> None:
-    """Their tasks, keys and defaults."""
     set_keys(tables, (TRACK if task == "track" else {}) | of_terms(task, *terms))
     set_keys(tables, {"planner.horizon": 5})
     problem = built(tables)

@@ -118,7 +118,6 @@ def test_logs_of_stations_need_no_common_log(channel: dict[str, Any]) -> None:
     ],
 )
 def test_terms_of_one_power_are_refused(task: str, term: dict[str, Any]) -> None:
-    """With the number of the term."""
     if term["kind"] == "casadi":
         own = casadi_term(lambda path: path.mean_db[0], 3)
         term = {"kind": "casadi", "steps": own.steps, "program": own.program}
@@ -163,7 +162,6 @@ EAST = {
 
 
 def test_maps_are_read_by_station(tmp_path: Path) -> None:
-    """Each with its own transmit power added."""
     x, y = np.arange(0.5, 180.0), np.arange(0.5, 80.0)
     shape = (len(y), len(x))
     np.savez(

@@ -48,7 +48,6 @@ def worth(before, after):
 
 
 def test_chains_are_the_best_of_all_assignments():
-    """Enumeration of all owners of six reports."""
     for seed in range(8):
         starts, reports = drawn(seed)
         generator = np.random.default_rng(0)

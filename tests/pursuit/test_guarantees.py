@@ -155,7 +155,6 @@ def test_limits_of_the_slot_width():
 
 
 def test_inequalities_say_by_how_much():
-    """Words, sides, unit and margin."""
     each = Inequality("floor below the capture radius", 5.25, 5.0, "m")
     assert str(each) == "floor below the capture radius: 5.25 m is not below 5 m"
     assert not each.holds and each.margin == -0.25

@@ -32,7 +32,6 @@ CASES = [
 
 @pytest.mark.parametrize("case", CASES)
 def test_floor_is_the_last_bound_that_a_stage_may_lift(case):
-    """On a dense grid."""
     grid = np.geomspace(0.01, 1e4, 200_001)
     lifted = grid[case.next_bound_m(grid) >= grid]
     assert lifted.max() == pytest.approx(case.floor_m(), rel=2e-4)

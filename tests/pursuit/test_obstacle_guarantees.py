@@ -54,7 +54,6 @@ COURT = shapely.Polygon([(20, 20), (40, 20), (40, 40), (36, 40), (36, 24), (20, 
     ],
 )
 def test_detour_of_simple_shapes(polygons, factor):
-    """Closed forms."""
     found = arena(*polygons).detour
     expected = 1.0 / np.sin(np.pi / 12) if factor is None else factor
     assert found == pytest.approx(expected, rel=8e-3)

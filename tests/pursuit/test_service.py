@@ -56,7 +56,6 @@ def test_report_is_the_centre_of_the_sub_cell():
 
 
 def test_bad_bounds():
-    """Bounds are finite and not negative."""
     with refused():
         ServiceBounds(-1.0, 0.1)
     with refused():

@@ -33,7 +33,6 @@ from planopt.world import clearance_m
 
 
 def test_first_within():
-    """Against dense sampling of straight paths."""
     generator = np.random.default_rng(0)
     starts, ends = generator.uniform(-3, 3, (2, 300, 2))
     found = first_within(starts, ends, 1.0)
@@ -219,7 +218,6 @@ def test_fleeing_round_obstacles():
 
 
 def test_report_inside_an_obstacle():
-    """The nearest free place stands for it."""
     found = ROOM.free_m(np.array([29.0, 15.0]))
     assert clearance_m(ROOM.obstacles, found[None])[0] == pytest.approx(0.5, rel=0.12)
     assert found[0] < 28.0 and found[1] == pytest.approx(15.0)
@@ -227,7 +225,6 @@ def test_report_inside_an_obstacle():
 
 
 def test_no_path():
-    """A room without a door is named."""
     closed = arena_of(
         Workspace((0, 0, 20, 10), (Obstacle("wall", shapely.box(9, -1, 11, 11)),)), 0.5
     )

@@ -126,7 +126,6 @@ MUTANTS = [
 
 @pytest.mark.parametrize(("name", "corrupt", "kind"), MUTANTS)
 def test_corrupted_runs_are_rejected(name, corrupt, kind):
-    """The violation names what was changed."""
     facts, log, _, _ = logged(name)
     facts, log = corrupt(facts, log)
     assert kind in {each.kind for each in verify_pursuit(facts, log)}

@@ -113,7 +113,6 @@ def test_maps_of_a_belief_are_the_prediction(figures, belief):
 
 
 def test_measurements_are_dots(figures, measurements):
-    """Uncensored filled, censored hollow, at their positions."""
     for name, title in (("belief", "predicted power"), ("map", "standard deviation")):
         dots = [
             each
@@ -218,6 +217,5 @@ def test_found_stations(figures):
     ],
 )
 def test_nothing_to_draw(draw):
-    """No series, or one of another length."""
     with pytest.raises(InputError):
         draw()

@@ -120,7 +120,6 @@ def test_rasters_are_the_posterior(problem, belief):
 
 @pytest.mark.parametrize("seed", range(5))
 def test_places_are_shown_and_little_outside_the_workspace(seed: int) -> None:
-    """A square, with room around the places."""
     generator = np.random.default_rng(seed)
     problem = small_problem(bounds_m=(-50.0, 0.0, 70.0, 120.0))
     for _ in range(20):

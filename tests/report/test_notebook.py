@@ -18,7 +18,6 @@ def picture_of(html: str) -> bytes:
 
 @pytest.mark.parametrize("kind", ["solution", "simulation", "comparison"])
 def test_results_display_picture_and_key_figures(kind: str, request: pytest.FixtureRequest) -> None:
-    """Without setting up Matplotlib."""
     html = request.getfixturevalue(kind)._repr_html_()
     assert picture_of(html).startswith(b"\x89PNG")
     assert html.count("<tr>") == MOST_FIGURES

@@ -42,7 +42,6 @@ class Elements(HTMLParser):
 
 
 def content_of(text: str) -> dict:
-    """The data of map and charts."""
     found = re.search(r'<script id="content" type="application/json">(.*?)</script>', text, re.S)
     assert found is not None
     return json.loads(found[1])
@@ -68,7 +67,6 @@ def saved(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 @pytest.fixture(scope="module")
 def pages(saved: dict[str, Path]) -> dict[str, str]:
-    """The pages that the command writes."""
     for folder in saved.values():
         assert main(["report", str(folder), "--json"]) == 0
     return {name: (folder / "report.html").read_text() for name, folder in saved.items()}
@@ -210,7 +208,6 @@ def test_texts_of_files_are_escaped(saved: dict[str, Path], tmp_path: Path) -> N
 
 
 def test_labels_of_charts_are_escaped() -> None:
-    """Plotly interprets some HTML in labels."""
     assert plain("<a href='x'>&") == "&lt;a href='x'&gt;&amp;"
     chart = Chart(HOSTILE, [{"type": "scatter", "name": plain(HOSTILE)}], "x", "y")
     text = page_html(Page(HOSTILE, HOSTILE, [HOSTILE], [HOSTILE], charts=[chart]))

@@ -52,7 +52,6 @@ def test_live_without_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
 def test_live_on_a_terminal(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Each frame clears the screen."""
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     assert main(["simulate", "open_field", "--horizon", "1", "--live"]) in (0, 3)
     assert capsys.readouterr().err.count("\x1b[H\x1b[2J+--") > 20

@@ -31,7 +31,6 @@ def wheels(**options) -> CasadiMap:
 
 
 def test_step_is_the_written_out_models() -> None:
-    """Of numbers and of arrays."""
     model, exact = wheels(), Unicycle(2.0, 1.5)
     states = np.random.default_rng(1).normal(size=(3, 6))
     inputs = np.vstack([np.linspace(0.0, 2.0, 6), np.linspace(-1.5, 1.5, 6)])
@@ -79,7 +78,6 @@ def test_a_discrete_map_is_known_at_its_ends_only() -> None:
     ],
 )
 def test_what_does_not_fit_is_refused(options, key: str) -> None:
-    """With the argument that does not."""
     with pytest.raises(InputError) as error:
         wheels(**options)
     assert error.value.key == key
@@ -122,7 +120,6 @@ def test_error_falls_with_the_fourth_power() -> None:
 
 
 def test_numpy_and_casadi_agree() -> None:
-    """To 1e-12, single numbers and arrays alike."""
     x, u = ca.SX.sym("x", 3), ca.SX.sym("u", 2)
     state, control = tuple(ca.vertsplit(x)), tuple(ca.vertsplit(u))
     symbolic = ca.Function(

@@ -199,7 +199,6 @@ def test_a_path_that_begins_elsewhere_jumps():
 
 
 def test_a_path_without_steps_can_only_jump():
-    """One place: its distance from the robot."""
     assert dynamics_defect_m(PATH[:1], START, 1.0) == 0.0
     assert dynamics_defect_m(PATH[:1], np.array([1.0, 3.0]), 1.0) == 2.0
 

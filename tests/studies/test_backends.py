@@ -46,7 +46,6 @@ def test_a_local_cluster(backend: str, tmp_path: Path, monkeypatch) -> None:
 
 @pytest.mark.parametrize("backend", list(study.PACKAGES))
 def test_a_cluster_that_is_not_installed(backend: str, monkeypatch) -> None:
-    """The extra is named, before anything runs."""
     monkeypatch.setattr(study, "find_spec", lambda name: None)
     with refused():
         compare(short("open_field"), [1], seeds=1, backend=backend)

@@ -162,7 +162,6 @@ def assert_same_run(one, other):
 
 
 def test_parallel_equals_serial(comparison, problem):
-    """Two processes, the same bits."""
     parallel = compare(problem, HORIZONS, costs_to_go=COSTS, seeds=SEEDS, workers=2)
     for one, other in zip(comparison.runs, parallel.runs, strict=True):
         assert_same_run(one, other)
@@ -219,7 +218,6 @@ def test_bad_arguments(problem, options, key):
 
 
 def test_a_single_value_is_a_list_of_one(problem):
-    """Of horizons, planners, costs-to-go and swept values."""
     several = compare(
         problem,
         [2],

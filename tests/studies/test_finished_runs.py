@@ -46,7 +46,6 @@ def compared(problem: Problem, folder: Path, horizons=(1, 2), **more) -> Compari
 
 @pytest.mark.parametrize("name", ["open_field", "outdoor_map"])
 def test_the_same_comparison_again_drives_nothing(name, tmp_path: Path, driven) -> None:
-    """And gives the same, times included."""
     problem = short(name)
     first = compared(problem, tmp_path / "runs")
     assert driven == [(1, 0), (2, 0), (1, 1), (2, 1)] and first.resumed == 0

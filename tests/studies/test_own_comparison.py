@@ -174,7 +174,6 @@ def test_settings_with_several_keys_are_numbered(comparison) -> None:
 
 
 def test_short_keys_are_distinct(comparison) -> None:
-    """As few parts as that takes."""
     (run, *_) = comparison.runs
     sweep = dict.fromkeys(("robots[0].speed_max_m_s", "robots[1].speed_max_m_s", "planner.step_s"))
     assert list(short_keys([replace(run, sweep=sweep)]).values()) == [

@@ -210,6 +210,5 @@ def test_without_noise_the_target_goes_straight():
     ],
 )
 def test_bad_input_is_ours(make):
-    """Every check raises InputError."""
     with pytest.raises(InputError):
         make()

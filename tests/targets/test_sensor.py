@@ -49,7 +49,6 @@ def test_measurements_have_that_covariance():
 
 @pytest.mark.parametrize("sweet_spot", [1.0, 0.0, 4.0])
 def test_derivatives_are_those_of_differences(sweet_spot):
-    """At, near and far from the target."""
     sensor, h = Sensor(0.03, 0.08, sweet_spot), 1e-5
     places = np.concatenate([PLACES, TARGET + np.array([[0.03, 0.05], [0.2, -0.1]])])
     found = sensing_derivatives(sensor, places, TARGET)
@@ -83,6 +82,5 @@ def test_rounding_is_only_at_the_target_and_as_large_as_said():
     [(0.0, 1.0, 1.0), (1.0, 0.0, 1.0), (1.0, 1.0, -0.1), (np.nan, 1.0, 1.0), (1.0, np.inf, 1.0)],
 )
 def test_numbers_out_of_range(numbers):
-    """Each is refused."""
     with pytest.raises(InputError):
         Sensor(*numbers)

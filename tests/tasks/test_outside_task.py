@@ -73,7 +73,6 @@ def test_every_function_takes_it(file: Path, tmp_path: Path) -> None:
 def test_every_command_takes_it(
     file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The commands and their exit codes."""
     out = str(tmp_path / "out")
     for command, code, words in (
         (["simulate", str(file), "--seed", "3", "--out", out], 0, "short_walk: left"),

@@ -77,7 +77,6 @@ def test_pictures(tmp_path, run):
     ],
 )
 def test_bad_input(name, change, words, written, run):
-    """One clear error with its key."""
     code, found = run("simulate", written(name, change))
     assert code == 2 and words in found["error"]
 

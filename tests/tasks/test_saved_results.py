@@ -157,7 +157,6 @@ def test_results_are_read_back(saved: Path) -> None:
     ],
 )
 def test_damaged_folders(file: str, change: Any, tmp_path: Path) -> None:
-    """They are bad input, with their file."""
     planopt.simulate(planopt.load("pursuit_fleeing")).save(tmp_path)
     text = (tmp_path / file).read_text()
     (tmp_path / file).unlink()

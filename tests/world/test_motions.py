@@ -147,7 +147,6 @@ def random_way(generator: np.random.Generator, kind: int):
 
 @pytest.mark.parametrize("seed", range(60))
 def test_never_above_dense_samples_and_hardly_below(seed: int) -> None:
-    """Any two kinds of paths."""
     generator = np.random.default_rng(seed)
     first, second = (random_way(generator, kind) for kind in divmod(seed % 16, 4))
     found, sampled = curve_distance_m(first, second), sampled_m(first, second)
@@ -232,7 +231,6 @@ def test_the_least_step_is_found(seed: int) -> None:
 
 
 def test_what_is_left_after_some_steps() -> None:
-    """The same places at the same times."""
     way = Parabola(np.zeros(2), np.array([1.0, 0.0]), np.array([0.0, 1.0]))
     two = Parabola(np.ones(2), np.array([1.0, 2.0]), np.array([0.0, -1.0]))
     motion = TimedMotion(np.array([[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]]), (way, two))

@@ -42,7 +42,6 @@ def test_discs_cover_the_true_disc_at_all_times(obstacle, now_s):
 
 
 def test_no_step_is_larger_where_turns_are_at_their_ends():
-    """Nor where the obstacle moves straight."""
     whole = replace(TURNING, times_s=(2.0, 3.0, 7.0))
     assert (predicted_discs((whole,), 0.0, 0.1, 80, 0.0).radius_m == 1.5).all()
     assert (predicted_discs((STRAIGHT,), 0.3, 0.7, 9, 0.0).radius_m == 2.0).all()

@@ -81,13 +81,11 @@ def test_the_filters_are_those_of_the_masks(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("limits", [(-0.1, 0.9), (0.1, 1.1), (float("nan"), 0.9)])
 def test_limits_that_are_none(limits: tuple[float, float]) -> None:
-    """Limits are probabilities."""
     with pytest.raises(InputError, match="probability"):
         MaskLimits(*limits)
 
 
 def test_cells_that_are_not_square(tmp_path: Path) -> None:
-    """Nav2 has one resolution."""
     x, y = np.arange(3.0), 2.0 * np.arange(3.0)
     with pytest.raises(InputError, match="not square"):
         write_masks(tmp_path, Raster(x, y, np.full((3, 3), 0.5)), MaskLimits())

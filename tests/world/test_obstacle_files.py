@@ -262,7 +262,6 @@ def test_metres_remain_metres(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("code", "origin"), [(999999, ORIGIN), (25832, (0.0, 90.0))])
 def test_systems_that_do_not_fit(code: int, origin: tuple[float, ...], tmp_path: Path) -> None:
-    """Unknown, or far from the origin."""
     named = {"crs": {"type": "name", "properties": {"name": f"EPSG:{code}"}}}
     path = geojson(tmp_path, ring=in_system(25832).tolist(), **named)
     with refused():
@@ -270,13 +269,11 @@ def test_systems_that_do_not_fit(code: int, origin: tuple[float, ...], tmp_path:
 
 
 def test_lists_that_are_no_geojson(tmp_path: Path) -> None:
-    """Also with an origin."""
     with refused():
         read_obstacles(saved(tmp_path, "map.json", [[[1.0, 2.0]]]), origin_deg=ORIGIN)
 
 
 def test_geodataframes_of_any_system() -> None:
-    """GeoPandas reprojects; the origin places."""
     geopandas = pytest.importorskip("geopandas")
     polygon = shapely.Polygon(in_system(25832))
     frame = geopandas.GeoDataFrame({"name": ["block"]}, geometry=[polygon], crs=25832)
@@ -314,7 +311,6 @@ def test_names_that_cannot_be_written_or_shown(name: str, tmp_path: Path) -> Non
 
 
 def test_names_in_other_scripts(tmp_path: Path) -> None:
-    """They are names."""
     for name in ("Müllerstraße 5", "東京駅", "🏠", "n" * 200):
         assert read_obstacles(geojson(tmp_path, name))[0].name == name
 
@@ -343,7 +339,6 @@ def test_a_reference_system_in_degrees(name: str, tmp_path: Path) -> None:
 
 
 def test_a_small_scene_far_from_zero_by_its_own_size(tmp_path: Path) -> None:
-    """Pegs on a table are metres."""
     ring = [[1.0, 1.0], [1.02, 1.0], [1.02, 1.02], [1.0, 1.0]]
     with refused():
         read_obstacles(geojson(tmp_path, ring=ring))

@@ -93,7 +93,6 @@ def test_numbers_as_text(tmp_path: Path) -> None:
 )
 @pytest.mark.parametrize(("occupied", "free"), [(0.65, 0.25), (0.65, 0.196), (0.5, 0.5), (1.0, 0)])
 def test_every_shade(tmp_path: Path, mode: str, negate: int, occupied: float, free: float) -> None:
-    """All 256 of them, pixel by pixel."""
     text = f"""
 image: hall.pgm
 mode: {mode}
@@ -260,7 +259,6 @@ def test_csv(tmp_path: Path) -> None:
     ],
 )
 def test_bad_csv(tmp_path: Path, old: str, new: str) -> None:
-    """One error with file and line."""
     assert old in CSV
     path = tmp_path / "yard.csv"
     path.write_text(CSV.replace(old, new, 1))

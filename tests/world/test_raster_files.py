@@ -208,7 +208,6 @@ def test_the_grid_mapping_of_netcdf(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".nc", ".tif"])
 def test_a_variable_that_is_not_there(tmp_path: Path, ending: str) -> None:
-    """The error names what the file holds."""
     path = write(tmp_path / f"map{ending}")
     with refused():
         read_raster(path, "gain")
@@ -216,7 +215,6 @@ def test_a_variable_that_is_not_there(tmp_path: Path, ending: str) -> None:
 
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".nc", ".tif"])
 def test_missing_and_foreign_files(tmp_path: Path, ending: str) -> None:
-    """Each is one error with the file."""
     if ending == ".tif":
         pytest.importorskip("rasterio")
     path = tmp_path / f"map{ending}"
@@ -458,7 +456,6 @@ def test_sionna_map(tmp_path: Path) -> None:
     ],
 )
 def test_bad_sionna_map(tmp_path: Path, arrays: dict, variable: str) -> None:
-    """Each fault is named."""
     with refused():
         read_raster(sionna(tmp_path / "map.npz", **arrays), variable)
 
@@ -598,7 +595,6 @@ def test_a_netcdf_4_that_reads_other_files(kind: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".nc", ".tif"])
 @pytest.mark.skipif(not Path("/dev/zero").exists(), reason="no devices")
 def test_a_map_that_is_a_device_or_a_pipe(ending: str, tmp_path: Path) -> None:
-    """Neither is opened."""
     if ending == ".tif":
         pytest.importorskip("rasterio")
     (tmp_path / f"zero{ending}").symlink_to("/dev/zero")

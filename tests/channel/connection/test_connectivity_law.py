@@ -22,7 +22,6 @@ def scores(stations: int, places: int = 40, spread: float = 2.5) -> np.ndarray:
 
 @pytest.mark.parametrize("stations", [1, 2, 3, 6])
 def test_probability_is_that_of_independent_stations(stations: int) -> None:
-    """Written out."""
     z = scores(stations)
     assert ndtr(any_score(z)) == pytest.approx(1.0 - np.prod(1.0 - ndtr(z), axis=0), abs=1e-14)
 
@@ -38,14 +37,12 @@ def test_tails_do_not_saturate(z: float) -> None:
 
 
 def test_what_is_not_known_stays_so() -> None:
-    """NaN stays NaN, in its own column."""
     found = any_score(np.array([[np.nan, 1.0], [0.5, 1.0]]))
     assert np.isnan(found[0]) and np.isfinite(found[1])
 
 
 @pytest.mark.parametrize("spread", [0.5, 4.0])
 def test_derivatives_are_finite_differences(spread: float) -> None:
-    """Gradient and Hessian."""
     z, h = scores(3, spread=spread), 1e-5
     value, gradient, hessian = any_score_derivatives(z)
     assert value == pytest.approx(any_score(z), rel=1e-13)
@@ -89,7 +86,6 @@ def missed(each: list[Prediction], raised_db: float, place: int) -> float:
 @pytest.mark.parametrize("stations", [2, 3])
 @pytest.mark.parametrize("p_min", [0.0, 0.3, 0.9, 0.999])
 def test_probability_at_the_first_threshold_is_that_of_any(stations: int, p_min: float) -> None:
-    """Exactly, whatever the bound."""
     each = predictions(stations)
     law = serving_prediction(each, THRESHOLDS[:stations], p_min)
     found = connection_probability(law.mean_db, law.deviation_db, THRESHOLDS[0])
@@ -100,7 +96,6 @@ def test_probability_at_the_first_threshold_is_that_of_any(stations: int, p_min:
 
 @pytest.mark.parametrize("p_min", [0.3, 0.9, 0.999])
 def test_margin_is_what_all_thresholds_may_be_raised_by(p_min: float) -> None:
-    """By a root of P(any) written out."""
     each = predictions(3)
     law = serving_prediction(each, THRESHOLDS, p_min)
     margin = bound_margin_db(law.mean_db, law.deviation_db, THRESHOLDS[0], p_min)
@@ -110,7 +105,6 @@ def test_margin_is_what_all_thresholds_may_be_raised_by(p_min: float) -> None:
 
 
 def test_probability_against_draws() -> None:
-    """A million drawn powers of each station."""
     each = predictions(3, places=4)
     generator = np.random.default_rng(8)
     drawn = np.stack([generator.normal(p.mean_db, p.deviation_db, (10**6, 4)) for p in each])
@@ -135,7 +129,6 @@ def test_serving_power() -> None:
 
 
 def test_power_that_is_known_exactly_decides() -> None:
-    """A deviation of zero is allowed."""
     sure = Prediction(np.array([-70.0, -90.0]), np.zeros(2))
     other = Prediction(np.array([-95.0, -95.0]), np.full(2, 3.0))
     law = serving_prediction([sure, other], (-80.0, -80.0), 0.9)

@@ -48,7 +48,6 @@ def by_quadrature(h, k, rho):
 @pytest.mark.parametrize("rho", [-0.999, -0.5, 0.0, 0.3, 0.95])
 @pytest.mark.parametrize(("h", "k"), [(-1.0, 2.0), (0.0, -0.7), (0.0, 0.0), (1.3, 1.3), (-4, -3)])
 def test_against_quadrature(h, k, rho):
-    """To 1e-13."""
     assert cdf(h, k, rho) == pytest.approx(by_quadrature(h, k, rho), abs=1e-13)
 
 
@@ -56,7 +55,6 @@ def test_against_quadrature(h, k, rho):
 @example(5e-324, 5e-324, 0.875)
 @example(0.0, 5e-324, 0.875)
 def test_identities(h, k, rho):
-    """Symmetry, the complement, and the Fréchet bounds."""
     value = cdf(h, k, rho)
     assert value == pytest.approx(cdf(k, h, rho), abs=1e-14)
     assert value + cdf(h, -k, -rho) == pytest.approx(norm.cdf(h), abs=1e-13)
@@ -66,14 +64,12 @@ def test_identities(h, k, rho):
 
 @pytest.mark.parametrize("rho", [-1.0, 1.0])
 def test_one_variable_in_two(rho):
-    """Correlation 1 and -1."""
     expected = norm.cdf(0.2) if rho > 0.0 else norm.cdf(0.7) - norm.cdf(-0.2)
     assert cdf(0.2, 0.7, rho) == pytest.approx(expected, abs=1e-15)
 
 
 @pytest.mark.parametrize("rho", [-1.0, -0.3, 0.0, 0.6, 1.0])
 def test_infinite_scores(rho):
-    """Certain events drop out."""
     assert cdf(np.inf, 0.4, rho) == pytest.approx(norm.cdf(0.4), abs=1e-15)
     assert cdf(-np.inf, 0.4, rho) == 0.0
     assert cdf(np.inf, np.inf, rho) == 1.0
@@ -115,7 +111,6 @@ def test_prefixes_in_extreme_cases():
 
 @pytest.mark.parametrize("far", [1e3, 1e12, 1e160])
 def test_bounds_out_of_all_proportion(far):
-    """Certain and impossible, without overflow."""
     covariance = 0.5 + 0.5 * np.eye(3)
     bound = np.array([far, -far, far])
     found = prefix_probabilities(bound, covariance, rng())

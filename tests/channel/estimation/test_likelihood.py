@@ -42,7 +42,6 @@ def value(data, point=POINT):
 
 
 def assert_gradient_is_the_slope(data, share=1e-3, atol=3e-6):
-    """Analytic and central-difference gradients agree."""
     gradient = evaluate(data).gradient
     for i in range(3):
         step = np.zeros(3)

@@ -62,7 +62,6 @@ def test_losses_are_those_of_generalised_least_squares(prior):
 @pytest.mark.parametrize("prior", [False, True])
 @pytest.mark.parametrize("censored_share", [0.0, 0.2])
 def test_gradient_is_that_of_the_losses(prior, censored_share):
-    """Against central differences of the profiled loss."""
     measurements = simulated(NEAR_CHANNEL, 2, 60, 200.0, censored_share)
     surface = station_surface(measurements, NEAR_CHANNEL, has_prior=prior)
     step = 1e-3 * np.eye(2)

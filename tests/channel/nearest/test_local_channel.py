@@ -63,7 +63,6 @@ def test_all_measurements_give_the_exact_posterior(available):
 
 
 def test_errors_of_places_are_counted():
-    """As kriging from all measurements counts them."""
     data = measured(60)
     std_m = np.full(len(PATH), 2.0)
     found = nearby_terms(condition(PARAMETERS, data, theta="known"), PATH, 60, std_m)

@@ -31,7 +31,6 @@ def assert_nearest(index, positions, count):
 @pytest.mark.parametrize("total", [20, MOST_UNTREED, MOST_UNTREED + 1, 2000])
 @pytest.mark.parametrize("count", [1, 7, 19])
 def test_nearest_finds_the_nearest(total, count):
-    """With and without a tree."""
     positions = scattered(total)
     assert_nearest(PlaceIndex.of(positions), positions, count)
 

@@ -34,21 +34,18 @@ from planopt.tasks.motion import NoPlan
 
 
 def edit_json(folder: Path, name: str, change: Callable[[dict], object]) -> None:
-    """Change a JSON file."""
     data = json.loads((folder / name).read_text())
     change(data)
     (folder / name).write_text(json.dumps(data))
 
 
 def edit_text(folder: Path, name: str, old: str, new: str) -> None:
-    """Change the text of a file."""
     text = (folder / name).read_text()
     assert old in text
     (folder / name).write_text(text.replace(old, new, 1))
 
 
 def edit_belief(folder: Path, **changes: Any) -> None:
-    """Change arrays of the belief."""
     with np.load(folder / "belief.npz") as archive:
         arrays = dict(archive)
     np.savez(folder / "belief.npz", **arrays | changes)
@@ -344,8 +341,6 @@ def test_remarks_on_the_library() -> None:
 
 
 def test_a_library_that_cannot_be_read(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is remarked on."""
-
     def fail(_: object) -> None:
         raise InputError("is damaged")
 

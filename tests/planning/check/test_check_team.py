@@ -42,7 +42,6 @@ def change(file: Path, *way: str | int, to: object) -> None:
 
 
 def reasons(folder: Path) -> tuple[str, ...]:
-    """The reasons to reject."""
     result = check(folder)
     assert result.verdict is Verdict.VIOLATED
     return result.reasons

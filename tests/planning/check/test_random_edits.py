@@ -65,7 +65,6 @@ def edited(generator: np.random.Generator, name: str, value: Any) -> Any:
 
 
 def edit(generator: np.random.Generator, folder: Path) -> str:
-    """Change one value of one file."""
     file = sorted(f for f in folder.iterdir())[generator.integers(len(list(folder.iterdir())))]
     if file.suffix == ".json":
         data = json.loads(file.read_text())
@@ -113,7 +112,6 @@ def number(cell: str) -> Any:
 
 
 def passing(made: Path, tmp_path: Path, count: int, seed: int) -> list[str]:
-    """Return the edits that pass."""
     generator, passed = np.random.default_rng(seed), list[str]()
     names = sorted(each.name for each in made.iterdir())
     for trial in range(count):

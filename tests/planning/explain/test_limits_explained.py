@@ -34,7 +34,6 @@ def field_problem(**tables) -> Problem:
 
 
 def robots(*starts_m: tuple[float, float], **own) -> list[dict]:
-    """Robots of 2 m/s."""
     return [
         {"name": f"r{number}", "start_m": list(start), "speed_max_m_s": 2.0, **own}
         for number, start in enumerate(starts_m)
@@ -73,7 +72,6 @@ def is_least(problem: Problem, belief, one) -> None:
 
 
 def said_of(problem: Problem, belief) -> dict:
-    """What is said, by key."""
     solution = solve_on(problem, belief, 0)
     assert solution.verdict is Verdict.VIOLATED
     return {one.constraint: one for one in explain(solution)}

@@ -18,7 +18,6 @@ from planopt.planning.scene import build_scene
 
 
 def planned(problem: Problem) -> Plan | None:
-    """The plan, with connection everywhere."""
     try:
         scene = build_scene(problem)
     except NoPlanError:
@@ -42,7 +41,6 @@ def corridor(width_m: float, clearance_m: float, **options) -> Problem:
 
 
 def with_clearance(problem: Problem, clearance_m: float) -> Problem:
-    """The problem with another clearance."""
     return replace(problem, constraints=replace(problem.constraints, clearance_m=clearance_m))
 
 
@@ -101,7 +99,6 @@ def test_steps_too_long_for_the_lattice():
 
 @pytest.mark.slow
 def test_ten_thousand_obstacles_are_explained_in_time():
-    """Within 10 s of computing time."""
     problem = load("open_field")
     x_min, y_min, x_max, y_max = problem.workspace.bounds_m
     ends = np.array([problem.robots[0].start_m, problem.goal_m])

@@ -17,7 +17,6 @@ from planopt.world import index_obstacles
 
 
 def solved(problem: Problem, power_at) -> Solution:
-    """The plan from the start."""
     belief = belief_of(problem, power_at)
     start = np.asarray(problem.robots[0].start_m)
     plan = ReachPlanner(problem, build_scene(problem)).plan(belief, start)
@@ -94,14 +93,12 @@ def test_nothing_to_explain():
 
 
 def test_a_threshold_is_named_where_nothing_is_connected():
-    """Below what is received."""
     found = {r.constraint: r for r in explain(solved(PROBLEM, bad_everywhere))}
     lowered = found["stations[0].threshold_dbm"]
     assert lowered.verified and BAD - 5.0 < lowered.relaxed_value < BAD
 
 
 def test_numbers_that_can_be_typed_in():
-    """Rounded to the side that helps."""
     assert rounded(0.123456, 4, down=True) == 0.1234
     assert rounded(0.123456, 4, down=False) == 0.1235
     assert rounded(-83.4567, 4, down=True) == -83.46

@@ -24,7 +24,6 @@ CASES = {
 
 
 def asked(name: str) -> Problem:
-    """A rule that no plan keeps."""
     form = {"data with a probability": "data", "bounded slack": "each_step"}.get(name, name)
     return silent_problem(connectivity=form, **CASES[name])
 
@@ -60,7 +59,6 @@ def at_least_two(chances: np.ndarray) -> float:
 
 
 def test_p_min_that_is_attainable(case):
-    """The straight way's own, and hardly less."""
     name, problem, _, said = case
     if name == "data":
         pytest.skip("no probability is asked for")

@@ -60,7 +60,6 @@ def test_every_measurement_of_a_run_comes_back(file: Path, beliefs: list[Belief]
 
 
 def test_ages_receivers_and_errors_come_back(tmp_path: Path) -> None:
-    """With the forgetting time."""
     first = drawn(40, 2)
     first = replace(
         first,
@@ -128,7 +127,6 @@ def test_a_damaged_array_is_named(file: Path, key: str, value: Any) -> None:
 
 
 def cut(file: Path) -> None:
-    """Only the first half."""
     file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
 
 
@@ -145,7 +143,6 @@ def pickled(file: Path) -> None:
 
 
 def plain_array(file: Path) -> None:
-    """A single array, not an archive."""
     with file.open("wb") as stream:
         np.save(stream, np.zeros(3))
 

@@ -64,12 +64,10 @@ def edit(name: str, change: Callable[[dict], object]) -> Callable[[Path], object
 
 
 def text(name: str, change: Callable[[str], str]) -> Callable[[Path], object]:
-    """Damage the text of a file."""
     return lambda folder: (folder / name).write_text(change((folder / name).read_text()))
 
 
 def first(data: dict) -> dict:
-    """The first robot of a plan."""
     return data["robots"][0]
 
 

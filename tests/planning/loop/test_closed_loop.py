@@ -26,7 +26,6 @@ def driven() -> dict[int, Run]:
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_goal_is_reached(driven, seed):
-    """Within the radius, every released step verified."""
     done = driven[seed]
     problem, log = done.problem, done.run.log
     assert done.run.outcome is Outcome.REACHED
@@ -118,7 +117,6 @@ def test_step_limit():
 
 
 def test_start_within_the_goal_radius():
-    """Nothing is planned and nothing measured."""
     done = small_run(small_problem(goal_m=(5.5, 15.0)))
     assert done.run.outcome is Outcome.REACHED
     assert done.plans[0] == ()
@@ -182,7 +180,6 @@ def test_gap_that_must_be_crossed(horizon):
 
 
 def test_simulation_needs_a_truth():
-    """There is nothing to drive in."""
     problem = small_problem()
     prepared = replace(prepared_of(problem), truths=())
     with pytest.raises(InputError, match=r"channel\.truth"):

@@ -78,7 +78,6 @@ def test_a_filter_that_is_right_has_two_in_the_mean(log):
 
 
 def test_the_interval_is_that_of_chi_square():
-    """Of one value, and of many."""
     for count in (1, 300):
         np.testing.assert_allclose(
             nis_interval(count), chi2.ppf([0.025, 0.975], 2 * count) / count, rtol=1e-9

@@ -127,7 +127,6 @@ def test_the_receiver_decides_on_packets_and_plans_do_not_know(tmp_path):
 
 
 def test_a_receiver_that_hears_its_own_floor_is_refused():
-    """Places without signal would count as connected."""
     problem = with_receiver(-95.0)
     truth = replace(problem.channel.truth, floor_db=-90.0)
     with pytest.raises(InputError, match=r"stations\[0\].receive_threshold_dbm"):

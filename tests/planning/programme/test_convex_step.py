@@ -52,7 +52,6 @@ def random_model(seed, missing):
 
 
 def in_cvxpy(model, path):
-    """The module's docstring, word by word."""
     d = cp.Variable(len(model.gradient))
     t = cp.Variable(len(model.rows) - N, nonneg=True)
     rows = model.rows[N:] + model.jacobian[N:] @ d

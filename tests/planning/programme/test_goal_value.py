@@ -45,7 +45,6 @@ VALUE = GoalValue(
 
 
 def cost(flat):
-    """The docstring's cost in NumPy."""
     q = np.vstack([START, flat.reshape(N, 2)])
     steps = np.linalg.norm(np.diff(q, axis=0), axis=1)
     share = np.append(0.6, VALUE.outage.charged * norm.sf(waves(q[1:]).value))
@@ -55,7 +54,6 @@ def cost(flat):
 
 
 def differences(function, x, h):
-    """Jacobian by central differences."""
     steps = h * np.eye(len(x))
     return np.stack([(function(x + s) - function(x - s)) / (2.0 * h) for s in steps], axis=-1)
 

@@ -19,7 +19,6 @@ HILL = np.array([3.0, 1.5])
 
 
 def no_lines(count=1):
-    """Lines that keep nothing away."""
     return empty_lines(N, count)
 
 
@@ -45,7 +44,6 @@ def bell(positions, weights):
 
 
 def margins(positions):
-    """Connectivity falls with x."""
     count = len(positions)
     return Derivatives(
         2.0 - positions[:, 0], np.tile([-1.0, 0.0], (count, 1)), np.zeros((count, 3))
@@ -178,7 +176,6 @@ def test_slack_of_a_sum_is_bounded_and_priced():
 
 
 def by_scipy(weights, structure, bounded, floor):
-    """The same programme by SLSQP."""
     start = np.array([0.0, 0.6])
 
     def steps(x):

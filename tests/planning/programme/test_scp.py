@@ -28,7 +28,6 @@ N, LINES = 6, 2
 
 @pytest.fixture(scope="module")
 def solvers():
-    """One programme, solved by both methods."""
     return goal_nlp(N, LINES), goal_nlp(N, LINES, "scp")
 
 

@@ -45,7 +45,6 @@ PLACES = CENTRES + np.array([[0.7, -0.4], [-0.9, 0.2], [0.0, 1.1], [0.3, 0.3]])
 
 
 def model_of(name, count=12):
-    """Neighbour sets of the four stages."""
     return LocalChannel.around_each(POSTERIORS[name], CENTRES, count)
 
 

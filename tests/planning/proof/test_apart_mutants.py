@@ -222,7 +222,6 @@ def test_sources_as_they_are():
 
 @pytest.mark.parametrize("number", range(len(MUTANTS)))
 def test_no_mutant_survives(number):
-    """It says something else, or fails."""
     module, old, new = MUTANTS[number]
     text = source_of(module)
     assert old in text

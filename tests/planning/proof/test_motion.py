@@ -24,7 +24,6 @@ def scene(dynamics):
 
 
 def assessed(problem, index, state, drive):
-    """Reasons of a drive."""
     return verify_motion(problem, index, state, drive.positions_m, drive)
 
 
@@ -67,7 +66,6 @@ def test_an_edited_state_is_rejected(dynamics, row: int) -> None:
     ],
 )
 def test_what_is_over_its_limit_is_rejected(dynamics, inputs) -> None:
-    """Consistent states do not help."""
     problem, index, state, _ = scene(dynamics)
     drive = rolled_out(dynamics, state, np.tile(inputs, (1, 1)), problem.planner.step_s)
     found = assessed(problem, index, state, drive)
@@ -75,7 +73,6 @@ def test_what_is_over_its_limit_is_rejected(dynamics, inputs) -> None:
 
 
 def test_an_arc_into_a_corner_is_rejected_though_its_chord_is_clear() -> None:
-    """The swept arc counts, not the places."""
     problem, index, _, _ = scene(WHEELS)
     state = np.array([16.6, 13.0, -0.45])
     drive = rolled_out(WHEELS, state, np.array([[2.0, 0.9]] * 2), problem.planner.step_s)
@@ -89,7 +86,6 @@ DISC_STEPS = 4
 
 
 def discs_of(centres_m, radius_m, least_m, is_robot):
-    """Discs of constant radius."""
     count = len(centres_m)
     return MovingDiscs(
         tuple("abcdef"[:count]),

@@ -133,6 +133,5 @@ def test_source_as_it_is() -> None:
 
 @pytest.mark.parametrize("name", MUTANTS)
 def test_mutant_is_found_out(name: str) -> None:
-    """At least one drive is judged otherwise."""
     mutant = module_of(MOTION, mutated(MOTION, *MUTANTS[name]))
     assert said(mutant.verify_motion) != TRUE

@@ -133,7 +133,6 @@ def by_stretches(sizes, missed, before):
 
 
 def test_longest_run_against_every_stretch():
-    """Of many paths at once."""
     generator = np.random.default_rng(5)
     sizes, missed = generator.random((50, 8)), generator.random((50, 8)) < 0.6
     found = longest_run(sizes, missed, 0.7)
@@ -249,7 +248,6 @@ def test_data_with_a_probability():
 
 
 def test_share_at_least_is_clopper_and_pearsons():
-    """Against SciPy's interval."""
     for count in (0, 1, 700, 1000):
         interval = binomtest(count, 1000, alternative="greater").proportion_ci(0.99)
         assert share_at_least(count, 1000) == pytest.approx(interval.low)
@@ -263,7 +261,6 @@ def test_data_of_a_step_ends_at_the_deadline():
 
 
 def test_history_of_a_track():
-    """Counted by hand."""
     problem = hand_made("data", data_mbit=1.0, deadline_s=3.5, rate_mbit_s=2.0)
     track = np.array([[0, 0], [1, 0], [1, 2], [4, 2], [4, 2.5]], dtype=float)
     past = history_of(problem, track, np.array([True, True, False, False]))
@@ -317,7 +314,6 @@ def test_slack_of_single_steps_is_bounded_and_replaces_the_excuse():
 
 
 def test_whole_rules_are_kept_where_power_is_good():
-    """Nothing is missed, nothing is slack."""
     for form, rule in (
         ("average", {}),
         ("joint", {}),

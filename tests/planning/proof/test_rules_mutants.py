@@ -79,7 +79,6 @@ def facts() -> Iterator[Callable[[], object]]:
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: f"{mutant[0][17:]}: {mutant[2]}")
 def test_mutant_is_found_out(mutant, monkeypatch):
-    """Some test fails with it."""
     users = (*map(import_module, USERS), test_rules)
     for user, name, value, instead in replaceable(mutant, users):
         if value is Rule or name == "RuleResult":

@@ -34,7 +34,6 @@ def contact(share_at):
 
 
 def nowhere_charged(places):
-    """In contact everywhere."""
     return np.zeros(len(places))
 
 
@@ -161,7 +160,6 @@ BOUNDS = (0.0, 0.0, 40.0, 30.0)
 
 
 def index_of(*polygons):
-    """The index of these obstacles."""
     return index_obstacles(small_problem(*polygons).workspace)
 
 

@@ -29,7 +29,6 @@ POWERS = (west_power, east_power)
 
 
 def assessed(problem: Problem, belief, path: np.ndarray) -> tuple[Certificate, Verdict]:
-    """Certificate and verdict of a path."""
     under = known_in(problem, belief)
     index = index_obstacles(problem.workspace)
     found = verified(problem, index, belief.posterior, path[0], path, **under)
@@ -43,7 +42,6 @@ def across(**changes: object) -> tuple[Problem, np.ndarray]:
 
 
 def test_a_path_that_is_handed_over_is_verified() -> None:
-    """By the exact posterior."""
     problem, path = across()
     certificate, verdict = assessed(problem, belief_in(problem, POWERS), path)
     assert verdict is Verdict.VERIFIED
@@ -52,7 +50,6 @@ def test_a_path_that_is_handed_over_is_verified() -> None:
 
 
 def hard(problem: Problem) -> Problem:
-    """The problem without any slack."""
     return with_rule(problem, 0.9, connectivity="each_step", slack_max_db=0.0)
 
 
@@ -74,7 +71,6 @@ def test_it_is_not_without_either_station(station: int) -> None:
 
 @pytest.mark.parametrize("station", [0, 1])
 def test_it_is_violated_with_either_threshold_raised(station: int) -> None:
-    """Each has its own."""
     problem, path = across()
     stations = list(problem.stations)
     raised = replace(stations[station], threshold_dbm=stations[station].threshold_dbm + 40.0)
@@ -84,7 +80,6 @@ def test_it_is_violated_with_either_threshold_raised(station: int) -> None:
 
 
 def test_the_order_of_stations_does_not_matter() -> None:
-    """To rounding, or to the solver's tolerance."""
     problem, path = across()
     belief = belief_in(problem, POWERS)
     one, verdict = assessed(problem, belief, path)
@@ -94,7 +89,6 @@ def test_the_order_of_stations_does_not_matter() -> None:
 
 
 def raised(problem: Problem, by_db: float) -> Problem:
-    """The problem with all thresholds higher."""
     higher = tuple(replace(r, threshold_dbm=r.threshold_dbm + by_db) for r in problem.stations)
     return replace(problem, stations=higher)
 
@@ -113,7 +107,6 @@ def any_of(problem: Problem, belief: Belief, path: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("by_db", [0.0, 22.0])
 def test_connectivity_is_that_of_independent_stations(by_db: float) -> None:
-    """Also where each station is weak."""
     base, path = across()
     problem = raised(base, by_db)
     belief = belief_in(problem, POWERS)
@@ -164,7 +157,6 @@ def test_probable_data_of_one_step_are_the_probability_of_any() -> None:
 
 
 def with_rule(problem: Problem, p_min: float, **rule: object) -> Problem:
-    """The problem under another rule."""
     constraints = replace(problem.constraints, p_min=p_min, rule=ConnectivityRule(**rule))
     return replace(problem, constraints=constraints)
 
@@ -191,7 +183,6 @@ RULES = {
 
 @pytest.mark.parametrize("name", RULES)
 def test_rules_hold_with_both_stations_and_not_with_one(name: str) -> None:
-    """Each rule."""
     base, path = across()
     p_min, rule = RULES[name]
     problem = with_rule(base, p_min, **rule)

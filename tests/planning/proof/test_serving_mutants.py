@@ -68,7 +68,6 @@ def facts() -> Iterator[Callable[[], object]]:
 
 @pytest.mark.parametrize("mutant", MUTANTS, ids=lambda mutant: f"{mutant[0][8:]}: {mutant[2]}")
 def test_mutant_is_found_out(mutant: tuple[str, str, str], monkeypatch: pytest.MonkeyPatch) -> None:
-    """Some test fails with it."""
     users = (*map(import_module, USERS), test_serving)
     for user, name, value, instead in replaceable(mutant, users):
         # Classes stay, but for those that nothing is derived from.

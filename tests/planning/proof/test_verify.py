@@ -63,7 +63,6 @@ def assert_rejected(judgement: tuple[Certificate, Verdict], *words: str) -> Cert
 
 
 def assert_verified(judgement: tuple[Certificate, Verdict]) -> Certificate:
-    """No reason against it."""
     certificate, verdict = judgement
     assert certificate.reasons == ()
     assert verdict is Verdict.VERIFIED
@@ -256,7 +255,6 @@ SEED = 3
 
 
 def all_uncertain(problem):
-    """The problem with every parameter uncertain."""
     rule = replace(problem.constraints.rule, parameter_uncertainty="all")
     return replace(problem, constraints=replace(problem.constraints, rule=rule))
 

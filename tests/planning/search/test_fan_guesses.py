@@ -64,7 +64,6 @@ START = np.array([3.0, 1.0])
 
 
 def driven(turn, speed, longest):
-    """In the open."""
     heading = np.cumsum(turn, axis=0)
     steps = longest * speed[..., None] * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
     return START + np.cumsum(steps, axis=0).transpose(1, 0, 2)
@@ -97,14 +96,12 @@ INFORMATION = {"kind": "mapping", "form": "information"}
 
 
 def plan_for(context, belief):
-    """The plan from a situation."""
     scorer, ground = scorer_of(context, replace(belief, posterior=context.posterior))
     return HorizonPlanner(context.problem, ground).plan(context, scorer)
 
 
 @pytest.mark.parametrize("horizon", [1, 8])
 def test_ways_are_better_than_the_fan(horizon):
-    """And sound, and the same each time."""
     problem = terms_problem(INFORMATION, horizon=horizon)
     context, belief = context_of(problem)
     scorer, ground = scorer_of(context, belief)

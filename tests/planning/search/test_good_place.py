@@ -46,7 +46,6 @@ def just_in_reach(*polygons, planner="lattice", **more):
 
 
 def planned(problem, start):
-    """The plan from the start."""
     belief = belief_of(problem, LEFT_BAD)
     situation = context_of(problem, belief, start)
     scorer, ground = scorer_of(situation, belief)

@@ -199,7 +199,6 @@ def test_value_is_that_of_a_search_by_nodes(polygon, horizon, cost):
 
 
 def test_rewards_that_forbid_everything_leave_no_end():
-    """No finite value, no end."""
     found, rewards, _, _ = rewarded(WALL, 4)
     assert found.best_path() is not None
     assert rewards.shape[0] == 4

@@ -12,7 +12,6 @@ from planopt.planning.values.objective_value import ObjectiveValue
 
 
 def ways_of(context, count=7):
-    """Ways in all directions."""
     rng = np.random.default_rng(2)
     shape = (count, context.problem.planner.horizon, 2)
     return context.position_m + np.cumsum(rng.normal(size=shape), axis=1)
@@ -49,7 +48,6 @@ def chances(context, ways, threshold_dbm):
 
 
 def test_ways_that_miss_the_bound_come_last():
-    """Whatever they are worth."""
     context, _ = context_of(terms_problem(LEARNING))
     ways = ways_of(context, 60)
     chance = chances(context, ways, -32.0)

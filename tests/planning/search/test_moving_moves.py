@@ -42,7 +42,6 @@ def searched(horizon, discs, move_value, seed=0):
 
 
 def discs_of(*obstacles, horizon, clearance=0.5):
-    """Where they are predicted."""
     return predicted_discs(obstacles, 0.0, 1.0, horizon, clearance)
 
 

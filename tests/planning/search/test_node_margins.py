@@ -18,7 +18,6 @@ Z_90 = 1.2815515655446004
 
 
 def data(count, seed=0):
-    """Random powers on the lattice's rectangle."""
     generator = np.random.default_rng(seed)
     positions = generator.uniform((0.0, 0.0), (10.0, 8.0), (count, 2))
     power = -68.0 + 4.0 * np.sin(positions[:, 0]) + generator.standard_normal(count)
@@ -39,7 +38,6 @@ def road_map():
 
 @pytest.fixture
 def margins(road_map):
-    """Margins of its nodes."""
     return NodeMargins(road_map, THRESHOLD, P_MIN)
 
 

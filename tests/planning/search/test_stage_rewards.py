@@ -49,7 +49,6 @@ def test_rewards_along_a_path_are_the_windows_and_its_worth():
 
 @pytest.mark.parametrize("terms", [(TRACKING,), (TRACKING, LEARNING)])
 def test_a_step_that_misses_the_bound_costs_more_than_all_can_gain(terms):
-    """However little it misses."""
     problem = terms_problem(*terms, p_min=0.9)
     radio = replace(problem.stations[0], threshold_dbm=-33.0)
     rewards, field, _ = rewards_of(replace(problem, stations=(radio,)))

@@ -29,7 +29,6 @@ def along(way, length):
 
 
 def length_of(way):
-    """Length of a way."""
     return float(np.linalg.norm(np.diff(way, axis=0), axis=1).sum())
 
 

@@ -130,7 +130,6 @@ def drawn_couriers(seed, count=5, separation_m=3.0):
 
 @pytest.mark.parametrize("seed", [200, 201])
 def test_drawn_couriers_arrive(seed):
-    """Five between blocks; nobody picked their places."""
     problem = drawn_couriers(seed)
     run, tracks = driven(problem)
     assert (run.outcome, run.verified_rate) == (Outcome.REACHED, 1.0)
@@ -138,7 +137,6 @@ def test_drawn_couriers_arrive(seed):
 
 
 def test_without_a_separation_each_drives_as_if_it_were_alone():
-    """Plan by plan, to the last bit."""
     ends = SCENES["four cross"][1][:2]
     both = couriers((), ends)
     both = replace(both, constraints=replace(both.constraints, separation_m=0.0))

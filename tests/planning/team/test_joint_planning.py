@@ -205,7 +205,6 @@ def test_a_courier_arrives_while_a_scout_maps(tmp_path):
 
 
 def test_weights_are_read_and_saved():
-    """As they were given."""
     problem = courier_and_scout()
     assert [robot.weights for robot in problem.robots] == [(0.0, 5.0), (1.0, 0.0)]
     assert problem_from_dict(problem_to_dict(problem)) == problem
@@ -221,7 +220,6 @@ def test_weights_are_read_and_saved():
     ],
 )
 def test_weights_that_say_nothing_are_named(weights, words):
-    """With the robot that has them."""
     with pytest.raises(InputError, match=words):
         weighted_team(LEARNING, ENERGY, weights=[weights])
 

@@ -19,7 +19,6 @@ SEED = 3
 
 
 def free_plan():
-    """The plan without a rule."""
     return solve(terms_problem(TRACKING), seed=SEED).plans[0]
 
 

@@ -74,7 +74,6 @@ BRAKING_STEPS = 8
 
 
 def heavy(x: float, y: float, vx: float = 0.0, vy: float = 0.0) -> dict:
-    """A double integrator."""
     return {
         "start_m": [x, y],
         "dynamics": "double_integrator",
@@ -84,7 +83,6 @@ def heavy(x: float, y: float, vx: float = 0.0, vy: float = 0.0) -> dict:
 
 
 def wheels(x: float, y: float, heading: float = 0.0) -> dict:
-    """A unicycle."""
     return {
         "start_m": [x, y],
         "dynamics": "unicycle",
@@ -118,7 +116,6 @@ def curve_sampled_m(path_m, drive, steps: int, braking: int = 0) -> np.ndarray:
 
 
 def curves_apart_m(ways) -> float:
-    """Least distance of any two."""
     return min(np.linalg.norm(a - b, axis=1).min() for a, b in combinations(ways, 2))
 
 

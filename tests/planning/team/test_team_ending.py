@@ -40,12 +40,10 @@ def standing(problem, **changes):
 
 
 def no_packet(steps=1, robots=1):
-    """Nobody connected, ever."""
     return np.zeros((steps, robots), dtype=bool)
 
 
 def test_all_robots_must_be_connected_at_once() -> None:
-    """One after the other is not enough."""
     problem = terms_problem(CONNECT, max_steps=3)
     going = driven(problem, [HERE, HERE + 1.0, HERE + 2.0], [True, True])
     one_by_one = np.array([[True, False], [False, True]])
@@ -112,7 +110,6 @@ def test_with_nothing_left_to_learn_a_run_is_completed() -> None:
 
 
 def test_places_behind_a_wall_are_no_reason_to_go_on() -> None:
-    """Only what can be come to counts."""
     problem = terms_problem(LEARNING, max_steps=9)
     problem = replace(problem, channel=replace(problem.channel, measure_spacing_m=2.0))
     known = everything_measured(problem)

@@ -36,7 +36,6 @@ def lane_problem(starts_m=((10.0, 20.0), (14.0, 20.0)), **planner):
 
 
 def least_m(run):
-    """Least distance of the two robots."""
     return run.metrics["min_separation_m"]
 
 

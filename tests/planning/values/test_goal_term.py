@@ -30,7 +30,6 @@ def to_goal(*terms, goal=(30.0, 15.0), p_min=0.0, **planner):
 
 
 def with_obstacles(problem, *shapes):
-    """The same with no other obstacles."""
     return replace(problem, workspace=replace(problem.workspace, obstacles=shapes))
 
 

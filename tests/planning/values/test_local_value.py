@@ -67,7 +67,6 @@ def a_path(situation):
 
 
 def full(hessian, stages):
-    """The Hessian as a full matrix."""
     if hessian.shape == (2 * stages, 2 * stages):
         return hessian
     matrix = np.zeros((2 * stages, 2 * stages))

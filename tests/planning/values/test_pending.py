@@ -41,7 +41,6 @@ def paths(situation, count=3):
 
 
 def beside(situation, *others, driven_m=None):
-    """The situation with these plans pending."""
     driven = np.zeros((0, 2)) if driven_m is None else driven_m
     return replace(situation, aim=replace(situation.aim, pending=Pending(tuple(others), driven)))
 

@@ -31,12 +31,10 @@ def posterior(number: int) -> ChannelPosterior:
 
 @pytest.fixture
 def serving() -> ConnectivityLaw:
-    """Both stations."""
     return ConnectivityLaw((posterior(0), posterior(1)), THRESHOLDS, P_MIN)
 
 
 def stages(serving: ConnectivityLaw) -> ServingStages:
-    """About the path, from all measurements."""
     return ServingStages(serving.posteriors, serving.thresholds_dbm, serving.combined, PATH, 60)
 
 
@@ -66,7 +64,6 @@ def test_probabilities_are_exact_away_from_it(serving) -> None:
 
 @pytest.mark.parametrize("what", ["margin", "chance"])
 def test_derivatives_are_finite_differences(serving, what: str) -> None:
-    """Gradient and Hessian."""
     predict, places, h = stages(serving), PATH + np.array([0.8, 0.5]), 1e-4
 
     def value(at: np.ndarray):

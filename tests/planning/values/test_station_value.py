@@ -17,7 +17,6 @@ DRAWS = 200_000
 
 
 def a_path(situation: StepContext) -> np.ndarray:
-    """A path between the stations."""
     steps = np.array([1.2, 0.3]) + 0.2 * np.random.default_rng(3).normal(size=(5, 2))
     return situation.position_m + np.cumsum(steps, axis=0)
 
@@ -30,7 +29,6 @@ def alone(situation: StepContext, station: int) -> StepContext:
 
 
 def raised(situation: StepContext, by_db: float) -> StepContext:
-    """The same with all thresholds higher."""
     stations = tuple(
         replace(radio, threshold_dbm=radio.threshold_dbm + by_db)
         for radio in situation.problem.stations
@@ -52,7 +50,6 @@ def drawn_connected(situation: StepContext, path: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("by_db", [0.0, 6.0])
 def test_distance_until_connected_is_that_of_drawn_channels(by_db: float) -> None:
-    """To whichever station comes first."""
     situation, _ = context_of(terms_problem({**CONNECT, "beyond_m": 20.0}, stations=2))
     situation = raised(situation, by_db)
     path = a_path(situation)
@@ -85,7 +82,6 @@ def test_search_looks_at_nearly_the_same_distance() -> None:
     ],
 )
 def test_what_measurements_tell_of_each_station_adds_up(term: dict[str, object]) -> None:
-    """Stations fade independently of each other."""
     situation, _ = context_of(terms_problem(term, stations=2))
     path = a_path(situation)
     each = [ObjectiveValue(alone(situation, station))(path) for station in (0, 1)]

@@ -49,7 +49,6 @@ def test_rows_are_those_of_solve_and_simulate() -> None:
 
 
 def test_commands(tmp_path: Path, capsys) -> None:
-    """Run, report and freeze."""
     out, file = str(tmp_path / "out"), str(tmp_path / "references.json")
     arguments = ["--seeds", "1", "--run-seeds", "1", "--planners", "pursuit_design,drive"]
     problems = ["--problems", "pursuit_design,pursuit_static"]

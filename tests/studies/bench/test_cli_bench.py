@@ -194,7 +194,6 @@ def checked(file: Path) -> int:
 
 
 def test_check_passes(share: Path, capsys) -> None:
-    """Exit code 0 against the committed references."""
     assert checked(share) == 0
     assert "as good as the references" in capsys.readouterr().out
 

@@ -116,7 +116,6 @@ def test_library_is_whole() -> None:
 
 
 def test_problem_without_reference_is_reported() -> None:
-    """And one that is gone."""
     cases, missing = fast_cases({row().case: REFERENCE})
     assert cases == [] and len(missing) == len(library_names()) + 1
     assert "open_field: no reference" in " ".join(missing)
@@ -145,7 +144,6 @@ def test_cases_are_all_combinations() -> None:
     ],
 )
 def test_cases_that_cannot_be(asked, key: str) -> None:
-    """The error names the option."""
     with pytest.raises(InputError) as caught:
         library_cases(["open_field"], **asked)
     assert caught.value.key == key

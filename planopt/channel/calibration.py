@@ -42,7 +42,7 @@ class GroupedRatio:
         return GroupedRatio(self.value, self.low, min(self.high, 1.0))
 
     def root(self) -> GroupedRatio:
-        """Return the square roots of the ratio and of its bounds, for an RMSE with its interval."""
+        """Return the square root of ratio and interval: an RMSE for a mean squared error."""
         return GroupedRatio(math.sqrt(self.value), math.sqrt(self.low), math.sqrt(self.high))
 
 
@@ -52,8 +52,8 @@ def grouped_ratio(numerators: Floats, denominators: Floats) -> GroupedRatio:
     Parameters
     ----------
     numerators, denominators
-        ``(g,)`` non-negative sums within each group. For a mean squared error they are squared
-        errors and counts; for the coverage of an interval, powers inside it and all powers.
+        ``(g,)`` non-negative sums within each group: squared errors and their number for a mean
+        squared error, numbers of powers inside an interval and of all powers for its coverage.
 
     Raises
     ------
@@ -111,7 +111,7 @@ def reliability(
     realised: Mask,  # (n,)
     group_of: Indices,  # (n,)
 ) -> tuple[ReliabilityBin, ...]:
-    """Return the reliability table of predicted probabilities and realised connections."""
+    """Return the bins of a reliability table that contain predictions, in ascending order."""
     if not predicted.shape == realised.shape == group_of.shape:
         raise InputError(
             f"there are {predicted.size} predictions, {realised.size} outcomes and "
@@ -143,7 +143,7 @@ def share_interval(
     connected: Floats,  # (g,)
     sizes: Floats,  # (g,)
 ) -> tuple[float, float]:
-    """Return Korn and Graubard's 95 % interval of the share of connected outcomes."""
+    """Return Korn and Graubard's 95 % interval of the connected share over groups of `sizes`."""
     groups, count = len(sizes), float(sizes.sum())
     share = float(connected.sum()) / count
     variance = _ratio_error(connected, sizes) ** 2

@@ -91,7 +91,7 @@ class TileMap:
         posterior: ChannelPosterior,
         window_m: tuple[float, float, float, float] | None = None,  # (x_min, y_min, x_max, y_max)
     ) -> int:
-        """Update the lattice, or the tiles in a window, and return the number of tiles updated."""
+        """Update all tiles, or those that meet a window; return the number of updated tiles."""
         wanted = np.ones(len(self._dirty), dtype=bool)
         if window_m is not None:
             x_min, y_min, x_max, y_max = window_m
@@ -124,7 +124,7 @@ class TileMap:
         return trend.reshape(*self.mean_db.shape, 2)
 
     def _mark(self, posterior: ChannelPosterior, wanted: Mask) -> tuple[Indices, Indices]:
-        """Return the tiles affected by one new measurement, with the measurement's index."""
+        """Return the tiles affected by exactly one new measurement, and its index for each."""
         # All other affected tiles are marked dirty.
         measured, last = posterior.measurements, self._last
         before = 0 if last is None else len(last.measurements)
@@ -305,7 +305,7 @@ class PosteriorMap:
     __repr__ = short_repr
 
     def _repr_html_(self) -> str:
-        """Return the picture and key figures for notebooks."""
+        """Return an HTML view for notebooks: picture and key figures."""
         return import_module("planopt.report.page_content").map_html(self)
 
     def save(self, file: Path | str, *, origin_deg: Origin | None = None) -> None:
@@ -511,7 +511,7 @@ def serving_map(
 
 
 def default_cell_m(bounds_m: Bounds) -> float:
-    """Return a cell side of two digits, with `CELLS_ALONG` cells on the bounds' longer side."""
+    """Return a cell side, rounded to two digits, for `CELLS_ALONG` cells on the longer side."""
     x_min, y_min, x_max, y_max = bounds_m
     return float(f"{max(x_max - x_min, y_max - y_min) / CELLS_ALONG:.2g}")
 

@@ -84,7 +84,7 @@ def lower_inverse(lower: Floats) -> Floats:
 
 
 def factor_and_inverse(matrix: Floats) -> tuple[Floats, Floats]:
-    """Return the diagonal (n,) of the Cholesky factor L of `matrix`, and inverse L^-1 (n, n)."""
+    """Return the diagonal (n,) of L, and L^-1 (n, n); L is the Cholesky factor of `matrix`."""
     lower, info = FACTOR(matrix.T, lower=True, clean=True)
     if info != 0:
         raise AssertionError("a covariance with a nugget is positive definite")
@@ -141,7 +141,7 @@ DETERMINED = 1e-10
 
 
 def semidefinite_factor(covariance: Floats) -> Floats:
-    """Return lower L with L L' = `covariance`, which may be singular: L then has zero columns."""
+    """Return a lower L with L L' = `covariance`; a singular covariance gives zero columns."""
     try:
         return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
     except np.linalg.LinAlgError:
@@ -188,7 +188,7 @@ def unwhiten(lower: Floats, columns: Floats) -> Floats:
 
 
 def whiten(lower: Floats, columns: Floats) -> Floats:
-    """Solve L x = `columns` (n, m) by blocks, so that `lower` is not copied."""
+    """Solve L x = `columns` (n, m) by blocks; this avoids a copy of `lower`."""
     solved = np.array(columns, dtype=np.float64)
     for start in range(0, len(lower), SOLVE_BLOCK):
         rows = slice(start, start + SOLVE_BLOCK)

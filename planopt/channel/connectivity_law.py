@@ -39,7 +39,7 @@ LOG_ROOT_2PI = 0.5 * math.log(2.0 * math.pi)
 
 
 def any_score(scores: Floats) -> Floats:
-    """Return the combined score (...) of m stations, given the score of each station (m, ...)."""
+    """Return the combined score (...) of m stations from each station's score (m, ...)."""
     return _score(_log_any(scores), _log_normal(-scores).sum(axis=0))
 
 
@@ -119,7 +119,7 @@ def serving_power_dbm(powers_dbm: Floats, thresholds_dbm: Sequence[float]) -> Fl
 def above_thresholds_db(
     predictions: Sequence[Prediction], thresholds_dbm: Sequence[float]
 ) -> tuple[Floats, Floats]:
-    """Return each station's mean power above its threshold (m, n), and its deviation (m, n)."""
+    """Return mean minus threshold (m, n) and standard deviation (m, n) of each station's power."""
     above = np.stack(
         [
             prediction.mean_db - threshold
@@ -131,7 +131,7 @@ def above_thresholds_db(
 
 
 def any_margin_db(above_db: Floats, deviation_db: Floats, p_min: float) -> Floats:
-    """Return the common threshold increase (n,) for which P(connected to any) = `p_min`."""
+    """Return the common threshold increase (n,) in dB at which P(connected to any) = `p_min`."""
     wanted = bound_quantile(p_min)
     shared = bound_quantile(-math.expm1(math.log1p(-p_min) / len(above_db)))
     low: Floats = (above_db - wanted * deviation_db).max(axis=0)
@@ -165,7 +165,7 @@ class KnownPower:
     most_dbm: Floats
 
     def replace_in(self, power: Prediction) -> Prediction:
-        """Return `power` with known rows clipped to their bounds and given zero deviation."""
+        """Return `power`; known rows are clipped to their bounds and have zero deviation."""
         if not len(self.rows):
             return power
         mean, deviation = power.mean_db.copy(), power.deviation_db.copy()
@@ -200,7 +200,7 @@ def known_power(
 
 
 def _power_bounds_dbm(station: ChannelPosterior, read: Indices | slice) -> tuple[Floats, Floats]:
-    """Return time-independent bounds of the power at the positions of readings (equation 3.12)."""
+    """Return lower and upper bounds of the power at the positions of readings (equation 3.12)."""
     measured = station.measurements
     power, half = measured.power_dbm[read], 0.5 * measured.resolution_db[read]
     free = (measured.receiver[read] != 0) | (measured.position_std_m[read] > 0.0)
@@ -229,7 +229,7 @@ class ConnectivityLaw:
         return serving_prediction(powers, self.thresholds_dbm, self.p_min)
 
     def known(self, positions_m: Floats) -> list[KnownPower]:
-        """Return each station's power at positions (n, 2) where readings determine it."""
+        """Return each station's power bounds where readings or packets determine a connection."""
         # A packet does not tell which of several stations received it.
         proven = self.proven if len(self.posteriors) == 1 else NOWHERE
         return [
@@ -270,7 +270,7 @@ class ConnectivityLaw:
         ]
 
     def predicted(self, positions_m: Floats, predict: Predictor = predict) -> Prediction:
-        """Return the predicted serving power, a smooth function of position without readings."""
+        """Return the predicted serving power; unlike `power`, it ignores known values."""
         return self.combined([predict(station, positions_m) for station in self.posteriors])
 
     def power(self, positions_m: Floats, predict: Predictor = predict) -> Prediction:

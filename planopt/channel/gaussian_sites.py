@@ -177,7 +177,7 @@ def first_sites(
     width_db: Floats,  # (m,)
     noise_variance_db2: float,
 ) -> tuple[Floats, Floats]:
-    """Return initial precisions (m,) and shifts (m,) of sites, both zero for one-sided limits."""
+    """Return initial precisions (m,) and shifts (m,) of sites; zero for one-sided intervals."""
     precision = 1.0 / (noise_variance_db2 + rounded_variance_db2(width_db))
     return precision, precision * (limit_db - 0.5 * np.where(np.isinf(width_db), 0.0, width_db))
 
@@ -278,7 +278,7 @@ def _swept(
 def _conditioned(
     prior: LatentPrior, precision: Floats, shift: Floats
 ) -> tuple[Floats, Floats, float]:
-    """Return variances (m,) and mean shifts (m,) of the prior given sites, and log-evidence."""
+    """Return posterior variances (m,), shifts (m,) from the prior mean, and the log-evidence."""
     # Conditions on the sites by factorising I + S^1/2 covariance S^1/2, S the precisions.
     root = np.sqrt(precision)
     scaled = root[:, None] * prior.covariance_db2

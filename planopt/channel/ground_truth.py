@@ -216,7 +216,7 @@ def _as_rician(source: Multipath) -> Rician:
 
 
 def _with_std(std_db: Callable[[float], float], least: float, wanted_db: float) -> float:
-    """Return the parameter m or K that gives a required standard deviation, by bisection."""
+    """Return the parameter m or K whose fading has standard deviation `wanted_db`."""
     most_db, least_db = std_db(least), std_db(STRONGEST)
     if not least_db <= wanted_db <= most_db:
         raise InputError(
@@ -253,7 +253,7 @@ def multipath_field_db(
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """Measured powers; the nearest power within a reach is the ground truth."""
+    """Ground truth from measurements: the nearest power within `within_m`."""
 
     measured: Measurements
     within_m: float
@@ -263,7 +263,7 @@ class Readings:
         return PlaceTree(self.measured.positions_m)
 
     def nearest(self, places_m: Floats) -> tuple[Indices, Mask]:
-        """Return the nearest reading to each position (n, 2), and a mask of readings in reach."""
+        """Return the index of the reading nearest to each position, and whether it is in reach."""
         rows, away_m = self._tree.nearest(places_m, 1)
         return rows[:, 0], away_m[:, 0] <= self.within_m
 

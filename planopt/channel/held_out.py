@@ -157,7 +157,7 @@ def _uncensored(measurements: Measurements) -> Measurements:
 
 
 def _correlation(distance_m: Floats, length_m: float, noise: float) -> Floats:
-    """Return the correlation (n, n) of powers; the share `noise` of their variance is white."""
+    """Return the correlation (n, n) of powers; `noise` is the variance share of white noise."""
     correlation = (1.0 - noise) * np.exp(-distance_m / length_m)
     np.fill_diagonal(correlation, 1.0)
     return correlation
@@ -336,7 +336,7 @@ def part_between(
     low: float,
     high: float,
 ) -> Floats:
-    """Return the share (n,) of each PIT value in [low, high), or in [low, 1] if `high` is 1."""
+    """Return the part (n,) of each PIT that lies in [low, high), or in [low, 1] if `high` is 1."""
     inside = (pit >= low) & ((pit < high) | (high >= 1.0))
     below = np.clip(pit, low, high) - low
     # A PIT of 0 lies entirely in the first interval.

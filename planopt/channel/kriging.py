@@ -58,7 +58,7 @@ class Prediction:
     __repr__ = short_repr
 
     def at(self, rows: Indices) -> Prediction:
-        """Return the prediction at a subset of the positions."""
+        """Return the prediction at the positions with indices `rows`."""
         return Prediction(self.mean_db[rows], self.deviation_db[rows])
 
 
@@ -172,7 +172,7 @@ def kriging_terms(
 
 
 def predict_noiseless(posterior: ChannelPosterior, more: Measurements) -> Prediction:
-    """Predict measurements with receiver offsets and position errors, but without multipath."""
+    """Predict the powers of `more` with receiver offset and position error, without multipath."""
     parameters = posterior.parameters
     origins = measured_origins(more, parameters)
     gamma = regressors(more.positions_m, parameters.station)
@@ -272,7 +272,7 @@ class LocalChannel:
 
     @cached_property
     def added_m2(self) -> Floats:
-        """Increase (..., m) of squared distances to measurements with position errors."""
+        """Increase (..., m) of squared distances due to position errors of the measurements."""
         blur = self.origins.blur_m2
         return np.zeros(self.columns.shape[:-1]) if blur is None else blur
 
@@ -325,7 +325,7 @@ class LocalChannel:
         places_m: Floats,  # (..., p, 2)
         position_std_m: Floats | None = None,  # (..., p)
     ) -> Floats:
-        """Return covariances (..., p, m) of positions with the measurements, after ageing."""
+        """Return covariances (..., p, m) of powers at positions and measurements, with ageing."""
         places = place_origins(places_m, self.now_s, self.parameters, position_std_m)
         return covariance_db2(places, self.origins, self.parameters)
 

@@ -3,7 +3,7 @@
 Each measurement is conditioned on the nearest earlier ones (equation 1.18). Only products of the
 whitened columns are stored, so the cost of one more measurement does not depend on their number.
 Receiver offsets have separate columns, because the nearest measurements may be from other receivers
-(equation 1.15). With U the covariance of a window, sites as measurements, the cavity of measurement
+(equation 1.15). With U the covariance of a window, sites included, the cavity of measurement
 i has mean ``y_i - (U^-1 y)_i / (U^-1)_ii`` and variance ``1 / (U^-1)_ii`` less the site's.
 """
 
@@ -116,7 +116,7 @@ def vecchia_information(
 
 @dataclass(frozen=True)
 class ReceiverOffset:
-    """Estimated offset of a receiver's readings from receiver 0."""
+    """Estimated offset of a receiver's readings from those of receiver 0."""
 
     receiver: int  # Number of the receiver
     offset_db: float
@@ -134,7 +134,7 @@ class OffsetsGivenTheta:
     covariance_db2: Floats  # (R, R) s^2 I - s^4 Z' U^-1 Z
 
     def indicators(self, receiver: Indices) -> Floats:
-        """Return indicator columns (..., R) of the R receivers for numbers (...)."""
+        """Return indicators (..., R), 1 where `receiver` (...) equals an entry of `receivers`."""
         return (receiver[..., None] == self.receivers).astype(np.float64)
 
 
@@ -305,7 +305,7 @@ def _cavities(
     own: int,
     rows: Indices,
 ) -> tuple[Floats, Floats]:
-    """Return leave-one-out means and variances of the rows `rows` of a block."""
+    """Return leave-one-out means and variances of the block's measurements `rows`."""
     lower, whitened = factor_and_whitened(covariance, centred_db)
     near = len(lower) - own
     inverse = lower_inverse(np.tril(lower[near:, near:]))

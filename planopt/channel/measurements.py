@@ -189,7 +189,7 @@ def as_measurements(data: Measurements | Table) -> Measurements:
 
 
 def as_received(data: Measurements | Table) -> Measurements:
-    """Convert a table to measurements; raise an error for powers that no receiver reports."""
+    """Convert a table to measurements; raise an error for powers outside a receiver's range."""
     received = as_measurements(data)
     power = received.power_dbm
     within = (power >= LEAST_POWER_DBM) & (power <= LARGEST_POWER_DBM)
@@ -365,7 +365,7 @@ def covariance_db2(first: Origins, second: Origins, parameters: ChannelParameter
 def covariance_over_db2(
     distance_m: Floats, first: Origins, second: Origins, parameters: ChannelParameters
 ) -> Floats:
-    """Overwrite blurred distances (..., n, m) with the covariances of :func:`covariance_db2`."""
+    """Overwrite distances (..., n, m), position errors included, with covariances of powers."""
     covariance = decayed_db2(distance_m, parameters)
     if first.time_s is not None and second.time_s is not None:
         covariance *= ageing(first.time_s[..., :, None], second.time_s[..., None, :], parameters)
@@ -375,7 +375,7 @@ def covariance_over_db2(
 
 
 def offset_covariance_db2(first: Indices, second: Indices) -> Floats:
-    """Return the covariance (..., n, m) of receiver offsets at `first` and `second`."""
+    """Return the covariance (..., n, m) of the offsets of receivers `first` and `second`."""
     one, other = first[..., :, None], second[..., None, :]
     return np.where((one == other) & (one != 0), RECEIVER_OFFSET_STD_DB**2, 0.0)
 

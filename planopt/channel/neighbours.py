@@ -47,7 +47,7 @@ class PlaceTree:
         return len(self._x_m)
 
     def beside(self, centres_m: Floats, reach_m: float) -> Indices:
-        """Return indices of the centres (k, 2) with positions at most `reach_m` away in x."""
+        """Return indices of the centres (k, 2) that have a position within `reach_m` along x."""
         x = centres_m[:, 0]
         before = np.searchsorted(self._x_m, x - reach_m)
         return np.flatnonzero(before < np.searchsorted(self._x_m, x + reach_m, side="right"))
@@ -55,7 +55,7 @@ class PlaceTree:
     def nearest(
         self, centres_m: Floats, count: int, within_m: float = np.inf
     ) -> tuple[Indices, Floats]:
-        """Return the `count` positions nearest to each centre (k, 2), and their distances."""
+        """Return indices and distances of the `count` positions nearest to each centre (k, 2)."""
         # Both are ``(k, count)``, sorted; positions beyond `within_m` have index n.
         distances, indices = self._tree.query(centres_m, count, distance_upper_bound=within_m)
         # The tree drops the last axis for a single neighbour.
@@ -80,7 +80,7 @@ class PlaceIndex:
         return PlaceIndex(positions_m).grown(positions_m)
 
     def grown(self, positions_m: Floats) -> PlaceIndex:
-        """Return the index extended to `positions_m`, whose first rows are already in it."""
+        """Return the index of `positions_m`, which begin with those of this index."""
         treed = self._treed
         keep = len(positions_m) - treed <= max(MOST_UNTREED, UNTREED_SHARE * treed)
         return PlaceIndex(positions_m, self.tree if keep else PlaceTree(positions_m))
@@ -90,8 +90,8 @@ class PlaceIndex:
         centres_m: Floats,  # (k, 2)
         count: int,
     ) -> tuple[Indices, Floats]:
-        """Return the nearest positions (k, count), unsorted, and greatest squared distances."""
-        # If there are at most `count` positions, all are returned, with infinite distances.
+        """Return indices (k, count) of nearest positions, and largest squared distances (k,)."""
+        # Indices are unsorted. Up to `count` positions are all returned, with infinite distances.
         total = len(self.positions_m)
         if count >= total:
             everyone = np.broadcast_to(np.arange(total), (len(centres_m), total))
@@ -255,6 +255,6 @@ def _beyond_box_m2(own: Floats, others: Floats) -> Floats:
 
 
 def _to_any_m2(own: Floats, others: Floats) -> Floats:
-    """Return the squared distance (m,) of each point in `others` from its nearest in `own`."""
+    """Return the squared distance (m,) of each of `others` from the nearest point of `own`."""
     apart = others[:, None] - own
     return np.einsum("mbk,mbk->mb", apart, apart).min(axis=1)

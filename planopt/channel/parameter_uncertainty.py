@@ -295,7 +295,7 @@ def mean_squared_error_db2(
 
 
 def perturbed(parameters: ChannelParameters, name: str, relative_error: float) -> ChannelParameters:
-    """Return parameters with one of `PERTURBED` multiplied by 1 + `relative_error`."""
+    """Return `parameters` with the one called `name` multiplied by 1 + `relative_error`."""
     if not (math.isfinite(relative_error) and relative_error > -1.0):
         raise InputError(
             f"is {relative_error!r}, should be above -1 (-100 %)",

@@ -330,7 +330,7 @@ def extend(posterior: ChannelPosterior, more: Measurements) -> ChannelPosterior:
 
 
 def with_expected(posterior: ChannelPosterior, positions_m: Floats) -> ChannelPosterior:
-    """Return the posterior after fictitious measurements of the predicted power at n positions."""
+    """Return the posterior with the predicted powers at n positions added as measurements."""
     count = len(posterior.measurements) + len(positions_m)
     # Extending an existing factor is faster than conditioning on neighbours.
     limit = max(posterior.exact_limit, count) if posterior.has_factor else posterior.exact_limit
@@ -366,7 +366,7 @@ def at_time(posterior: ChannelPosterior, now_s: float) -> ChannelPosterior:
 
 
 def _append(posterior: ChannelPosterior, more: Measurements, sites: Sites) -> ChannelPosterior:
-    """Append measurements to the factor and whitened columns, or add them to Vecchia's sums."""
+    """Return the posterior with measurements added to its factor, or to Vecchia's sums."""
     parameters = posterior.parameters
     noise = np.maximum(sites.noise_variance_db2, MIN_NOISE_VARIANCE_DB2)
     noise += measured_path_loss_variance_db2(more, parameters)
@@ -411,7 +411,7 @@ def _append(posterior: ChannelPosterior, more: Measurements, sites: Sites) -> Ch
 
 
 def _with_theta(posterior: ChannelPosterior, products: Floats) -> ChannelPosterior:
-    """Return the posterior with theta estimated from `products` by the posterior's rule."""
+    """Return the posterior with theta estimated by its rule; known theta is kept."""
     if posterior.theta_known:
         return posterior
     theta, covariance = theta_estimate(posterior.parameters, products)

@@ -104,7 +104,7 @@ def _embedding(
     shape: tuple[int, int],
     step: float,  # Cell side in decorrelation distances
 ) -> tuple[tuple[int, int], Floats, float]:
-    """Return the torus' shape, a quarter of its eigenvalues, and the negative share."""
+    """Return the torus' shape, a quarter of its eigenvalues, and the share of negative ones."""
     ny, nx = shape
     torus = (2 * ny, 2 * nx)
     while True:

@@ -85,7 +85,7 @@ def from_correlation(
     count: int,
     bounds: CovarianceBounds,
 ) -> CovarianceFit:
-    """Return the covariance fit with omega^2 = alpha - xi^2 (equation 2.3), clipped to `bounds`."""
+    """Return the fit clipped to `bounds`; omega^2 = residual variance - xi^2 (equation 2.3)."""
     warnings: list[str] = []
     shadow = float(np.clip(shadow_variance_db2, *bounds.shadow_db2))
     shadow_error = errors[0] / (2.0 * math.sqrt(shadow))
@@ -130,7 +130,7 @@ Loss = Literal["squares", "huber", "absolute"]
 
 
 def require_method(method: str, key: str) -> FitMethod:
-    """Return `method`; raise an error that names the option `key` for an unknown method."""
+    """Return `method`; if it is unknown, raise an error that names the option `key`."""
     if method not in get_args(FitMethod):
         remedy = f"use {', '.join(get_args(FitMethod))}"
         raise InputError(
@@ -140,7 +140,7 @@ def require_method(method: str, key: str) -> FitMethod:
 
 
 def require_loss(loss: str, method: FitMethod, key: str) -> None:
-    """Raise an error that names the option `key` if the method does not support the loss."""
+    """Raise an error about the option `key` if `method` does not support `loss`."""
     if loss not in get_args(Loss):
         raise InputError(
             f"is {loss!r}, which is not a loss function",

@@ -53,7 +53,7 @@ def empirical_correlation(
     residual_db: Floats,  # (n,)
     extent_m: float,
 ) -> EmpiricalCorrelation:
-    """Return the mean product of residuals over all pairs of distinct measurements, by lag."""
+    """Return mean products of residuals over pairs of measurements, in bins of their distance."""
     width = extent_m / BINS
     count = len(residual_db)
     totals = np.zeros((3, BINS + 1))
@@ -104,7 +104,7 @@ class LogBins:
 def log_bins(
     correlation: EmpiricalCorrelation, alpha_db2: float, extent_m: float | None = None
 ) -> LogBins:
-    """Return the logarithmic bins of method ``lemma1``, or of ``capped`` if `extent_m` is set."""
+    """Return the bins and weights of ``lemma1``, or of ``capped`` if `extent_m` is not None."""
     r, weight = correlation.covariance_db2, correlation.pairs
     keep = (r > 0.0) & (r < alpha_db2)
     if extent_m is not None:
@@ -201,13 +201,13 @@ def nls_fit(
 
 
 def _scatter(bins: LogBins, intercept: float, rate_per_m: float) -> Floats:
-    """Return the residuals (b,) of the bins from a line, scaled by the roots of their weights."""
+    """Return the residuals (b,) of a line, times the square roots of the normalised weights."""
     scatter = bins.log_covariance - intercept + rate_per_m * bins.lag_m
     return np.sqrt(bins.weight / bins.weight.sum()) * scatter
 
 
 def _line_errors(bins: LogBins, intercept: float, squares: float) -> tuple[float, float]:
-    """Return standard errors of xi^2 and of the line's rate; ``inf`` for two bins."""
+    """Return standard errors of xi^2 and of the line's rate; infinite for fewer than three bins."""
     # `squares` is the sum of squared residuals, which are assumed independent between bins.
     count = len(bins.lag_m)
     if count < 3:
@@ -225,7 +225,7 @@ def _line_errors(bins: LogBins, intercept: float, squares: float) -> tuple[float
 
 
 def _weighed_by_line(bins: LogBins, intercept: float, rate: float) -> LogBins:
-    """Return the bins with weights: number of pairs times squared correlation on the line."""
+    """Return the bins, weighted by number of pairs times squared correlation on the line."""
     above = intercept - rate * bins.lag_m - bins.log_covariance
     # Relative to the largest to avoid overflow; only ratios of weights matter.
     return replace(bins, weight=bins.weight * np.exp(2.0 * (above - above.max())))

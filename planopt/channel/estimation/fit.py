@@ -147,7 +147,7 @@ def _by_assumption(data: _FitInput, reason: str) -> _Estimate:
 def _with_line(
     coefficients: Floats, data: _FitInput, covariance: CovarianceFit, notes: tuple[str, ...] = ()
 ) -> _Estimate:
-    """Return the estimate of a least-squares line with residual covariance `covariance`."""
+    """Return the estimate from a line's `coefficients` and the `covariance` of its residuals."""
     parameters = data.parameters(coefficients, covariance.values)
     spread = coefficient_covariance(data.model, data.measurements, parameters)
     return _Estimate(covariance, coefficients, spread, notes)
@@ -270,7 +270,7 @@ def floor_pile_dbm(power_dbm: Floats) -> float | None:
 
 
 def _is_pile(counts: Indices) -> bool:
-    """Return True if the frequency of the lowest power suggests a receiver's floor."""
+    """Return True if the count of the lowest power, `counts[0]`, suggests a receiver's floor."""
     pile, adjacent = int(counts[0]), int(counts[1 : 1 + PILE_NEIGHBOURS].max())
     if pile < LEAST_PILE:
         return False

@@ -42,7 +42,7 @@ class Identifiability:
     n_pl_reason: str | None  # Reason why n_PL cannot be estimated, or None
     covariance_reason: str | None  # Reason why xi, beta and omega cannot be estimated, or None
     extent_m: float  # Diagonal of the bounding box of all positions
-    rotated_extent_m: float  # Least diagonal of a rectangle around them, in any direction
+    rotated_extent_m: float  # Least diagonal of a bounding rectangle in any direction
     # Range of beta: a third of the smallest useful spacing to the extent
     decorrelation_bounds_m: tuple[float, float]
 
@@ -108,7 +108,7 @@ def _covariance_reason(positions: Floats, count: int) -> str | None:
 
 
 def _rotated_extent_m(positions_m: Floats) -> float:
-    """Return the least diagonal of a rectangle around positions (n, 2) and along their hull."""
+    """Return the least diagonal of bounding rectangles with a side along the convex hull."""
     hull = shapely.get_coordinates(shapely.convex_hull(shapely.MultiPoint(positions_m)))
     edges = np.diff(hull, axis=0)
     lengths_m = np.hypot(edges[:, 0], edges[:, 1])
@@ -211,7 +211,7 @@ def receiver_columns(measurements: Measurements) -> Floats:
 
 
 def _ridged_inverse(columns: Floats, free: int) -> Floats:
-    """Return the pseudoinverse (q, n) of `columns` (n, q), with a ridge from column `free` on."""
+    """Return the pseudoinverse (q, n) of `columns`, with a ridge for columns from index `free`."""
     if columns.shape[1] == free:
         return np.asarray(np.linalg.pinv(columns), dtype=np.float64)
     ridge = np.sqrt(OFFSET_RIDGE) * np.eye(columns.shape[1])[free:]

@@ -123,7 +123,7 @@ class LikelihoodData:
         return basis if len(basis) - basis.shape[1] >= LEAST_FREEDOM else mean
 
     def correlation(self, window: int, decorrelation_m: float) -> Floats:
-        """Return the correlation of shadowing within a window, age factor included."""
+        """Return the shadowing correlation in the window with index `window`, ageing included."""
         correlation = np.exp(self.distances_m[window] * (-1.0 / decorrelation_m))
         if self.origins.time_s is not None:
             times = self.origins.time_s[self.windows[window].rows]
@@ -138,7 +138,7 @@ def likelihood_data(
     as_interval: Mask | None = None,  # (n,); None for the censored ones
     block_decorrelation_m: tuple[float, float] | None = None,
 ) -> LikelihoodData:
-    """Return the measurements prepared for the likelihood, as one window or as blocks."""
+    """Return the likelihood data in one window, or in blocks if `block_decorrelation_m` is set."""
     chosen = measurements.censored if as_interval is None else as_interval
     origins = measured_origins(measurements, known).without_offsets()
     displaced = measured_path_loss_variance_db2(measurements, known)
@@ -209,7 +209,7 @@ class Precision:
     spread: Floats  # (q, q) S
 
     def projection(self) -> Floats:
-        """Return the projection P (n, n): the inverse covariance minus the regressors' part."""
+        """Return the projection P = V^-1 - V^-1 X S X' V^-1, as an array (n, n)."""
         whole = self.half + np.triu(self.half, 1).T
         return whole - self.weights @ self.spread @ self.weights.T
 
@@ -237,7 +237,7 @@ class LogNormal:
     deviation: float  # Standard deviation of log beta
 
     def added_to(self, at: Evaluation, beta: float) -> Evaluation:
-        """Return the evaluation `at` with the prior's logarithm at `beta` added."""
+        """Return the evaluation `at` plus the log-prior and its derivatives at `beta`."""
         apart = math.log(beta / self.median_m) / self.deviation
         gradient = at.gradient.copy()
         gradient[2] -= apart / (self.deviation * beta)
@@ -265,7 +265,7 @@ class RestrictedLikelihood:
         return at if self.prior is None else self.prior.added_to(at, covariance[2])
 
     def information(self, covariance: Covariance, at: Evaluation) -> Floats:
-        """Return the expected information (3, 3) at `covariance`, where `at` was evaluated."""
+        """Return the expected information (3, 3) at `covariance`; `at` is the evaluation there."""
         if at.precision is None:
             return at.information
         expected = _expected_information(self.data, covariance, at.precision.projection())
@@ -432,7 +432,7 @@ def _evaluation(
 def _with_sites(
     rows: IntervalRows, values: Floats, noise: Floats, sites: Sites
 ) -> tuple[Floats, Floats]:
-    """Return values (n,) and noise variances (n,) in which Gaussian sites replace the intervals."""
+    """Return values (n,) and noise variances (n,), with Gaussian sites in place of intervals."""
     values, noise = values.copy(), noise.copy()
     values[rows.rows] = sites.values_db
     noise[rows.rows] = sites.noise_variance_db2 + rows.displaced_db2

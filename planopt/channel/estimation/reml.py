@@ -131,7 +131,7 @@ def variances(logs: Floats) -> Covariance:
 def _starts(
     data: LikelihoodData, prior: LogNormal | None, bounds: CovarianceBounds, box: Floats
 ) -> list[Floats]:
-    """Return initial guesses: the maxima of the likelihood of a subset of the measurements."""
+    """Return initial guesses: the optima for a sample of the measurements."""
     taken = data.gaussian.copy()
     if data.is_whole:
         rows = np.flatnonzero(taken)
@@ -146,7 +146,7 @@ def _starts(
 
 
 def _grid_starts(sample: LikelihoodData, bounds: CovarianceBounds) -> list[Floats]:
-    """Return the best grid points and the local maxima over beta, with alpha profiled out."""
+    """Return the logarithms (3,) of local maxima over beta and of the best grid points."""
     low, high = bounds.decorrelation_m
     # The ends of the range are poor initial guesses, because the likelihood is flat there.
     betas = np.geomspace(low, high, START_DECORRELATIONS + 2)[1:-1]
@@ -167,7 +167,7 @@ def _grid_starts(sample: LikelihoodData, bounds: CovarianceBounds) -> list[Float
 def _modes(
     likelihood: RestrictedLikelihood, starts: Iterable[Floats], box: Floats, fine: float
 ) -> list[Mode]:
-    """Return the distinct optima reached from `starts`, without much less likely ones."""
+    """Return the distinct optima reached from `starts` that are nearly as likely as the best."""
     found = _distinct(likelihood, [_climbed(likelihood, start, box, fine) for start in starts])
     least = found[0].at.log_likelihood - NEARLY_AS_LIKELY
     return [mode for mode in found if mode.at.log_likelihood >= least]
@@ -194,7 +194,7 @@ def _climbed(
 
 
 def _distinct(likelihood: RestrictedLikelihood, modes: Iterable[Mode]) -> list[Mode]:
-    """Return the modes that do not share a ridge with a better mode, the best mode first."""
+    """Return the modes, best first, without those on the same ridge as a better mode."""
     kept: list[Mode] = []
 
     def is_on_ridge_of(better: Mode, mode: Mode) -> bool:

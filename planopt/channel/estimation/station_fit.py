@@ -238,7 +238,7 @@ def station_surface(
 
 
 def losses(surface: StationSurface, places_m: Floats) -> tuple[Floats, Floats]:
-    """Return the loss (m,) and path loss theta (m, 2) of stations at `places_m` (m, 2)."""
+    """Return the loss l (m,) and the best theta (m, 2) for stations at `places_m` (m, 2)."""
     # l is infinite where n_PL is below `MIN_N_PL`.
     dx = surface.positions_m[:, None, 0] - places_m[:, 0]
     dy = surface.positions_m[:, None, 1] - places_m[:, 1]
@@ -271,7 +271,7 @@ def _mean_jacobian(positions_m: Floats, station: Station, n_pl: float) -> Floats
 
 
 def gauss_newton(surface: StationSurface, position_m: Floats) -> tuple[float, Floats, Floats]:
-    """Return the loss of a station position, its gradient (2,) and approximate Hessian (2, 2)."""
+    """Return the loss l of a station position, its gradient (2,) and approximate Hessian (2, 2)."""
     # The gradient is exact, the curvature the Fisher information with theta unknown.
     station = surface.station(position_m)
     (loss,), (theta,) = losses(surface, np.asarray(position_m, dtype=np.float64)[None])

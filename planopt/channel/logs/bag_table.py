@@ -103,7 +103,7 @@ def _files_in(folder: Path) -> list[Path]:
 
 
 def read_messages(path: Path, is_wanted: Wanted) -> Iterator[Recorded]:
-    """Yield the messages of the wanted topics of a recording, or of all files in its folder."""
+    """Yield the messages of wanted topics in a recording file, or in all files of a folder."""
     try:
         from mcap_ros2.decoder import DecoderFactory
     except ImportError:
@@ -141,7 +141,7 @@ def _of_mcap(path: Path, factory: Any, is_wanted: Wanted) -> Iterator[Recorded]:
 
 
 def _decoder(factory: Any, encoding: str, schema: Any) -> Callable[[bytes], Any] | None:
-    """Return the decoder of a channel's messages; None if their encoding is unknown."""
+    """Return the decoder of messages with an encoding and schema; None if it is unknown."""
     if encoding == "json":
         return lambda data: json.loads(data, object_hook=lambda table: SimpleNamespace(**table))
     return factory.decoder_for(encoding, schema)
@@ -296,7 +296,7 @@ def _power_name(names: Sequence[str]) -> str | None:
 
 
 def _powers(message: Recorded) -> Iterator[_Reading]:
-    """Yield the power readings in a message: its own, and one per list entry."""
+    """Yield the powers in the fields of a message, and in each entry of its lists."""
     content = message.content
     lists: list[Any] = [value for _, value in _fields(content) if isinstance(value, list)]
     entries = [each for one in lists for each in one if isinstance(each, SimpleNamespace)]
@@ -315,7 +315,7 @@ def _powers(message: Recorded) -> Iterator[_Reading]:
 
 
 def _scalars(value: Any, head: str = "") -> Iterator[tuple[str, Any]]:
-    """Yield dotted names and values of a message's numbers and texts, except headers."""
+    """Yield dotted name and value of each number or text in a message, except in headers."""
     for name, each in _fields(value):
         if isinstance(each, int | float | str):
             yield head + name, each
@@ -383,7 +383,7 @@ def _transformed(messages: Sequence[Recorded]) -> Iterator[_Track]:
 
 
 def _rotated(turn: Floats, place: Floats) -> Floats:
-    """Return positions (n, 3) rotated by quaternions (n, 4) of any length."""
+    """Return positions (n, 3) rotated by quaternions (n, 4) of any norm."""
     turn = turn / np.linalg.norm(turn, axis=1, keepdims=True)
     twice = 2.0 * np.cross(turn[:, :3], place)
     return place + turn[:, 3:] * twice + np.cross(turn[:, :3], twice)

@@ -29,7 +29,7 @@ Ranked = Callable[[Sequence[str]], int]
 
 
 def read_sqlite(path: Path, rank: Ranked) -> LogTable:
-    """Read the table of an SQLite file whose column names best match a log."""
+    """Read, from an SQLite file, the table whose column names have the highest `rank`."""
     import sqlite3
 
     content = read_bytes(path)
@@ -115,7 +115,7 @@ def table_of_frame(frame: Any) -> LogTable:
 
 
 def _with_points(frame: Any, columns: dict[str, list[Any]]) -> dict[str, list[Any]]:
-    """Return the columns with positions replaced by the coordinates of the points."""
+    """Return the columns, with the frame's points in place of position columns."""
     points = frame.geometry
     if not (points.geom_type == "Point").all():
         raise InputError(

@@ -132,7 +132,7 @@ class LogTable:
 
     @cached_property
     def folded(self) -> dict[str, str]:
-        """Return the columns by their names reduced by :func:`fold`."""
+        """Return the column names, keyed by their reduced form (:func:`fold`)."""
         return {fold(name): name for name in reversed(self.names)}
 
 
@@ -173,7 +173,7 @@ def read_delimited(path: Path, preambles: Sequence[str] = ()) -> LogTable:
 
 
 def _lines(text: str, preambles: tuple[str, ...]) -> Iterator[tuple[int, str]]:
-    """Yield number and content of the header and of every row."""
+    """Yield line number and text of the header and of each row."""
     begun = False
     for number, line in enumerate(io.StringIO(text, newline=None), start=1):
         # Tabs at the end of a line are empty cells.

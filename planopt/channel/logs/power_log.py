@@ -187,7 +187,7 @@ def measurements_of(table: LogTable, columns: LogColumns, log_format: LogFormat)
 
 
 def _power_unit(name: str, power: Floats) -> str:
-    """Return the unit of powers that a column's name or the values show."""
+    """Return the unit of powers, inferred from the column name or else from the values."""
     if name.lower().endswith("mw"):
         return "mW"
     # A receiver measures less than 0 dBm, which is 1 mW.
@@ -206,7 +206,7 @@ def _from_milliwatts(cells: Sequence[Cell], power: Floats) -> Floats:
 
 
 def _position_std_m(table: LogTable, columns: LogColumns, log_format: LogFormat) -> Floats:
-    """Return the standard deviation of each position, from its cell or else the format."""
+    """Return each position's standard deviation (n,), from its accuracy cell, else the format."""
     if columns.accuracy is None:
         return np.full(len(table.rows), log_format.position_std_m)
     cells = table.numbers(columns.accuracy)
@@ -241,7 +241,7 @@ def _positions_m(table: LogTable, x: Floats, y: Floats, log_format: LogFormat) -
 def at_file_line(
     error: InputError, path: Path | str, log_format: LogFormat = DEFAULT_FORMAT
 ) -> InputError:
-    """Convert an error about a measurement's index into one about the log's line."""
+    """Return `error` with the line of the log in place of the index of the measurement."""
     line = error.row
     if line is not None:
         line = _selected(Path(path), log_format)[0].rows[line][0]
@@ -326,13 +326,13 @@ FEWEST_READINGS = 20
 def transmitters_of(
     source: Source, column: str, log_format: LogFormat = DEFAULT_FORMAT
 ) -> dict[str, int]:
-    """Return the transmitters named in a column with the number of their readings."""
+    """Return the number of readings of each transmitter named in a column."""
     table, _ = _selected(source, log_format)
     return labels_of(table, column)
 
 
 def labels_of(table: LogTable, column: str) -> dict[str, int]:
-    """Return the labels in a column with the number of their rows, most frequent first."""
+    """Return the number of rows of each label in a column, most frequent first."""
     counts: dict[str, int] = {}
     for cell in table.cells(column):
         label = cell.label()

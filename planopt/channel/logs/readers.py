@@ -104,7 +104,7 @@ def known_readers() -> dict[str, LogReader]:
 
 
 def _likeness(names: Sequence[str]) -> int:
-    """Return a score for the similarity of column names to a log, largest for known programs."""
+    """Score how well column names match those of a log; known programs score highest."""
     table = LogTable(None, tuple(names), ())
     known = [len(each.signature) for each in known_readers().values() if _is_of(table, each)]
     roles = [("x", "y"), ("longitude", "latitude")]
@@ -159,7 +159,7 @@ def columns_of(table: LogTable, log_format: LogFormat) -> LogColumns:
 def _position_columns(
     table: LogTable, log_format: LogFormat, x: str | None, y: str | None
 ) -> tuple[bool, str, str]:
-    """Return whether positions are in degrees, and the two columns that hold positions."""
+    """Return whether positions are in degrees, and the names of the two position columns."""
     degrees = [alias(table, role) for role in DEGREES]
     metres = [alias(table, role) for role in ("x", "y")]
     in_degrees = None not in degrees and (
@@ -190,7 +190,7 @@ def _reader_of(table: LogTable, log_format: LogFormat) -> tuple[str, LogReader] 
 
 
 def readings_of(table: LogTable, columns: LogColumns) -> LogTable:
-    """Return the table without rows that lack a reading, for known logging programs."""
+    """Return the table without rows that lack position or power, if a known program wrote it."""
     reader = columns.reader
     if reader is None:
         return table
@@ -206,7 +206,7 @@ def readings_of(table: LogTable, columns: LogColumns) -> LogTable:
 
 
 def _is_zero(text: str) -> bool:
-    """Return True for a zero, which programs write before the first position fix."""
+    """Return True for a zero coordinate: programs write zeros before the first position fix."""
     return not text.strip().strip("+-0.,")
 
 

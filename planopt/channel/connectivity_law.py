@@ -165,7 +165,7 @@ class KnownPower:
     most_dbm: Floats
 
     def replace_in(self, power: Prediction) -> Prediction:
-        """Return `power`; known rows are clipped to their bounds and have zero deviation."""
+        """Return `power`; known rows are clipped to their bounds, with zero standard deviation."""
         if not len(self.rows):
             return power
         mean, deviation = power.mean_db.copy(), power.deviation_db.copy()

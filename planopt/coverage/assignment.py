@@ -22,7 +22,7 @@ NONE = -1
 
 
 def demanded(demand: Demand, agents: int) -> int:
-    """Return the demand for a network of `agents` agents; raise `InputError` if it is invalid."""
+    """Evaluate `demand` for a network of `agents` agents; raise `InputError` if it is invalid."""
     wanted = demand(agents)
     if wanted != int(wanted) or not 0 <= wanted <= agents:
         raise InputError(
@@ -34,7 +34,7 @@ def demanded(demand: Demand, agents: int) -> int:
 
 
 def table_demand(steps: Mapping[int, int]) -> Demand:
-    """Return a demand: the value in `steps` of its largest key not above the number of agents."""
+    """Return a step function of the number n of agents: `steps` at its largest key up to n."""
     entries = sorted(steps.items(), reverse=True)
     return lambda agents: next((wanted for number, wanted in entries if number <= agents), 0)
 
@@ -86,7 +86,7 @@ class Flags:
     flagged: Mask  # (n,) whether the agent responds to the event
     messages: int  # Number of transmissions over single links
     history: Mask  # (changes + 1, n) flags at first and after each round that changed a list
-    lists: tuple[Indices, ...]  # n lists of agent numbers, each list nearest first
+    lists: tuple[Indices, ...]  # n lists of agent indices, each list nearest first
 
 
 def propagate_flags(
@@ -151,7 +151,7 @@ def propagate_flags(
 
 
 def fair_shares(demands: Indices, agents: int) -> Indices:
-    """Return the number of agents per event: the demand, reduced if demands exceed `agents`."""
+    """Return the number of agents per event: its demand, reduced if the sum exceeds `agents`."""
     # Agents go one by one to the event with the smallest fulfilled share of its demand (max-min
     # fairness in lexicographic order). Ties go to the smaller demand, then to the smaller event
     # number.
@@ -164,7 +164,7 @@ def fair_shares(demands: Indices, agents: int) -> Indices:
 
 
 def deferred_acceptance(distances_m: Floats, demands: Indices) -> Indices:
-    """Return the event of each agent, or `NONE`, in a stable assignment of agents to events."""
+    """Return the index of each agent's event, or `NONE`, in a stable assignment."""
     # Shapes: distances_m (n, k), infinite for agents that are not requested; demands (k,).
     # In each round every event requests as many agents as it lacks, nearest first and none twice.
     # Every agent keeps the nearest event among its requests and rejects the others. Ties go to the

@@ -81,8 +81,8 @@ class Estimate:
 
     @property
     def std_m(self) -> float:
-        """Return the root of the trace of the estimate's position covariance."""
-        # The distance to the farthest rival maximum is added in quadrature.
+        """Return the standard deviation of the estimated position in metres."""
+        # The root of the covariance trace plus, in quadrature, the distance of the farthest rival.
         rivals_m = np.linalg.norm(self.value.rivals_m - self.value.position_m, axis=1)
         spread_m = float(rivals_m.max(initial=0.0))
         return math.hypot(math.sqrt(float(np.trace(self.value.covariance_m2))), spread_m)
@@ -97,10 +97,10 @@ class Belief:
     readings: Readings
     held: Mask  # (n, r) readings that each agent holds
     estimates: tuple[Estimate, ...]  # Estimates that agents hold, of ascending rank
-    chosen: Indices  # (n,) number of each agent's estimate; `NONE` for agents without one
+    chosen: Indices  # (n,) index of each agent's estimate; `NONE` for agents without one
     heard: Indices  # (n,) step of the last detection that the agent knows of
-    since: Indices  # (n,) last step in which readings refuted the estimate, as the agent knows
-    doubts: Indices  # (n, n) contradicted readings of each sensor (column) that each agent knows of
+    since: Indices  # (n,) last step known to the agent in which readings refuted an estimate
+    doubts: Indices  # (n, n) number of bad readings of each sensor (column) known to each agent
 
     @classmethod
     def none(cls, agents: int) -> Belief:
@@ -129,11 +129,11 @@ class Belief:
 
     @property
     def best(self) -> int:
-        """Return the number of the estimate of highest rank; `NONE` without any estimate."""
+        """Return the index of the estimate of highest rank; `NONE` without any estimate."""
         return int(self.chosen.max(initial=NONE))
 
     def groups(self, agents: Mask) -> list[tuple[Estimate, Indices]]:
-        """Return each distinct estimate among the agents of a mask (n,), with these agents."""
+        """Return the distinct estimates of the agents in a mask (n,), each with its agents."""
         found = [
             (estimate, np.flatnonzero(agents & (self.chosen == number)))
             for number, estimate in enumerate(self.estimates)
@@ -240,7 +240,7 @@ def doubt_sensors(
     asks: Mask,
     step: int,
 ) -> Belief:
-    """Test a step's readings at all requesting agents, and drop refuted knowledge."""
+    """Test the step's readings at requesting agents; drop readings that are faulty or outdated."""
     doubts, since = belief.doubts.copy(), belief.since.copy()
     now = belief.held & (belief.steps == step)
     for rows, agents in _groups(now, asks & now.any(axis=1)):
@@ -343,7 +343,7 @@ def share_estimates(
     known = np.column_stack((belief.chosen, belief.heard, belief.since, belief.doubts[:, doubted]))
 
     def merge(senders: Indices, receivers: Indices) -> Mask:
-        """Keep the highest rank, latest times and most doubts of each receiver and its senders."""
+        """Raise each receiver's rank, times and doubts to the maximum over its senders."""
         before = known.copy()
         np.maximum.at(known, receivers, before[senders])
         return np.asarray((known != before).any(axis=1), dtype=np.bool_)
@@ -373,7 +373,7 @@ class Response:
 
     states: Indices  # (n,) event that each agent responds to; `NONE` if it covers
     shares: Indices  # (n, k) number of agents that each agent expects to respond to each event
-    wanted: Indices  # (k,) demand of each event, as the nearest agent that knows it sees it
+    wanted: Indices  # (k,) demand of each event, evaluated by the nearest agent that knows it
     teams: tuple[Team, ...]
     messages: int
 
@@ -388,7 +388,7 @@ def choose_teams(
     states: Indices,  # (n,) event that each agent responded to in the last step
     hysteresis_m: float,
 ) -> Response:
-    """Assign agents to events, each by its own belief and its lists of nearest agents."""
+    """Let each agent choose its event from its own belief and its lists of nearest agents."""
     agents, events = len(counts), len(beliefs)
     known = np.array([belief.known for belief in beliefs]).reshape(events, agents).T
     distances = np.full((agents, events), np.inf)
@@ -468,7 +468,7 @@ def misfit_level(readings: Readings, sensing: Sensing, event: EventEstimate) -> 
 
 
 def faulty_reading(readings: Readings, sensing: Sensing, hull: ConvexRegion) -> int:
-    """Return the index of the reading that the others of its step contradict; `NONE` if none.
+    """Return the index of the reading that contradicts the other readings, else `NONE`.
 
     The test is that of equation (7.22).
 
@@ -498,7 +498,7 @@ def faulty_reading(readings: Readings, sensing: Sensing, hull: ConvexRegion) -> 
         ]
     )
     best, second = np.sort(rest)[:2]
-    # If two readings explain the misfit nearly as well, the fault cannot be told.
+    # If removal of either of two readings fits nearly as well, the fault is ambiguous.
     found = every - best > OUTLIER and second - best > RIVAL
     return int(rest.argmin()) if found else NONE
 

@@ -137,7 +137,7 @@ def certified(
     prices_m2: Floats,  # (m,) at most the square of the sensing range
     count: int,
 ) -> float:
-    """Return the lower bound, at least 0, that arbitrary prices of the cells prove."""
+    """Return the lower bound, at least 0, for `prices_m2`; any prices give a valid bound."""
     half, settled = 0.5 * sides_m, 0.0
     gains = _largest_gains(middles_m, half, cells, prices_m2)
     for _ in range(SPLITS):
@@ -155,12 +155,12 @@ def certified(
 
 
 def _sums(numbers: Indices, values: Floats | Mask, count: int) -> Floats:
-    """Return the sum of `values` for each number below `count`."""
+    """Return the sums (count,) of `values` with equal index in `numbers`."""
     return np.asarray(np.bincount(numbers, values, count), dtype=np.float64)
 
 
 def _first_prices(ground: Ground, places_m: Floats) -> Prices:
-    """Return initial prices: squared radii of discs with the cost of a deployment's cells."""
+    """Return initial prices: squared radii of discs with the mean squared distance of the cells."""
     # The second nearest agent, which a single one lacks, is not used.
     agents = np.repeat(places_m, 2, axis=0) if len(places_m) == 1 else places_m
     two, count = ground.two_nearest(agents), len(agents)
@@ -195,7 +195,7 @@ def _squares(middles_m: Floats, sides_m: Floats) -> NDArray[np.object_]:
 
 
 def _touches(ground: Ground, middles_m: Floats, sides_m: Floats) -> Mask:
-    """Return a mask (b,) of the squares that contain some position of the free area."""
+    """Return a mask (b,) of the squares that intersect the free area."""
     free = ground.free
     shapely.prepare(free)
     return np.asarray(shapely.intersects(free, _squares(middles_m, sides_m)), dtype=np.bool_)
@@ -243,7 +243,7 @@ def _cells_of_nodes(ground: GeodesicGround, middles_m: Floats, sides_m: Floats) 
 def _pairs(
     middles_m: Floats, half_m: Floats, cells: Cells, prices_m2: Floats
 ) -> Iterator[tuple[Indices, Indices]]:
-    """Yield (box, cell) pairs; all cells nearer to a box than the root of their price occur."""
+    """Yield (box, cell) index pairs, at least those closer than the root of the cell's price."""
     # The price in m^2 is the squared distance up to which an agent gains from the cell.
     radius, middle = np.sqrt(prices_m2), 0.5 * (cells.low_m + cells.high_m)
     extent = 0.5 * np.linalg.norm(cells.high_m - cells.low_m, axis=1)
@@ -267,8 +267,8 @@ class Candidates:
     """Pairs of an agent's position and a cell that may contribute to the position's gain."""
 
     count: int  # Number of positions
-    box: Indices  # (e,) position
-    cell: Indices  # (e,) cell
+    box: Indices  # (e,) index of the position
+    cell: Indices  # (e,) index of the cell
     away_m2: Floats  # (e,) mean squared distance
 
 

@@ -79,7 +79,7 @@ def free_ring_places(
 
 
 def _errors(information: Floats) -> Floats:
-    """Return the trace (...) of the position covariance for each information matrix (..., d, d)."""
+    """Return the traces (...) of position covariances, given information matrices (..., d, d)."""
     covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
     return np.asarray(covariance[..., 0, 0] + covariance[..., 1, 1], dtype=np.float64)
 

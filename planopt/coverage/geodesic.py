@@ -72,7 +72,7 @@ class GeodesicGround:
         return Cover(cells.cost, geodesic_targets(self, agents, cells), cells.mass)
 
     def two_nearest(self, agents_m: Floats) -> TwoNearest:
-        """Return the nodes, their nearest agents and, approximately, the second nearest."""
+        """Return nodes with squared distances to the two nearest agents, the second approximate."""
         agents = self.nearest(agents_m)
         cells = geodesic_cells(self, agents)
         area, nodes, owner = self.area, self.ends_m, cells.owner
@@ -129,7 +129,7 @@ class GeodesicGround:
         return self.area.distances_m(self.nearest(agents_m), self.nearest(places_m))
 
     def steered(self, agents_m: Floats, places_m: Floats, share: float) -> Floats:
-        """Return targets (n, 2) on the first leg of each agent's shortest path to its position."""
+        """Return targets (n, 2); moves by `share` toward them follow shortest paths."""
         starts = self.nearest(agents_m)
         turn, length = self.area.first_turns_m(starts, self.nearest(places_m))
         leg = turn - starts
@@ -270,7 +270,7 @@ def polygon_boundaries(pieces: NDArray[np.object_], nodes_m: Floats) -> Boundary
 class GeodesicCells:
     """Geodesic Voronoi cells: the agent nearest to each node by the shortest path."""
 
-    owner: Indices  # (m,) number of the nearest agent; of coincident agents the smallest number
+    owner: Indices  # (m,) index of the nearest agent; of coincident agents, the smallest index
     distance_m: Floats  # (m,) length of the shortest path to the nearest agent
     cost: float  # The coverage cost H
     mass: Floats  # (n,) mass of each agent's cell
@@ -326,7 +326,7 @@ def geodesic_cells(ground: GeodesicGround, agents_m: Floats) -> GeodesicCells:
 
 
 def geodesic_targets(ground: GeodesicGround, agents_m: Floats, cells: GeodesicCells) -> Floats:
-    """Return a target per agent, on a free straight line toward the centre of its cell."""
+    """Return targets (n, 2) toward the cells' centres; moving to them never raises the cost."""
     # The step is the mean over the cell of path length times initial path direction; without
     # obstacles that is ``C - p``. It ends before an obstacle or slides to the nearest free
     # position. It is halved until it lowers the cost of the agent's own cell, so moving all agents
@@ -350,7 +350,7 @@ def geodesic_targets(ground: GeodesicGround, agents_m: Floats, cells: GeodesicCe
 
 
 def _nearest(tree: KDTree, places: Floats, count: int) -> Indices:
-    """Return the numbers (k, count) of the agents nearest to positions (k, 2), nearest first."""
+    """Return the indices (k, count) of the agents nearest to positions (k, 2), nearest first."""
     found = tree.query(places, k=count)[1]
     return np.asarray(found, dtype=np.intp).reshape(len(places), count)
 

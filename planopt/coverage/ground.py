@@ -82,7 +82,7 @@ class TwoNearest:
 
     samples_m: Floats  # (m, 2)
     mass: Floats  # (m,)
-    owner: Indices  # (m,) number of the nearest agent
+    owner: Indices  # (m,) index of the nearest agent
     first_m2: Floats  # (m,) at most the square of the sensing range
     second_m2: Floats
 
@@ -149,8 +149,8 @@ class ConvexGround:
         return np.linalg.norm(agents_m[:, None] - places_m, axis=2)
 
     def steered(self, agents_m: Floats, places_m: Floats, share: float) -> Floats:
-        """Return targets (n, 2) on each agent's shortest path to its position."""
-        # Targets lie along the first leg; `share` of the distance stays on it.
+        """Return targets (n, 2): `places_m` themselves, as shortest paths are straight."""
+        # The result does not depend on `share`; it does on grounds with obstacles.
         return places_m
 
 

@@ -29,7 +29,7 @@ class StationMap:
     failures: Floats
 
     def near(self, starts_m: Floats, ends_m: Floats) -> Floats:
-        """Return the largest failure probability (n, s) of each base station near each line."""
+        """Return the largest failure probability (n, s) of links to each station on each line."""
         worst = np.ones((len(starts_m), len(self.posteriors)))
         for row, start, end in zip(worst, starts_m, ends_m, strict=True):
             met = line_distances_m(self.nodes_m, start, end)[1] <= self.radius_m
@@ -51,7 +51,7 @@ def station_map(
     threshold_dbm: float,
     bounds_m: tuple[float, float, float, float],  # (x_min, y_min, x_max, y_max)
 ) -> StationMap:
-    """Return maps of the probability that each base station's power is below a threshold."""
+    """Return a map of the probabilities that each station's power is below a threshold."""
     x_min, y_min, x_max, y_max = bounds_m
     side = max(x_max - x_min, y_max - y_min) / NODES
     x, y = np.arange(x_min, x_max + side, side), np.arange(y_min, y_max + side, side)

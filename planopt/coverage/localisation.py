@@ -262,7 +262,7 @@ def _refined(
 
 
 def _inside(region: ConvexRegion, positions: Floats) -> Floats:
-    """Return positions (j, 2) projected into the region, side by side."""
+    """Return positions (j, 2) projected onto the half-plane of each side in turn."""
     moved = positions.copy()
     for _ in range(3):
         for normal, offset in zip(region.normals, region.offsets_m, strict=True):

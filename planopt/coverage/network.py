@@ -125,7 +125,7 @@ class Counting(Part):
 
 
 def elect_leader(network: Network, identities: Indices) -> tuple[int, int]:
-    """Elect the agent with the largest identity ``(n,)``; return it and the number of messages."""
+    """Elect the agent with the largest of `identities`; return its index and the message count."""
     # An agent sends after it has received a larger identity.
     best, leader = identities, int(identities.argmax())
     sender, receiver = network.directed
@@ -211,7 +211,7 @@ class Tally:
     members: Mask  # (n,) mask of the members in the last step
     values: Floats  # (n, m) values of the agents
     estimates: Floats  # (n,) each member's estimate of their number; NaN for others
-    leader: int = -1  # Number of the leading agent; -1 for none
+    leader: int = -1  # Index of the leading agent; -1 for none
     done: int = 0  # Completed rounds of the present epoch
     messages: int = 0  # Transmissions over single links in the last step, including lost ones
 

@@ -129,7 +129,7 @@ Relocation = tuple[int, int, Floats]
 
 
 def _relocations(ground: Ground, places: Floats) -> tuple[list[Relocation], list[Relocation]]:
-    """Return relocations with estimated gains, best first, and candidates for single moves."""
+    """Return relocations to apply together, best first, and others to try one at a time."""
     near = ground.two_nearest(places)
     count, mass = len(places), np.where(near.mass > 0.0, near.mass, 0.0)
     losses = np.bincount(near.owner, mass * (near.second_m2 - near.first_m2), minlength=count)
@@ -173,7 +173,7 @@ class Deployer:
         self._places = np.zeros((0, 2))  # Their targets
 
     def places_m(self, agents: Indices, here_m: Floats) -> Floats:
-        """Return target positions (k, 2) for covering agents with ascending numbers (k,)."""
+        """Return target positions (k, 2) of the covering agents with ascending indices (k,)."""
         if not np.array_equal(agents, self._agents):
             # After a change, the search starts from the old targets and newcomers' positions.
             first = here_m.copy()

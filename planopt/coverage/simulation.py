@@ -75,7 +75,7 @@ class Scene:
     speed_up_s: float = 0.0  # Time of double integrators from rest to full speed; 0 for others
 
     def due(self, time_s: float) -> Mask:
-        """Return a mask (n,) of the agents that are scheduled as members at a time."""
+        """Return a mask (n,) of the agents whose scheduled membership includes `time_s`."""
         return (self.joins_s <= time_s) & (time_s < self.leaves_s)
 
     def members(self, time_s: float, places_m: Floats, before: Mask) -> Mask:
@@ -122,13 +122,13 @@ class NetworkRun:
     # (T,) largest distance to a target; for an agent that is held back, the smaller distance for
     # which the law gives the same move; turning and speeding up count as moves
     residuals_m: Floats
-    counts: Floats  # (T, n) estimate by each agent of the number of members; NaN for absent agents
+    counts: Floats  # (T, n) each agent's estimate of the number of members; NaN for absent agents
     # (T, k) demand for the count of the nearest agent that knows the event; else 0
     wanted: Indices
     # (T, k, 2) best estimate of any agent, and (T, k) its standard deviation; NaN if unknown
     estimates_m: Floats
     stds_m: Floats
-    beliefs_m: Floats  # (T, k, n, 2) position that each agent believes; NaN if it knows no event
+    beliefs_m: Floats  # (T, k, n, 2) each agent's estimate of the event's position; NaN without one
     # (T, k, 3) best estimate: readings, step of the earliest, step made; 0 if unknown
     sources: Indices
     readings: tuple[Floats, ...]  # (k,) arrays (r, 4): step, position in metres, and signal
@@ -303,7 +303,7 @@ class NetworkController:
         )  # fmt: skip
 
     def _aims(self, here_m: Floats, targets_m: Floats, responds: Mask, who: Indices) -> Aims:
-        """Return the members' targets over the horizon, from their neighbours' plans."""
+        """Return the members' targets over the horizon, from the last plans of all members."""
         scene, mover = self.scene, self._mover
         horizon = mover.horizon if isinstance(mover, RecedingMover) else 1
         if horizon == 1 or self._deployer is not None or responds.all():

@@ -1,4 +1,4 @@
-"""Verifier of a network's whole moves and event estimates, independent of planner and estimator."""
+"""Verifier of a network's moves and event estimates, independent of planner and estimator."""
 
 import math
 from collections.abc import Callable
@@ -100,7 +100,7 @@ def _border_faults(free: shapely.Polygon, swept: NDArray[np.object_], keep_m: fl
 def _contacts(
     swept: NDArray[np.object_], corners: Floats, least_m: float, timed: bool
 ) -> list[Fault]:
-    """Return faults of pairs of agents within `least_m`, at equal times if `timed` is true."""
+    """Return a fault for each pair of agents within `least_m`, at equal times if `timed`."""
     tree = shapely.STRtree(swept)
     pairs = tree.query(swept, predicate="dwithin", distance=least_m)
     found: list[Fault] = []
@@ -233,7 +233,7 @@ def estimate_fault(
     moves, loud = model.speed_std_m_s is not None, not model.strength_known
 
     def residuals(values: Floats) -> Floats:
-        """Return scaled residuals for `values`: position, velocity and strength."""
+        """Return normalised residuals; `values` are position, velocity and strength."""
         velocity = values[2:4] if moves else np.zeros(2)
         offset = positions_m - (values[:2] - ages_s[:, None] * velocity)
         strength = values[-1] if loud else model.strength

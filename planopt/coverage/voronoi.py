@@ -117,7 +117,7 @@ class Polygons:
 
     @property
     def polygon_of(self) -> Indices:
-        """Return the polygon number (v,) of each corner."""
+        """Return the polygon index (v,) of each corner."""
         return np.repeat(np.arange(len(self.first) - 1), np.diff(self.first))
 
     @property
@@ -137,7 +137,7 @@ class Cells:
 
     region: ConvexRegion  # Partitioned region
     generators_m: Floats  # (g, 2) distinct agent positions
-    cell_of: Indices  # (n,) number of each agent's cell
+    cell_of: Indices  # (n,) index of each agent's cell
     multiplicity: Indices  # (g,) number of agents that share the cell
     inside: Polygons  # Cells clipped to the region
     # Unclipped cells in coordinates that centre the region and give it radius 1
@@ -167,7 +167,7 @@ def voronoi_cells(region: ConvexRegion, agents_m: Floats) -> Cells:
 
 
 def adjacent_cells(cells: Cells) -> Indices:
-    """Return pairs ``(e, 2)`` of cells with a common edge in the region, smaller number first."""
+    """Return index pairs ``(e, 2)`` of cells with a common edge in the region, smaller first."""
     diagram = cells.unclipped
     start, stop = diagram.corners_m, diagram.corners_m[diagram.following]
     # Both cells of an edge have the same two corners, so its midpoint is identical to the bit.
@@ -185,7 +185,7 @@ def adjacent_cells(cells: Cells) -> Indices:
 
 
 def agent_neighbours(cells: Cells) -> Indices:
-    """Return pairs ``(e, 2)`` of agents that are Voronoi neighbours, smaller number first."""
+    """Return index pairs ``(e, 2)`` of agents that are Voronoi neighbours, smaller first."""
     # Coincident agents are neighbours of each other and share all other neighbours.
     adjacent = adjacent_cells(cells)
     count = len(cells.generators_m)
@@ -203,7 +203,7 @@ def agent_neighbours(cells: Cells) -> Indices:
 
 
 def merge_coincident(places_m: Floats, within_m: float) -> tuple[Floats, Indices]:
-    """Merge points linked by gaps up to `within_m`; return merged points and group numbers."""
+    """Merge points linked by gaps up to `within_m`; return them and each point's new index (n,)."""
     # Shapes: places_m (n, d); returns (g, d) and (n,).
     tree = KDTree(places_m)
     pairs, count = tree.query_pairs(within_m, output_type="ndarray"), len(places_m)
@@ -257,7 +257,7 @@ class Boundary:
     # Cells are star-shaped: they contain the straight line from the centre to each of their points.
 
     centres_m: Floats  # (g, 2) agent position of each cell
-    cell: Indices  # (e,) number of the cell of each piece
+    cell: Indices  # (e,) index of each piece's cell
     start_m: Floats  # (e, 2) both ends of each piece, relative to the cell's centre
     end_m: Floats
     # (e,) angle in rad between both ends of an arc about the centre; 0 if straight

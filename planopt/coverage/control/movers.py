@@ -101,7 +101,7 @@ def law_moves(
 
 
 def _clipped_moves(agents: Floats, targets: Floats, share: Floats, most_m: float) -> Floats:
-    """Return end points of moves over a share (n,) of the distance to the targets."""
+    """Return end points of moves toward targets by a share (n,), limited to length `most_m`."""
     move = share[:, None] * (targets - agents)
     length = np.linalg.norm(move, axis=1)
     return agents + move * np.minimum(1.0, most_m / np.where(length > 0.0, length, 1.0))[:, None]
@@ -145,7 +145,7 @@ def foreseen_aims(
     most_m: float,  # Largest length of a move
     partition: Partition = "all",
 ) -> Aims:
-    """Return aims at the centroids of the cells of planned positions, extended by the law."""
+    """Return aims at future cell centroids, computed from the positions that agents planned."""
     found, places = held_aims(targets_m, horizon), agents_m
     covers, ends = ~responds, np.where(responds[:, None], agents_m, targets_m)
     for step in range(horizon):

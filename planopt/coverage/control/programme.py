@@ -116,7 +116,7 @@ def _solve_block(programmes: Programmes, planes: Mask, discs: Mask, moves: Mask)
     upper = hessian * np.tile(np.triu(np.ones((2 * size, 2 * size))), (count, 1))
 
     def sparse(dense: Floats, owner: Indices) -> Any:
-        """Return a sparse matrix of the rows of `dense`, each in the columns of its owner."""
+        """Return a sparse matrix: row i of `dense`, in the columns of agent ``owner[i]``."""
         row, column = np.nonzero(dense)
         at = row, owner[row] * 2 * size + column
         return csc_array(coo_array((dense[row, column], at), (len(dense), count * 2 * size)))

@@ -129,7 +129,7 @@ class GeodesicGround:
         return self.area.distances_m(self.nearest(agents_m), self.nearest(places_m))
 
     def steered(self, agents_m: Floats, places_m: Floats, share: float) -> Floats:
-        """Return targets (n, 2); moves by `share` toward them follow shortest paths."""
+        """Return targets (n, 2); moves by `share` to them follow shortest paths to `places_m`."""
         starts = self.nearest(agents_m)
         turn, length = self.area.first_turns_m(starts, self.nearest(places_m))
         leg = turn - starts

@@ -112,7 +112,7 @@ class Case:
 
     @property
     def moved(self) -> float:
-        """Return how far the evader moves while a record ages, per metre of its distance."""
+        """Return the evader displacement during a record's age, per metre of distance."""
         return self.age_s_m * self.evader_m_s
 
     @property
@@ -141,7 +141,7 @@ class Case:
         return distance_m + self.evader_m_s * max(self.age_s_m * distance_m, self.least_age_s)
 
     def least_distance_m(self, bound_m: Floats) -> Floats:
-        """Return the smallest sampled distances for distance bounds; inverts :meth:`start_m`."""
+        """Return the sampled distances at which :meth:`start_m` equals `bound_m`, at least 0."""
         moved_m = self.evader_m_s * self.least_age_s
         return np.maximum(0.0, np.minimum(bound_m / (1.0 + self.moved), bound_m - moved_m))
 
@@ -201,7 +201,7 @@ def next_bound_m(theorem: Theorem, case: Case, before_m: Floats) -> Floats:
 
 
 def floor_m(theorem: Theorem, case: Case) -> float:
-    """Return the largest distance bound without guaranteed reduction; infinite without premises."""
+    """Return the largest bound without guaranteed reduction; infinite if a premise fails."""
     if not all(each.holds for each in premises(theorem, case)):
         return math.inf
     if theorem is Theorem.SNAPSHOTS:
@@ -253,7 +253,7 @@ class DesignData:
     record_bits: float
     slots_per_frame: int
     slot_blocks: int
-    margin: float  # Minimum distance of a + x from 1 if no capture radius is required
+    margin: float  # Minimum of 1 - contraction - staleness if no capture radius is required
     first_distance_m: float | None
     capture_radius_m: float | None
     deadline_s: float | None
@@ -317,7 +317,7 @@ class Claim:
 
 
 def flaws_of(loss_probability: float, unnamed: bool) -> tuple[Inequality, ...]:
-    """Return the premises of every theorem that losses or unnamed reports violate."""
+    """Return the premises, common to all theorems, that losses or unnamed reports violate."""
     shares = {
         "share of lost records": loss_probability,
         "share of records without the evader's name": float(unnamed),

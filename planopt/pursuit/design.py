@@ -134,7 +134,7 @@ class MoteNetwork(Table):
     def power_w(
         self, slot_width_s: float, bits_per_axis: float, rate_divisor: float = 1.0
     ) -> float:
-        """Return the network's power in W; if r > 1, motes sleep except in every r-th round."""
+        """Return the network's power in W; motes sleep except in every `rate_divisor`-th round."""
         lasts_s = self.slots_per_frame * slot_width_s * rate_divisor
         sent_w = self.energy_j_per_bit * self.frame_bits(bits_per_axis) / lasts_s
         return self.motes * (sent_w + self.idle_w)
@@ -163,7 +163,7 @@ class DesignTask:
 
     network: MoteNetwork
     chase: Chase
-    margin: float = 0.01  # delta: minimum distance of a + x from 1
+    margin: float = 0.01  # delta: minimum of 1 - contraction - staleness
     bits_per_axis: int | None = None  # c; None to optimise it
     first_distance_m: float | None = None  # From the pursuer to the evader's first sample
     capture_radius_m: float | None = None  # None without this requirement
@@ -171,7 +171,7 @@ class DesignTask:
 
     @property
     def bits(self) -> Iterable[int]:
-        """Return the candidate numbers of bits."""
+        """Return the candidate numbers of bits per axis."""
         return range(1, MAX_BITS + 1) if self.bits_per_axis is None else (self.bits_per_axis,)
 
     @property
@@ -220,7 +220,7 @@ def cheapest_design(task: DesignTask) -> Design:
 
 
 def cheapest_rated_design(task: DesignTask) -> Design:
-    """Return the minimum-power design by Lemma III.3 if only every r-th round takes place."""
+    """Return the minimum-power design by Lemma III.3, with the rate divisor optimised as well."""
     # Ages are then at most ``6 (1 + r) eta_s s_w`` frames per spacing. Short slots with infrequent
     # rounds cost down to half as much as long slots, provided that motes sleep in between.
     return _scan(task, partial(_rated_candidate, task))
@@ -301,7 +301,7 @@ def _scan(
     candidate: Callable[[int], _Found],
     objective: Callable[[Design], float] = lambda design: design.cost_w,
 ) -> Design:
-    """Return the best design over all numbers of bits; raise the error of the closest failure."""
+    """Return the best design over all numbers of bits; if all fail, raise the closest failure."""
     designs: list[Design] = []
     failures: list[tuple[_FailedError, int]] = []
     for c in task.bits:

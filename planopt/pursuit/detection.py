@@ -34,7 +34,7 @@ MAX_REPORTS = 40
 class Report:
     """Report of an unnamed detection."""
 
-    sample: int  # Number of the sample time, in periods of level 0
+    sample: int  # Sample time as a multiple of the level-0 period
     level: int
     record: Record
 
@@ -50,7 +50,7 @@ class _Ledger:
 
 
 class AssociatedRecords:
-    """Records of pursuers whose motes detect imperfectly and do not know which evader they see.
+    """Records from motes that detect imperfectly and do not know which evader they see.
 
     Each pursuer collects the reports of its local motes and associates them with the evaders.
     """
@@ -135,7 +135,7 @@ class AssociatedRecords:
         ledger.starts = starts
 
     def associated(self, starts: Sequence[Report], reports: Sequence[Report]) -> list[int]:
-        """Return the evader (k,) of each report in ascending samples, or -1 for a false alarm."""
+        """Return the evader index of each report in time order, or -1 for a false alarm."""
         count, nodes = len(starts), [*starts, *reports]
         before, after, worth = self._links(nodes, count)
         owners = [*range(count), *[-1] * len(reports)]
@@ -147,7 +147,7 @@ class AssociatedRecords:
         return owners[count:]
 
     def _links(self, nodes: Sequence[Report], count: int) -> tuple[Indices, Indices, Floats]:
-        """Return pairs of nodes within reach of each other, and the worth of each pair."""
+        """Return indices of earlier and later nodes within reach, and the weights of the links."""
         sample = np.array([each.sample for each in nodes])
         level = np.array([each.level for each in nodes])
         # Evaders rest before time 0.
@@ -174,7 +174,7 @@ class AssociatedRecords:
 def _best_chains(
     before: Indices, after: Indices, worth: Floats, starts: int, reports: int
 ) -> NDArray[np.int64]:
-    """Return the indices of the links in the chains of greatest total worth."""
+    """Return the indices of the links in the disjoint chains of maximum total weight `worth`."""
     # Rows: at most one link to each report, none from it without one to it, one from each start.
     links = np.arange(len(worth))
     left = np.where(before >= starts, reports + before - starts, 2 * reports + before)

@@ -90,7 +90,7 @@ class Guarantee:
 
     @cached_property
     def floor_m(self) -> float:
-        """Return the largest bound without guaranteed decrease; infinite without premises."""
+        """Return the largest bound without guaranteed decrease; infinite if an inequality fails."""
         if self.levels is not None:
             return self.levels.floor_m() if self.holds else math.inf
         floor_m = _floor_m(self.stages) if self.holds else math.inf
@@ -252,7 +252,7 @@ def contraction(speed_ratio: float, relative_error: float) -> float:
 
 
 def staleness(chase: Chase, bounds: ServiceBounds) -> float:
-    """Return how far the evader moves while a record ages, per metre of its distance."""
+    """Return the evader displacement during a record's age, per metre of distance."""
     return bounds.age_s_m * chase.evader_speed_m_s
 
 
@@ -306,7 +306,7 @@ def _start_m(chase: Chase, bounds: ServiceBounds, sampled_m: float) -> float:
 
 
 def _least_distance_m(chase: Chase, bounds: ServiceBounds, bound_m: Floats) -> Floats:
-    """Return the smallest sampled distances for distance bounds; inverts :func:`_start_m`."""
+    """Return the sampled distances at which :func:`_start_m` equals `bound_m`, at least 0."""
     moved_m = chase.evader_speed_m_s * bounds.age_floor_s
     return np.maximum(
         0.0, np.minimum(bound_m / (1.0 + staleness(chase, bounds)), bound_m - moved_m)

@@ -70,7 +70,7 @@ class LevelBounds:
         return np.where(wait_s > 0.0, bound_m, -np.inf), np.maximum(wait_s, 0.0)
 
     def _level(self, bound_m: Floats) -> Indices:
-        """Return the coarsest level whose record a stage with this initial bound may use."""
+        """Return the coarsest level whose record a stage with initial bound `bound_m` may use."""
         return np.searchsorted(self._least_m, bound_m, side="right") - 1
 
     def start_m(self, distance_m: float) -> float:

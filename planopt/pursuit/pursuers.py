@@ -112,7 +112,7 @@ def _driven_m(arena: Arena, place_m: Floats, aims_m: Floats, range_m: float) -> 
 def _capture_s(
     hunt: Hunt, pursuers_m: Floats, speed_m_s: float, evaders_m: Floats, velocity: Floats
 ) -> Floats:
-    """Return the times for pursuers to capture evaders that flee along straight lines."""
+    """Return the times in which pursuers capture evaders that flee along straight lines."""
     # The root s of |apart + velocity s| = speed s + radius.
     apart = evaders_m - pursuers_m[:, None, None]
     radius_m = hunt.capture_radius_m
@@ -235,7 +235,7 @@ class PursuerView:
     time_s: float  # Current time
     step_s: float  # Time until the next decision
     state: Floats  # State of the pursuer
-    ask: Callable[[Record | None], Record | None]  # Local record, given the one in use
+    ask: Callable[[Record | None], Record | None]  # Local record as a function of the record in use
     mates: Sequence[Mate] = ()  # Other pursuers of the same evader
 
     @property

@@ -176,7 +176,7 @@ class Snapshot:
         return np.asarray((np.abs(own - self.cells) <= 1).all(axis=1), dtype=np.bool_)
 
     def level_map(self) -> NDArray[np.int8]:
-        """Return the level (n, n) of each mote's report; rows are y."""
+        """Return the level (n, n) of the report that each mote uses; the first axis is y."""
         # The level is -1 if none shows the object, which happens only on endless grids.
         side = self.service.motes_per_side
         found = np.full((side, side), -1, dtype=np.int8)
@@ -213,7 +213,7 @@ def snapshot(service: SnapshotService, track: Track, time_s: float) -> Snapshot:
 
 
 def mote_centres_m(service: SnapshotService) -> Floats:
-    """Return the position (n, n, 2) of every mote; rows are y."""
+    """Return the position (n, n, 2) of every mote; the first axis is y."""
     along = (np.arange(service.motes_per_side) + 0.5) * service.mote_spacing_m
     return np.asarray(np.stack(np.meshgrid(along, along), axis=-1), dtype=np.float64)
 
@@ -288,7 +288,7 @@ def record_floods(
     rule: UpdateRule,
     receivers: Sequence[tuple[Track, float]] = (),  # Tracks and speeds of pursuers, for directed
 ) -> Iterator[tuple[int, int, NDArray[np.int64], bool, NDArray[np.int64]]]:
-    """Yield level, round, cell, presence of an object, and the area of motes of each flood."""
+    """Yield level, round index, cell, presence of the object and area of motes of each flood."""
     # An area (2, 2) has first and last column and row; each of its motes sends the report once.
     # Directed updates also send an unchanged report if it serves motes that have not received it.
     # All receivers of a report learn that the object left its cell.
@@ -328,9 +328,9 @@ def _served(
     sampled_s: Floats,
     receivers: Sequence[tuple[Track, float]],
 ) -> NDArray[np.int64]:
-    """Return the parts (k, 2, 2) of areas that contain the head and where receivers may be."""
+    """Return the smallest parts (k, 2, 2) of areas with the head and all possible receivers."""
     # Receivers announce their positions at each sample, and a report is used until the next round
-    # ends. The first mote of a part is beyond its last mote if nobody is served.
+    # ends. The first mote of a part is beyond its last mote if no receiver is in it.
     lasts_s = service.rounds_s[level] + service.periods_s[level]
     low, high = np.full((2, *heads.shape), [[[1 << 62]], [[-(1 << 62)]]])
     for track, speed_m_s in receivers:
@@ -353,7 +353,7 @@ MOST_SIMULATED_LEVELS = 7
 
 
 def peak_blocks_per_frame(border_relays: bool, levels: int, sparse: bool = False) -> int:
-    """Return a slot capacity in blocks that is sufficient to send all records at once."""
+    """Return a slot capacity in blocks with which no record has to wait."""
     # One evader changes two cells of a level at most, whose reports a mote sends once each.
     if sparse:
         return 2 * (levels + 1)
@@ -505,7 +505,7 @@ class _Round:
     def _parts(
         self, load: NDArray[np.int64]
     ) -> Iterator[tuple[tuple[slice, ...], NDArray[np.int64]]]:
-        """Yield the index of each of the nine cells around a head, and the load of its motes."""
+        """Yield the index of each of the nine cells around a head, and its motes' load."""
         cell, count = self._cell, self._count
         motes = load.reshape(count, cell, count, cell).transpose(0, 2, 1, 3)
         ranges = [

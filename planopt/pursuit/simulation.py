@@ -112,7 +112,7 @@ class Pursuit:
         return "captured" if np.isfinite(self.capture_s).all() else "step_limit"
 
     def blocks(self, service: SnapshotService, rule: UpdateRule) -> int:
-        """Return the number of blocks that flood the evaders' reports under an update rule."""
+        """Return the number of blocks sent to flood the reports on all evaders under `rule`."""
         receivers = [
             (Track(self.times_s, states[:, :2]), each.motion.speed_max_m_s)
             for states, each in zip(self.pursuers, self.scene.pursuers, strict=True)

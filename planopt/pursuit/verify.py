@@ -60,11 +60,11 @@ class Service:
         return self.rate_divisor * self.rounds_s
 
     def ended(self, times_s: Floats) -> Floats:
-        """Return the number of the last round of each level (k, L + 1) that ended by times (k,)."""
+        """Return the index (k, L + 1) of each level's last round that ended by times (k,)."""
         return np.floor((times_s[:, None] - self.rounds_s) / self.periods_s + 1e-9)
 
     def reporting(self, seen: Indices, claim: tuple[float, Floats, float]) -> Mask:
-        """Return a mask (L + 1,) of the levels that report motes (L + 1, 2) as a record claims."""
+        """Return a mask (L + 1,) of the levels whose report on motes `seen` matches the claim."""
         fine = np.maximum(0, np.arange(self.levels + 1) - self.bits_per_axis)
         side_m = self.mote_spacing_m * 2.0**fine
         report_m = ((seen >> fine[:, None]) + 0.5) * side_m[:, None]
@@ -346,7 +346,7 @@ def _mote(service: Service, places_m: Floats) -> Indices:
 
 
 def _near(motes: Indices, seen: Indices) -> Mask:
-    """Return a mask (k, L + 1) of the levels whose cells of motes (k, 2) and (L + 1, 2) touch."""
+    """Return a mask (k, L + 1) of levels at which cells of `motes` and `seen` are neighbours."""
     level = np.arange(len(seen))[:, None]
     apart = (motes[:, None] >> level) - (seen >> level)
     return np.asarray(np.abs(apart).max(axis=-1) <= 1, np.bool_)

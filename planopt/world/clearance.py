@@ -56,7 +56,7 @@ def clearance_m(index: ObstacleIndex, positions_m: Floats) -> Floats:
 
 
 def swept_clearance_m(index: ObstacleIndex, path_m: Floats) -> Floats:
-    """Return the exact distance of each segment of a path (n, 2) to the nearest obstacle."""
+    """Return the exact distances (n - 1,) of the segments of a path to the nearest obstacle."""
     return segment_clearance_m(index, path_m[:-1], path_m[1:])
 
 

@@ -35,7 +35,7 @@ def parse_origin(text: str, key: str = "--origin") -> Origin:
 
 
 def require_points(text: str, key: str, third: str) -> None:
-    """Raise an InputError if three numbers may be two with decimal commas, in degrees."""
+    """Raise an InputError if a text of three parts may be two numbers with decimal commas."""
     parts = text.split(",")
     if len(parts) == 3 and not ("." in parts[0] and "." in parts[1]):
         raise InputError(

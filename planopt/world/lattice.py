@@ -118,7 +118,7 @@ def _centred(index: ObstacleIndex, parts: NDArray[np.object_], longest_m: float)
 def narrow_passages(
     workspace: Workspace, index: ObstacleIndex, radius_m: float, required_m: float
 ) -> NDArray[np.object_]:
-    """Return the parts of the free space that connect wider parts, but hold no disc."""
+    """Return the parts of free space that connect wider parts but are too narrow for the disc."""
     covered = shapely.union_all(shapely.buffer(index.polygons, required_m))
     box = shapely.box(*workspace.bounds_m)
     free = box.difference(covered)
@@ -151,7 +151,7 @@ MOVES: NDArray[np.int64] = np.array([(0, 0), *_FORWARD, *((-dx, -dy) for dx, dy 
 MOVES.flags.writeable = False
 
 REVERSE: Indices = np.r_[0, 11:21, 1:11]
-"""(21,) number of the move that reverses each move."""
+"""(21,) index of the move that reverses each move."""
 
 
 MAX_NODES = 10_000_000
@@ -215,7 +215,7 @@ def _open_passages(
     step_m: float,
     clearance_m: float,
 ) -> None:
-    """Open exactly the collision-free moves of at most a step from and to moved nodes."""
+    """Set moves to and from moved nodes: open if collision-free and at most a step long."""
     start = np.repeat(moved, len(MOVES), axis=0)
     end = (moved[:, None] + MOVES[:, ::-1]).reshape(-1, 2)
     move = np.tile(np.arange(len(MOVES)), len(moved))
@@ -244,7 +244,7 @@ def moves_from(
     reach_m: float,
     clearance_m: float,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Mask]:
-    """Return the nodes (iy, ix) in reach, and a mask of the nodes on collision-free lines."""
+    """Return indices iy and ix of nodes in reach, and a mask of those on collision-free lines."""
     ny, nx = lattice.shape
     place = (position_m - lattice.origin_m) / lattice.spacing_m
     reach = reach_m / lattice.spacing_m + 0.5
@@ -356,7 +356,7 @@ class RoadMap:
     nodes_m: Floats  # (n, 2) positions
     rows: Indices  # (n,) lattice indices iy, ix
     columns: Indices
-    number: Indices  # (ny, nx) node number, -1 if not free
+    number: Indices  # (ny, nx) node index, -1 if not free
     # (n, 21) node from which each of `MOVES` arrives here; n if the move is blocked
     sources: Indices
     lengths_m: Floats  # (21,) lengths of the moves between regular nodes
@@ -470,7 +470,7 @@ def node_at(road_map: RoadMap, place_m: Floats) -> int:
 def nodes_in_reach(
     road_map: RoadMap, index: ObstacleIndex, position_m: Floats, reach_m: float, clearance_m: float
 ) -> tuple[Indices, Floats]:
-    """Return the nodes that a straight move from a position (2,) reaches, and their distances."""
+    """Return indices and distances of the nodes that a straight move from a position reaches."""
     rows, columns, clear = moves_from(index, road_map.lattice, position_m, reach_m, clearance_m)
     nodes = road_map.number[rows[clear], columns[clear]]
     nodes = nodes[nodes >= 0]

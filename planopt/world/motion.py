@@ -375,7 +375,7 @@ def chord_distances_m(first: TimedMotion, second: TimedMotion) -> Floats:
 
 
 def least_gap(first: TimedMotion, second: TimedMotion, taken_m: Floats) -> tuple[float, int]:
-    """Return the least distance of two motions minus `taken_m` (n,), and its step."""
+    """Return the minimum over n steps of distance minus `taken_m` (n,), and its step index."""
     # Steps are evaluated in the order of their lower bounds.
     steps = len(taken_m)
     one, other = first.lasting(steps), second.lasting(steps)
@@ -457,7 +457,7 @@ def joined_discs(first: MovingDiscs, second: MovingDiscs) -> MovingDiscs:
 
 
 def passing_gaps_m(discs: MovingDiscs, step: int, starts_m: Floats, ends_m: Floats) -> Floats:
-    """Return the excess (m, ...) of straight motions during `step` over the required distance."""
+    """Return distances to discs minus required ones (m, ...), for straight motions in `step`."""
     # Shapes: starts_m, ends_m (..., 2).
     shape = (len(discs), *([1] * (starts_m.ndim - 1)), 2)
     before = discs.centres_m[:, step].reshape(shape)

@@ -245,7 +245,7 @@ def _polygons(closed: Mask, grid: OccupancyGrid) -> NDArray[np.object_]:
 
 
 def _outlines(edges: _Edges) -> tuple[Indices, Indices]:
-    """Return the edges that end at turns, outline by outline, and each outline's first index."""
+    """Return the edges that end at turns, by outline, and where each outline starts in them."""
     turning = edges.following.copy()
     while (straight := ~edges.turns[turning]).any():
         # Pointer jumping: each round doubles the length of skipped straight runs.

@@ -152,7 +152,7 @@ class _BoundedBytes(io.BytesIO):
 
 
 def _read_classic(path: Path, content: bytes, variable: str) -> _Read:
-    """Return y, x and the variable of a NetCDF-3 file, its attributes and reference system."""
+    """Return y, x and `variable` of a NetCDF-3 file, and the variable's attributes and CRS."""
     from scipy.io import netcdf_file
 
     class Reader(netcdf_file):
@@ -171,7 +171,7 @@ def _read_classic(path: Path, content: bytes, variable: str) -> _Read:
 
 
 def _read_hdf5(path: Path, content: bytes, variable: str) -> _Read:
-    """Return y, x and the variable of a NetCDF-4 file, its attributes and reference system."""
+    """Return y, x and `variable` of a NetCDF-4 file, and the variable's attributes and CRS."""
     try:
         import h5netcdf
         import h5py
@@ -335,7 +335,7 @@ def read_geotiff(path: Path, variable: str, origin_deg: Origin | None = None) ->
 
 
 def _placed(values: Floats, transform: Any, variable: str, quantity: str, unit: str) -> Raster:
-    """Return the raster of values whose axis-parallel cells a transform places."""
+    """Return the raster of `values` with cells placed by an axis-parallel transform."""
     rows, columns = values.shape
     with np.errstate(all="ignore"):  # non-finite coordinates
         x = transform.c + transform.a * (np.arange(columns) + 0.5)
@@ -506,7 +506,7 @@ def write_npz(path: Path, rasters: Mapping[str, Raster], origin_deg: Origin | No
 
 
 def read_npz_raster(path: Path, variable: str) -> Raster:
-    """Return one variable of an ``npz`` file, or of a Sionna RT map that has cell centres."""
+    """Return a variable of an ``npz`` file; with cell centres, the file is a Sionna RT map."""
     if CENTRES in npz_names(path):
         return read_sionna_map(path, variable)
     x, y, values = npz_arrays(path, ("x", "y", variable))

@@ -269,7 +269,7 @@ def _building(name: str, value: Any) -> Obstacle:
 
 
 def _require_metres(table: dict[str, object], obstacles: list[Obstacle]) -> None:
-    """Raise an InputError for GeoJSON in degrees, which RFC 7946 prescribes."""
+    """Raise an InputError for GeoJSON in degrees, the unit that RFC 7946 prescribes."""
     if not obstacles:
         return
     named = DEGREES.search(json.dumps(table.get("crs")))

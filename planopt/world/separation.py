@@ -133,7 +133,7 @@ class SeparatingLines:
     start_offsets: Floats
 
     def rows(self, kept_m: float) -> Floats:
-        """Return normals, end offsets and start offsets (s, c, 4), shifted by `kept_m`."""
+        """Return lines (s, c, 4): normal, and offsets at end and start, increased by `kept_m`."""
         kept = np.where(np.isfinite(self.gaps), kept_m, 0.0)
         offsets = np.stack([self.offsets + kept, self.start_offsets + kept], axis=2)
         return np.concatenate([self.normals, offsets], axis=2)
@@ -264,7 +264,7 @@ def _candidates(
 def _best_lines(
     pieces: PackedPieces, starts_m: Floats, ends_m: Floats, piece: NDArray[np.int64]
 ) -> tuple[Floats, Floats, Floats]:
-    """Return normals (p, 2), offsets (p,) and gaps (p,) of the best line of each pair."""
+    """Return normal (p, 2), offset (p,) and gap (p,) of the line of largest gap for each pair."""
     # The gap of a unit normal n is ``min(n . a, n . b) - max(n . v)``. Its maximum over n is the
     # distance of the convex sets, or minus their penetration depth. The maximiser is a normal of an
     # edge of the piece, a normal of the segment, or, if two vertices are nearest, the direction to

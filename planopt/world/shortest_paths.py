@@ -103,7 +103,7 @@ def path_lengths_m(paths: ShortestPaths, places_m: Floats) -> Floats:
 
 
 def turns_m(paths: ShortestPaths, place_m: Floats) -> Floats | None:
-    """Return the turns and the end (k, 2) of the path to `place_m`; None without path."""
+    """Return the turns and the end (k, 2) of the path to `place_m`; None if there is none."""
     length, last = _last_turns(paths, place_m[None])
     if not np.isfinite(length[0]):
         return None
@@ -115,7 +115,7 @@ def turns_m(paths: ShortestPaths, place_m: Floats) -> Floats | None:
 
 
 def _last_turns(paths: ShortestPaths, places_m: Floats) -> tuple[Floats, Indices]:
-    """Return the path length to each position (n, 2), and the number of its last corner or -1."""
+    """Return the path length to each position (n, 2), and the last corner's index or -1."""
     length, last = np.full(len(places_m), np.inf), np.full(len(places_m), -1, dtype=np.intp)
     open_ = np.flatnonzero(is_near_joined(paths, places_m, 0.0))
     for corner in range(-1, len(paths.corners_m)):
@@ -132,7 +132,7 @@ def _last_turns(paths: ShortestPaths, places_m: Floats) -> tuple[Floats, Indices
 
 
 def grown(polygons: NDArray[np.object_], by_m: float, inner: bool) -> NDArray[np.object_]:
-    """Return polygons (n,) inflated by `by_m`, or with `inner` by at most `by_m`."""
+    """Return polygons (n,) inflated by `by_m`; with `inner`, corners are bevelled."""
     if by_m <= 0.0:
         return polygons
     if inner:
@@ -164,7 +164,7 @@ def corners_m(polygons: NDArray[np.object_], free: bool = False) -> Floats:
 def _lengths_to_corners(
     closed: shapely.STRtree, start_m: Floats, corners_m: Floats, radius_m: float
 ) -> tuple[Floats, Indices]:
-    """Return path lengths to corners and their previous corners, on a lazily built graph."""
+    """Return path lengths to corners, and the index of the corner before each (-1: none)."""
     length = np.full(len(corners_m), np.inf)
     before = np.full(len(corners_m), -1, dtype=np.intp)
     left = np.ones(len(corners_m), dtype=np.bool_)
@@ -235,7 +235,7 @@ class FreeArea:
         return self.sees(starts, ends).reshape(count, other)
 
     def to_corners_m(self, starts_m: Floats) -> tuple[Floats, Indices]:
-        """Return path lengths (n, c) from positions to corners, and each path's first corner."""
+        """Return path lengths (n, c) from positions to corners, and indices of first corners."""
         # Lengths are infinite for a position that sees no corner.
         away = np.linalg.norm(starts_m[:, None] - self.corners_m, axis=2)
         away[~self.sees_each(starts_m, self.corners_m)] = np.inf

@@ -44,7 +44,7 @@ def any_score(scores: Floats) -> Floats:
 
 
 def any_score_derivatives(scores: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return z, its gradient (m, ...) and Hessian for finite scores (m, ...) (equation 3.4)."""
+    """Return combined score z, gradient (m, ...) and Hessian in finite `scores` (equation 3.4)."""
     none_each = _log_normal(-scores)
     none = none_each.sum(axis=0)
     z = _score(_log_any(scores), none)

@@ -73,7 +73,7 @@ def truncated_normal(upper: Floats, width: Floats) -> TruncatedNormal:
 
 
 def _half_line(upper: Floats) -> TruncatedNormal:
-    """Return mean and variance of standard normal variables truncated above at `upper`."""
+    """Return the moments of standard normal variables truncated above at `upper` (m,)."""
     hazard = np.sqrt(2.0 / np.pi) / np.asarray(erfcx(-np.sqrt(0.5) * upper), dtype=np.float64)
     return TruncatedNormal(
         np.asarray(log_ndtr(upper), dtype=np.float64), -hazard, 1.0 - hazard * (upper + hazard)
@@ -318,7 +318,7 @@ def intervals(measurements: Measurements) -> Intervals:
 
 @one_blas_thread()
 def gaussian_sites(parameters: ChannelParameters, measurements: Measurements) -> Sites:
-    """Replace censored and coarsely rounded measurements by Gaussian ones."""
+    """Return the measurements, with censored and coarsely rounded ones replaced by sites."""
     # An upper limit among strong readings is more informative than one among weak ones.
     omega2 = parameters.multipath_std_db**2
     values = measurements.power_dbm.astype(np.float64)

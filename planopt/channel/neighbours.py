@@ -76,11 +76,11 @@ class PlaceIndex:
 
     @staticmethod
     def of(positions_m: Floats) -> PlaceIndex:
-        """Return the index of `positions_m` (n, 2)."""
+        """Return a nearest-neighbour index of `positions_m` (n, 2)."""
         return PlaceIndex(positions_m).grown(positions_m)
 
     def grown(self, positions_m: Floats) -> PlaceIndex:
-        """Return the index of `positions_m`, which begin with those of this index."""
+        """Return an index of `positions_m`; their first rows must be this index's positions."""
         treed = self._treed
         keep = len(positions_m) - treed <= max(MOST_UNTREED, UNTREED_SHARE * treed)
         return PlaceIndex(positions_m, self.tree if keep else PlaceTree(positions_m))

@@ -111,7 +111,7 @@ def prefix_probabilities(
 
 
 def _products(bound: Floats, lower: Floats, uniform: Floats) -> Floats:
-    """Return cumulative products (h,) of conditional probabilities, averaged over a lattice."""
+    """Return cumulative products (h,) of conditional probabilities, averaged over `uniform`."""
     # Products are stored as logarithms, so that improbable prefixes do not underflow.
     samples, count = len(uniform), len(bound)
     drawn = np.zeros((samples, count))

@@ -85,7 +85,7 @@ class Flags:
 
     flagged: Mask  # (n,) whether the agent responds to the event
     messages: int  # Number of transmissions over single links
-    history: Mask  # (changes + 1, n) flags at first and after each round that changed a list
+    history: Mask  # (changes + 1, n) initial flags, and those after each round that changes a list
     lists: tuple[Indices, ...]  # n lists of agent indices, each list nearest first
 
 

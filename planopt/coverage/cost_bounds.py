@@ -285,7 +285,7 @@ def _candidates(cells: Cells, places_m: Floats, most_m2: Floats) -> Candidates:
 def _soft_loss(
     logarithms: Floats, cells: Cells, at: Candidates, count: int, heat: float
 ) -> tuple[float, Floats]:
-    """Return the negative of a smoothed bound, relative to the mass, and its gradient (m,)."""
+    """Return minus the smoothed bound per mass, and its gradient (m,) in `logarithms`."""
     prices, mass = np.exp(logarithms), cells.mass[at.cell]
     room = np.maximum(prices[at.cell] - at.away_m2, 0.0)
     gains = _sums(at.box, mass * room, at.count)
@@ -306,7 +306,7 @@ def _optimised(
     most_m2: float,
     effort_s: float,
 ) -> Floats:
-    """Return prices (m,) that maximise the bound over the candidates."""
+    """Return prices (m,) that maximise the bound for agents at candidate positions."""
     prices, top = prices_m2, 0.0
     for smoothing in SMOOTHINGS:
         limit = np.minimum(GROWTH * prices, most_m2)

@@ -168,7 +168,7 @@ def checked_mass(region: ConvexRegion, density: Density) -> float:
 
 
 def fan_moments(density: Callable[[Floats], Floats], boundary: Boundary, patch_m: float) -> Moments:
-    """Integrate a density over cells by Gauss quadrature."""
+    """Return the moments of a density over cells by Gauss quadrature."""
     # Patches with `NODES` by `NODES` points cover the sectors of the boundary pieces.
     u, v, angle = boundary.start_m, boundary.end_m, boundary.angle
     reach = np.sqrt(np.maximum((u * u).sum(axis=1), (v * v).sum(axis=1)))
@@ -201,7 +201,7 @@ def fan_moments(density: Callable[[Floats], Floats], boundary: Boundary, patch_m
 
 
 def _rays(u: Floats, v: Floats, angle: Floats, t: Floats) -> tuple[Floats, Floats]:
-    """Return points (p, k, 2) on boundary pieces at given parameters, and Jacobians (p,)."""
+    """Return points (p, k, 2) on boundary pieces at parameters `t`, and area factors (p,)."""
     rays = u[:, None] + t[..., None] * (v - u)[:, None]
     stretch = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
     arcs = np.flatnonzero(angle)
@@ -213,7 +213,7 @@ def _rays(u: Floats, v: Floats, angle: Floats, t: Floats) -> tuple[Floats, Float
 
 
 def _summed(boundary: Boundary, *values: Floats) -> list[Floats]:
-    """Return the sums (g,) over each cell of several values (e,) of the boundary pieces."""
+    """Return, for each of `values` (e,) of boundary pieces, the sums (g,) over each cell."""
     count = len(boundary.centres_m)
     sums = (np.bincount(boundary.cell, value, minlength=count) for value in values)
     return [np.asarray(one, dtype=np.float64) for one in sums]
@@ -379,7 +379,7 @@ def _gauss(nodes: int) -> tuple[Floats, Floats]:
 
 
 def _between(edges: Floats, start: Floats, end: Floats) -> tuple[Indices, Indices]:
-    """Return pairs of an interval and a grid line strictly inside it."""
+    """Return index pairs of an interval and a grid line strictly inside it."""
     low, high = np.minimum(start, end), np.maximum(start, end)
     begin = np.searchsorted(edges, low, side="right")
     counts = np.maximum(np.searchsorted(edges, high, side="left") - begin, 0)

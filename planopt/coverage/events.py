@@ -27,7 +27,7 @@ def ring_angles(count: int) -> Floats:
 
 
 def ring_places(agents_m: Floats, event_m: Floats, radius_m: float) -> Floats:
-    """Return a position on the ring for each agent, preserving their order around the event."""
+    """Return a position (k, 2) on the ring per agent, in the agents' order around the event."""
     # Shapes: agents_m (k, 2); event_m (2,).
     offset = agents_m - event_m
     angle = np.arctan2(offset[:, 1], offset[:, 0])
@@ -85,7 +85,7 @@ def _errors(information: Floats) -> Floats:
 
 
 def _nearest_slots(agents_m: Floats, places_m: Floats) -> Floats:
-    """Return the positions (k, 2), ordered by the agents to which they are matched."""
+    """Return the positions (k, 2) in the order of the agents that are matched to them."""
     squares = ((agents_m[:, None] - places_m) ** 2).sum(axis=2)
     return places_m[cast("Indices", linear_sum_assignment(squares)[1])]
 

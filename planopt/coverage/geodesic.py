@@ -356,7 +356,7 @@ def _nearest(tree: KDTree, places: Floats, count: int) -> Indices:
 
 
 def _own_cost(ground: GeodesicGround, agents: Floats, owner: Indices, wanted: Indices) -> Floats:
-    """Return the coverage cost (n,) of each agent's cell, or 0 for agents that are not wanted."""
+    """Return the coverage cost (n,) of each agent's cell; 0 for agents not in `wanted`."""
     chosen = np.zeros(len(agents), dtype=np.bool_)
     chosen[wanted] = True
     nodes = np.flatnonzero(chosen[owner])

@@ -126,7 +126,7 @@ class ConvexGround:
         return Cover(found.cost, found.centroids_m, found.mass)
 
     def two_nearest(self, agents_m: Floats) -> TwoNearest:
-        """Return sample points on a grid with their two nearest agents."""
+        """Return sample points on a grid, with squared distances to the two nearest agents."""
         low, high = self.region.corners_m.min(axis=0), self.region.corners_m.max(axis=0)
         along = (np.arange(SAMPLES) + 0.5) / SAMPLES
         grid = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)

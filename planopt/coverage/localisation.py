@@ -201,7 +201,7 @@ def _starts(sensor: EventSensor, readings: Readings, grid: Floats, strength_know
 def _linearised(
     sensor: EventSensor, readings: Readings, drift: Drift | None, values: Floats
 ) -> tuple[Floats, Floats]:
-    """Return residuals (b, r) divided by the noise, and derivatives (b, r, 5) of the signals."""
+    """Return normalised residuals (b, r), and derivatives (b, r, 5) of the model by parameters."""
     # Rows (b, 5): position, velocity and strength; the velocity's prior adds residuals.
     place, velocity, strength = values[:, None, :2], values[:, None, 2:4], values[:, 4:]
     ages = np.zeros((len(readings.signal), 1)) if drift is None else drift.ages_s[:, None]

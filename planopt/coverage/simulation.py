@@ -208,8 +208,8 @@ class NetworkController:
         ----------
         positions_m, velocities_m_s, headings_rad
             Present state of the agents with shapes ``(n, 2)``, ``(n, 2)`` and ``(n,)``; None means
-            the state planned by the last step. An agent that is too close to the border or an
-            obstacle is planned from the nearest allowed position.
+            the state planned by the last step. Planning starts at the nearest allowed position
+            for an agent that is too close to the border or an obstacle.
         readings
             Present signal of each event at each agent with shape ``(k, n)``. Required if the scene
             has events.

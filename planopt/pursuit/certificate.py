@@ -328,7 +328,7 @@ def flaws_of(loss_probability: float, unnamed: bool) -> tuple[Inequality, ...]:
 def verify_guarantees(
     data: PursuitData, log: PursuitLog, claims: tuple[Claim, ...], detour: float
 ) -> list[Violation]:
-    """Return unproven claims, and bounds that the logged pursuit violates."""
+    """Return violations: wrong detour factor, unproven claims, and bounds that the log exceeds."""
     found: list[Violation] = []
     least = _least_detour(data)
     if not least <= detour * (1.0 + SLACK):
@@ -364,7 +364,7 @@ def verify_guarantees(
 def _stage_faults(
     data: PursuitData, log: PursuitLog, claim: Claim, detour: float
 ) -> Iterator[Violation]:
-    """Yield chases in which a stage starts above the bound implied by the previous stage."""
+    """Yield a violation for each chase with a stage above the bound from the previous stage."""
     # Path lengths are only known to lie between the chord and `detour` times the chord.
     reports = log.reports
     longest = detour if claim.distances is Distances.PATHS else 1.0

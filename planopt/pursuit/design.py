@@ -152,7 +152,7 @@ class MoteNetwork(Table):
         )
 
     def staleness_per_slot(self, evader_speed_m_s: float) -> float:
-        """Return the staleness per slot width in 1/s if every round takes place."""
+        """Return the staleness per second of slot width (1/s), for rate divisor 1."""
         frames = 4.0 * HOPS_PER_ROUND * self.slots_per_frame
         return frames * evader_speed_m_s / self.mote_spacing_m
 
@@ -176,7 +176,7 @@ class DesignTask:
 
     @property
     def staleness_per_slot(self) -> float:
-        """Return the staleness per slot width in 1/s if every round takes place."""
+        """Return the staleness per second of slot width (1/s), for rate divisor 1."""
         return self.network.staleness_per_slot(self.chase.evader_speed_m_s)
 
     def room(self, bits_per_axis: float) -> float:

@@ -73,7 +73,7 @@ def consistent_m(
 
 
 def blocking_aim_m(hunt: Hunt, centre_m: Floats, places_m: Floats, horizon_s: float) -> Floats:
-    """Return the aim with the least time to capture, given the aims of the other pursuers."""
+    """Return the aim (2,) of least time to capture, given the aims of the other pursuers."""
     turn = np.arange(FLIGHTS) * (2.0 * np.pi / FLIGHTS)
     velocity = hunt.evader_speed_m_s * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     ahead_s = min(horizon_s, float(np.linalg.norm(centre_m - hunt.place_m)) / hunt.speed_m_s)

@@ -124,7 +124,7 @@ class PursuitLog:
         return _interpolated(times_s, self.times_s, self.evaders_m[evader])
 
     def seen(self, service: Service, evader: int, rounds: Floats) -> Indices:
-        """Return the mote (L + 1, 2) at the evader's position when each level sampled."""
+        """Return column and row (L + 1, 2) of the evader's mote at each level's sample time."""
         return _mote(service, self.evader_at(evader, rounds * service.periods_s))
 
 
@@ -280,7 +280,7 @@ def _worst(found: list[Violation], kind: str, name: str, words: str, off_m: Floa
 
 
 def _position_faults(data: PursuitData, robot: Robot, places_m: Floats) -> Iterator[Violation]:
-    """Yield a wrong start, positions out of bounds, and violated obstacle clearance."""
+    """Yield violations: wrong start, positions out of bounds, too little obstacle clearance."""
     if math.dist(places_m[0], robot.start_m) > robot.start_radius_m + PLACE_M:
         yield Violation("start", f"{robot.name} does not start at start_m")
     if data.bounds_m is not None:
@@ -299,7 +299,7 @@ def _position_faults(data: PursuitData, robot: Robot, places_m: Floats) -> Itera
 
 
 def _report_faults(data: PursuitData, log: PursuitLog) -> Iterator[Violation]:
-    """Yield impossible reports, and first uses that violate rule R."""
+    """Yield violations: impossible reports, and first uses that break rule R."""
     service, reports = data.service, log.reports
     if not len(reports.time_s):
         return
@@ -353,7 +353,7 @@ def _near(motes: Indices, seen: Indices) -> Mask:
 
 
 def _aim_faults(data: PursuitData, log: PursuitLog) -> Iterator[Violation]:
-    """Yield aims other than the last reported position and the pursuer's own position."""
+    """Yield violations: aims that are neither the last report nor the pursuer's position."""
     # Among obstacles aims are path vertices, and a predicting pursuer chooses its own.
     if data.obstacles or data.planner not in ("drive", "retarget"):
         return
@@ -377,7 +377,7 @@ def _aim_faults(data: PursuitData, log: PursuitLog) -> Iterator[Violation]:
 def _capture_faults(
     data: PursuitData, log: PursuitLog, drives: tuple[Drives, ...]
 ) -> Iterator[Violation]:
-    """Yield captures that are too early, too late, or by a pursuer that is too far away."""
+    """Yield violations: wrong captures, chases of captured evaders, wrong end of the run."""
     steps, radius_m = len(log.times_s) - 1, data.capture_radius_m
     for pursuer, robot in enumerate(data.pursuers):
         if steps and not np.isin(log.chased[pursuer], np.arange(len(data.evaders))).all():

@@ -100,7 +100,7 @@ class Parabola:
 
     @property
     def curving_m(self) -> float:
-        """Magnitude of the constant second derivative."""
+        """Magnitude in metres of the constant second derivative with respect to t."""
         return 2.0 * float(np.hypot(*self.bend_m))
 
     def at(self, share: Floats) -> Floats:

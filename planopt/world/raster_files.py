@@ -439,7 +439,7 @@ def read_csv(path: Path, variable: str) -> Raster:
 
 
 def _on_grid(table: Floats, variable: str) -> Raster:
-    """Return the raster with one cell per row (x, y, value)."""
+    """Return the raster of a table with a row (x, y, value) for each cell."""
     if not np.isfinite(table[:, :2]).all():
         raise InputError(
             "a cell centre is NaN or infinite", remedy="remove rows without coordinates"

@@ -56,7 +56,7 @@ class CovarianceFit:
 def covariance_bounds(
     residual_variance_db2: float, decorrelation_bounds_m: tuple[float, float]
 ) -> CovarianceBounds:
-    """Return bounds of xi^2, omega^2 and beta from the path loss line's residual variance."""
+    """Return bounds of xi^2 and omega^2 from the residual variance, and the bounds of beta."""
     floor = max(MIN_VARIANCE_DB2, MIN_NUGGET_SHARE * residual_variance_db2)
     high = max(MAX_SHADOW_RATIO * residual_variance_db2, 100.0 * MIN_VARIANCE_DB2)
     return CovarianceBounds((MIN_VARIANCE_DB2, high), (floor, high), decorrelation_bounds_m)

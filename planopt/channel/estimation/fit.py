@@ -306,8 +306,8 @@ def fit_channel(
         priors. ``lemma1``: Lemma 1 of [GM11] as printed. ``capped``: Lemma 1 with a lag cap and
         weights n r^2. ``convex``: ``capped`` as a convex programme with xi^2 <= alpha and bounds on
         beta. ``nls``: nonlinear least squares of the exponential on all bins. Censored powers enter
-        the likelihood of ``map`` and ``reml``; the other methods replace them by expected values,
-        which ignores their part of the correlation.
+        the likelihood of ``map`` and ``reml``; the other methods replace them by expected values
+        and so lose their contribution to the correlation.
     forgetting_s
         Known time scale T: shadowing at two times has correlation ``exp(-|t - t'| / T)``;
         ``math.inf`` for a static channel.

@@ -117,11 +117,11 @@ def fit_channel_and_station(
     -------
     ChannelFit
         Fit with the estimated station in its parameters, the covariance of its position in
-        `station_covariance_m2` and a warning that the position is estimated; outside the convex
-        hull of the measurements the status is at best ``weak``, and likewise if n_PL is poorly
-        determined. Covariance and standard errors of theta include that uncertainty. If the
-        measurements do not determine the position, its variances and theta's standard errors are
-        infinite, the status is ``degenerate``, and the covariance of theta is for a known position.
+        `station_covariance_m2` and a warning that the position is estimated. The status is at best
+        ``weak`` if n_PL is poorly determined or the position is outside the measurements' convex
+        hull. Covariance and standard errors of theta include the uncertainty of the position. If
+        the measurements do not determine it, its variances and theta's standard errors are
+        infinite, the status is ``degenerate``, and theta's covariance is for a known position.
 
     Raises
     ------
@@ -443,7 +443,7 @@ def theta_by_position(measurements: Measurements, parameters: ChannelParameters)
 
 
 def _whitened_jacobian(surface: StationSurface, parameters: ChannelParameters) -> Floats:
-    """Return the whitened Jacobian (n, 4) of the mean at the estimated station."""
+    """Return :func:`_mean_jacobian` (n, 4) at the estimated station, whitened."""
     jacobian = _mean_jacobian(surface.positions_m, parameters.station, parameters.n_pl)
     return solve_lower(surface.lower, jacobian)
 

@@ -106,7 +106,7 @@ class LogFormat(Part):
 
     @classmethod
     def of_keys(cls, table: Any) -> dict[str, Any]:
-        """Return field values from the keys of a table; the filter becomes (column, text)."""
+        """Return field values from the keys of a table; the filter becomes pairs of texts."""
         return {**super().of_keys(table), "where": tuple(table.where.items())}
 
 
@@ -137,7 +137,7 @@ def parse_where(texts: Sequence[str]) -> tuple[tuple[str, str], ...]:
 
 
 def parse_station(text: str, origin_deg: Origin | None = None) -> Station | None:
-    """Parse ``X,Y[,HEIGHT]``, with an origin ``LAT,LON[,HEIGHT]``; None for ``unknown``."""
+    """Parse ``X,Y[,HEIGHT]``, or given an origin ``LAT,LON[,HEIGHT]``; None for ``unknown``."""
     if text.strip().lower() == "unknown":
         return None
     form = "X,Y[,HEIGHT] in metres" if origin_deg is None else "LAT,LON[,HEIGHT] in degrees"

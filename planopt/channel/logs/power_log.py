@@ -29,7 +29,7 @@ DATES = ("%d.%m.%Y %H:%M:%S", "%Y/%m/%d %H:%M:%S", "%H:%M:%S", "%H:%M:%S.%f")
 
 
 def times_s(cells: Iterable[Cell]) -> Floats:
-    """Return the times in seconds; Unix times and dates count from the earliest."""
+    """Return the times in seconds; Unix times and dates are relative to the earliest one."""
     cells = list(cells)
     first = cells[0].label()
     if _date(first) is not None and not _is_number(first):

@@ -29,9 +29,9 @@ SEARCH_SHARE, SOLVE_SHARE, PROOF_SHARE = 0.3, 0.4, 0.1
 class Budget:
     """Deadlines for the computation of a plan, by :func:`time.perf_counter`."""
 
-    ends_s: float = math.inf  # Last start of a refinement
+    ends_s: float = math.inf  # Latest start of a refinement
     search_ends_s: float = math.inf  # Deadline of searches, which return their best result
-    proof_ends_s: float = math.inf  # Last start of a verification if a candidate exists
+    proof_ends_s: float = math.inf  # Latest start of a verification if a candidate exists
 
     @property
     def spent(self) -> bool:
@@ -190,7 +190,7 @@ class Scorer:
         return replace(candidate, found=found)
 
     def standing(self, horizon: int) -> Candidate:
-        """Return a waiting candidate, or a collision-avoiding one if waiting is unsafe."""
+        """Return a waiting candidate or, if waiting is unsafe, one that moves out of the way."""
         # Alternatives: the reservation, which others avoid, and a path out of obstacles.
         place = np.tile(self.position_m, (horizon, 1))
         found = self.assessed(self.candidate(place, Rung.STOP, Termination.NO_PATH))
@@ -308,7 +308,7 @@ def with_effort(chosen: Candidate, candidates: Sequence[Candidate]) -> Candidate
 
 
 def shifted_path(scorer: Scorer, warm: Plan | None) -> Floats | None:
-    """Return positions (N, 2): the remainder of the last verified plan, then a waiting step."""
+    """Return positions (N, 2): the last verified plan's remainder, then waiting; else None."""
     # None if the plan is unverified, no longer drivable, or for a robot with dynamics.
     if warm is None or warm.verdict is not Verdict.VERIFIED or warm.drive is not None:
         return None
@@ -321,7 +321,7 @@ def shifted_path(scorer: Scorer, warm: Plan | None) -> Floats | None:
 
 
 def without_guess(scorer: Scorer, warm: Plan | None) -> Candidate:
-    """Return a fallback: the remainder of the last verified plan, verified again, or a stop."""
+    """Return the remainder of the last plan if it is still verified, else a stop."""
     problem = scorer.problem
     if not problem.robots[0].moves_freely:
         return _driven_without_guess(scorer, warm)
@@ -334,7 +334,7 @@ def without_guess(scorer: Scorer, warm: Plan | None) -> Candidate:
 
 
 def _driven_without_guess(scorer: Scorer, warm: Plan | None) -> Candidate:
-    """Return the remainder of the last plan if verified, else a stop before or after it."""
+    """Return the remainder of the last plan if verified; else braking at once or after it."""
     problem, horizon = scorer.problem, scorer.problem.planner.horizon
     shifted = shifted_drive(problem, warm)
     rest: Candidate | None = None
@@ -360,5 +360,5 @@ def braked(scorer: Scorer) -> Drive:
 def drive_candidate(
     scorer: Scorer, drive: Drive, rung: Rung, termination: Termination
 ) -> Candidate:
-    """Return the trajectory of a robot with dynamics as a candidate, not yet verified."""
+    """Return an unverified candidate for the trajectory of a robot with dynamics."""
     return scorer.candidate(drive.positions_m[1:], rung, termination, drive)

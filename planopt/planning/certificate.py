@@ -77,7 +77,7 @@ class BlockedError(NoPlanError):
 
 
 def required_margins_db(problem: Problem, power: Prediction) -> Floats:
-    """Return the margin (n,) in dB by which each power exceeds the requirement of p_min."""
+    """Return the margins (n,) in dB by which predicted powers satisfy p_min."""
     return bound_margin_db(
         power.mean_db,
         power.deviation_db,
@@ -117,7 +117,7 @@ def holes_on(problem: Problem, power: Prediction, places_m: Floats) -> tuple[Hol
 
 
 def named_holes(holes: Sequence[Hole], before: str) -> list[str]:
-    """Return texts on the longest holes, each prefixed by `before`, and a count of the others."""
+    """Return texts on the longest holes, each prefixed by `before`, and the number of others."""
     longest = sorted(holes, key=lambda hole: -hole.length_m)[:MOST_IN_WORDS]
     named = [f"{before}{hole.words}" for hole in holes if hole in longest]
     left = len(holes) - len(longest)
@@ -333,7 +333,7 @@ class Excused:
 
 
 def excused_steps(proofs: Sequence[Certificate]) -> list[Excused]:
-    """Return the excused steps of a single plan, or the excused first steps of several plans."""
+    """Return the excused steps of one plan, or the excused first steps of a run's plans."""
     if len(proofs) == 1:
         return [_excused(proofs[0], k, step) for k, step in enumerate(proofs[0].relaxed_steps)]
     return [
@@ -355,7 +355,7 @@ def excused_in_words(steps: Sequence[Excused]) -> list[str]:
 
 
 def _excused(proof: Certificate, number: int, step: int) -> Excused:
-    """Return the excuse of violating step `step` of the run, the entry `number` of the proof."""
+    """Return the excuse for step number `step`, which is entry `number` of `relaxed_steps`."""
     missed_db = proof.relaxation_db[number]
     if proof.excess_m is not None:
         return Excused(step, missed_db, "price", proof.path_cost_m, proof.best_cost_m)
@@ -369,7 +369,7 @@ def _excused(proof: Certificate, number: int, step: int) -> Excused:
 
 
 def worst_of(certificates: Sequence[Certificate]) -> Certificate:
-    """Return a certificate with the worst value of every entry and no violating steps."""
+    """Return the worst value of every entry as one certificate that lists no violating steps."""
     # Costs are those of the plan, and of the step, with the largest excess over the cheapest path.
     paths = [
         (one.excess_m, one.path_cost_m, one.best_cost_m)
@@ -530,7 +530,7 @@ class Crossing:
 
     @property
     def why(self) -> str:
-        """Return the cost of the path, and the alternative that stays connected."""
+        """Return text on the cost of the path and on the best-connected alternative."""
         cost = (
             f"The cheapest route on the lattice has a priced length of {self.cost_m:.0f} m: its "
             f"length plus {self.outage_price:g} m for each metre expected out of contact."
@@ -545,7 +545,7 @@ class Crossing:
         )
 
     def __str__(self) -> str:
-        """Return locations and lengths of the holes, and why they are crossed."""
+        """Return text on locations and lengths of the holes, and on why they are crossed."""
         where = "; ".join(hole.words for hole in self.holes)
         goal = ", also at the goal itself" if self.at_goal else ""
         return f"P(connected) is below {self.p_min:g} for {where}{goal}. {self.why}"
@@ -569,7 +569,7 @@ class Explanation(tuple[Relaxation | Crossing, ...]):
         return made
 
     def __str__(self) -> str:
-        """Return the summary, and a line for each entry."""
+        """Return text with the summary and a line for each entry."""
         return "\n".join([self.summary, *map(str, self)])
 
 

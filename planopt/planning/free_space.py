@@ -46,7 +46,7 @@ def build_roads(problem: Problem, anchor_m: Floats) -> RoadMap:
 
 
 def is_joined(problem: Problem, clearance_m: float, without: Obstacle | None = None) -> bool:
-    """Return whether some path in continuous space keeps a clearance from start to goal."""
+    """Return whether a continuous path from start to goal keeps `clearance_m` to obstacles."""
     polygons = [each.polygon for each in problem.workspace.obstacles if each is not without]
     covered = shapely.union_all(shapely.buffer(polygons, clearance_m))
     free = shapely.box(*problem.workspace.bounds_m).difference(covered)
@@ -92,7 +92,7 @@ NEARER_M = 1e-9
 def leaving_path(
     problem: Problem, index: ObstacleIndex, moving: MovingDiscs, position_m: Floats
 ) -> Floats | None:
-    """Return a path (N, 2) whose first step reduces violations of clearance, bounds, separation."""
+    """Return a path (N, 2) whose first step reduces violations of distances and bounds, or None."""
     # After drift or next to a new obstacle, a robot may have no safe plan. Of the moves that reduce
     # no distance, the one with the least violation at its end, then the shortest, is chosen; it may
     # cross obstacles that contain the robot. None if no constraint is violated or no move helps.
@@ -130,7 +130,7 @@ def leaving_path(
 
 
 def _inside_m(index: ObstacleIndex, places_m: Floats) -> tuple[Floats, ObstacleIndex]:
-    """Return depths (n,) in obstacles that contain the first position, and the others."""
+    """Return depths (n,) in the obstacles around the first position, and the other obstacles."""
     # The group contains the obstacles around the first position and all that intersect them.
     points = np.asarray(shapely.points(places_m), np.object_)
     about = index.tree.query(points[0], predicate="within")
@@ -147,7 +147,7 @@ def _inside_m(index: ObstacleIndex, places_m: Floats) -> tuple[Floats, ObstacleI
 
 
 def _too_near_m(moving: MovingDiscs, paths_m: Floats) -> Floats:
-    """Return each path's largest shortfall (c,) of separation from moving discs after its start."""
+    """Return each path's largest shortfall (c,) of distance to moving discs, start excluded."""
     if not len(moving):
         return np.zeros(len(paths_m))
     places = int(paths_m.shape[1])

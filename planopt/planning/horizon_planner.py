@@ -168,7 +168,7 @@ class FallbackCascade:
     def _by_good_place(
         self, context: StepContext, scorer: Scorer, candidates: list[Candidate], budget: Budget
     ) -> list[Candidate]:
-        """Return candidates that move straight to a reachable position which satisfies p_min."""
+        """Return candidates that lead to a reachable position where p_min is satisfied."""
         found: list[Candidate] = []
         for path in paths_to_good_place(scorer, candidates):
             unrefined = scorer.candidate(path, Rung.COLD_RETRY, Termination.LATTICE_ONLY)
@@ -231,7 +231,7 @@ class HorizonPlanner:
         return scorer.plan_from(chosen, wall_s=perf_counter() - begun)
 
     def _exit_path(self, context: StepContext, starts: list[Guess]) -> Floats | None:
-        """Return a path (N, 2) to an unmeasured position if no guess yields measurements."""
+        """Return a path to an unmeasured position if no guess yields measurements, else None."""
         # Otherwise None, also if no term uses measurements or no unmeasured position is left.
         terms = self.problem.terms
         if not any(term.is_measured for term in terms) or not all(

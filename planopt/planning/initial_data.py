@@ -89,7 +89,7 @@ class InitialData:
 def draw_initial_data(
     problem: Problem, seed: int, measurements: Sequence[Measurements] | None = None
 ) -> InitialData:
-    """Return a drawn ground truth, and `measurements` or else drawn initial ones."""
+    """Return a drawn ground truth and the initial `measurements`, drawn as well if None."""
     require_seed(seed)
     fading, places = np.random.SeedSequence(seed).spawn(2)
     further = [
@@ -266,7 +266,7 @@ def _python_truth(problem: Problem, setup: ArrayTruth | FunctionTruth, station: 
 
 
 def _numbers(key: str, values: object) -> Floats:
-    """Return `values` as an array of real numbers; refuse others by the name `key`."""
+    """Return `values` as an array of real numbers; if impossible, the InputError names `key`."""
     try:
         found = np.asarray(values)
         # NumPy would parse text as numbers and drop imaginary parts.
@@ -285,7 +285,7 @@ def _numbers(key: str, values: object) -> Floats:
 def with_measurements(
     problem: Problem, measurements: UserMeasurements | None
 ) -> tuple[Problem, tuple[Measurements, ...] | None]:
-    """Return the problem without its own measurements, and the user's as a table per station."""
+    """Return a problem without measurements, and the user's measurements by station, if any."""
     # Without user measurements, return the unchanged problem and None.
     if measurements is None:
         return problem, None

@@ -199,7 +199,7 @@ def share_gained(gain: float, lattice: float, refined: float) -> float:
 
 
 def shifted_drive(problem: Problem, warm: Plan | None) -> Drive | None:
-    """Return a drive shifted by one step, for a robot with dynamics, with braking at its end."""
+    """Return the last plan's drive, shifted by one step and braking at its end, or None."""
     # The plan need not be verified, since the swept area does not depend on the channel.
     dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
     if warm is None or warm.drive is None:
@@ -282,7 +282,7 @@ def _circled(track_m: Floats, step_length_m: float, gave_way: Sequence[bool]) ->
 
 
 def data_of_steps_mbit(problem: Problem, first: int, count: int) -> Floats:
-    """Return the data (count,) in Mbit that each step after `first` can deliver by the deadline."""
+    """Return the data (count,) in Mbit that steps from `first` on can deliver by the deadline."""
     rule, step_s = problem.constraints.rule, problem.planner.step_s
     if rule.deadline_s is None or rule.rate_mbit_s is None:
         return np.zeros(count)

@@ -6,8 +6,8 @@ channel: path loss without shadowing, a disc in which all packets arrive, or a l
 
 Performance bounds of tracking know the future and plan the whole run at once. The clairvoyant
 planner knows the target's path and the power at every position, the oracle all but multipath. Both
-maximise the received information or, with the suffix ``_log``, the expected logarithm of one plus
-that information times the initial variance.
+maximise the received information or, with the suffix ``_log``, the expected value of
+log(1 + information * initial variance).
 """
 
 import math
@@ -59,7 +59,7 @@ KEY = "planner.name"
 
 
 class Planner(Protocol):
-    """Protocol of planners for one robot of a problem whose objective is a sum of terms."""
+    """Protocol of single-robot planners for problems whose objective is a sum of terms."""
 
     def plan(self, context: StepContext, scorer: Scorer, warm: Plan | None = None) -> Plan:
         """Return a plan from the robot's state; `warm` is the previous plan."""
@@ -460,7 +460,7 @@ def _paths(
         return score_probability((mean_power_dbm(truth, places_m) - threshold) / unknown)
 
     def informing(places_m: Floats, step: int) -> Floats:
-        """Return the information of packets from positions (n, 2), times the initial variance."""
+        """Return information times initial variance for packets from positions (n, 2) at `step`."""
         sensed = sensing_information(sensor, places_m, ahead[step])
         # Per coordinate, so that it adds to the inverse of the initial variance.
         return 0.5 * problem.targets[0].position_std_m ** 2 * sensed

@@ -61,7 +61,7 @@ from planopt.world.motion import MovingDiscs
 FOLLOWED_HORIZONS = (2.0, 0.5, 0.25)
 """Fractions of the horizon over which a robot with dynamics follows the lattice path."""
 GAIN_SHARE = 0.15
-"""Distance by which a refinement may exceed the followed path, as a share of the longest plan."""
+"""Distance to the goal from which a refinement may still arrive, as a share of the longest plan."""
 STAGNANT_STEPS = 0.1
 """Displacement of the resting position up to which a plan counts as stagnant, in longest steps."""
 
@@ -91,7 +91,7 @@ class Course:
 
 
 Proposal = Callable[[StepContext, Scorer, Plan | None], Plan]
-"""Function that plans a step by a user-defined planner; if its paths are rejected, it waits."""
+"""Function that returns a user-defined planner's plan, or a waiting plan if that is rejected."""
 
 
 class ReachPlanner:
@@ -297,7 +297,7 @@ class ReachPlanner:
         yield replace(lattice, rung=Rung.RELAXED) if lattice.relaxes else lattice
 
     def _sooner(self, scorer: Scorer, path_m: Floats) -> Floats | None:
-        """Return positions (N, 2) along a path, at full speed if this reaches the goal sooner."""
+        """Return a path (N, 2) at full speed if that reaches the goal sooner, else None."""
         problem = self.problem
         away = np.linalg.norm(path_m - np.asarray(problem.goal_m), axis=1)
         there = np.flatnonzero(away <= problem.constraints.goal_radius_m)
@@ -359,7 +359,7 @@ class DrivenReach:
         warm: Plan | None,
         budget: Budget,
     ) -> tuple[Candidate, Pivot | None]:
-        """Return the candidate to release and the terminal waypoint of its cost-to-go."""
+        """Return the candidate to release, and the terminal waypoint of its cost-to-go, if any."""
         if start is None:
             return without_guess(scorer, warm), None
         if start.is_direct and (direct := self._direct(scorer, start, warm)) is not None:
@@ -394,7 +394,7 @@ class DrivenReach:
         return found, None if found.drive is None else cost.pivot_of(found.path_m, found.drive)
 
     def _direct(self, scorer: Scorer, start: GlobalStart, warm: Plan | None) -> Candidate | None:
-        """Return a candidate that follows the shortest path and stops at each node."""
+        """Return a candidate that stops at each node of the shortest path; None if not possible."""
         if not stands(self._problem, scorer.state):
             drive = shifted_drive(self._problem, warm)
         else:
@@ -448,7 +448,7 @@ class DrivenReach:
     def _pivot(
         self, start: GlobalStart, places_m: list[Floats], node_margin_db: Floats | None
     ) -> Pivot:
-        """Return the visible terminal waypoint with the least cost-to-go from a position (2,)."""
+        """Return the terminal waypoint seen from the position in `places_m` of least cost-to-go."""
         problem, cost_m = self._problem, start.cost_to_go.cost_m
         views = [(int(start.nodes[-1]), start.path_m[-1])]
         for place in places_m:

@@ -272,7 +272,7 @@ def _moving_lines(
 
 
 def _discs_met(discs: MovingDiscs, chosen: NDArray[np.int64], path_m: Floats) -> Mask:
-    """Return a mask (m, N) of discs and steps with a collision but no separating line."""
+    """Return a mask (m, N) of collisions with discs, by step, that have no separating line."""
     if not len(discs):
         return np.zeros((0, len(path_m) - 1), dtype=np.bool_)
     apart = discs.apart_m[:, : len(path_m) - 1]

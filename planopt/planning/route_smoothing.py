@@ -406,7 +406,7 @@ class RouteSmoothing:
         return np.where(allowed, cost, np.inf)
 
     def _stepped(self, route_m: Floats) -> tuple[Floats, Floats] | None:
-        """Return the cheapest steps (N + 1, 2) next to a route (n, 2), and its rest."""
+        """Return the cheapest positions (N + 1, 2) near a route (n, 2), and the remaining route."""
         horizon, parts, longest_m = self._problem.planner.horizon, STEP_PARTS, self._longest_m
         lengths = np.linalg.norm(np.diff(route_m, axis=0), axis=1)
         along = np.concatenate([[0.0], lengths.cumsum()])
@@ -466,7 +466,7 @@ class RouteSmoothing:
         return [number - 1 for number in kept[1:]]
 
     def with_route(self, plan: Plan, route_m: Floats) -> Plan:
-        """Return the plan with another route (n, 2) from its last position, and with a new cost."""
+        """Return the plan with `route_m` (n, 2) as its route, and with the cost of that route."""
         problem = self._problem
         ahead = Pivot(plan.positions_m[-1], integrated_cost_m(self._metre_cost, route_m))
         cost = ReachCost(problem, plan.positions_m[0], self._law.power, lambda _: ahead)

@@ -206,14 +206,14 @@ def _counted(
     positions_m: Floats,
     delivered: Mask,
 ) -> InformationState:
-    """Return a filter after one more step; its noise depends on the predicted target position."""
+    """Return a filter's state after one step, with noise for the predicted target position."""
     ahead = predict(watch.model, state)
     noise = noise_covariance_m2(watch.sensor, positions_m, ahead.mean[:2])
     return update(ahead, measured_m, noise, delivered)
 
 
 def learn_measured(problem: Problem, belief: Belief, measured: Sequence[Measurements]) -> Belief:
-    """Return a belief updated with new measurements beyond the spacing."""
+    """Return a belief updated with the measurements that keep the spacing to earlier ones."""
     if not any(len(each) for each in measured):
         return belief
     rule = MeasuringRule.of(belief.posteriors, problem.channel.measure_spacing_m)

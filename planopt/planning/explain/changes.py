@@ -107,7 +107,7 @@ class Key:
         *,
         verified: bool = True,
     ) -> Relaxation:
-        """Return a relaxation with a sufficient value; None removes an obstacle or a limit."""
+        """Return a relaxation to `relaxed_value`; None stands for a removed obstacle or limit."""
         value = None if math.isnan(self.value) else self.value
         return Relaxation(
             self.name, self.unit, value, stages, shortfall, unit, relaxed_value, verified, robot
@@ -137,7 +137,7 @@ class Trials:
         return plan is not None and plan.verdict is Verdict.VERIFIED
 
     def first(self, problem: Problem, key: Key, least: float) -> float | None:
-        """Return the first loosened value, from about `least` on, with a verified plan."""
+        """Return a value that is loosened by about `least` and gives a verified plan, or None."""
         values = dict.fromkeys(key.loosened(factor * least) for factor in EXTRA)
         return next((v for v in values if self.is_verified(key.changed(problem, v))), None)
 
@@ -155,7 +155,7 @@ def rounded(value: float, digits: int, down: bool) -> float:
 def bisected(
     suffices: Callable[[float], bool], least: float, most: float, count: int, settled: float = 0.0
 ) -> float:
-    """Return, by bisection, the sufficient value nearest to `least`; `most` must suffice."""
+    """Return the sufficient value nearest to `least`, by bisection from a sufficient `most`."""
     # `most` must suffice; it may be smaller than `least`. At most `count` halvings are made.
     for _ in range(count):
         if abs(most - least) <= settled * most:  # Relative tolerance
@@ -175,7 +175,7 @@ def without(
 
 
 def constraint_key(problem: Problem, name: str, unit: str, limit: float) -> Key:
-    """Return a key of ``[constraints]`` or of the connectivity rule; 0 means no value."""
+    """Return a key of ``[constraints]`` or of the connectivity rule, with 0 for no value."""
     constraints = problem.constraints
     owner = constraints if hasattr(constraints, name) else constraints.rule
     return Key(f"constraints.{name}", unit, float(getattr(owner, name) or 0.0), limit)
@@ -223,7 +223,7 @@ SLACK_PRICE = 1e5
 
 @dataclass(frozen=True, eq=False)
 class Case:
-    """Plan to be explained, made for one robot at the start of a run, and its channel belief."""
+    """Plan of one robot at the start of a run, to be explained, with the channel belief used."""
 
     problem: Problem  # Problem with all robots
     number: int  # Number of the robot
@@ -337,7 +337,7 @@ def _best_score(
 
 
 def explain_violated(case: Case, trials: Trials) -> tuple[Relaxation, ...]:
-    """Return changes of keys, each of which alone would satisfy all constraints of a plan."""
+    """Return changes of keys, each sufficient by itself to satisfy all constraints of a plan."""
     found: dict[str, Relaxation] = {}
     problem, connection = case.problem, _connection(case)
     for fault in (*([] if connection is None else [connection]), *_distances(case)):
@@ -401,7 +401,7 @@ def _lacking(fault: Fault, key: Key, cases: list[Case]) -> float:
 
 
 def _is_kept(case: Case, key: Key, amount: float) -> bool:
-    """Return whether the existing path satisfies the rule with a key loosened by `amount`."""
+    """Return whether the existing path satisfies its rule if `key` is loosened by `amount`."""
     changed = key.changed(case.problem, key.loosened(amount))
     problem, plan = problem_of_robot(changed, case.number), case.plan
     rule = problem.constraints.rule

@@ -120,7 +120,7 @@ def _planned(
     number: int = 0,
     scenes: Sequence[Scene] | None = None,
 ) -> Plan | None:
-    """Return one robot's plan after all robots of a changed problem have planned."""
+    """Return the plan of robot `number` after all robots have planned; None without a plan."""
     try:
         return solve_on(problem, belief, seed, scenes).plans[number]
     except NoPlanError:
@@ -326,7 +326,7 @@ def explain_blocked(
 
 
 def _widest(road_map: RoadMap, first: Indices, goal: int, score: Floats) -> float:
-    """Return the largest minimum score along any path to the goal (widest path)."""
+    """Return the maximum, over all paths to the goal, of the minimum score along the path."""
     # Shapes: score (n,).
     levels = np.unique(score)
     low, high = 0, len(levels) - 1

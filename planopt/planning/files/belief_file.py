@@ -128,7 +128,7 @@ def belief_arrays_of(
     belief: Belief,
     known: Callable[[Belief, int], NDArray[np.int64]] = lambda _own, _first: np.zeros(0, np.int64),
 ) -> Arrays:
-    """Return the arrays of a belief, with the number of measurements before each step if known."""
+    """Return a belief's arrays; `known` supplies the numbers of measurements before each step."""
     return {
         station_prefix(station) + name: array
         for station, own in enumerate((belief, *belief.further))

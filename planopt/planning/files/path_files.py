@@ -246,7 +246,7 @@ def save_masks(
     p_min: float | None,
     cell_m: float | None,
 ) -> None:
-    """Write Nav2 masks; `p_min` defaults to the problem's value if this is positive."""
+    """Write Nav2 masks; `p_min` defaults to that of the problem or, if 0, of `MaskLimits`."""
     asked = problem.constraints.p_min or None if p_min is None else p_min
     limits = MaskLimits(keepout_below) if asked is None else MaskLimits(keepout_below, asked)
     bounds = problem.workspace.bounds_m

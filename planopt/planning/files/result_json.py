@@ -209,7 +209,7 @@ class Residual(Record):
 
 
 def _of_bound(name: str, missing: object = OMITTED) -> Source:
-    """Return a `Source` that reads an attribute of the proven bound; `missing` without one."""
+    """Return a `Source` that reads `name` from the proven bound; `missing` if there is none."""
     return Source(lambda of: missing if of.bound is None else getattr(of.bound, name))
 
 
@@ -288,7 +288,7 @@ def _total(name: str) -> Source:
 
 
 def _worst(name: str) -> Source:
-    """Return a `Source` that reads the worst value of a label over all plans."""
+    """Return a `Source` that reads the worst value of the label `name` over all plans."""
 
     def worst(solution: Solution) -> StrEnum:
         labels: list[StrEnum] = [getattr(plan, name) for plan in solution.plans]
@@ -413,7 +413,7 @@ def certificate_json(certificate: Certificate) -> dict[str, Any]:
 
 
 def no_certificate_json(reasons: Iterable[str]) -> dict[str, Any]:
-    """Return a certificate's JSON keys with null or empty values, and reasons for no plan."""
+    """Return the JSON keys of an empty certificate, with the reasons why there is no plan."""
     names = [part.name for part in fields(Certificate) if part.name != "rule"]
     lists = dict[str, Any](relaxed_steps=[], relaxation_db=[], best_margin_db=[])
     return {**dict.fromkeys(names), **lists, "reasons": list(reasons)}
@@ -533,7 +533,7 @@ def no_run_json(problem: Problem, seed: int, message: str) -> dict[str, Any]:
 
 
 def reliability_json(bins: Iterable[ReliabilityBin]) -> list[dict[str, Any]]:
-    """Return predicted against true connection by bin, as JSON data."""
+    """Return the JSON data of reliability bins."""
     return [BinRecord.written(one) for one in bins]
 
 

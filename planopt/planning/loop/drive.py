@@ -48,7 +48,7 @@ class Progress:
 
 
 def goals_ending(problem: Problem, robots: Sequence[Progress]) -> tuple[Outcome, str] | None:
-    """Return the outcome of a run to goals; None while any robot can continue."""
+    """Return outcome and reason for a run to goals; None while any robot can continue."""
     # Arrived and waiting robots can still give way to others.
     ends = [_goal_ending(each) for each in robots]
     if len(robots) == 1:
@@ -155,7 +155,7 @@ def _has_arrived(problem: Problem, state: Floats) -> bool:
 
 
 def _stuck(problem: Problem, connected: Mask, robot: Progress) -> str | None:
-    """Return the reason if a robot makes no further progress (it stands or circles), else None."""
+    """Return the reason why a robot waits or circles without further progress, else None."""
     recent, term = slice(-STALL_STEPS, None), robot.problem.terms[0]
     if term.sensor is not None and connected[recent].any():
         return None
@@ -345,7 +345,7 @@ def _observe(
 
 
 def _ending(robots: Stepper) -> tuple[Outcome, str] | None:
-    """Return the outcome of a run at the current states; None if it continues."""
+    """Return outcome and reason for a run at the current states; None if it continues."""
     progress = [
         Progress(own, driven, measured, made, belief.posteriors)
         for own, driven, measured, made, belief in zip(

@@ -70,7 +70,7 @@ class StepLog:
 
     @property
     def disconnected(self) -> Mask:
-        """Return the steps known to be out of contact, ``(steps + 1,)``."""
+        """Return a mask ``(steps + 1,)`` of the steps known to be out of contact."""
         return ~self.connected & ~np.isnan(self.true_dbm)
 
 

@@ -136,13 +136,13 @@ def _mean_of_known(values: Sequence[float]) -> float:
 
 
 def nis_interval(count: int) -> tuple[float, float]:
-    """Return the 95 % interval of the mean normalised innovation squared of a consistent filter."""
+    """Return the 95 % interval of a consistent filter's NIS, averaged over `count` values."""
     # The `count` values are independent, chi-square with two degrees of freedom (equation 4.19).
     return float(chdtri(2 * count, 0.975)) / count, float(chdtri(2 * count, 0.025)) / count
 
 
 def run_reliability(runs: Sequence[RobotRun]) -> tuple[ReliabilityBin, ...]:
-    """Return bins of predicted against true connection over all steps and robots of a run."""
+    """Return the reliability bins of P(connected) over all steps and robots of a run."""
     known = ~np.isnan(np.concatenate([run.log.true_dbm[1:] for run in runs]))
     predicted = np.concatenate([run.log.connectivity[1:] for run in runs])[known]
     connected = np.concatenate([run.log.connected[1:] for run in runs])[known]
@@ -269,7 +269,7 @@ def run_costs(
 
 
 def realised_cost_m(problem: Problem, truths: Sequence[Truth], places_m: Floats) -> float:
-    """Return the length of a path (n + 1, 2) plus the outage price of its metres out of contact."""
+    """Return the length of a path (n + 1, 2), plus outage price times length out of contact."""
 
     def is_out(places: Floats) -> Mask:
         return true_serving_dbm(problem, truths, places) < problem.stations[0].true_threshold_dbm

@@ -113,7 +113,7 @@ DENSITY = 1.0 / math.sqrt(2.0 * math.pi)
 
 @dataclass(frozen=True)
 class OutagePrice:
-    """Cost of the metres of a path that are out of contact."""
+    """Price per metre out of contact, and fractions of the steps to which it applies."""
 
     price_s_m: float  # Cost of a metre out of contact
     share_before: float  # Penalised fraction of a metre at the start

@@ -146,7 +146,7 @@ class Model:
 
 @dataclass(frozen=True)
 class Step:
-    """Step of the convex programme, with multipliers of rows (cones: squared) and bounds."""
+    """Step of the convex programme, with multipliers of rows (cones in squared form) and bounds."""
 
     step: Floats
     row_multipliers: Floats

@@ -58,7 +58,7 @@ def nlp_point(
     termination: Termination,
     iterations: int,
 ) -> NlpPoint:
-    """Return a solver's point from all variables, positions first."""
+    """Return a solver's point; `variables` contains the positions, then all others."""
     places, others = np.split(variables, [2 * horizon])
     return NlpPoint(
         places.reshape(horizon, 2),

@@ -35,7 +35,7 @@ def bound_of(
     potential: Potential | None,
     robots: int,
 ) -> Bound:
-    """Return the bound on the first robot's objective implied by a bound on its route cost."""
+    """Return the bound on the first robot's objective for a bound `value_m` on its route cost."""
     triangles = 0 if potential is None else len(potential.corners)
     method = f"potential on {triangles} triangles" if triangles else "distance to the goal"
     return Bound(
@@ -70,7 +70,7 @@ def verified_bound(
 def stages_of(problem: Problem, at: TermContext, plan: Plan) -> StageProblem | str:
     """Return the first robot's stage problem, or the reason why there is no bound.
 
-    A step that satisfies p_min in `plan` satisfies p_min in every verified plan.
+    If a step of `plan` satisfies p_min, the same step of every verified plan satisfies it.
     """
     terms, path = summed_terms(problem, at), plan.positions_m[1:]
     if terms.reason:

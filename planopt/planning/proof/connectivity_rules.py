@@ -180,7 +180,7 @@ class Joint(Rule):
 
 
 def joint_result(prediction: JointPrediction, threshold_dbm: float, p_min: float) -> RuleResult:
-    """Return the largest lower bound of the probability that all steps are connected."""
+    """Return the joint rule's result, with the best lower bound of the joint probability."""
     found = joint_connectivity(prediction, threshold_dbm)
     # If a single step already violates the bound, no integral is needed.
     if len(prediction) <= INTEGRATED_STEPS and found.at_each.min() >= p_min:
@@ -308,7 +308,7 @@ class Data(Rule):
         return needed if p_min == 0.0 or needed == 0.0 else most - (1.0 - p_min) * (most - needed)
 
     def by_slack(self, case: PathCase) -> BySlack:
-        """Return a function that maps slack to expected data, or to a bound of a probability."""
+        """Return a function that maps slack to expected data or a lower bound on P(delivery)."""
         if case.problem.constraints.p_min == 0.0:
             return super().by_slack(case)
         needed = data_pace_mbit(self.problem, case.history, len(case.positions_m) - 1)

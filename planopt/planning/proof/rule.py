@@ -49,7 +49,7 @@ def is_search_exact(posterior: ChannelPosterior) -> bool:
 
 
 def certified_prediction(law: ConnectivityLaw, positions_m: Floats) -> tuple[Prediction, str]:
-    """Return the verifier's power prediction at positions (n, 2), and its posterior's name."""
+    """Return the verifier's power prediction at positions (n, 2), and the posterior's name."""
     most = max(len(station.measurements) for station in law.posteriors)
     kind = "exact" if most <= EXACT_LIMIT else f"neighbours:{NEIGHBOURS_BEYOND}"
     return law.power(positions_m, _certified_power), kind
@@ -80,7 +80,7 @@ def stations_law(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> Co
 
 
 def law_after(law: ConnectivityLaw, history: History) -> ConnectivityLaw:
-    """Return the law given the packets of a run; none are known if shadowing changes with time."""
+    """Return the law given the packets of a run; unchanged if shadowing varies with time."""
     changes = any(math.isfinite(each.parameters.forgetting_s) for each in law.posteriors)
     return law if changes else replace(law, proven=history.connected)
 
@@ -294,7 +294,7 @@ class Rule(ABC):
         return np.zeros(count, dtype=np.bool_)
 
     def held(self, keeps: Mask, history: History) -> Mask:
-        """Return a mask (N,) of steps; the rule holds if each of them satisfies p_min."""
+        """Return a mask (N,) of steps, preferably in `keeps`, whose connection meets the rule."""
         raise AssertionError("a rule that holds no steps")
 
     def valued(self, probability: Floats, history: History) -> Floats:
@@ -415,7 +415,7 @@ class OwnRule(Rule):
     >>> from planopt.extend import OwnRule
     >>> @dataclass(frozen=True)
     ... class Soon(OwnRule):
-    ...     "Connected at least once within the first steps, were steps independent."
+    ...     "Probability of a connection in the first steps, if steps are independent."
     ...
     ...     kind: ClassVar[str] = "soon"
     ...     steps: float = 5

@@ -61,7 +61,7 @@ def parts_of(passable: Mask) -> NDArray[np.int32]:
 
 
 def may_reach_from(problem: Problem, state: Floats) -> MayReach | None:
-    """Return a test whether positions are reachable from `state`; None for a single integrator."""
+    """Return a function that tests reachability from `state`; None for a single integrator."""
     if problem.robots[0].moves_freely:
         return None
     dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
@@ -79,7 +79,7 @@ Places = tuple[Floats, Floats]
 FIRST_PATHS = 64
 """Number of best positions in the first round of path lengths; it grows fourfold per round."""
 SPLIT_NODES = 100
-"""Maximum number of good nodes too close to obstacles that clear positions nearby replace."""
+"""Maximum number of good nodes that are too close to obstacles and replaced by free positions."""
 
 
 def best_by_paths(
@@ -92,7 +92,7 @@ def best_by_paths(
     looked: list[Places],
     spacing_m: float,
 ) -> tuple[float, ...]:
-    """Return the best margin in dB of the positions within each path length of `reach_m` (k,)."""
+    """Return, for each path length in `reach_m` (k,), the best margin in dB within this length."""
     # Negative margins are compared by straight distance, so a negative result is an upper bound.
     paths = shortest_paths(index, bounds_m, start_m, clearance, float(reach_m[-1]), inner=True)
     places = np.concatenate([at for at, _ in looked])

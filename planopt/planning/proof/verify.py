@@ -128,7 +128,7 @@ def verify_single_steps(
 
 
 def _result(problem: Problem, counted: Mask, relaxation_db: tuple[float, ...]) -> RuleResult | None:
-    """Return a rule result that counts steps satisfying p_min; None for the default rule."""
+    """Return the number of steps that satisfy p_min as a rule result; None for the default rule."""
     rule = problem.constraints.rule
     if rule.is_plain:
         return None

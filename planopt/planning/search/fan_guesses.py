@@ -210,7 +210,7 @@ Commands = tuple[Floats, Floats]
 def commands_via(
     start_m: Floats, place_m: Floats, horizon: int, longest_m: float
 ) -> Commands | None:
-    """Return commands that reach a position straight or in arcs, then continue or wait."""
+    """Return commands that reach a position straight or in arcs, then continue or wait, or None."""
     # None if the position is not reachable within the horizon.
     # Shapes: start_m, place_m (2,).
     offset = (place_m - start_m) / longest_m
@@ -315,7 +315,7 @@ def _nudged(
 
 
 def _bends(horizon: int, count: int, width_rad: float, generator: np.random.Generator) -> Floats:
-    """Return random turns (N, c): at the first step, spread evenly, and at one random step."""
+    """Return random turns (N, c): at the start, evenly over later steps, and at one random step."""
     turn = np.zeros((horizon, count))
     turn[0] = FIRST_SHARE * width_rad * generator.normal(size=count)
     if horizon > 1:

@@ -33,7 +33,7 @@ from planopt.world.motion import MovingDiscs
 FORBIDDEN = 1e6
 """Cost of a metre that violates a hard constraint; it exceeds the cost of any path."""
 STAGNANT_STEPS = 0.75
-"""Distance, in longest steps, that a path must leave the robot's position to count as progress."""
+"""Minimum distance from the robot, in longest steps, for a path to count as progress."""
 LEAST_PROGRESS = 0.5
 """Minimum progress of a path that satisfies a rule, relative to the cheapest path."""
 OUT_OF_BOUND_STEP_S = 1e5
@@ -152,7 +152,7 @@ class GlobalSearch:
     def _given(
         self, position_m: Floats, start: GlobalStart, found: TimedPath, steps: int
     ) -> tuple[GlobalStart, Floats, TimedPath]:
-        """Return a timed path with its initial guess and its positions after all steps."""
+        """Return the initial guess along a timed path, the path's positions, and the path."""
         problem, places = self._problem, self._scene.road_map.nodes_m
         horizon = problem.planner.horizon
         first = found.nodes[:horizon]
@@ -203,7 +203,7 @@ class GlobalSearch:
     def _within_rule(
         self, context: StepContext, cost_to_go: CostToGo, cheapest: Indices
     ) -> Indices:
-        """Return the cheapest path that satisfies the rule and makes enough progress."""
+        """Return the nodes (N,) of the cheapest path with enough progress that meets the rule."""
         # Without one, return `cheapest`. With a slack limit, the rule has priority over progress.
         found: dict[bytes, Indices] = {}
         places = self._scene.road_map.nodes_m
@@ -277,7 +277,7 @@ class GlobalSearch:
         priced: bool,
         effort_s2_m2: float | None = None,
     ) -> Indices | None:
-        """Return the nodes (N,) of the cheapest path, with corrected predictions along it."""
+        """Return the nodes (N,) of the path that is cheapest by corrected predictions, or None."""
         # `effort_s2_m2` replaces the problem's effort weight.
         if effort_s2_m2 is None:
             effort_s2_m2 = self._problem.reach.effort_weight_s2_m2
@@ -416,7 +416,7 @@ class Ahead:
         return self.pivot if joined is None else self._seen_from(joined[0], end_m)
 
     def _joined(self, end_m: Floats) -> tuple[int, float, float] | None:
-        """Return the cheapest node within a step of `end_m`, its total cost, and the metre cost."""
+        """Return the cheapest node within a step of `end_m`, its total and metre cost, or None."""
         key = end_m.tobytes()
         if key not in self._joins:
             self._joins[key] = self._join(end_m)

@@ -122,7 +122,7 @@ class StageRewards:
 
 
 def move_values(problem: Problem, lengths_m: Floats) -> Floats:
-    """Return the values of moves of these lengths: minus the energy of motion."""
+    """Return the values of moves with lengths `lengths_m`: minus the energy of motion."""
     # Waiting is excluded if another measurement at the same position is redundant.
     value = np.zeros(len(lengths_m))
     for term in problem.terms:

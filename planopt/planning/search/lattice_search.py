@@ -25,7 +25,7 @@ from planopt.world.workspace import LONGEST_MOVE
 
 @dataclass(frozen=True)
 class MoveTable:
-    """Table of the open moves of a lattice, which no obstacle blocks."""
+    """Table of the lattice moves that no obstacle blocks."""
 
     lattice: Lattice
     # (21, ny + 2 REACH, nx + 2 REACH): 0 for an open move from the node, else minus infinity; has a
@@ -136,7 +136,7 @@ class MovingMoves:
         return found // self._lattice.shape[1], found % self._lattice.shape[1], together
 
     def blocked(self, step: int, rows: Indices, columns: Indices) -> Mask:
-        """Return a mask (21, n) of moves to the nodes that collide with a disc in a step."""
+        """Return a mask (21, n): whether each move to each node collides with a disc in a step."""
         found = np.zeros((len(MOVES), len(rows)), dtype=np.bool_)
         for number in range(len(self._discs)):
             found |= self._blocked_by(step, number, rows, columns)
@@ -145,7 +145,7 @@ class MovingMoves:
     def _about(
         self, step: int, number: int, rows: slice, columns: slice
     ) -> tuple[Indices, Indices]:
-        """Return rows and columns of a window at which moves may collide with a disc."""
+        """Return the rows and columns of a window where moves may collide with disc `number`."""
         lattice, discs = self._lattice, self._discs
         before, centre = discs.centres_m[number, step], discs.centres_m[number, step + 1]
         reach = (
@@ -171,7 +171,7 @@ class MovingMoves:
         )
 
     def _blocked_by(self, step: int, number: int, rows: Indices, columns: Indices) -> Mask:
-        """Return a mask of the moves to nodes that collide with one disc in a step."""
+        """Return a mask (21, n): whether each move to each node collides with disc `number`."""
         lattice, discs = self._lattice, self._discs
         before, centre = discs.centres_m[number, step], discs.centres_m[number, step + 1]
         x = lattice.origin_m[0] + lattice.spacing_m * columns - centre[0]
@@ -266,7 +266,7 @@ class StageFrame:
         self._value[self._at(window)] = value
 
     def arriving(self, stage: int) -> Floats:
-        """Return the best value of arriving at each node of the window of `stage`."""
+        """Return the best arrival value at each node in the window of `stage`."""
         window = self._windows[stage]
         rows, columns = self._at(window)
         around = self._value[
@@ -304,7 +304,7 @@ class StageFrame:
         best[rows - window[0].start, columns - window[1].start] = arriving.max(axis=0)
 
     def _list_nodes(self) -> None:
-        """List the nodes whose predecessors are compared singly, by their first stage."""
+        """Store the nodes whose predecessors are compared singly, ordered by their first stage."""
         widest, first, table = self._windows[-1], self._windows[0], self._moves.table
         listed = table.hindered if self._moves.are_free else table.lattice.free
         rows, columns = np.nonzero(listed[without_margin(widest)])
@@ -371,7 +371,7 @@ class LatticeValues:
     gain: Callable[[int, int], list[float]]
 
     def best_path(self, cost: Floats | float = 0.0) -> Indices | None:
-        """Return the nodes (N, 2) of the path with the largest value minus `cost`, or None."""
+        """Return the nodes (N, 2) of the path with largest value minus `cost`; None if blocked."""
         total = self.values[-1] - cost
         row, column = (int(i) for i in np.unravel_index(int(np.argmax(total)), total.shape))
         if not np.isfinite(total[row, column]):

@@ -19,7 +19,7 @@ from planopt.world.lattice import Lattice, RoadMap
 
 
 class LatticeMap:
-    """Maps of predicted power of all stations, by tiles, and of the serving power."""
+    """Tiled maps of each station's predicted power, and a map of the serving power."""
 
     def __init__(self, lattice: Lattice) -> None:
         self._lattice = lattice
@@ -178,7 +178,7 @@ class NodeField(Nodes):
         return Prediction(self._map.mean_db[row, column], self._map.deviation_db[row, column])
 
     def correct(self, nodes: Indices) -> bool:
-        """Predict the power at `nodes` (n, 2) more accurately; return whether any is new."""
+        """Predict the power at `nodes` (n, 2) more accurately; return whether any value is new."""
         if self._context is None:
             raise AssertionError("refresh first")
         rows, columns = nodes[:, 0], nodes[:, 1]

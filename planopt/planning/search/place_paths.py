@@ -231,7 +231,7 @@ def paths_to_good_place(scorer: Scorer, probed: Sequence[Candidate]) -> list[Flo
 
 
 def _good_place(scorer: Scorer, routes: ShortestPaths, step: int, clear_m: float) -> Floats | None:
-    """Return the nearest position (2,) that satisfies p_min, with a safety pad if possible."""
+    """Return the nearest position (2,) that satisfies p_min, if possible with a pad, or None."""
     nodes = FINE_NODES if step <= FINE_STEPS else COARSE_NODES
     spacing = scorer.problem.step_length_m / nodes
     offsets = spacing * np.arange(-nodes * step, nodes * step + 1)
@@ -305,7 +305,7 @@ def _in_fewest_steps(scorer: Scorer, turns_m: Floats, length_m: float) -> Floats
 
 
 def _crossings(route_m: Floats, driven_m: Floats, length_m: float) -> tuple[Floats, Floats]:
-    """Return intersections of legs with later legs, both extended, and their path lengths."""
+    """Return intersections of pairs of extended legs, and path lengths midway between the legs."""
     legs = np.diff(route_m, axis=0)
     places, along = [np.zeros((0, 2))], [np.zeros(0)]
     for one in range(len(legs)):

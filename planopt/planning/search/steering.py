@@ -70,7 +70,7 @@ class Steering:
         return self.path_to_best(counted, context.position_m)
 
     def path_to_best(self, above_db2: Floats, position_m: Floats) -> SteeringPath | None:
-        """Return the path to the cell with the largest product of excess variance and closeness."""
+        """Return the path to the cell of largest excess variance times closeness; None if zero."""
         paths = PathsFrom(self._problem, self._ground, position_m)
         distance = paths.length_m[self._nearest] + self._away_m
         reachable = np.isfinite(distance)
@@ -129,7 +129,7 @@ class ConnectionSteering:
             self._radius_m *= WIDER
 
     def _chance(self, context: StepContext, nodes: Indices, radius_m: float) -> Floats:
-        """Return the probabilities of connection at nodes within `radius_m` of the robot."""
+        """Return the probabilities of connection at `nodes`, all within `radius_m` of the robot."""
         low, high = context.position_m - radius_m, context.position_m + radius_m
         window = float(low[0]), float(low[1]), float(high[0]), float(high[1])
         self._map.refresh(context.law, window)

@@ -26,7 +26,7 @@ ROUTES_TESTED = 4
 
 @dataclass(frozen=True, eq=False)
 class TimedCosts:
-    """Lattice, and costs of motion on it to a goal."""
+    """Lattice with a goal, and costs of motion on the lattice."""
 
     road_map: RoadMap  # Lattice, its cost-to-go without other robots, goal
     cost_to_go: CostToGo
@@ -82,7 +82,7 @@ def search_timed(
     discs: MovingDiscs,
     least_stages: int,
 ) -> TimedPath | None:
-    """Return a cheap path to the goal that avoids all moving discs, also after arrival."""
+    """Return a cheap path to the goal that avoids all discs, also after arrival, or None."""
     kept = steps_apart(
         discs,
         0,
@@ -140,7 +140,7 @@ def _search_within(
     least_stages: int,
     limit_s: float,
 ) -> TimedPath | None:
-    """Return the best path within a cost limit that begins at one of `nodes` (m,)."""
+    """Return the best path from `nodes` (m,) with a cost of at most `limit_s`, or None."""
     # Once all other robots have stopped, a static search completes the search in space and time.
     to_go = costs.rate_s_m * costs.cost_to_go.cost_m
     stages: list[tuple[Indices, Indices]] = [(nodes, np.zeros(len(nodes), dtype=np.intp))]

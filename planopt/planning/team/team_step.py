@@ -217,7 +217,7 @@ def _planned(
     reserved_m: Floats,
     made: Mapping[int, Plan],
 ) -> tuple[Plan, Aim]:
-    """Return one robot's plan, given the others' planned measurements, and its external inputs."""
+    """Return one robot's plan and external inputs, given the others' planned measurements."""
     pending = NOTHING_PENDING
     if counts_others(team[number].problem):
         planned = tuple(made[other].positions_m[1:] for other in sorted(made) if other != number)
@@ -412,7 +412,7 @@ class Couriers:
     def _in_order(
         self, at: TeamMoment, order: Sequence[int], alone: Sequence[Course]
     ) -> tuple[dict[int, Course], int | None]:
-        """Return the courses found in `order`, and the first robot that does not arrive."""
+        """Return the courses found in `order`, and the first robot not to arrive (or None)."""
         found: dict[int, Course] = {}
         late: int | None = None
         for number in order:

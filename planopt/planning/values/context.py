@@ -320,7 +320,7 @@ class StepContext(VerifierContext):
         return Prediction(both[:, 0], both[:, 1])
 
     def predicted(self, places_m: Floats) -> Prediction:
-        """Return :meth:`power` with unknown multipath at all positions, as in solvers."""
+        """Return :meth:`power` as in solvers, which ignore known values at measured positions."""
         if any(len(known.rows) for known in self.law.known(places_m)):
             return self.law.predicted(places_m, search_power)
         return self.power(places_m)
@@ -344,7 +344,7 @@ class StepContext(VerifierContext):
 
     @cached_property
     def near_measuring(self) -> MeasuringRule:
-        """Measuring rule for positions that a plan can reach, with nearby measurements only."""
+        """Return the rule :attr:`measuring`, reduced to measurements within a plan's reach."""
         reach = self.problem.planner.horizon * self.problem.step_length_m
         return self.measuring.near(self.position_m[None], reach)
 
@@ -361,7 +361,7 @@ class StepContext(VerifierContext):
 
     @cached_property
     def _probing(self) -> MeasuringRule:
-        """Rule :attr:`probing`, except that the start of a run may be connected."""
+        """Return the rule :attr:`probing`, but allow the robot's position at the start of a run."""
         lost = self.history.outage_steps > 0
         return self._untried(self.position_m[None] if lost else np.zeros((0, 2)))
 

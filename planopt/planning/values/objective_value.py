@@ -199,7 +199,7 @@ class ReachCost:
         return cost + self.rate_s_m * (pivot.metre_cost * to_pivot + pivot.cost_m)
 
     def pivot_of(self, path_m: Floats, drive: Drive | None = None) -> Pivot | None:
-        """Return the pivot for the cost-to-go of a path (N, 2)."""
+        """Return the pivot for the cost-to-go of a path (N, 2); None without cost-to-go."""
         end = path_m[-1] if drive is None else resting_places_m(drive)[-1]
         return None if self.ahead is None else self.ahead(end)
 
@@ -210,7 +210,7 @@ class ReachCost:
         return self.problem.stations[0].threshold_dbm - slack_db
 
     def _charged_m(self, places_m: Floats) -> float:
-        """Return the length out of contact of a path (N + 1, 2), in metres."""
+        """Return the length in metres of a path (N + 1, 2) that is penalised as out of contact."""
         lengths = np.linalg.norm(np.diff(places_m, axis=0), axis=1)
         return charged_length_m(lengths, self._outage_share(places_m))
 
@@ -226,7 +226,7 @@ class ReachCost:
         return 1.0 + self.outage_price * self._outage_share(places)
 
     def outage_charges(self, path_m: Floats) -> tuple[float, Floats]:
-        """Return the penalised share of a metre at the robot, and its maximum along a path."""
+        """Return the penalised share of a metre at the robot, and upper bounds (N,) on a path."""
         # The second value, (N,), is the fraction if connection were impossible.
         below = self._is_below(self.power(path_m))
         certain = outage_share(np.zeros(len(path_m)), below, self._everywhere)
@@ -336,7 +336,7 @@ def rule_rows(context: StepContext, path_m: Floats) -> RuleRows:
 
 
 LARGEST_FACTOR = 4.0
-"""Maximum factor by which a required shortfall from the maximum value is scaled."""
+"""Maximum factor by which the shortfall from the maximum value is scaled up or down."""
 
 
 def scaled_value(
@@ -408,7 +408,7 @@ def step_rows(context: StepContext, path_m: Floats) -> RuleRows:
 
 @dataclass(frozen=True, eq=False)
 class Guide:
-    """Guide of a lattice search: constrained steps, their minimum, and rewards for connection."""
+    """Guide of a lattice search: constrained steps, required probability, connection rewards."""
 
     level: float  # Required probability of the constrained steps
     bounded: Mask  # (N,) mask of the constrained steps

@@ -495,7 +495,7 @@ class ChannelSetup(Part):
 
     @property
     def origin_deg(self) -> Origin | None:
-        """Return the origin of the frame, if a log or a map of the channel has one."""
+        """Return the origin of the frame from a log or map of the channel; None without one."""
         log, truth = self.measurements, self.truth
         if isinstance(log, LoggedMeasurements) and log.log_format.origin_deg is not None:
             return log.log_format.origin_deg

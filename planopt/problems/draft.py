@@ -282,7 +282,7 @@ def _read(
 def _with_origin(
     table: LogTable, x: str, y: str, log_format: LogFormat, map_path: Path | None, notes: _Notes
 ) -> LogFormat:
-    """Return the format with the first position as origin; an error if a map has its own frame."""
+    """Return the format with the first position as origin; raise an error if there is a map."""
     table.index(x)
     table.index(y)
     if not table.rows:

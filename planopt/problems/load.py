@@ -265,7 +265,7 @@ def _overridden(
 
 
 def with_changes(problem: AnyProblem, changes: Mapping[str, object]) -> AnyProblem:
-    """Return a checked copy of `problem` with changed values of any keys of its file."""
+    """Return a checked copy of `problem` with new values for the file keys in `changes`."""
     if not changes:
         return problem
     given = ", ".join(f"{key} = {value}" for key, value in changes.items())

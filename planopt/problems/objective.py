@@ -28,7 +28,7 @@ from planopt.parts import Registry, calling, class_name, is_own, part_of
 
 
 class AnyTerm:
-    """Schema marker for the table of a term of any registered kind."""
+    """Schema marker that accepts a term's table of any registered kind."""
 
     def tables(self) -> Sequence[type[BaseModel]]:
         """Return the table models of all registered kinds of terms."""
@@ -151,7 +151,7 @@ class TermsObjective:
             raise InputError("is empty", key="objective.terms", remedy="give at least one term")
 
     def at_horizon(self, steps: int) -> TermsObjective:
-        """Return the objective for plans of another number of steps."""
+        """Return the objective for plans of `steps` steps."""
         return TermsObjective(tuple(term.at_horizon(steps) for term in self.terms))
 
 

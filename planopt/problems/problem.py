@@ -177,7 +177,7 @@ class Problem:
 
     @property
     def step_length_m(self) -> float:
-        """Return the maximum step length of the (first) robot."""
+        """Return the maximum step length of the first robot in metres."""
         return self.robots[0].speed_max_m_s * self.planner.step_s
 
     @property
@@ -189,7 +189,7 @@ class Problem:
 
     @property
     def goal_m(self) -> tuple[float, float]:
-        """Return the (first) robot's goal; only for the task reach."""
+        """Return the first robot's goal (x, y); only for the task reach."""
         goal = self.robots[0].goal_m
         if goal is None:
             raise AssertionError(f"the task of {self.name} is not to reach a goal")
@@ -364,7 +364,7 @@ def step_cost_s(length_m: Floats, step_s: float, effort_weight_s2_m2: float) -> 
 
 
 def outage_share(probability: Floats, is_below: Mask, everywhere: bool = False) -> Floats:
-    """Return the share of a metre at each position that counts as out of contact."""
+    """Return the penalised share of a metre: 1 - probability where outage costs, else 0."""
     return np.where(is_below | everywhere, 1.0 - probability, 0.0)
 
 
@@ -403,7 +403,7 @@ def path_cost_s(
     effort_weight_s2_m2: float,
     resting_m: Floats | None = None,
 ) -> float:
-    """Return the cost of a path (n + 1, 2) up to its end or arrival, without cost-to-go."""
+    """Return the cost in seconds of a path (n + 1, 2) until its end or arrival at the goal."""
     # A robot with dynamics has arrived once it can also stop at the goal. `resting_m` (n + 1, 2) is
     # its rest position after braking from each position.
     lengths = np.linalg.norm(np.diff(positions_m, axis=0), axis=1)

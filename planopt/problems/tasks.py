@@ -97,7 +97,7 @@ class TaskProblem:
         return (f"{self.name}: {self.description}", f"  task        {self.task}")
 
     def with_planner(self, horizon: int | None = None, planner: str | None = None) -> Self:
-        """Return the problem with another planner; planners without look-ahead have horizon 1."""
+        """Return the problem with a changed planner; planners without look-ahead get horizon 1."""
         now = self.config.planner
         model = cast("Any", type(now))
         changes = {"horizon": horizon, "name": planner}

@@ -118,7 +118,7 @@ def shown_steps(count: int) -> list[int]:
 
 
 def _with_palette(images: Sequence[Image]) -> list[Image]:
-    """Return all frames in the last one's palette, with unchanged pixels transparent."""
+    """Return all frames in the palette of the last frame, with unchanged pixels transparent."""
     from matplotlib import colormaps
     from PIL import Image, ImageColor
 

@@ -68,7 +68,7 @@ LIMITATIONS = (
 
 
 def bench_page(rows: Sequence[Row], known: References, manifest: Manifest) -> Page:
-    """Return the page of a suite run: scores by kind of start, family and question, with charts."""
+    """Return the page of a suite run, with charts and with scores by kind, family and question."""
     best, bounds = best_known(known, rows), bounds_known(known, rows)
     kinds = {kind: [row for row in rows if row.kind == kind] for kind in KINDS}
     kinds = {kind: own for kind, own in kinds.items() if own}

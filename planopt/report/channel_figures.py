@@ -406,7 +406,7 @@ def draw_sensitivity(relative_errors: Sequence[float], curves: Mapping[str, Floa
 
 
 def draw_stations(true_m: Floats, estimates_m: Mapping[str, Floats], measured_m: Floats) -> Figure:
-    """Draw the first estimates on a map, and the distribution of all errors.
+    """Draw the first method's estimates on a map, and the error distribution of each method.
 
     Parameters
     ----------

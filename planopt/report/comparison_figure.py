@@ -208,7 +208,7 @@ def _draw_metric(panel: Panel, layout: Layout, metric: str) -> None:
 
 
 def _draw_mean(panel: Panel, slot: Slot, value: float, low: float, high: float) -> Artist:
-    """Draw a setting's mean with a bar between two values; return a legend entry."""
+    """Draw a setting's mean with a bar from `low` to `high`; return a legend entry."""
     edge = {"markersize": 7.0, "markeredgecolor": "white", "markeredgewidth": 0.8}
     look = {"linestyle": "none", "label": slot.label, **edge, **slot.look}
     return draw_intervals(panel, [slot.x], [value], [low], [high], **look)

@@ -374,7 +374,7 @@ def _is_small(problem: Problem, window: Bounds) -> bool:
 
 
 def _point_beyond(panel: Panel, edge_m: Floats, away_m: Floats) -> None:
-    """Point from the edge of a panel to a station beyond it."""
+    """Draw an arrow at a panel's edge that points to a station outside the panel."""
     distance_m = float(np.linalg.norm(away_m))
     words, inwards = f"station {distance_m:.0f} m", tuple(away_m / -distance_m * (64.0, 30.0))
     arrow = {"arrowstyle": "-|>", "edgecolor": BLACK, "facecolor": ORANGE, "linewidth": 1.2}

@@ -277,7 +277,7 @@ def _draw_fallbacks(panel: Panel, run: Run) -> None:
 
 
 def _draw_rows(panel: Panel, rows: Sequence[Floats], label: str, **look: object) -> None:
-    """Mark the times (n,) of each robot in its row; the label shows their number."""
+    """Mark the times (n,) of each robot in its row; the label shows the number of times."""
     counts = [len(times) for times in rows]
     if sum(counts):
         at = np.repeat(np.arange(len(rows), dtype=np.float64), counts)

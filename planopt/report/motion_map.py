@@ -255,7 +255,7 @@ def draw_connected_track(panel: Panel, log: StepLog) -> list[Artist]:
 
 
 def _pieces(log: StepLog, states: Mask) -> list[Floats]:
-    """Return the maximal parts of a path with flags `states` (steps,) all set."""
+    """Return the contiguous parts of a path whose steps are set in the mask `states` (steps,)."""
     changes = np.flatnonzero(np.diff(states)) + 1
     bounds = [0, *changes.tolist(), len(states)] if len(states) else [0]
     return [

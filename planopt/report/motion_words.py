@@ -232,7 +232,7 @@ def _metrics_in_words(run: Run) -> Iterator[tuple[str, str]]:
 
 
 def _unverified_in_words(run: Run) -> list[str]:
-    """Return the number of unverified plans of each robot, and the reason for the last one."""
+    """Return text on each robot's number of unverified plans, and the reason for the last one."""
     lines: list[str] = []
     for plans in run.plans:
         missing = [plan for plan in plans if plan.verdict is not Verdict.VERIFIED]
@@ -248,7 +248,7 @@ def _unverified_in_words(run: Run) -> list[str]:
 
 
 def _costs_in_words(run: Run) -> list[str]:
-    """Return the costs of a run and its clairvoyant bound, and reasons for steps below p_min."""
+    """Return text on a run's costs, their clairvoyant bound, and reasons for steps below p_min."""
     lines = [
         f"priced length of the run: {shown_number(run.costs['realised_cost_m'], ' m')} (length "
         f"plus {run.problem.reach.outage_price:g} m for each metre out of contact)",
@@ -357,7 +357,7 @@ def planned_in_words(clearance_m: float | None, connectivity: float | None) -> s
 
 
 def apart_in_words(separation_m: float | None, moving_clearance_m: float | None) -> tuple[str, ...]:
-    """Return the minimum distances to other robots and moving obstacles; empty without these."""
+    """Return text on minimum distances to other robots and moving obstacles; empty if none."""
     parts = [
         f"{shown_number(distance, ' m')} from {what}"
         for distance, what in (
@@ -405,7 +405,7 @@ class TerminalMap:
             self._put(self._ground, np.array(places, dtype=np.float64).reshape(-1, 2), mark)
 
     def frame(self, step: int, plans: Sequence[Plan]) -> str:
-        """Return the frame of a step, and store the robots' positions."""
+        """Return map and values of a step as text, and store the robots' positions."""
         picture = self._ground.copy()
         for number, plan in enumerate(plans):
             length = plan.positions_m[-1] - plan.positions_m[0]

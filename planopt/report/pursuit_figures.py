@@ -133,7 +133,7 @@ def draw_view(
     mote: NDArray[np.int64],  # (2,) column and row
     time_s: float,
 ) -> Figure:
-    """Draw one mote's view: age and resolution of its records of objects at every position."""
+    """Draw age and resolution of one mote's records, for objects at every position."""
     here_m = mote_centres_m(service)[mote[1], mote[0]]
     # Visibility is mutual: a level that shows one mote to another also shows the reverse.
     seen = snapshot(service, Track(np.zeros(1), here_m[None]), time_s)

@@ -178,7 +178,7 @@ GOAL_COLUMNS = (
 
 
 def comparison_text(comparison: Comparison) -> str:
-    """Return the table of a comparison, aligned, one line per setting in the order of the rows.
+    """Return a comparison as an aligned text table, one line per setting in the order of the rows.
 
     Columns beyond `WIDTH` characters follow in further blocks that repeat the names of the
     settings. With several swept keys, settings are numbered and described once.
@@ -282,7 +282,7 @@ def _paired(
 
 
 def _difference(row: Row | None) -> str:
-    """Return the paired difference with its interval, and a star if that excludes zero."""
+    """Return text: the paired difference, its interval, and a star if this excludes zero."""
     if row is None or row.paired_difference is None:
         return MISSING
     low, high, name = row.difference_low, row.difference_high, metric_name(row.metric)

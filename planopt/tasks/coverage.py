@@ -376,7 +376,7 @@ def tables_of(problem: CoverageProblem, run: NetworkRun) -> dict[str, Data]:
     states = np.array([words[state] for state in run.states.ravel().tolist()], dtype=np.str_)
 
     def by_agent(values: NDArray[Any], end: Any = np.nan) -> NDArray[Any]:
-        """Return values of steps and agents as one column by agent; `end` fills the last step."""
+        """Return values (steps, agents) as one column, agent by agent; `end` pads missing steps."""
         missing = np.full((steps + 1 - len(values), agents), end, dtype=values.dtype)
         return np.concatenate((values, missing)).T.ravel()
 

@@ -81,7 +81,7 @@ class CoverageProblem(TaskProblem):
         listed = isinstance(table.start, PlacesTable)
 
         def key(agent: int) -> str:
-            """Return the key that sets an agent's starting position."""
+            """Return the name of the key that sets an agent's starting position."""
             return f"agents.start.places_m[{agent}]" if listed else "agents.start"
 
         outside = np.flatnonzero(~has_room(ground, starts, body_m))

@@ -288,8 +288,8 @@ class AssignmentTable(Table):
     stand_off: bool = False
     """True if responding agents take positions on the most informative ring around an event."""
     flag_rounds: int = Field(default=30, ge=1, le=10_000)
-    """Most rounds in a step of each flood of readings, estimates and lists, if links lose
-    messages."""
+    """Maximum number of message rounds per step for each flood of readings, estimates and lists,
+    if links lose messages."""
 
 
 class SurveyTable(Table):

@@ -48,7 +48,7 @@ RECORD_COLUMNS = (
 THEOREMS = (Theorem.ANY_INSTANT, Theorem.SNAPSHOTS)
 """Theorems whose premises the snapshot service satisfies."""
 RATIO_ROUNDING = 1e-9
-"""Relative rounding tolerance for the ratio of a stage's distance to its bound."""
+"""Relative rounding tolerance for the ratio of a stage's distance bound to its limit."""
 
 
 def simulate(
@@ -121,7 +121,7 @@ def _missed_guarantee(problem: PursuitProblem) -> Inequality | None:
 
 
 def _stage_shares(problem: PursuitProblem, pursuit: Pursuit) -> Iterator[tuple[Theorem, float]]:
-    """Yield a theorem and the largest ratio of a stage's distance bound to the theorem's limit."""
+    """Yield each theorem with the largest ratio of a stage's distance bound to its limit."""
     if problem.config.planner.name != "drive":
         return
     for pursuer in range(len(pursuit.scene.pursuers)):

@@ -369,7 +369,7 @@ def _design_json(
 
 
 def _relaxed_cost_w(problem: DesignProblem) -> float | None:
-    """Return the least power for continuous compression; None if the method lacks it."""
+    """Return the least power in W with continuous compression; None if not available."""
     rated = problem.method is METHODS["least_power_rated"]
     if not rated and problem.method is not METHODS["least_power"]:
         return None

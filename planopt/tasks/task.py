@@ -213,7 +213,7 @@ class Task:
         return TaskResult(problem, {**data, **more})
 
     def function(self, name: str) -> Callable[..., Any] | None:
-        """Return ``solve``, ``simulate`` or ``controller``; import it if it is given by name."""
+        """Return ``solve``, ``simulate`` or ``controller``, imported if needed; None if missing."""
         found = getattr(self, name)
         if isinstance(found, str):
             module, _, attribute = found.partition(":")

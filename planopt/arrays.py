@@ -96,7 +96,7 @@ def add_products(hessian: Floats, a: Floats, b: Floats) -> None:
 
 
 def rounded_positive_part(x: Floats, width: float) -> tuple[Floats, Floats, Floats]:
-    """Return max{0, x}, smoothed for |x| < width, at most 3/16 width above it, and derivatives."""
+    """Return max{0, x} smoothed for |x| < width (error at most 3/16 width), slope and curvature."""
     value, slope, bend = rounded_radius(np.abs(x), width)
     return 0.5 * (x + value), 0.5 * (1.0 + slope * x), 0.5 * (slope + bend * x * x)
 

@@ -119,7 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def usage_error(message: str, context: typer.Context | None) -> str:
-    """Word a usage error alike for all supported versions of Typer and name the help page."""
+    """Return a usage error in the same words for all versions of Typer, with the help page."""
     message = message.rstrip(".")
     for pattern, replacement in USAGE_ERRORS.items():
         message = re.sub(pattern, replacement, message)

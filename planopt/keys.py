@@ -216,7 +216,7 @@ _LIMITS = {"greater_than": "gt", "greater_than_equal": "ge", "less_than": "lt"}
 
 
 def _within(fault: ErrorDetails, field: FieldInfo) -> str:
-    """Return a valid example and the key's meaning for a number out of range."""
+    """Return text for a number out of range: a valid example, and the key's meaning."""
     bounds = _bounds_of(field)
     limit = _LIMITS.get(fault["type"], "le")
     # Elements of an array have their own limits.

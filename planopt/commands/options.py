@@ -328,7 +328,7 @@ def _bar(description: str, total: int | None) -> Generator[Callable[[], None]]:
 
 @contextlib.contextmanager
 def drawing(folder: Path | None, files: Patterns, *, wanted: bool) -> Generator[Path | None]:
-    """Yield a folder for figures, which are then added to the saved results, or None."""
+    """Yield a folder for figures to be added to the saved results; None if not `wanted`."""
     if folder is None or not wanted:
         yield None
         return

@@ -154,7 +154,7 @@ class CasadiMap(Dynamics):
         return tuple(there - here for there, here in zip(after, state, strict=True))
 
     def change_at_rest(self, state: Floats, step_s: float) -> Floats:
-        """Return the smallest change (s,) under the rest input over all states at a position."""
+        """Return the smallest state change (s,) under the rest input at the position of `state`."""
         # Searches start from `state` and from zeros; a guess counts if the map is not finite.
         low, high = np.array(self.state_bounds)[2:].T
         free = low < high
@@ -237,7 +237,7 @@ class CasadiMap(Dynamics):
         return found
 
     def excess_m(self, states: Floats, inputs: Floats, step_s: float) -> float:
-        """Return the largest excess of components over bounds or of step lengths, in metres."""
+        """Return the largest excess in metres over component bounds and over the step length."""
         unit = self.speed_max_m_s * step_s
         lengths = np.linalg.norm(np.diff(states[:, :2], axis=0), axis=1)
         over = [float(np.max(lengths, initial=0.0)) - unit]
@@ -321,7 +321,7 @@ def check_casadi_map(dynamics: CasadiMap) -> None:
 
 
 def _are_numbers(given: Any, shape: tuple[int, ...]) -> bool:
-    """Return whether values are numbers of `shape`, with ordered bounds or finite values."""
+    """Return whether values are numbers of `shape`: finite, or ordered pairs of bounds."""
     try:
         found = np.array(given)
     except ValueError:

@@ -52,7 +52,7 @@ class Dynamics(Protocol):
         ...
 
     def limits(self, control: Components, after: Components) -> Components:
-        """Return scaled limits g <= 0 of the input of a step and the state after the step."""
+        """Return scaled values g of the limits g <= 0 on a step's input and the state after it."""
         ...
 
     def control_points(
@@ -90,7 +90,7 @@ class Dynamics(Protocol):
         return 0
 
     def resting_place(self, state: Components) -> tuple[Any, Any]:
-        """Return the approximate position of rest after braking, a smooth function of the state."""
+        """Return the approximate position (x, y) of rest after braking, smooth in the state."""
         return state[0], state[1]
 
     def turning_s(self, state: Components, place: tuple[Any, Any]) -> Any:
@@ -110,7 +110,7 @@ class Dynamics(Protocol):
         ...
 
     def may_reach(self, state: Floats, places_m: Floats, duration_s: float, slack_m: float) -> Mask:
-        """Return a mask of positions (n, 2) that may be reached to within `slack_m` in time."""
+        """Return a mask (n,) of positions that may be reached within `slack_m` in `duration_s`."""
         return np.ones(len(places_m), dtype=np.bool_)
 
     def curves(self, states: Floats, inputs: Floats, step_s: float) -> list[StepCurve]:
@@ -140,7 +140,7 @@ class RestsByInput(Protocol):
     input_bounds: tuple[tuple[float, float], ...]
 
     def change_at_rest(self, state: Floats, step_s: float) -> Floats:
-        """Return the smallest change (s,) under the rest input over all states at a position."""
+        """Return the smallest state change (s,) under the rest input at the position of `state`."""
         ...
 
 

@@ -173,7 +173,7 @@ class DoubleIntegrator(Dynamics):
         return max(1, math.ceil(speed_m_s / (self.acceleration_max_m_s2 * step_s) - 1e-6))
 
     def resting_place(self, state: Components) -> tuple[Any, Any]:
-        """Return the point about v^2 / (2 a_max) ahead, smoothed to be differentiable at rest."""
+        """Return the point (x, y) about v^2 / (2 a_max) ahead, differentiable also at rest."""
         x, y, vx, vy = state
         least = ROUNDED_SHARE * self.speed_max_m_s
         ahead_s = 0.5 * (vx * vx + vy * vy + least**2) ** 0.5 / self.acceleration_max_m_s2

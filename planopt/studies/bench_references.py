@@ -318,7 +318,7 @@ def claims(row: Row) -> bool:
 
 
 def is_wrong(row: Row, best: Mapping[Question, float]) -> bool:
-    """Return whether a claim is false: rejected, far from the best, or an existing plan denied."""
+    """Return whether a claim is false: plan rejected, optimum missed, or existing plan denied."""
     if row.outcome == NO_PLAN:
         return row.question in best
     if row.verdict == Verdict.VERIFIED.value and row.accepted is False:

@@ -193,7 +193,7 @@ def own_settings(problems: Sequence[AnyProblem], lists: Lists) -> ComparisonSett
 
 
 def default_seeds(own: ComparisonSettings | None, problems: Sequence[AnyProblem] = ()) -> range:
-    """Return the default seeds; designs, which nothing random affects, have one."""
+    """Return the default seeds; one seed for designs, which contain nothing random."""
     if problems and all(task_of(problem).simulate is None for problem in problems):
         return range(1)
     return seeds_of(DEFAULT_SEEDS if own is None else own.seeds, "compare.seeds")

@@ -100,7 +100,7 @@ def comparison_rows(runs: Sequence[RunSummary]) -> list[Row]:
 
 
 def tabulate(runs: Sequence[RunSummary], reference: Sequence[RunSummary]) -> list[Row]:
-    """Return one row per metric of runs, paired with reference runs of the same seeds in order."""
+    """Return one row per metric of `runs`; `reference` has runs of the same seeds in order."""
     one = runs[0]
     steps = np.concatenate([run.step_s for run in runs])
     rates = np.array([run.verified_rate for run in runs])
@@ -170,7 +170,7 @@ def log_ratios(values: Floats, others: Floats) -> Floats:
 
 
 def runs_reliability(runs: Sequence[RunSummary]) -> tuple[ReliabilityBin, ...]:
-    """Return bins of predicted against true connection over all steps of runs, grouped by seed."""
+    """Return the reliability bins of P(connected) over all steps of runs, grouped by seed."""
     seeds = [np.full(len(run.connectivity), run.seed, dtype=np.intp) for run in runs]
     return reliability(
         np.concatenate([run.connectivity for run in runs]),
@@ -360,7 +360,7 @@ class Comparison:
 
     @property
     def reliability(self) -> tuple[ReliabilityBin, ...]:
-        """Return bins of predicted against true connection over all steps, runs and settings."""
+        """Return the reliability bins of P(connected) over all steps, runs and settings."""
         return runs_reliability(self.runs)
 
 

@@ -226,7 +226,7 @@ def _moved(model: TargetModel, matrix: Floats) -> Floats:
 
 
 def _gain(model: TargetModel, moved: Floats) -> tuple[Floats, Floats]:
-    """Return the gain of process noise, and the gain's inner factor (2, 2)."""
+    """Return the process-noise gain (..., 4, 2), and its inner factor (..., 2, 2)."""
     noise_gain, theta = model.noise_gain, model.acceleration_covariance_m2_s4
     seen = noise_gain.T @ moved @ noise_gain
     inner = np.asarray(np.linalg.inv(np.eye(2) + seen @ theta), dtype=np.float64)
@@ -255,7 +255,7 @@ class Sensor:
 
 
 def sensing_information(sensor: Sensor, positions_m: Floats, target_m: Floats) -> Floats:
-    """Return the information 1 / g per m^2 of a packet, with g the sensor's noise."""
+    """Return the information 1 / g of a packet in 1/m^2, with g the sensor's noise in m^2."""
     # Shapes: positions_m (..., 2); target_m (..., 2).
     # Computed in place, because searches evaluate all reachable nodes at every step.
     found = np.asarray(positions_m[..., 0] - target_m[..., 0])
@@ -287,7 +287,7 @@ def sense(
 
 
 def sensing_derivatives(sensor: Sensor, positions_m: Floats, target_m: Floats) -> Derivatives:
-    """Return the information of a packet, with gradient and Hessian in the robot's position."""
+    """Return the information of a packet, with gradient and Hessian w.r.t. robot positions."""
     # The result is exact at distances of at least `CUSP_SHARE` r_s from the target. At smaller
     # distances it uses the smoothed distance of `planopt.arrays`; g is then too
     # small by at most 3/4 `CUSP_SHARE` varpi r_s^2.

@@ -1,7 +1,7 @@
 """Predictions under uncertain parameters (equation 1.17), and errors due to wrong ones (1.16).
 
 The posterior is a mixture over a lattice of (xi^2 / alpha, beta) along the principal axes of the
-likelihood, weighted by it. The total variance alpha is integrated out in closed form.
+likelihood, which also gives the weights. The total variance alpha is integrated out in closed form.
 """
 
 import math

@@ -1,7 +1,7 @@
 """Lower bounds on the coverage cost of any deployment, by Lagrangian relaxation (equation 7.21).
 
 Prices are optimised on coarse cells, and then interpolated on fine ones, where an upper bound of
-G is computed on boxes that cover all positions of an agent.
+the gain G is computed on boxes that cover all positions of an agent.
 """
 
 import math

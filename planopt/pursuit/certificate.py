@@ -1,4 +1,4 @@
-"""Verification of capture guarantees and network designs, from their numbers alone.
+"""Verification of capture guarantees and network designs from their parameters.
 
 The formulas of docs/theory/pursuit.md are implemented a second time, independently of the design
 search and of the classes for services and guarantees. A guarantee is accepted if its inequalities

@@ -2,8 +2,8 @@
 
 The cheapest design has the slowest rounds and coarsest reports that the guarantee of capture allows
 (equations 8.11 to 8.14). For a fixed number of bits c, all limits on the slot are linear and the
-optimal slot is known; c is scanned. With continuous compression the problem is a convex programme,
-whose optimum is a lower bound.
+optimum has a closed form; all c are tried. With continuous compression the problem is a convex
+programme, whose optimum is a lower bound.
 """
 
 import math

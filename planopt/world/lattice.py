@@ -2,11 +2,11 @@
 
 The spacing is step / sqrt(5), so that the longest of the 21 moves, a knight's move, is a full step.
 A segment of length l whose ends are at distances d_a and d_b from an obstacle is at least
-``(d_a + d_b - l) / 2`` away from it; GEOS decides only where this bound does not.
+``(d_a + d_b - l) / 2`` away from it; GEOS is called only if this bound is inconclusive.
 
 The nodes of a regular lattice miss a passage between obstacles if its free space, in which the
-robot keeps the clearance, is narrower than the spacing. A disc that does not fit into the passage
-finds it (morphological opening). Nodes whose cells the passage crosses are moved into it.
+robot keeps the clearance, is narrower than the spacing. Such passages are found by morphological
+opening with a disc. A node whose cell a passage crosses is moved into the passage.
 """
 
 from __future__ import annotations

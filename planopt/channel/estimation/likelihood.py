@@ -12,7 +12,7 @@ rows of L^-1, D = A dV L'^-1 and z = L^-1 C, both split into earlier measurement
                                                                       + D_own z_own / 2)
 
 and the expected information is ``sum (<D_own, D_own> / 2 + <D_earlier, D_earlier>)`` [Gui21].
-Sites (equation 2.11) are joint in one window, else matched window by window about the current mean.
+Sites (equation 2.11) are fitted together in one window, or window by window at the current mean.
 """
 
 from __future__ import annotations

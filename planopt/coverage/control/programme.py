@@ -1,4 +1,4 @@
-"""Optimal control problems of the agents as convex programmes, scaled by the agent's distances."""
+"""Optimal control problems of the agents as convex programmes, scaled by each agent's distances."""
 
 from __future__ import annotations
 

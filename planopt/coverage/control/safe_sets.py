@@ -166,7 +166,7 @@ def separate_cells(
 
 
 def _neighbours(places_m: Floats) -> Indices:
-    """Return pairs (e, 2) of Voronoi neighbours, smaller number first."""
+    """Return index pairs (e, 2) of Voronoi neighbours, smaller first."""
     count = len(places_m)
     every = np.stack(np.triu_indices(count, 1), axis=1)
     if count <= 4:
@@ -321,7 +321,7 @@ def _touching_normal(outward: Floats, seed: Floats, part: Floats, touch_m: float
 
 
 def _from_triangles(seeds: Floats, parts: Floats) -> tuple[Floats, Floats, Floats]:
-    """Return the nearest points of each triangle and its segment, and their distance."""
+    """Return nearest points (n, 2) of each triangle and its segment, and their distances (n,)."""
     here, there = np.zeros((len(seeds), 2)), np.zeros((len(seeds), 2))
     least = np.full(len(seeds), np.inf)
     flat = bool((seeds[:, 0] == seeds[:, 1]).all())

@@ -213,10 +213,8 @@ def test_help_lists_the_planners_of_every_task(command, capsys) -> None:
         assert set(names) <= set(words)
 
 
-def test_an_interrupt_is_exit_code_130(
-    field: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
-) -> None:
-    """Ctrl-C: no traceback, and a folder made for results is gone again."""
+def test_interrupts(field: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    """Ctrl-C before or in a command: exit code 130, no traceback, and no folder left."""
 
     def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
@@ -225,6 +223,12 @@ def test_an_interrupt_is_exit_code_130(
     assert main(["solve", str(field), "--out", str(tmp_path / "out")]) == 130
     assert "Traceback" not in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("planopt.cli.app", interrupted)
+    assert main([]) == 130
 
 
 def test_an_interrupt_that_is_swallowed_still_stops() -> None:
@@ -240,14 +244,6 @@ def test_an_interrupt_that_is_swallowed_still_stops() -> None:
         parts += 1
     assert parts == 1
     assert signal.getsignal(signal.SIGINT) is before
-
-
-def test_an_interrupt_outside_of_a_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    def interrupted(*_: object, **__: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("planopt.cli.app", interrupted)
-    assert main([]) == 130
 
 
 def test_a_fault_of_ours_is_not_hidden(field: Path, monkeypatch: pytest.MonkeyPatch) -> None:

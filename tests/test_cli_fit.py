@@ -119,16 +119,12 @@ def test_fit_prints_text(log: Path, capsys) -> None:
     assert "is estimated, not given" in text
 
 
-def test_fit_draws_its_picture(log: Path, tmp_path: Path) -> None:
-    """With --out there is a picture in addition to the JSON."""
+def test_pictures_of_fits(log: Path, tmp_path: Path) -> None:
+    """A picture beside the JSON, also of a single measurement, whose axes are widened."""
     out = tmp_path / "fit"
     assert main(["fit", str(log), "--station", "0,0", *COLUMNS, "--out", str(out)]) in FITTED
     assert {f.name for f in out.iterdir()} == {"fit.json", "fit.png"}
     assert (out / "fit.png").read_bytes().startswith(b"\x89PNG")
-
-
-def test_a_single_measurement_has_a_picture(tmp_path: Path) -> None:
-    """An axis without extent is widened; nothing warns."""
     (tmp_path / "log.csv").write_text("x_m,y_m,power_dbm\n-295,-1,-82.6\n")
     out = tmp_path / "fit"
     arguments = ["fit", str(tmp_path / "log.csv"), "--station", "7,7", "--floor", "0"]
@@ -256,7 +252,7 @@ def fitted(log: Path, capsys, *options: str) -> dict:
 
 
 def test_standard_errors_of_the_station(round_log: Path, capsys) -> None:
-    """Two numbers if it is estimated, by either method; null if it is known."""
+    """Two numbers if it is estimated, by either method, in JSON and in words; else null."""
     joint = fitted(round_log, capsys, "--station", "unknown")
     line = fitted(round_log, capsys, "--station", "unknown", "--station-method", "line")
     given = fitted(round_log, capsys, "--station", "120,60")
@@ -267,10 +263,6 @@ def test_standard_errors_of_the_station(round_log: Path, capsys) -> None:
         errors = one["station_standard_errors_m"]
         assert all(0.0 < error < 10.0 for error in errors)
         assert np.all(np.abs(np.subtract(one["station"], (120.0, 60.0))) < 4.0 * np.array(errors))
-
-
-def test_station_in_words(round_log: Path, capsys) -> None:
-    """The station's errors follow it, and are absent if it is known."""
     assert main(["fit", str(round_log), "--station", "unknown"]) in FITTED
     third = capsys.readouterr().out.splitlines()[2]
     assert re.search(r"station at \([\d.]+, [\d.]+\) \+- \([\d.]+, [\d.]+\) m$", third)

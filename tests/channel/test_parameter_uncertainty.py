@@ -97,7 +97,7 @@ def test_powers_in_other_units():
 
 
 def test_mixture():
-    """Moments and connectivity of two components, by hand."""
+    """Moments and connectivity of two components by hand; too few measurements give one."""
     data = simulated(FIG_3, 1, 20, 50.0)
     parts = tuple(condition(replace(FIG_3, decorrelation_m=beta), data) for beta in (2.0, 20.0))
     mixture = MarginalPosterior(parts, np.array([0.25, 0.75]))
@@ -114,10 +114,6 @@ def test_mixture():
         mixture.connectivity(PLACES, -40.0),
         0.25 * parts[0].connectivity(PLACES, -40.0) + 0.75 * parts[1].connectivity(PLACES, -40.0),
     )
-
-
-def test_too_few_for_a_covariance():
-    """Where none can be estimated there is one component: the parameters as they are."""
     data = simulated(FIG_3, 1, 4, 50.0)
     found = marginalise(FIG_3, data)
     plain = condition(FIG_3, data).predict(PLACES)

@@ -119,28 +119,21 @@ def test_unsound(path):
     assert not candidate.sound
 
 
-def test_below_the_bound_is_sound():
-    """Connectivity may be given up; the words say what and why."""
+def test_words_of_candidates():
+    """What is below the bound is sound and says what it misses; a stand is no progress."""
     problem = small_problem()
     scorer = scorer_of(problem, bad_everywhere)
     candidate = assessed(scorer, straight_path(problem)[1:])
     assert candidate.sound and candidate.relaxes
     assert candidate.verdict is Verdict.VIOLATED
     assert "met nowhere" in scorer.plan_from(candidate, 0.0).message
-
-
-def test_words_of_a_relaxed_plan():
     problem = small_problem()
     scorer = scorer_of(problem, bad_disc(5.0, 15.0, 3.5))
     candidate = assessed(scorer, straight_path(problem, 2.0)[1:])
     assert candidate.verdict is Verdict.VERIFIED and candidate.relaxes
     message = scorer.plan_from(candidate, 0.0).message
-    assert message.startswith("P(connected) is below the required value at step 1,")
+    assert message.startswith("P(connected) is below the required value at step 1:")
     assert f"{candidate.certificate.relaxation_db[0]:.2f} dB" in message
-
-
-def test_words_of_standing_still():
-    """A stand is feasible, but no verified progress short of the goal; at the goal it is."""
     scorer = scorer_of(small_problem())
     plan = scorer.plan_from(assessed(scorer, [(5.0, 15.0)] * 4), 0.0)
     assert plan.verdict is Verdict.FEASIBLE_UNVERIFIED

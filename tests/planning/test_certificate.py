@@ -48,27 +48,19 @@ def test_a_plan_tells_of_all_its_steps():
     ]
 
 
-def test_a_run_tells_of_the_steps_that_were_driven():
-    """The first of each plan; of many the first, and how many more."""
+def test_excuses_of_driven_steps():
+    """The first step of each plan; no excuse where a place keeps the bound, or nothing compares."""
     lines = said([PROOF, PRICED, FAR, PRICED])
     assert [line.split(" misses")[0] for line in lines] == ["step 2", "step 4"]
     many = said([PRICED] * (MOST_EXCUSED + 3))
     assert len(many) == MOST_EXCUSED + 1 and many[-1] == "and 3 more steps below p_min"
     assert said([PROOF, FAR]) == []
-
-
-def test_nothing_is_made_up():
-    """Where the verifier found a place that keeps the bound, or objects, no excuse is given."""
     kept = replace(FAR, best_margin_db=(0.25,))
     assert said([kept])[0].endswith("nothing excuses it")
     refused = replace(FAR, best_margin_db=(), reasons=("too far",))
     assert said([refused])[0].endswith("nothing excuses it")
     slack = replace(FAR, best_margin_db=())
     assert said([slack])[0].endswith("within constraints.slack_max_db")
-
-
-def test_ways_that_the_verifier_cannot_compare_excuse_nothing():
-    """Its grid has no path: infinite costs are in no excuse, no sum and no file."""
     for way_m, best_m in ((np.inf, np.inf), (np.inf, 7.0), (8.0, np.inf)):
         lost = replace(PRICED, path_cost_m=way_m, best_cost_m=best_m)
         assert lost.excess_m is None
@@ -78,8 +70,8 @@ def test_ways_that_the_verifier_cannot_compare_excuse_nothing():
         assert (worst.path_cost_m, worst.best_cost_m) == (8.0, 7.5)
 
 
-def test_merged_certificates_keep_the_dearest():
-    """The plan that is most above the cheapest, and the step that cost most too much."""
+def test_merged_certificates():
+    """The dearest plan and step, and the worst value of every other number."""
     cheap = replace(PRICED, path_cost_m=90.0, best_cost_m=89.9, step_cost_m=6.0, step_excess_m=5.0)
     worst = worst_of([PROOF, PRICED, cheap])
     assert (worst.path_cost_m, worst.best_cost_m) == (8.0, 7.5)
@@ -88,17 +80,6 @@ def test_merged_certificates_keep_the_dearest():
     assert (worst.path_cost_m, worst.step_cost_m, worst.step_excess_m) == (None, None, None)
     merged = worst_of_robots({"a": cheap, "b": PRICED})
     assert (merged.path_cost_m, merged.best_cost_m, merged.step_excess_m) == (8.0, 7.5, 5.0)
-
-
-GOOD = Certificate(3.0, 0.95, 0.0, None, "exact")
-BAD = Certificate(
-    1.0, 0.5, 1e-9, 1e-7, "neighbours:512", (1, 3), (2.0, 4.0), (-1.0, -3.0), reasons=("too near",)
-)
-WORSE = Certificate(2.0, 0.4, 0.0, 1e-8, "exact", (2, 3), (1.0, 5.0), (-0.5, -4.0))
-
-
-def test_worst_in_each_respect() -> None:
-    """Least clearance and connectivity, largest defects, every missed step once."""
     worst = worst_of_robots({"a": GOOD, "b": BAD, "c": WORSE})
     assert (worst.min_clearance_m, worst.min_connectivity) == (1.0, 0.4)
     assert (worst.dynamics_defect, worst.kkt_residual) == (1e-9, 1e-7)
@@ -107,6 +88,13 @@ def test_worst_in_each_respect() -> None:
     assert worst.relaxation_db == (2.0, 1.0, 5.0)
     assert worst.best_margin_db == (-1.0, -0.5, -4.0)
     assert worst.reasons == ("b: too near",)
+
+
+GOOD = Certificate(3.0, 0.95, 0.0, None, "exact")
+BAD = Certificate(
+    1.0, 0.5, 1e-9, 1e-7, "neighbours:512", (1, 3), (2.0, 4.0), (-1.0, -3.0), reasons=("too near",)
+)
+WORSE = Certificate(2.0, 0.4, 0.0, 1e-8, "exact", (2, 3), (1.0, 5.0), (-0.5, -4.0))
 
 
 PROBLEM = small_problem()

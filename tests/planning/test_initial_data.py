@@ -49,18 +49,14 @@ def test_measurements_are_the_truth_at_free_places(problem, prepared):
     assert prepared.belief.posterior.parameters == prepared.belief.fit.parameters
 
 
-def test_transmit_power_shifts_the_truth(problem):
-    """Ten dB more sent, ten dB more received, to rounding."""
+def test_levels_of_the_drawn_truth(problem):
+    """Transmit power shifts it, and what is below a receiver's floor is censored there."""
     radio = problem.stations[0]
     louder = replace(
         problem, stations=(replace(radio, transmit_power_dbm=radio.transmit_power_dbm + 10.0),)
     )
     one, two = (draw_truth(p, np.random.default_rng(1)) for p in (problem, louder))
     assert np.allclose(two.raster.values - one.raster.values, 10.0)
-
-
-def test_floor_censors(problem):
-    """A receiver's floor in the middle of the values: as high as it is, and so marked."""
     truth = replace(problem.channel.truth, floor_db=-80.0)
     found = prepare(replace(problem, channel=replace(problem.channel, truth=truth)), 4)
     measured = found.belief.posterior.measurements

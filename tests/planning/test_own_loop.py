@@ -276,17 +276,13 @@ def test_a_long_log_in_one_step(log: Measurements) -> None:
     assert nearest_m.min() >= 0.999 * problem.channel.measure_spacing_m
 
 
-def test_inside_an_obstacle() -> None:
-    """A robot cannot be there: the place or the map is wrong."""
+def test_what_does_not_fit_the_problem(log: Measurements) -> None:
+    """A robot in an obstacle, wrong numbers of robots and stations, and targets without a task."""
     problem = shortened("outdoor_map", 10)
     block = problem.workspace.obstacles[0]
     planner = Planner(problem, horizon=2)
     with pytest.raises(InputError, match=f"inside the obstacle {block.name}"):
         planner.step_all([block.polygon.centroid.coords[0] for _ in problem.robots])
-
-
-def test_what_does_not_fit_the_problem(log: Measurements) -> None:
-    """One entry for each robot and station, and targets only where there is one."""
     problem = shortened("open_field", 10)
     planner = Planner(problem, measurements=log, horizon=2)
     start = problem.robots[0].start_m

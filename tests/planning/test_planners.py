@@ -129,8 +129,8 @@ def test_a_robot_that_is_shut_in_leaves():
         assert 0.0 < step[0] <= problem.step_length_m and step[1:].max(initial=0.0) == 0.0
 
 
-def test_random_steps_are_full_and_uniform():
-    """In all directions alike, the same for the same seed."""
+def test_random_walks():
+    """Full steps in all directions alike, the same for a seed; persistent walks turn little."""
     problem, situation, scorer, ground = scene(LEARNING, horizon=1)
     situation, scorer = moved(situation, scorer, np.array([8.0, 20.0]))
     planner = RandomPlanner(problem, ground, np.random.default_rng(3))
@@ -143,10 +143,6 @@ def test_random_steps_are_full_and_uniform():
     assert (np.abs(quadrant - 20) < 4.0 * np.sqrt(80 * 0.25 * 0.75)).all()
     again = RandomPlanner(problem, ground, np.random.default_rng(3)).plan(situation, scorer)
     np.testing.assert_array_equal(again.positions_m[1] - again.positions_m[0], steps[0])
-
-
-def test_persistent_walk_turns_little():
-    """Within a plan and from one plan to the next; a new direction after standing still."""
     problem, situation, scorer, ground = scene(LEARNING, horizon=4)
     situation, scorer = moved(situation, scorer, np.array([8.0, 20.0]))
     turns = []

@@ -84,18 +84,14 @@ def test_goal_cut_off(polygons, options):
         assert key in str(caught.value)
 
 
-def test_boxed_in_start():
-    """Walls about the start nearer than any node."""
+def test_starts_and_goals_that_are_shut_in():
+    """Walls nearer than any node, a goal within the clearance, slots that the lattice misses."""
     pen = shapely.Polygon(
         [(3, 13), (7, 13), (7, 17), (3, 17)],
         [[(4.45, 14.45), (5.55, 14.45), (5.55, 15.55), (4.45, 15.55)]],
     )
     with pytest.raises(NoPlanError, match="the start"):
         build_scene(small_problem(pen))
-
-
-def test_goal_too_near_to_an_obstacle():
-    """Nearer than the clearance: the goal can never be stood on."""
     problem = small_problem()
     beside = (Obstacle("beside", shapely.box(35.2, 14, 37, 16)),)
     near = replace(problem, workspace=replace(problem.workspace, obstacles=beside))
@@ -103,10 +99,6 @@ def test_goal_too_near_to_an_obstacle():
         NoPlanError, match=r"robots\[0\]\.goal_m .* constraints\.clearance_m = 0\.5"
     ):
         build_scene(near)
-
-
-def test_a_way_that_the_lattice_misses_is_not_called_cut_off():
-    """A slot 0.1 mm wider than twice the clearance: there is a path, and the message says so."""
     walls = shapely.box(19.0, 0.0, 21.0, 14.31), shapely.box(19.0, 15.3101, 21.0, 30.0)
     with pytest.raises(NoPlanError, match=r"too coarse.* planner\.step_s"):
         build_scene(small_problem(*walls))

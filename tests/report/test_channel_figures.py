@@ -159,7 +159,7 @@ def test_power_by_distance(figures, measurements):
 
 
 def test_coverage_and_pit(figures, calibrations):
-    """Coverage in percent against level, the PIT as steps."""
+    """Coverage in percent against level, the PIT as steps, no bar where an interval ends."""
     sure = calibrations["sure"]
     line = line_of(panel_of(figures["calibration"], "coverage"), "sure: RMSE 1.94 dB")
     expected = [[100.0 * level, 100.0 * one.value] for level, one in sure.coverage.items()]
@@ -173,10 +173,6 @@ def test_coverage_and_pit(figures, calibrations):
     np.testing.assert_allclose(
         steps.get_data().edges, np.linspace(0.0, 1.0, len(sure.pit_share) + 1)
     )
-
-
-def test_an_end_that_passes_its_share_by_rounding(calibrations):
-    """A share whose interval ends there is drawn with no bar on that side."""
     past = GroupedRatio(1.0, 1.0 + 1e-15, 1.0 - 1e-15)
     drawn(draw_calibration({"past": replace(calibrations["sure"], coverage={0.5: past})}))
 

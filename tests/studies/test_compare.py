@@ -170,13 +170,19 @@ def test_parallel_equals_serial(comparison, problem):
         assert replace(one, **untimed) == replace(other, **untimed)
 
 
-def test_one_seed_has_no_interval(problem):
-    """A mean of one is no estimate of spread; planners are settings too."""
+def test_few_runs_and_no_steps(problem, comparison):
+    """One run has no interval; runs at the goal from the start release and verify nothing."""
     alone = compare(problem, [2], planners=["lattice", "auto"], costs_to_go=["connected"], seeds=1)
     assert [run.planner for run in alone.runs] == ["lattice", "auto"]
     for row in alone.rows:
         assert row.ci_low is row.ci_high is None
         assert row.count <= 1
+    robot = replace(problem.robots[0], goal_m=problem.robots[0].start_m)
+    run = summary_of(simulate(replace(problem, robots=(robot,)), seed=0))
+    rows = tabulate([run], [run])
+    assert all(row.verified_rate is None for row in rows)
+    assert all(row.p50_step_s is row.p95_step_s is None for row in rows)
+    assert [row.mean for row in rows if row.metric == "path_m"] == [0.0]
 
 
 @pytest.mark.parametrize(
@@ -237,16 +243,6 @@ def test_a_single_value_is_a_list_of_one(problem):
     (run,), (same,) = several.runs, alone.runs
     assert run.sweep == same.sweep == {"constraints.p_min": 0.5}
     assert_same_run(run, same)
-
-
-def test_runs_of_no_step(comparison, problem):
-    """Runs that were at the goal from the start: nothing released, nothing unverified."""
-    robot = replace(problem.robots[0], goal_m=problem.robots[0].start_m)
-    run = summary_of(simulate(replace(problem, robots=(robot,)), seed=0))
-    rows = tabulate([run], [run])
-    assert all(row.verified_rate is None for row in rows)
-    assert all(row.p50_step_s is row.p95_step_s is None for row in rows)
-    assert [row.mean for row in rows if row.metric == "path_m"] == [0.0]
 
 
 def test_intervals_and_ratios_of_odd_values():

@@ -239,11 +239,14 @@ def test_rejects_a_run_that_does_not_hold(
     rejected(run_folder, *words)
 
 
-def test_a_run_that_does_not_end_as_it_says_is_not_read(run_folder: Path) -> None:
-    """A run whose last plans are gone is an error of the file."""
+def test_runs_that_are_not_read(run_folder: Path, plan_folder: Path) -> None:
+    """A run whose last plans are gone, and a folder with a plan and a run."""
     edit_json(run_folder, "run.json", lambda d: d["plans"][0]["released"].pop())
     with pytest.raises(InputError, match="the run ends after step 7"):
         load_result(run_folder)
+    (run_folder / "run.json").replace(plan_folder / "run.json")
+    with pytest.raises(InputError, match="has both"):
+        check(plan_folder)
 
 
 def test_a_run_of_no_step(tmp_path: Path) -> None:
@@ -310,13 +313,6 @@ def test_first_measurements_that_cannot_be_fitted(run_folder: Path) -> None:
     rejected(run_folder, "belief.npz", "cannot be fitted again")
 
 
-def test_plan_and_run_in_one_folder(plan_folder: Path, run_folder: Path) -> None:
-    """Nobody can tell which of them the other files belong to."""
-    (run_folder / "run.json").replace(plan_folder / "run.json")
-    with pytest.raises(InputError, match="has both"):
-        check(plan_folder)
-
-
 def test_another_task_is_not_judged(plan_folder: Path) -> None:
     """A plan to reach a goal is not passed off as one that learns."""
 
@@ -331,16 +327,14 @@ def test_another_task_is_not_judged(plan_folder: Path) -> None:
     rejected(plan_folder, "plan.json, key sense")
 
 
-def test_remarks_on_the_library() -> None:
-    """Overrides of the command line are no difference; a problem of another name is remarked on."""
+def test_remarks_on_the_library(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Overrides are no difference; another name and an unreadable library are remarked on."""
     problem = load("open_field")
     changed = with_overrides(problem, horizon=3, planner="lattice", cost_to_go="geodesic")
     assert library_remarks("plan.json", problem) == library_remarks("plan.json", changed) == []
     (remark,) = library_remarks("plan.json", replace(problem, name="my_field"))
     assert "problem.name: my_field is not in the library" in remark
 
-
-def test_a_library_that_cannot_be_read(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(_: object) -> None:
         raise InputError("is damaged")
 

@@ -98,16 +98,12 @@ def small_run(problem, power_at=good_everywhere, **options) -> Run:
     return simulate(problem, prepared=prepared_of(problem, power_at), **options)
 
 
-def test_every_step_is_reported():
-    """Numbers from 1 on, one after each step."""
+def test_steps_and_their_limit():
+    """One report after each step; a loop that has not arrived by the limit ends and says so."""
     seen = []
     done = small_run(small_problem(CUP), on_step=seen.append)
     assert done.run.outcome is Outcome.REACHED
     assert seen == list(range(1, len(done.plans[0]) + 1))
-
-
-def test_step_limit():
-    """A loop that has not arrived by then ends and says so."""
     done = small_run(small_problem(max_steps=3))
     assert done.run.outcome is Outcome.STEP_LIMIT
     assert "3 steps" in done.run.reason

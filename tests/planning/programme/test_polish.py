@@ -83,33 +83,25 @@ def test_cruising_in_a_straight_line(nlp, effort, rate, heading):
     assert all(np.abs(m).max() < 1e-4 for m in polished.multipliers.values())
 
 
-def test_the_speed_limit_and_its_multiplier(nlp):
-    """At the limit L each step's multiplier is rate / (2 L) - effort, and no step is longer."""
+def test_limits_of_speed_and_space(nlp):
+    """At the speed limit its multiplier is rate / (2 L) - effort; the bounds stop the path."""
     polished = solved(nlp, reach_task(N, LINES))
     np.testing.assert_allclose(polished.path_m, 2.0 * ALONG, atol=1e-4)
     np.testing.assert_allclose(polished.multipliers["speed"], 1.0 / 4.0 - 0.1, atol=1e-5)
     path = np.vstack([np.zeros(2), polished.path_m])
     longest = np.linalg.norm(np.diff(path, axis=0), axis=1).max()
     assert longest <= 2.0 - 0.5 * STEP_PAD_M
-
-
-def test_the_workspace_is_kept(nlp):
-    """The bounds stop the path, and their multiplier balances the cost (the residual sees it)."""
     polished = solved(nlp, reach_task(N, LINES, bounds_m=(-9.0, -9.0, 3.0, 9.0)))
     assert polished.path_m[:, 0].max() <= 3.0 + 1e-6
     np.testing.assert_allclose(polished.path_m[-1], [3.0, 0.0], atol=1e-3)
 
 
-def test_an_arrived_path_stays_and_the_rest_is_free(nlp):
-    """From the arrival on positions are those of the start path; before it they even out."""
+def test_arrived_paths(nlp):
+    """From the arrival on positions stay; if all are fixed there is nothing to choose."""
     path = np.array([[0.5, 1.0], [2.0, 0.0], [2.0, 0.0]])
     polished = solved(nlp, reach_task(N, LINES, path_m=path, arrival=2))
     np.testing.assert_array_equal(polished.path_m[1:], path[1:])
     np.testing.assert_allclose(polished.path_m[0], [1.0, 0.0], atol=1e-4)
-
-
-def test_a_path_that_arrives_at_once_has_nothing_to_choose(nlp):
-    """All positions fixed: solved as it is where it keeps the rows, infeasible where not."""
     path = np.tile([1.0, 1.0], (N, 1))
     task = reach_task(N, LINES, path_m=path, arrival=1)
     polished = solved(nlp, task)

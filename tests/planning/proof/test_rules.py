@@ -42,8 +42,8 @@ def chances(posterior, path_m=ALONG):
     return ndtr((power.mean_db - THRESHOLD_DBM) / power.deviation_db)
 
 
-def test_stated_times_ask_of_their_steps_alone():
-    """A gap is no matter but at a stated time; then the reason names the step."""
+def test_stated_times():
+    """A gap is no matter but at a stated time of the run; then the reason names the step."""
     kept, _ = assessed(hand_made("each_step", connected_times_s=(1.0, 4.0)), GAP)
     assert kept.verdict is Verdict.VERIFIED
     assert kept.certificate.relaxed_steps == ()
@@ -52,10 +52,6 @@ def test_stated_times_ask_of_their_steps_alone():
     assert missed.verdict is Verdict.VIOLATED
     assert missed.certificate.relaxed_steps == (3,)
     assert "step 3" in missed.certificate.reasons[0]
-
-
-def test_stated_times_are_of_the_run():
-    """Six steps on, the time after eight is that of step 2."""
     problem = hand_made("each_step", connected_times_s=(8.0, 8.0, 99.0))
     assert rule_of(problem).counted(History(steps=6), 4).tolist() == [False, True, False, False]
     assert rule_of(problem).counted(History(steps=8), 4).sum() == 0
@@ -77,7 +73,7 @@ def test_average_counts_the_run_so_far():
 
 
 def test_joint_is_the_share_of_sampled_channels_that_connect_throughout():
-    """A lower bound of it, near: powers along the path drawn together."""
+    """A lower bound near it: powers are drawn together, and the integral's error is taken off."""
     judgement, posterior = assessed(hand_made("joint", p_min=0.5), faint)
     drawn = sample_power(posterior, ALONG[1:], 40_000, np.random.default_rng(7))
     share = float((drawn >= THRESHOLD_DBM).all(axis=1).mean())
@@ -87,10 +83,6 @@ def test_joint_is_the_share_of_sampled_channels_that_connect_throughout():
     assert result.achieved < chances(posterior).min()
     for p_min, verdict in ((share - 0.02, Verdict.VERIFIED), (share + 0.02, Verdict.VIOLATED)):
         assert assessed(hand_made("joint", p_min=p_min), faint)[0].verdict is verdict
-
-
-def test_joint_counts_less_its_error():
-    """The integral's error is taken off, so that the bound is one."""
     problem = hand_made("joint", p_min=0.5)
     prediction = joint_prediction(belief_of(problem, faint).posterior, ALONG[1:])
     found = joint_connectivity(prediction, THRESHOLD_DBM, np.random.default_rng(SEED), ACCURACY)
@@ -101,7 +93,7 @@ def test_joint_counts_less_its_error():
 
 
 def test_outage_in_metres_and_seconds():
-    """Two steps of two metres and a second are missed in a row; exactly so much is allowed."""
+    """Exactly the missed steps in a row are allowed; one that has begun counts if it goes on."""
     for key, unit, length in (("outage_max_m", "m", 4.0), ("outage_max_s", "s", 2.0)):
         kept, _ = assessed(hand_made("outage", **{key: length}), GAP)
         assert kept.verdict is Verdict.VERIFIED
@@ -109,10 +101,6 @@ def test_outage_in_metres_and_seconds():
         missed, _ = assessed(hand_made("outage", **{key: length - 0.01}), GAP)
         assert missed.verdict is Verdict.VIOLATED
         assert key in missed.certificate.reasons[0]
-
-
-def test_an_outage_that_has_begun_counts_if_it_goes_on():
-    """Three metres before the plan: they count where its first step is missed, else not."""
     problem = hand_made("outage", outage_max_m=4.0)
     assert assessed(problem, GAP, outage_m=3.0, outage_steps=2)[0].verdict is Verdict.VERIFIED
     inside = ALONG + np.array([2.0, 0.0])
@@ -247,20 +235,14 @@ def test_data_with_a_probability():
     assert done.verdict is Verdict.VERIFIED
 
 
-def test_share_at_least_is_clopper_and_pearsons():
+def test_numbers_behind_the_rules():
+    """Clopper and Pearson's share, steps cut by the deadline, and a track counted by hand."""
     for count in (0, 1, 700, 1000):
         interval = binomtest(count, 1000, alternative="greater").proportion_ci(0.99)
         assert share_at_least(count, 1000) == pytest.approx(interval.low)
-
-
-def test_data_of_a_step_ends_at_the_deadline():
-    """A deadline in the middle of a step cuts it."""
     problem = hand_made("data", data_mbit=1.0, deadline_s=2.5, rate_mbit_s=4.0)
     assert data_of_steps_mbit(problem, 0, 4).tolist() == [4.0, 4.0, 2.0, 0.0]
     assert data_of_steps_mbit(problem, 2, 2).tolist() == [2.0, 0.0]
-
-
-def test_history_of_a_track():
     problem = hand_made("data", data_mbit=1.0, deadline_s=3.5, rate_mbit_s=2.0)
     track = np.array([[0, 0], [1, 0], [1, 2], [4, 2], [4, 2.5]], dtype=float)
     past = history_of(problem, track, np.array([True, True, False, False]))

@@ -204,7 +204,7 @@ def interval_sites(
     start: IntervalSites | None = None,
     tolerance: float = TOLERANCE,
 ) -> IntervalSites:
-    """Match the sites of all intervals of a Gaussian vector by damped parallel EP."""
+    """Return the sites of all intervals, matched by damped parallel EP."""
     limit, width = intervals.upper_db - prior.mean_db, intervals.width_db
     if start is None:
         precision, shift = first_sites(limit, width, noise_variance_db2)

@@ -72,7 +72,7 @@ class KrigingTerms:
 
 
 def combine(terms: KrigingTerms, theta: Floats, theta_covariance: Floats) -> Prediction:
-    """Return mean and variance for the path loss theta with covariance M (equation 1.8)."""
+    """Return the prediction for the path loss theta with covariance M (equation 1.8)."""
     first, second = terms.trend[..., 0], terms.trend[..., 1]
     mean = terms.data_db + first * theta[0] + second * theta[1]
     variance = terms.variance_db2 + (
@@ -360,7 +360,7 @@ class LocalChannel:
 
 
 def nearest_to_path(posterior: ChannelPosterior, path_m: Floats, count: int) -> Indices:
-    """Return indices of the `count` measurements nearest to a path (h, 2), or all indices."""
+    """Return indices of the `count` measurements nearest to a path (h, 2), or of all if fewer."""
     # All nearest come first, then all second nearest, so every position is represented.
     places = require_places(path_m)
     measured = posterior.measurements.positions_m

@@ -336,7 +336,7 @@ class RasterDensity:
         return self._summed(piece, centre[piece, None] + ray, rise, len(angle))
 
     def _summed(self, piece: Indices, places: Floats, rise: Floats, count: int) -> Floats:
-        """Return the contour integral (5, count) of each piece by Gauss points on its parts."""
+        """Return the contour integrals (5, count) of pieces by Gauss points on their parts."""
         # All points of a part are in the raster cell of its midpoint.
         ix, iy = self._cells(places.mean(axis=1))
         rows, columns = self.raster.values.shape

@@ -149,7 +149,7 @@ def geodesic_ground(
     density: Density = UNIFORM,
     clearance_m: float = 0.0,
 ) -> GeodesicGround:
-    """Prepare a region with obstacles for coverage by shortest-path distances."""
+    """Return a region with obstacles, prepared for coverage by shortest-path distances."""
     free = _in_one_part(checked_polygon(outline), obstacles)
     area = free_area(_shrunk(free, clearance_m))
     hull = convex_region(np.asarray(shapely.get_coordinates(free.convex_hull)))
@@ -200,7 +200,7 @@ def _in_one_part(whole: shapely.Polygon, obstacles: Sequence[shapely.Polygon]) -
 
 
 def _shrunk(free: shapely.Polygon, clearance_m: float) -> shapely.Polygon:
-    """Return the part of an area with a clearance; raise `InputError` if it is not connected."""
+    """Return the part of an area that keeps clearance; raise `InputError` if not connected."""
     if clearance_m == 0.0:
         return free
     parts = _parts(free.buffer(-clearance_m, join_style="mitre"))
@@ -222,7 +222,7 @@ def _parts(area: shapely.Geometry) -> list[shapely.Polygon]:
 def _nodes(
     free: shapely.Polygon, spacing_m: float, density: Density
 ) -> tuple[Floats, Floats, float]:
-    """Return nodes (m, 2), masses (m,), and the coverage cost of an agent at every node."""
+    """Return nodes (m, 2), masses (m,), and the coverage cost with an agent at every node."""
     x_min, y_min, x_max, y_max = free.bounds
     columns = math.ceil((x_max - x_min) / spacing_m)
     rows = math.ceil((y_max - y_min) / spacing_m)

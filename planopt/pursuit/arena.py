@@ -177,7 +177,7 @@ def arena_of(workspace: Workspace, clearance_m: float) -> Arena:
 
 
 def _ring_detour(ring_m: Floats) -> float:
-    """Return a ring's largest ratio of shorter arc to chord, for chords right of the ring."""
+    """Return a ring's largest ratio of shorter arc to chord, for chords on its right-hand side."""
     # For points at s and t on two edges, the arc is a concave function of (s, t) and the chord a
     # convex one, so nested golden-section searches find the largest ratio.
     ahead = np.roll(ring_m, -1, axis=0) - ring_m

@@ -104,7 +104,7 @@ def _candidates_m(hunt: Hunt, centre_m: Floats, ahead_s: float) -> Floats:
 
 
 def _driven_m(arena: Arena, place_m: Floats, aims_m: Floats, range_m: float) -> Floats:
-    """Return the positions (k, 2) after a drive towards aims, approximated on straight lines."""
+    """Return positions (k, 2) after driving `range_m` towards aims, placed on straight lines."""
     lengths_m = np.maximum(arena.distances_m(place_m, aims_m), 1e-9)
     return place_m + np.minimum(1.0, range_m / lengths_m)[:, None] * (aims_m - place_m)
 

@@ -293,7 +293,7 @@ class NearPairs:
 def open_moves(
     index: ObstacleIndex, positions_m: Floats, free: Mask, near: NearPairs, clearance_m: float
 ) -> Mask:
-    """Return a mask of the moves from each node that end at a node and keep the clearance."""
+    """Return a mask (21, ny, nx) of moves that start and end at free nodes and keep clearance."""
     # Shapes: positions_m (ny, nx, 2), node positions; free (ny, nx), nodes that keep the clearance.
     result = np.zeros((len(MOVES), *free.shape), dtype=np.bool_)
     result[0] = free
@@ -333,7 +333,7 @@ def _ends(
 def _unsure(
     near: NearPairs, moves: Mask, stride: int, places_m: Floats, clearance_m: float, obstacles: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Return start node and obstacle of moves that are undecided by the Lipschitz bound."""
+    """Return indices of start node and obstacle of moves the Lipschitz bound does not decide."""
     # Shapes: moves (nodes,).
     # A move is undecided only if both ends are among the pairs, because an end outside the pairs is
     # farther away than clearance plus move length.

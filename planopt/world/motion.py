@@ -305,7 +305,7 @@ def _bulge_m(curve: StepCurve, begin_m: Floats, end_m: Floats) -> float:
 def closest_approach_m(
     first_starts_m: Floats, first_ends_m: Floats, second_starts_m: Floats, second_ends_m: Floats
 ) -> Floats:
-    """Return the minimum distance of two points in uniform straight motion over the same time."""
+    """Return the minimum distance between two points in uniform straight motion during a step."""
     # Relative to the second point, the first moves straight from r to r + d. The minimum distance
     # is ``|r + t d|`` at time ``t = clip(-r . d / d . d, 0, 1)``.
     # Shapes: first_starts_m, first_ends_m, second_starts_m, second_ends_m (..., 2).
@@ -318,7 +318,7 @@ def closest_approach_m(
 
 
 def nearest_to_origin_m(starts_m: Floats, ends_m: Floats) -> Floats:
-    """Return the point (..., 2) of each segment that is nearest to the origin."""
+    """Return the point (..., 2) on each segment nearest to the origin of coordinates."""
     along = ends_m - starts_m
     square = (along * along).sum(axis=-1)
     share = -(starts_m * along).sum(axis=-1) / np.where(square > 0.0, square, 1.0)
@@ -501,7 +501,7 @@ def centres_at(obstacle: MovingObstacle, times_s: Floats) -> Floats:
 
 
 def growth_m(obstacle: MovingObstacle, ahead_s: Floats) -> Floats:
-    """Return the radius growth (n,) due to uncertainty over steps that end in `ahead_s` seconds."""
+    """Return the radius growth (n,) due to the uncertainty of predictions `ahead_s` ahead."""
     deviation = np.hypot(obstacle.position_std_m, 0.5 * obstacle.acceleration_std_m_s2 * ahead_s**2)
     return deviation * math.sqrt(-2.0 * math.log((1.0 - obstacle.probability) / 2.0))
 
@@ -533,7 +533,7 @@ def predicted_discs(
 
 
 def _turn_m(obstacle: MovingObstacle, times_s: Floats) -> Floats:
-    """Return the largest distances (n - 1,) of the centre from the chord of each step."""
+    """Return each step's largest distance (n - 1,) of the centre from the chord of the step."""
     # Both are linear between turns, so the distance is largest at a turn.
     known = np.asarray(obstacle.times_s)
     turns = known[(known > times_s[0]) & (known < times_s[-1])]

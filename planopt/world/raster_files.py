@@ -90,7 +90,7 @@ def write_netcdf(path: Path, rasters: Mapping[str, Raster], origin_deg: Origin |
 
 
 def _cf_system(origin_deg: Origin) -> dict[str, Any]:
-    """Return the attributes of the grid mapping of the tangent plane at an origin."""
+    """Return the CF grid mapping attributes for the tangent plane at an origin."""
     names = ("latitude_of_projection_origin", "longitude_of_projection_origin")
     found: dict[str, Any] = {
         **{"grid_mapping_name": "orthographic", "false_easting": 0.0, "false_northing": 0.0},

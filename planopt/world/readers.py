@@ -213,7 +213,7 @@ def _is_near(corners: Floats, origin_deg: Origin) -> bool:
 
 
 def _degrees_of(corners: Floats, code: int) -> Floats:
-    """Return longitudes and latitudes (n, 2) of positions in a reference system."""
+    """Return longitudes and latitudes (n, 2) of positions in the reference system EPSG `code`."""
     try:
         pyproj: Any = import_module("pyproj")
     except ImportError:
@@ -388,7 +388,7 @@ def _obstacles(source: Any, name: str, origin_deg: Origin | None) -> Iterator[Ob
 
 
 def _projected(geometry: Any, origin_deg: Origin) -> Any:
-    """Return a geometry in degrees as metres from the origin."""
+    """Return a geometry in degrees, projected to metres from the origin."""
 
     def plane(degrees: Floats) -> Floats:
         return east_north_m(degrees[:, 0], degrees[:, 1], origin_deg)

@@ -236,7 +236,7 @@ def _fill(
     gaps: Floats | float,
     piece: NDArray[np.int64] | int,
 ) -> None:
-    """Write the separating lines of static obstacles into the rows `slots` of a table."""
+    """Write lines with equal offsets at start and end into the rows `slots` of a table."""
     lines.normals[slots] = normals
     lines.offsets[slots] = lines.start_offsets[slots] = offsets
     lines.gaps[slots] = gaps

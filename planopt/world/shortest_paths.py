@@ -282,7 +282,7 @@ class FreeArea:
 
 
 def free_area(polygon: shapely.Polygon) -> FreeArea:
-    """Return a polygon with holes, with the shortest paths between its corners."""
+    """Return the area of a polygon with holes, with shortest paths between its corners."""
     slack = SLACK * float(np.ptp(np.asarray(polygon.bounds).reshape(2, 2), axis=0).max())
     border = shapely.boundary(shapely.buffer(polygon, 2.0 * slack, join_style="mitre"))
     shapely.prepare(polygon)

@@ -95,7 +95,7 @@ class LikelihoodData:
         return len(self.windows) == 1
 
     def part(self, taken: Mask) -> LikelihoodData:
-        """Return a subset of the Gaussian measurements as one window."""
+        """Return the Gaussian measurements selected by the mask `taken` as one window."""
         origins, every = self.origins.at(np.flatnonzero(taken)), np.ones(int(taken.sum()), np.bool_)
         windows = (Window(np.zeros(0, dtype=np.intp), np.arange(len(every))),)
         return replace(

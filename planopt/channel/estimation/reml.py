@@ -320,7 +320,7 @@ def _updated(curvature: Floats, moves: Iterable[tuple[Floats, Floats]]) -> Float
 
 
 def _gain(gradient: Floats, curvature: Floats, free: Mask) -> float:
-    """Return the predicted decrease by a Newton step on the free variables."""
+    """Return the predicted decrease of the objective in a Newton step on the free variables."""
     if not free.any():
         return 0.0
     part = curvature[np.ix_(free, free)] + CURVATURE_FLOOR * np.eye(int(free.sum()))

@@ -246,7 +246,7 @@ class _Reading:
 
 
 def read_recording(path: Path) -> LogTable:
-    """Read the powers of a recording with the positions at their times."""
+    """Return the powers of a recording and the positions at the times of the powers."""
     messages = list(read_messages(path, _is_wanted))
     readings = [one for each in messages if each.kind not in PREFERRED for one in _powers(each)]
     tracks = sorted(_tracks(messages), key=lambda track: track.rank)

@@ -251,7 +251,7 @@ def at_file_line(
 def read_groups(
     path: Path | str, columns: Sequence[GroupColumn], log_format: LogFormat = DEFAULT_FORMAT
 ) -> Indices:
-    """Return the group labels ``(n,)`` of a log's rows, in order of first appearance.
+    """Return the group ``(n,)`` of each row of a log, numbered in order of first appearance.
 
     Parameters
     ----------
@@ -285,7 +285,7 @@ def read_groups(
 
 
 def _selected(source: Source, log_format: LogFormat) -> tuple[LogTable, LogColumns]:
-    """Return the rows of a log that pass the format's filter, and its columns."""
+    """Return the rows of a log that pass the format's filter, and the log's columns."""
     table = read_table(source)
     columns = columns_of(table, log_format)
     for name in (columns.x, columns.y, columns.power):

@@ -67,7 +67,7 @@ class Derivatives:
 
 
 def rounded_length(offset_m: Floats, width_m: float) -> Derivatives:
-    """Return the length of `offset_m` (..., 2), smoothed within `width_m` > 0 of zero."""
+    """Return the length of `offset_m` (..., 2), smoothed where it is less than `width_m` > 0."""
     distance = np.hypot(offset_m[..., 0], offset_m[..., 1])
     return radial(offset_m, *rounded_radius(distance, width_m))
 
@@ -102,7 +102,7 @@ def rounded_positive_part(x: Floats, width: float) -> tuple[Floats, Floats, Floa
 
 
 def rounded_radius(r: Floats, width: float) -> tuple[Floats, Floats, Floats]:
-    """Return a smoothed radius rho(r) with slope and bend for :func:`radial`; finite at 0."""
+    """Return a smoothed radius rho(r) with slope and bend for :func:`radial`, finite at 0."""
     if r.min(initial=np.inf) >= width:
         inverse = 1.0 / r
         return r, inverse, -inverse * inverse * inverse

@@ -145,7 +145,7 @@ class InputError(PlanoptError):
         )
 
     def under(self, key: str) -> InputError:
-        """Return the error with `key`, the name of a table or entry, in front of its own key."""
+        """Return the error with `key`, a table or entry, in front of the key in the error."""
         below = f"{key}.{self.key}" if self.key else key
         return InputError(self.message, file=self.file, key=below, row=self.row, remedy=self.remedy)
 

@@ -72,7 +72,7 @@ def read_and_fit(options: LogOptions) -> LogFit:
 
 
 def fit_each(options: LogOptions) -> tuple[dict[str, LogFit], dict[str, int]]:
-    """Return each transmitter's fit, and the reading counts of transmitters with too few."""
+    """Return each transmitter's fit, and the number of readings if these are too few to fit."""
     from planopt.channel.logs.log_format import parse_station
     from planopt.channel.logs.power_log import FEWEST_READINGS, transmitters_of
     from planopt.channel.logs.readers import read_stations

@@ -147,7 +147,7 @@ def map_log(
 def _log_map(
     options: LogOptions, bounds: Bounds | None, cell: float | None, threshold: float | None
 ) -> _Mapped:
-    """Fit the channel of each transmitter in a log and map it, or the best of several."""
+    """Fit the channel of each transmitter in a log, and map the best one at each position."""
     from planopt.channel.channel_map import (
         default_cell_m,
         measured_bounds_m,
@@ -190,7 +190,7 @@ def _log_map(
 def _problem_map(
     options: LogOptions, bounds: Bounds | None, cell: float | None, threshold: float | None
 ) -> _Mapped:
-    """Learn the channels of a problem's stations and map the best of them."""
+    """Learn the channels of a problem's stations, and map the best one at each position."""
     from planopt.channel.channel_map import default_cell_m, serving_map
     from planopt.planning.initial_data import initial_belief
     from planopt.problems.load import load_motion

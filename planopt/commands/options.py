@@ -261,7 +261,7 @@ def _stop(number: int, _: object) -> None:
 
 @contextlib.contextmanager
 def stopping() -> Generator[list[int]]:
-    """Raise KeyboardInterrupt on SIGINT and SIGTERM in the block; yield the signals received."""
+    """Within the block, raise KeyboardInterrupt on SIGINT or SIGTERM; yield a list of signals."""
     received: list[int] = []
     if threading.current_thread() is not threading.main_thread():
         yield received

@@ -113,7 +113,7 @@ class PathTask:
 
 
 def polish_path(nlp: PathNlp, task: PathTask) -> RefinedPath:
-    """Return the solution of the programme from the task's guess."""
+    """Return the solution of the nonlinear programme that is found from the task's guess."""
     shape, motion = nlp.shape, task.motion
     n, lines = shape.horizon, shape.lines
     bound = np.zeros(0) if task.bound is None else task.bound

@@ -90,7 +90,7 @@ def with_separations(problem: Problem, driven: int, plans: Sequence[Plan]) -> li
 
 
 def least_separations_m(motions: Sequence[TimedMotion]) -> Floats:
-    """Return the minimum distance between any two robots in each step as an array ``(n,)``."""
+    """Return the minimum distance ``(n,)`` between any two robots in each step."""
     steps = motions[0].steps
     return np.min([step_distances_m(a, b, steps) for a, b in combinations(motions, 2)], axis=0)
 

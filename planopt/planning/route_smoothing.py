@@ -47,7 +47,7 @@ RASTER_M = (0.2, 3.0)
 
 
 class Effort(NamedTuple):
-    """Effort of smoothing a route."""
+    """Settings that determine the effort of route smoothing."""
 
     lookback: int  # Maximum number of consecutive corners replaced by one straight leg
     pieces: int  # Number of pieces into which the route is divided
@@ -100,7 +100,7 @@ def cleared(
 
 
 def _moved_out(index: ObstacleIndex, distance_m: float, places_m: Floats) -> Floats:
-    """Return positions (n, 2) moved away from their nearest obstacles to a distance."""
+    """Return positions (n, 2) moved to `distance_m` from their nearest obstacles."""
     places, rows = places_m.copy(), np.arange(len(places_m))
     for _ in range(MOVES_OUT):
         points = shapely.points(places[rows])

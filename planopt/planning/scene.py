@@ -53,7 +53,7 @@ def first_moves(ground: Ground, problem: Problem, position_m: Floats) -> tuple[I
 
 @dataclass(frozen=True)
 class Scene(Ground):
-    """Geometry of a problem with a goal: a ground with a lattice node at the goal, and paths."""
+    """Geometry of a problem with a goal: ground, lattice node of the goal, and shortest paths."""
 
     goal_node: int  # Index of this node
     cost_to_go: CostToGo  # Shortest paths around obstacles to the goal

@@ -46,7 +46,7 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def named_files(value: object) -> tuple[str, ...]:
-    """Return the other files to which a problem file refers, without files in `DATA_FOLDER`."""
+    """Return the files to which a problem file refers, except those in `DATA_FOLDER`."""
     found: list[str] = []
     if isinstance(value, Mapping):
         for key, part in cast("Mapping[str, object]", value).items():

@@ -34,7 +34,7 @@ from planopt.world.workspace import Workspace
 
 
 def check_files(problem: Problem) -> None:
-    """Raise an `InputError` if a file is missing that simulation requires."""
+    """Raise an `InputError` if a file that simulation requires is missing."""
     truth, measurements = problem.channel.truth, problem.channel.measurements
     none_taken = isinstance(measurements, SampledMeasurements) and measurements.count == 0
     given = problem.channel.given
@@ -191,7 +191,7 @@ def problem_from_dict(data: Mapping[str, Any], *, file: Path | None = None) -> A
 
 
 def _without_python(channel: ChannelSetup) -> ChannelSetup:
-    """Return the channel without a Python-defined ground truth and measurements sampled from it."""
+    """Return the channel without Python-defined ground truth or measurements sampled from it."""
     if not isinstance(channel.truth, ArrayTruth | FunctionTruth):
         return channel
     logged = isinstance(channel.measurements, LoggedMeasurements)

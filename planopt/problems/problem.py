@@ -369,7 +369,7 @@ def outage_share(probability: Floats, is_below: Mask, everywhere: bool = False) 
 
 
 def charged_length_m(lengths_m: Floats, share: Floats) -> float:
-    """Return a path's length out of contact, from its step lengths and outage shares."""
+    """Return a path's penalised length in metres, from step lengths and penalised shares."""
     # Shapes: lengths_m (n,); share (n + 1,).
     return float(0.5 * lengths_m @ (share[:-1] + share[1:]))
 

@@ -96,7 +96,7 @@ def _value(problem: Problem, objective: float) -> str:
 
 
 def _origin(plan: Plan) -> str:
-    """Return the origin of a plan's path, and what the solver contributed, as text."""
+    """Return text on the origin of a plan's path and on the solver's contribution."""
     count = f"{plan.iterations} iteration" + ("" if plan.iterations == 1 else "s")
     if plan.termination.value != "lattice_only":
         return f"{ORIGINS[plan.rung.value]}; solver {STOPPED[plan.termination.value]} after {count}"

@@ -96,7 +96,7 @@ class PageMap:
 
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """Chart of Plotly: its traces and layout, with escaped texts."""
+    """Plotly chart: traces and layout, with escaped texts."""
 
     title: str
     traces: Sequence[Mapping[str, Any]]
@@ -320,7 +320,7 @@ def _chart_html(number: int, chart: Chart) -> str:
 
 
 def _table_html(table: PageTable) -> str:
-    """Return a table with caption and header cells, inside a keyboard-accessible disclosure."""
+    """Return an HTML table with caption and header cells, in a section that keys can expand."""
     head = "".join(f'<th scope="col">{escape(name)}</th>' for name in table.header)
     body = "\n".join(
         "<tr>" + "".join(f"<td>{escape(cell_text(value))}</td>" for value in row) + "</tr>"

@@ -89,7 +89,7 @@ def new_figure(
 
 
 def fit_to_map(figure: Figure, panel: Panel, side_in: float) -> None:
-    """Set a figure's size so that its only panel, a map, has `side_in` inches as longer side."""
+    """Set a figure's size so that the longer side of its only panel is `side_in` inches long."""
     (left, right), (bottom, top) = panel.get_xlim(), panel.get_ylim()
     slender = (top - bottom) / (right - left)
     width_in = max(side_in * min(1.0, 1.0 / slender), MIN_MAP_IN)
@@ -250,7 +250,7 @@ def legend_above(panel: Panel, columns: int = 6) -> None:
 
 
 def legend_inside(panel: Panel, place: str = "best") -> None:
-    """Add a legend inside a panel, for sparse dots."""
+    """Add a legend inside a panel whose dots are sparse."""
     panel.legend(fontsize=NOTE_PT, loc=place, framealpha=0.9, edgecolor="none")
 
 

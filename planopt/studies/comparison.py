@@ -90,7 +90,7 @@ class Setting:
 
 
 def comparison_rows(runs: Sequence[RunSummary]) -> list[Row]:
-    """Return the rows of all settings, whose runs have the same seeds in the same order."""
+    """Return the rows of all settings; each setting needs runs of the same seeds in order."""
     # If every problem has one setting, the first of all is the reference.
     settings = runs_by_setting(runs)
     first = {each[0].problem: each for each in reversed(settings)}

@@ -179,7 +179,7 @@ class DesignProblem(TaskProblem):
         return self.method.solver(self.theorem)
 
     def objective(self, design: Design) -> float:
-        """Return the minimised quantity of a design: J per capture, or W."""
+        """Return the minimised quantity of a design: energy per capture in J, or power in W."""
         return design.energy_per_capture_j if self.method.of_energy else design.cost_w
 
     def words(self) -> Sequence[str]:

@@ -334,7 +334,7 @@ def _require_covered(config: PursuitFile, service: SnapshotService) -> None:
 
 
 def _require_updates(network: ServiceTable) -> None:
-    """Raise an error if silence does not mean that a report is unchanged."""
+    """Raise an error if `updates` relies on silence although reports may be missing."""
     if network.updates != "full" and (network.loss_probability > 0.0 or network.detection):
         raise InputError(
             f'cannot be "{network.updates}" if reports are lost or evaders are missed: silence '

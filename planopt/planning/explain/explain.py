@@ -264,7 +264,7 @@ def _clearance(problem: Problem, trials: Trials, widest: float) -> list[Relaxati
 
 
 def _step(problem: Problem, trials: Trials) -> list[Relaxation]:
-    """Return a relaxation to a shorter time step, which refines the lattice until a path exists."""
+    """Return a relaxation to a time step that is short enough for a path on the lattice."""
     key = Key("planner.step_s", "s", problem.planner.step_s, 0.0)
     for power in range(1, STEPS_TESTED + 1):
         step_s = rounded(key.value * SHORTER**power, DIGITS, down=True)
@@ -283,7 +283,7 @@ def _opened(problem: Problem, trials: Trials, key: Key, value: float) -> Relaxat
 
 
 def _obstacles(problem: Problem, trials: Trials) -> list[Relaxation]:
-    """Return every obstacle whose removal opens a path."""
+    """Return a relaxation for each obstacle whose removal opens a path."""
     clearance_m, found = problem.constraints.clearance_m, list[Relaxation]()
     obstacles = problem.workspace.obstacles
     for obstacle in obstacles if len(obstacles) <= MOST_OBSTACLES else ():

@@ -218,7 +218,7 @@ def _read_station(path: Path, prefix: str, arrays: Arrays) -> SavedBelief:
 def _require_fit(
     path: Path, key: str, array: NDArray[Any], kinds: str, sizes: Sequence[object]
 ) -> None:
-    """Raise an `InputError` unless an array has one of these kinds and sizes; None is any size."""
+    """Raise an `InputError` unless an array has one of `kinds` and the `sizes` (None: any size)."""
     fits = array.ndim == len(sizes) and all(
         size in (None, own) for size, own in zip(sizes, array.shape, strict=True)
     )

@@ -54,7 +54,7 @@ ANY = (-np.inf, np.inf)
 def metrics_of(
     log: StepLog, plans: Sequence[Plan], learnt: Sequence[bool], arrival: int | None
 ) -> Metrics:
-    """Return the metrics of a robot; metrics over steps are NaN if there are none."""
+    """Return the metrics of a robot; metrics over steps are NaN for a run without steps."""
     # `learnt` flags steps with a measurement; `arrival` is the step of arrival at the goal.
     lengths = np.linalg.norm(np.diff(log.positions_m, axis=0), axis=1)
     # A measured ground truth defines no connection between its readings.
@@ -156,7 +156,7 @@ def run_holes(run: RobotRun) -> tuple[Hole, ...]:
 
 
 def true_serving_dbm(problem: Problem, truths: Sequence[Truth], positions_m: Floats) -> Floats:
-    """Return true serving powers (n,), to be compared with the first station's threshold."""
+    """Return true serving powers (n,), shifted so that the first station's threshold applies."""
     # A robot is connected if this power reaches `problem.stations[0].true_threshold_dbm`.
     powers = np.stack([true_power_dbm(truth, positions_m) for truth in truths])
     return serving_power_dbm(powers, [radio.true_threshold_dbm for radio in problem.stations])

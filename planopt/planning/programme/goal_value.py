@@ -51,7 +51,7 @@ class PathValue:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Objective value of one path, and the margins or sum that constraints bound."""
+    """Objective value of one path, and the margins or the sum to which constraints apply."""
 
     value: PathValue
     margins: Derivatives | None  # Margins of the N stages
@@ -59,7 +59,7 @@ class Evaluation:
 
     @property
     def rows(self) -> Floats:
-        """Return the values that constraints bound: N margins, or one sum."""
+        """Return the values to which constraints apply: N margins, or one sum."""
         if self.margins is not None:
             return self.margins.value
         if self.total is None:

@@ -71,7 +71,7 @@ def nlp_point(
 
 
 def lost_point(horizon: int, variables: int, rows: int) -> NlpPoint:
-    """Return a point of NaN to mark a failed solve."""
+    """Return a point filled with NaN that marks a failed solve."""
     nothing = np.full(variables, np.nan)
     failure = Termination.NUMERICAL_FAILURE
     return nlp_point(horizon, nothing, np.full(rows, np.nan), nothing, failure, 0)
@@ -294,7 +294,7 @@ class PathShape:
 
     @property
     def per_m(self) -> Floats:
-        """Return the trust-region width of each variable per metre of a position."""
+        """Return the trust-region width of each variable if that of positions is 1 m."""
         places, slacks = np.ones(2 * self.horizon), np.full(self.slacks, np.inf)
         if self.motion is None:
             return np.concatenate([places, slacks])

@@ -233,7 +233,7 @@ class Outage(Rule):
         return history.outage_m if self.step_s is None else history.outage_steps * self.step_s
 
     def achieved(self, probability: Floats, history: History) -> float | Floats:
-        """Return minus the longest outage, including an outage in progress."""
+        """Return the negative of the longest outage, including an outage in progress."""
         below = probability < self.p_min - RULE_TOLERANCE
         return -longest_run(self.sizes, below, self._begun(history))
 

@@ -227,7 +227,7 @@ def commands_via(
 
 
 def arc_turn(chord: float, steps: int) -> float:
-    """Return the turn per step in rad of an arc of `steps` unit steps with length `chord`."""
+    """Return the turn per step in rad of an arc with `steps` unit steps and length `chord`."""
     # The chord sin(steps a / 2) / sin(a / 2) decreases from `steps` to 0.
     low, high = 0.0, 2.0 * math.pi / steps
     for _ in range(HALVINGS):
@@ -238,7 +238,7 @@ def arc_turn(chord: float, steps: int) -> float:
 
 
 def _onward(heading: float, bend: float, speed: float, steps: int, horizon: int) -> Commands:
-    """Return commands for an arc of `steps` steps, followed by each direction or by waiting."""
+    """Return commands for an arc of `steps` steps, then for each onward direction or waiting."""
     paths = ONWARD + 1 if steps < horizon else 1
     turn, speeds = np.zeros((horizon, paths)), np.ones((horizon, paths))
     turn[0] = heading - 0.5 * bend * (steps - 1)

@@ -410,7 +410,7 @@ class Ahead:
         return Pivot(place, float(self._start.cost_to_go.cost_m[node]), metre)
 
     def leading(self, end_m: Floats) -> Pivot:
-        """Return a pivot of the route from `end_m` (2,) that no path of N steps can reach."""
+        """Return, for the route from `end_m` (2,), a pivot that is out of reach within N steps."""
         # With a reachable pivot, a solver could postpone the departure.
         joined = self._joined(end_m)
         return self.pivot if joined is None else self._seen_from(joined[0], end_m)

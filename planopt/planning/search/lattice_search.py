@@ -346,7 +346,7 @@ class StageFrame:
 
 
 def _largest_in_disc(around: Floats) -> Floats:
-    """Return the maximum over the neighbours with dx^2 + dy^2 <= 5 of each node."""
+    """Return, for each node, the maximum over its neighbours with dx^2 + dy^2 <= 5."""
     # `around` (h + 4, w + 4) is two nodes wider on each side than the result (h, w).
     height, width = around.shape[0] - 2 * REACH, around.shape[1] - 2 * REACH
     three = np.maximum(around[:, 1 : width + 1], around[:, 2 : width + 2])

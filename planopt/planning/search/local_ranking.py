@@ -70,7 +70,7 @@ class LocalRanking:
         self._stations = self._expected if same else [near(each) for each in context.law.posteriors]
 
     def _grid(self, channel: LocalChannel, about_m: Floats) -> LocalGrid | None:
-        """Return the map grid that measurements near `about_m` (a, 2) can change, or None."""
+        """Return the map grid that measurements near `about_m` (a, 2) change; None if unused."""
         at = self._context
         if not _averages_map(at.problem):
             return None

@@ -271,7 +271,7 @@ def _reached(
 
 
 def _promise(margins_db: Floats, length_m: Floats) -> Indices:
-    """Return the order of positions: by path length if p_min is satisfied, then by margin."""
+    """Return the order of positions: first those that satisfy p_min, by length; then by margin."""
     meets = margins_db >= MARGIN_PAD_DB
     return np.lexsort((np.where(meets, length_m, -margins_db), ~meets))
 

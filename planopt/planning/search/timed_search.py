@@ -39,7 +39,7 @@ class TimedCosts:
 
 
 def timed_places(places_m: Floats, route_m: Floats, step_m: float, steps: int) -> Floats:
-    """Return the positions after each step of a path, then a route at full speed, then waiting."""
+    """Return positions by step: along a path, then along a route at full speed, then waiting."""
     # Shapes: places_m (k + 1, 2); route_m (r, 2).
     route = np.vstack([places_m[-1:], route_m])
     driven = np.concatenate([[0.0], np.linalg.norm(np.diff(route, axis=0), axis=1).cumsum()])

@@ -196,7 +196,7 @@ def _in_order(
     order: Sequence[int],
     kept: Mapping[int, TimedMotion],
 ) -> tuple[list[Plan], list[Aim]]:
-    """Return plans, made in `order`, that avoid all known motions, and external inputs."""
+    """Return plans and external inputs; plans made in `order` avoid all known motions."""
     aims: dict[int, Aim] = {}
 
     def plan_one(
@@ -241,7 +241,7 @@ def _again_in_turn(
     plans: Sequence[Plan],
     aims: Sequence[Aim],
 ) -> tuple[list[Plan], list[Aim]]:
-    """Return the plans after each robot has planned again with the other plans fixed."""
+    """Return plans and external inputs after each robot has planned again, the others fixed."""
     # With F the objective of all plans together, F(p_i | others) = F(all) - F(others). Only a
     # verified plan of larger F(p_i | others) replaces a verified plan, so that F(all) never
     # decreases. Robots with individual weights compare by their own objective.

@@ -213,7 +213,7 @@ def _rays(u: Floats, v: Floats, angle: Floats, t: Floats) -> tuple[Floats, Float
 
 
 def _summed(boundary: Boundary, *values: Floats) -> list[Floats]:
-    """Return, for each of `values` (e,) of boundary pieces, the sums (g,) over each cell."""
+    """Sum each of `values` (e,) over the boundary pieces of each cell; return arrays (g,)."""
     count = len(boundary.centres_m)
     sums = (np.bincount(boundary.cell, value, minlength=count) for value in values)
     return [np.asarray(one, dtype=np.float64) for one in sums]

@@ -36,7 +36,7 @@ def finite_array(key: str, given: object, shape: tuple[int, ...], remedy: str) -
 
 
 def require_seed(seed: object) -> None:
-    """Raise an `InputError` if a random seed is not a whole number of at least 0."""
+    """Raise an `InputError` unless a random seed is an integer >= 0."""
     if not isinstance(seed, int | np.integer) or seed < 0:
         words = f"is {seed!r}, should be a whole number of at least 0"
         raise InputError(words, key="seed", remedy="give 0, 1, ...")
@@ -73,7 +73,7 @@ def rounded_length(offset_m: Floats, width_m: float) -> Derivatives:
 
 
 def radial(offset_m: Floats, value: Floats, slope: Floats, bend: Floats) -> Derivatives:
-    """Return a radial function f(|x|) with derivatives w.r.t. x at offsets (..., 2)."""
+    """Return f(|x|), from value, slope and bend, with derivatives w.r.t. x at offsets (..., 2)."""
     # Shapes: value f, slope f' / r, bend (f'' - f' / r) / r^2, all (...).
     rows = np.empty((*value.shape, 6))
     rows[..., 0] = value

@@ -60,7 +60,7 @@ def is_joined(problem: Problem, clearance_m: float, without: Obstacle | None = N
 
 
 def obstacles_met(problem: Problem, index: ObstacleIndex, path_m: Floats) -> list[str]:
-    """Return a message for each position and segment of a path (n, 2) that violates clearance."""
+    """Return a message per violation of clearance, by a position or segment of a path (n, 2)."""
     reasons: list[str] = []
     inside: set[int] = set()
     for step, place in enumerate(path_m):
@@ -239,7 +239,7 @@ def _drawn_target(
 
 
 def _is_free(problem: Problem, index: ObstacleIndex, places_m: Floats, clearance: float) -> bool:
-    """Return whether all positions (n, 2) are in the workspace with this clearance."""
+    """Return whether all positions (n, 2) are in the workspace and keep `clearance`."""
     if not inside_bounds(problem.workspace, places_m).all():
         return False
     away = clearance_m(index, places_m)
@@ -247,7 +247,7 @@ def _is_free(problem: Problem, index: ObstacleIndex, places_m: Floats, clearance
 
 
 def free_target_path(problem: Problem, draw_path: Callable[[], Floats]) -> Floats:
-    """Return random states (n + 1, 4) of a target; obstacles are avoided if this is required."""
+    """Return random states (n + 1, 4) of a target, outside obstacles if the target requires it."""
     if not problem.targets[0].stays_free:
         return draw_path()
     index = index_obstacles(problem.workspace)

@@ -266,7 +266,7 @@ def _python_truth(problem: Problem, setup: ArrayTruth | FunctionTruth, station: 
 
 
 def _numbers(key: str, values: object) -> Floats:
-    """Return `values` as an array of real numbers; if impossible, the InputError names `key`."""
+    """Return `values` as an array of real numbers, or raise an InputError that names `key`."""
     try:
         found = np.asarray(values)
         # NumPy would parse text as numbers and drop imaginary parts.

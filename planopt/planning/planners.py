@@ -424,7 +424,7 @@ class FollowingPlanner:
 
 
 def require_foreseeable(problem: Problem) -> None:
-    """Raise an InputError if these performance bounds are undefined for a problem."""
+    """Raise an InputError if performance bounds of tracking are undefined for a problem."""
     several = len(problem.robots) > 1 and problem.constraints.separation_m > 0.0
     if (
         not any(term.sensor for term in problem.terms)

@@ -122,7 +122,7 @@ class ReachPlanner:
         return self.release(self.outlook(belief, state, history), warm)
 
     def outlook(self, belief: Belief, state: Floats, history: History = BEGINNING) -> Outlook:
-        """Return the step context and the lattice path, which ignores other robots."""
+        """Return the step context, and a lattice path found without regard to other robots."""
         begun = perf_counter()
         context = verifier_context(
             self.problem,
@@ -496,7 +496,7 @@ class DrivenReach:
         return self._cascade.first_verified(step, scorer, charged, warm, budget)
 
     def _charge(self, cost: ReachCost, pivot: Pivot, drive: Drive) -> GoalCharge:
-        """Return the parameters of the goal cost, which applies to each step near the goal."""
+        """Return the goal cost's parameters; near the goal, the cost applies to each step."""
         problem, horizon = self._problem, len(drive.inputs)
         away = np.linalg.norm(resting_places_m(drive)[1:] - pivot.position_m, axis=1)
         arrived = np.flatnonzero(away <= problem.constraints.goal_radius_m)

@@ -89,7 +89,7 @@ class TaskProblem:
         return self.config.report.figures
 
     def tables(self) -> dict[str, Any]:
-        """Return the complete tables of the problem, which refer to no other files."""
+        """Return the complete tables of the problem, without references to other files."""
         return self.config.model_dump(mode="json", by_alias=True, exclude_none=True)
 
     def words(self) -> Sequence[str]:

@@ -326,7 +326,7 @@ def _mean(rows: Mapping[str, Row], metric: str, *, interval: bool) -> str:
 
 
 def _in_blocks(table: Sequence[Sequence[str]], first: int) -> list[str]:
-    """Return lines in blocks of at most `WIDTH` characters, which repeat the `first` columns."""
+    """Return lines at most `WIDTH` long, in blocks that each repeat the `first` columns."""
     columns = [
         [textwrap.wrap(heading, max(map(len, (*heading.split(), *below)))), below]
         for heading, *below in zip(*table, strict=True)

@@ -145,7 +145,7 @@ class CasadiMap(Dynamics):
         return tuple((sample[0], sample[1]) for sample in samples[:-1])
 
     def hull_pad_m(self, step_s: float) -> float:
-        """Return half the longest path of a substep, which bounds the distance from the hull."""
+        """Return a bound on the distance from the hull: half the longest path of a substep."""
         return 0.5 * self.speed_max_m_s * step_s / self.substeps
 
     def stop_rows(self, state: Components, step_s: float) -> Components:

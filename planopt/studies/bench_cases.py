@@ -295,7 +295,7 @@ class Manifest:
 
 
 def manifest_of(problems: Sequence[str]) -> Manifest:
-    """Return the manifest of a benchmark of these problems: program, machine and settings."""
+    """Return the manifest of a benchmark of `problems`: program, machine and settings."""
     known = {
         name.lower(): float(value)
         for name, value in vars(tolerances).items()

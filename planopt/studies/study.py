@@ -99,7 +99,7 @@ def shared_data(item: tuple[AnyProblem, int]) -> Any:
 
 
 def run_key(problem: AnyProblem, seed: int) -> dict[str, Any]:
-    """Return the key of a run, which determines its result: problem, seed and program."""
+    """Return the key that determines a run's result: problem, seed and program."""
     tables = task_of(problem).tables(problem)
     return {"problem": _deciding(tables), "seed": seed, "program": dict(program())}
 

@@ -128,7 +128,7 @@ class Task:
             )
 
     def tables(self, problem: Any) -> dict[str, Any]:
-        """Return the complete tables of a problem, which refer to no other files."""
+        """Return the complete tables of a problem, without references to other files."""
         return problem.tables()
 
     def words(self, problem: Any) -> Sequence[str]:

@@ -453,7 +453,7 @@ def _messages(result: MotionResult) -> Iterator[tuple[float, str, str, dict[str,
 
 
 def _line(ring: shapely.LinearRing) -> dict[str, Any]:
-    """Return the outline of an obstacle as a closed line of two pixels."""
+    """Return the outline of an obstacle as a closed line two pixels wide."""
     points = shapely.get_coordinates(ring)[:-1].tolist()
     return {
         "type": LINE_LOOP,

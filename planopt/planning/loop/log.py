@@ -268,5 +268,5 @@ def _innovations(before: TargetWatch, after: TargetWatch) -> list[float]:
 
 
 def _squared(error: Floats, covariance: Floats) -> float:
-    """Return the squared Mahalanobis distance of an error with this covariance."""
+    """Return the squared Mahalanobis distance of `error` for its `covariance`."""
     return float(error @ np.linalg.solve(covariance, error))

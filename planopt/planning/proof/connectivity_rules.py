@@ -166,7 +166,7 @@ class Joint(Rule):
             _require_shown(problem, words, "keep only one entry of stations")
 
     def achieved(self, probability: Floats, history: History) -> float | Floats:
-        """Return Boole's lower bound of the joint probability, which may be negative."""
+        """Return Boole's lower bound (negative if useless) of the joint probability."""
         return 1.0 - (1.0 - probability).sum(axis=-1)
 
     def by_slack(self, case: PathCase) -> BySlack:
@@ -223,7 +223,7 @@ class Outage(Rule):
 
     @classmethod
     def of(cls, problem: Problem, legs_m: Floats) -> Outage:
-        """Return the rule for steps of these lengths."""
+        """Return the rule for steps of lengths `legs_m`."""
         p_min, rule, step_s = problem.constraints.p_min, problem.constraints.rule, None
         if rule.outage_max_m is None:
             legs_m, step_s = np.full(legs_m.shape, problem.planner.step_s), problem.planner.step_s

@@ -262,7 +262,7 @@ class Rule(ABC):
 
     @classmethod
     def of(cls, problem: Problem, legs_m: Floats) -> Rule:
-        """Return the problem's rule for steps of these lengths ``(..., N)``."""
+        """Return the problem's rule for steps of lengths `legs_m` ``(..., N)``."""
         return cls(**dict(problem.constraints.rule.settings))
 
     @classmethod

@@ -309,7 +309,7 @@ class PricedPath:
 
 
 def build_goal_grid(problem: Problem, index: ObstacleIndex) -> GoalGrid:
-    """Return the verifier's grid, which contains the goal and is shared by a whole run."""
+    """Return the verifier's grid for a whole run; it contains the goal."""
     spacing = SPACING_STEPS * problem.step_length_m
     goal = np.asarray(problem.goal_m)
     grid = grid_of(problem.workspace.bounds_m, goal, spacing)

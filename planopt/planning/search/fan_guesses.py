@@ -45,7 +45,7 @@ class RoughClearance:
     bounds_m: tuple[float, float, float, float]  # (x_min, y_min, x_max, y_max)
 
     def is_free(self, places_m: Floats, clearance: float) -> Mask:
-        """Return a mask of positions (..., 2) that are in bounds with about this clearance."""
+        """Return a mask of positions (..., 2) that are in bounds and roughly keep `clearance`."""
         x_min, y_min, x_max, y_max = self.bounds_m
         x, y = places_m[..., 0], places_m[..., 1]
         inside = (x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max)

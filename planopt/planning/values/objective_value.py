@@ -174,7 +174,7 @@ class ReachCost:
 
     @property
     def rate_s_m(self) -> float:
-        """Cost per metre beyond the horizon."""
+        """Cost in seconds per metre beyond the horizon."""
         return rate_s_m(self.problem)
 
     def __call__(self, path_m: Floats, drive: Drive | None = None) -> float:

@@ -209,7 +209,7 @@ def several(values: object) -> Sequence[Any] | None:
 
 
 def swept_values(sweep: object) -> Mapping[str, Sequence[Any]] | None:
-    """Return the swept values of each key as sequences."""
+    """Return the swept values of each key as sequences; None without a sweep."""
     if sweep is None:
         return None
     if not isinstance(sweep, Mapping):

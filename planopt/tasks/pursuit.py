@@ -137,7 +137,7 @@ def _stage_shares(problem: PursuitProblem, pursuit: Pursuit) -> Iterator[tuple[T
 def _guarantee_json(
     problem: PursuitProblem, pursuit: Pursuit, shares: Sequence[tuple[Theorem, float]]
 ) -> dict[str, Any]:
-    """Return JSON data: guarantee of the first pursuer and evader, largest ratio to the limit."""
+    """Return JSON data of the first pursuer's guarantee, with the largest shares of its bounds."""
     radius_m, uses = problem.config.pursuit.capture_radius_m, pursuit.uses
     alone = len(problem.config.pursuers) == len(problem.config.evaders) == 1
     theorems: dict[str, Any] = {}

@@ -383,7 +383,7 @@ class CheckResult:
 
     @property
     def certificate(self) -> Certificate | None:
-        """Return the certificate of a plan, or the worst values of a run."""
+        """Return the certificate of a plan, or the worst values of a run; None without plans."""
         if len(self.certificates) <= 1:
             return self.certificates[0] if self.certificates else None
         return _worst(self.certificates)

@@ -198,7 +198,7 @@ class Trajectory(Places):
 
     @property
     def residual(self) -> float | None:
-        """Return the solver's KKT residual."""
+        """Return the solver's KKT residual; None without refinement."""
         raise NotImplementedError
 
 
@@ -238,7 +238,7 @@ class RobotPlan(Trajectory):
 
     @property
     def residual(self) -> float | None:
-        """Return the solver's KKT residual."""
+        """Return the solver's KKT residual; None without refinement."""
         return self.certificate.kkt_residual
 
 
@@ -254,7 +254,7 @@ class ReleasedPlan(Trajectory):
 
     @property
     def residual(self) -> float | None:
-        """Return the solver's KKT residual."""
+        """Return the solver's KKT residual; None without refinement."""
         return self.kkt_residual
 
 

@@ -60,7 +60,7 @@ def _least(away_m: Floats) -> float | None:
 
 
 def swept_motion(problem: Problem, positions_m: Floats, drive: Drive | None) -> TimedMotion:
-    """Return the first robot's motion along a path (finite positions), including braking."""
+    """Return the first robot's motion along a path of finite positions, including braking."""
     # If the drive is invalid, which the verifier rejects, straight motion is returned.
     dynamics = problem.robots[0].dynamics
     if drive is None or drive_fault(dynamics, positions_m, drive):

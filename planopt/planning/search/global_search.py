@@ -460,7 +460,7 @@ def find_pivot(
     clearance: float,
     origin_m: Floats | None = None,  # (2,)
 ) -> Pivot:
-    """Return the farthest visible route point or, if the path can reach that, a farther one."""
+    """Return the farthest visible route point or, if reachable by the path, a point beyond it."""
     end = int(start.nodes[-1])
     route = route_from(scene.road_map, start.cost_to_go, end, LOOKAHEAD_STEPS * step_length_m)
     places = scene.road_map.nodes_m[route]

@@ -42,19 +42,8 @@ BELOW, NOWHERE = "dB to spare is within reach", "is met at none"
 DEAR, NO_PLACE, STANDS = "m was found", "is met nowhere", "stands still"
 ALONE = "to compare the plan with"
 WASTED = "of the run so far"
-KEYS = (
-    CLEARANCE,
-    BOUNDS,
-    SPEED,
-    BELOW,
-    NOWHERE,
-    DEAR,
-    NO_PLACE,
-    STANDS,
-    ALONE,
-    WASTED,
-    "not finite",
-)
+KEYS = (CLEARANCE, BOUNDS, SPEED, BELOW, NOWHERE, DEAR, NO_PLACE, STANDS, ALONE, WASTED)
+KEYS += ("not finite",)
 
 
 @dataclass(frozen=True)
@@ -153,8 +142,26 @@ def at_price(price: float) -> Problem:
     return replace(problem, objective=replace(problem.objective, outage_price=price))
 
 
+def without_goal(path_m, power_at, missed, *reasons, **more) -> Case:
+    """Make a case of missed steps, each with whether no place in reach keeps the bound."""
+    hopeless = tuple(missed.values())
+    found = {"relaxed": tuple(missed), "hopeless": hopeless, "power_at": power_at}
+    return Case(path_m, set(reasons), has_goal=False, **found, **more)
+
+
+def crossing(cost_m, best_m, *reasons, path_m=CROSSING, power_at=WIDE, relaxed=INSIDE, **more):
+    """Make a case of a hole that is crossed, with the cost of the path and of the cheapest."""
+    found = {"relaxed": relaxed, "cost_m": cost_m, "best_m": best_m}
+    return Case(path_m, set(reasons), power_at=power_at, **found, **more)
+
+
+ON = along(5, 7, 9, 11, 13)
+DAWDLING = along(5, 5, 5, 5, 5, 5, 7, 9, 11)
+WANDERING = along(10, 12, 14, 16, 18, 20, 22, 20.93, 22, 20.93, 22, 24, 26, 28)
+THERE_AND_BACK = along(16, 18, 20, 22, 20, 18, 16, 18, 20, 22, 20, 18, 16)
+LATER = {1: True, 2: True, 3: False, 4: False, 5: False}
 CASES: dict[str, Case] = {
-    "straight on": Case(along(5, 7, 9, 11, 13), defect_m=0.0),
+    "straight on": Case(ON, defect_m=0.0),
     "one step": Case(along(5, 6.5)),
     "beside a wall": Case([(19.4, 12), (19.4, 14)], problem=WALLED, clearance_m=0.5),
     "too near": Case([(19.401, 12), (19.4, 14)], {CLEARANCE}, WALLED, clearance_m=0.499),
@@ -173,238 +180,126 @@ CASES: dict[str, Case] = {
     "no number": Case(
         [(5, 15), (math.nan, 15)], {"not finite"}, clearance_m=0.0, defect_m=math.inf
     ),
-    "avoidable, first": Case(
-        [(9, 18.5), (9, 16.6), (9, 18.5), (9, 20)],
-        {BELOW},
-        power_at=bad_disc(9, 15, 2.5),
-        has_goal=False,
-        relaxed=(1,),
-        hopeless=(False,),
+    "avoidable, first": without_goal(
+        [(9, 18.5), (9, 16.6), (9, 18.5), (9, 20)], bad_disc(9, 15, 2.5), {1: False}, BELOW
     ),
-    "avoidable, midway": Case(
-        along(5, 7, 9, 11, 13),
-        {BELOW},
-        power_at=bad_disc(9, 15, 1.9),
-        has_goal=False,
-        relaxed=(2,),
-        hopeless=(False,),
+    "avoidable, midway": without_goal(ON, bad_disc(9, 15, 1.9), {2: False}, BELOW),
+    "avoidable, last": without_goal(along(3, 5, 7, 9), bad_disc(9, 15, 1.9), {3: False}, BELOW),
+    "a little below": without_goal(
+        along(5, 7, 9), faint_spot, {2: False}, BELOW, position_std_m=1e-6
     ),
-    "avoidable, last": Case(
-        along(3, 5, 7, 9),
-        {BELOW},
-        power_at=bad_disc(9, 15, 1.9),
-        has_goal=False,
-        relaxed=(3,),
-        hopeless=(False,),
+    "out of a hole": without_goal(ON, bad_disc(5, 15, 3.5), {1: True}),
+    "good beyond the first step's disc": without_goal(
+        along(5, 7, 9, 11), good_at_corners, {1: True}
     ),
-    "a little below": Case(
-        along(5, 7, 9),
-        {BELOW},
-        power_at=faint_spot,
-        has_goal=False,
-        position_std_m=1e-6,
-        relaxed=(2,),
-        hopeless=(False,),
+    "past an island": without_goal(along(5, 6, 7), island, {1: False}, BELOW),
+    "dawdling": without_goal(
+        [(5, 15), (5, 15), (6.4, 16.4)], bad_disc(5, 15, 1.0), {1: False}, BELOW
     ),
-    "out of a hole": Case(
-        along(5, 7, 9, 11, 13),
-        power_at=bad_disc(5, 15, 3.5),
-        has_goal=False,
-        relaxed=(1,),
-        hopeless=(True,),
+    "not dawdling": without_goal([(5, 15), (6.4, 16.4), (8, 16.4)], bad_disc(5, 15, 1.0), {}),
+    "nowhere": without_goal(along(5, 7, 9), bad_everywhere, {1: True, 2: True}, NOWHERE),
+    "never again": without_goal(
+        [(20, 15), (20, 16), (20, 17)], bad_band(17, 23), {1: True, 2: False}, BELOW, NOWHERE
     ),
-    "good beyond the first step's disc": Case(
-        along(5, 7, 9, 11), power_at=good_at_corners, has_goal=False, relaxed=(1,), hopeless=(True,)
+    "dawdling deep below": without_goal(
+        DAWDLING, bad_disc(5, 15, 5.0), {**LATER, 6: False, 7: False}, BELOW
     ),
-    "past an island": Case(
-        along(5, 6, 7), {BELOW}, power_at=island, has_goal=False, relaxed=(1,), hopeless=(False,)
-    ),
-    "dawdling": Case(
-        [(5, 15), (5, 15), (6.4, 16.4)],
-        {BELOW},
-        power_at=bad_disc(5, 15, 1.0),
-        has_goal=False,
-        relaxed=(1,),
-        hopeless=(False,),
-    ),
-    "not dawdling": Case(
-        [(5, 15), (6.4, 16.4), (8, 16.4)], power_at=bad_disc(5, 15, 1.0), has_goal=False
-    ),
-    "nowhere": Case(
-        along(5, 7, 9),
-        {NOWHERE},
-        power_at=bad_everywhere,
-        has_goal=False,
-        relaxed=(1, 2),
-        hopeless=(True, True),
-    ),
-    "never again": Case(
-        [(20, 15), (20, 16), (20, 17)],
-        {BELOW, NOWHERE},
-        power_at=bad_band(17, 23),
-        has_goal=False,
-        relaxed=(1, 2),
-        hopeless=(True, False),
-    ),
-    "dawdling deep below": Case(
-        along(5, 5, 5, 5, 5, 5, 7, 9, 11),
-        {BELOW},
-        power_at=bad_disc(5, 15, 5.0),
-        has_goal=False,
-        relaxed=(1, 2, 3, 4, 5, 6, 7),
-        hopeless=(True, True, False, False, False, False, False),
-    ),
-    "better place behind a wall": Case(
+    "better place behind a wall": without_goal(
         along(10, 12, 14, 16, 18, 20),
+        IN_YARD,
+        {1: True, 2: True, 3: True},
         problem=small_problem(YARD, clearance_m=1.0),
-        power_at=IN_YARD,
-        has_goal=False,
-        relaxed=(1, 2, 3),
-        hopeless=(True, True, True),
         clearance_m=1.0,
     ),
-    "better place round a wall": Case(
+    # 10.4 m to the end of the wall, 0.8 m about it, 1 m on: the seventh step of 2 m.
+    "better place round a wall": without_goal(
         along(16, 14, 12, 10, 8, 6, 4, 2, 2, 2, 2, 2, 2),
-        {BELOW, NOWHERE},
-        # 10.4 m to the end of the wall, 0.8 m about it, 1 m on: the seventh step of 2 m.
+        bad_band(-1.0, 21.0),
+        {step: step < 7 for step in range(1, 13)},
+        *(BELOW, NOWHERE),
         problem=small_problem(LONG_WALL),
-        power_at=bad_band(-1.0, 21.0),
-        has_goal=False,
-        relaxed=(1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12),
-        hopeless=(True,) * 6 + (False,) * 6,
         clearance_m=2.9,
     ),
-    "dawdling at the border": Case(
+    "dawdling at the border": without_goal(
         [(9, 28), (9, 28), (9, 28), (9, 28), (9, 26), (9, 24), (9, 22)],
-        {BELOW},
-        power_at=bad_where(lambda x, y: y > 24),
-        has_goal=False,
-        relaxed=(1, 2, 3, 4, 5),
-        hopeless=(True, True, False, False, False),
+        bad_where(lambda x, y: y > 24),
+        LATER,
+        BELOW,
     ),
-    "hole with no way round": Case(
-        CROSSING, power_at=WIDE, relaxed=INSIDE, cost_m=105.1, best_m=105.1
+    "hole with no way round": crossing(105.1, 105.1),
+    "hole on a run that has wasted much": crossing(
+        105.1, 105.1, WASTED, history=History(crossing_cost_m=50.0, crossing_excess_m=47.0)
     ),
-    "hole on a run that has wasted much": Case(
-        CROSSING,
-        {WASTED},
-        power_at=WIDE,
-        relaxed=INSIDE,
-        cost_m=105.1,
-        best_m=105.1,
-        history=History(crossing_cost_m=50.0, crossing_excess_m=47.0),
+    "hole on a long run that has wasted as much": crossing(
+        105.1, 105.1, history=History(crossing_cost_m=80.0, crossing_excess_m=47.0)
     ),
-    "hole on a long run that has wasted as much": Case(
-        CROSSING,
-        power_at=WIDE,
-        relaxed=INSIDE,
-        cost_m=105.1,
-        best_m=105.1,
-        history=History(crossing_cost_m=80.0, crossing_excess_m=47.0),
-    ),
-    "first step back on a run that has wasted some": Case(
-        along(14, 12, 14, 16, 18, 20, 22, 24, 26, 28),
-        {WASTED},
-        power_at=WIDE,
-        relaxed=(3, 4, 5, 6, 7),
-        cost_m=105.1,
-        best_m=101.1,
+    "first step back on a run that has wasted some": crossing(
+        *(105.1, 101.1, WASTED),
+        path_m=along(14, 12, 14, 16, 18, 20, 22, 24, 26, 28),
         history=History(crossing_cost_m=20.0, crossing_excess_m=43.0),
     ),
-    "hole with a way round": Case(
-        CROSSING, {DEAR}, power_at=OPEN_WIDE, relaxed=INSIDE, cost_m=105.4, best_m=29.6
+    "hole with a way round": crossing(105.4, 29.6, DEAR, power_at=OPEN_WIDE),
+    "hole with a way round that is dearer": crossing(
+        27.4, 27.4, problem=at_price(0.3), power_at=OPEN_WIDE
     ),
-    "hole with a way round that is dearer": Case(
-        CROSSING,
-        problem=at_price(0.3),
-        power_at=OPEN_WIDE,
-        relaxed=INSIDE,
-        cost_m=27.4,
-        best_m=27.4,
+    "small hole with a way round": crossing(
+        52.7, 22.9, path_m=ACROSS, power_at=OPEN_GAP, relaxed=(2, 3)
     ),
-    "small hole with a way round": Case(
-        ACROSS, power_at=OPEN_GAP, relaxed=(2, 3), cost_m=52.7, best_m=22.9
+    "into a hole and back": crossing(
+        338.2, 94.1, DEAR, path_m=THERE_AND_BACK, relaxed=tuple(range(1, 13))
     ),
-    "into a hole and back": Case(
-        along(16, 18, 20, 22, 20, 18, 16, 18, 20, 22, 20, 18, 16),
-        {DEAR},
-        power_at=WIDE,
-        relaxed=tuple(range(1, 13)),
-        cost_m=338.2,
-        best_m=94.1,
+    "as dear as is tolerated": crossing(
+        152.2, 105.1, path_m=WANDERING, relaxed=tuple(range(3, 12))
     ),
-    "as dear as is tolerated": Case(
-        along(10, 12, 14, 16, 18, 20, 22, 20.93, 22, 20.93, 22, 24, 26, 28),
-        power_at=WIDE,
-        relaxed=(3, 4, 5, 6, 7, 8, 9, 10, 11),
-        cost_m=152.2,
-        best_m=105.1,
-    ),
-    "hole with a way round beside a wall outside": Case(
-        along(10, 12, 14, 16, 18, 20, 22, 24, 26, 28, y=9.0),
-        # Outside the workspace no way may be found.
+    # Outside the workspace no way may be found.
+    "hole with a way round beside a wall outside": crossing(
+        *(107.4, 106.6),
+        path_m=along(10, 12, 14, 16, 18, 20, 22, 24, 26, 28, y=9.0),
         problem=small_problem(shapely.box(18, -40, 24, -0.5)),
         clearance_m=9.5,
-        power_at=WIDE,
-        relaxed=INSIDE,
-        cost_m=107.4,
-        best_m=106.6,
     ),
-    "hole with a way closed": Case(
-        CROSSING,
+    "hole with a way closed": crossing(
+        *(105.4, 105.7),
         problem=small_problem(shapely.box(13, 18, 27, 30)),
         power_at=OPEN_WIDE,
-        relaxed=INSIDE,
         clearance_m=3.0,
-        cost_m=105.4,
-        best_m=105.7,
     ),
-    "beside a thin wall": Case(
-        [(14.5, 15), (16.5, 15), (18.5, 15)],
+    "beside a thin wall": crossing(
+        *(118.4, 111.9),
+        path_m=[(14.5, 15), (16.5, 15), (18.5, 15)],
         problem=small_problem(LONG_WALL, clearance_m=0.1),
         power_at=bad_where(lambda x, y: (x > 12) & (x < 18.9)),
         relaxed=(1,),
         clearance_m=0.4,
-        cost_m=118.4,
-        best_m=111.9,
     ),
-    "out of a closed yard": Case(
-        along(18, 20, 22),
-        {ALONE},
+    "out of a closed yard": crossing(
+        *(math.inf, math.inf, ALONE),
+        path_m=along(18, 20, 22),
         problem=small_problem(RING),
         power_at=bad_disc(20, 15, 1.9),
         clearance_m=4.0,
         relaxed=(1,),
-        cost_m=math.inf,
-        best_m=math.inf,
     ),
-    "nowhere at all": Case(
-        along(5, 7, 9),
-        {NO_PLACE},
-        power_at=bad_everywhere,
-        relaxed=(1, 2),
-        cost_m=330.0,
-        best_m=330.0,
+    "nowhere at all": crossing(
+        330.0, 330.0, NO_PLACE, path_m=along(5, 7, 9), power_at=bad_everywhere, relaxed=(1, 2)
     ),
-    "hole in faint contact": Case(
-        along(5, 7, 9, 11),
+    "hole in faint contact": crossing(
+        *(130.7, 136.5),
+        path_m=along(5, 7, 9, 11),
         power_at=faint_about,
         relaxed=(2,),
-        cost_m=130.7,
-        best_m=136.5,
         position_std_m=1e-6,
     ),
-    "hole in faint contact, charged where it misses the bound": Case(
-        along(5, 7, 9, 11),
+    "hole in faint contact, charged where it misses the bound": crossing(
+        *(128.8, 136.3),
+        path_m=along(5, 7, 9, 11),
         problem=charged_below_p_min(),
         power_at=faint_about,
         relaxed=(2,),
-        cost_m=128.8,
-        best_m=136.3,
         position_std_m=1e-6,
     ),
-    "at one place only": Case(
-        along(5, 7, 9), power_at=one_good_place, relaxed=(1, 2), cost_m=330.0, best_m=330.0
+    "at one place only": crossing(
+        330.0, 330.0, path_m=along(5, 7, 9), power_at=one_good_place, relaxed=(1, 2)
     ),
     "standing still": Case(along(5, 5, 5), {STANDS}),
     "standing still after a step": Case(along(5, 6, 6)),

@@ -26,6 +26,9 @@ CHANNEL = ChannelParameters(-10.0, 2.0, 4.0, 10.0, 1.99, Station((25.0, 25.0)))
 
 TILE, NEIGHBOURS = 10, 64
 ROUNDS = 5
+SMALL = 300
+"""Measurements of the small version."""
+
 STEPS = 20
 
 
@@ -114,6 +117,7 @@ def seconds(work: Callable[[], object]) -> float:
 @pytest.mark.parametrize("count", [102, 1000])
 def test_exact_map(benchmark: BenchmarkFixture, table: Table, count: int) -> None:
     """Every measurement, theta estimated, against scikit-learn's with theta known."""
+    count = min(count, SMALL) if benchmark.disabled else count
     taken, ratio = timed(
         benchmark, lambda: posterior(count).predict(lattice()[1]), ROUNDS, scikit_learn(count)
     )
@@ -128,7 +132,7 @@ def test_exact_map(benchmark: BenchmarkFixture, table: Table, count: int) -> Non
 
 def test_neighbours_map(benchmark: BenchmarkFixture, table: Table) -> None:
     """From the nearest measurements, tile by tile."""
-    count = 1000
+    count = SMALL if benchmark.disabled else 1000
 
     def work() -> TileMap:
         tiles = new_tiles()

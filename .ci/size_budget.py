@@ -13,12 +13,12 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_844,
-    "lines of code": 52_382,
+    "lines": 70_847,
+    "lines of code": 52_385,
     "files": 247,
     "functions": 3_784,
     "docstring lines": 7_516,
-    "lines of tests": 48_474,
+    "lines of tests": 48_374,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

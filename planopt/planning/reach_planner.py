@@ -362,7 +362,7 @@ class DrivenReach:
         """Return the candidate to release, and the terminal waypoint of its cost-to-go, if any."""
         if start is None:
             return without_guess(scorer, warm), None
-        if start.is_direct and (direct := self._direct(scorer, start, warm)) is not None:
+        if start.is_direct and (direct := self._direct(step, scorer, start, warm)):
             return direct, None
         starts = self._starts(step, scorer, start, warm)
         ahead = Ahead(self._problem, self._scene, start, node_margin_db)
@@ -393,7 +393,9 @@ class DrivenReach:
                 found = replace(found, objective=priced(found.path_m, found.drive))
         return found, None if found.drive is None else cost.pivot_of(found.path_m, found.drive)
 
-    def _direct(self, scorer: Scorer, start: GlobalStart, warm: Plan | None) -> Candidate | None:
+    def _direct(
+        self, step: StepContext, scorer: Scorer, start: GlobalStart, warm: Plan | None
+    ) -> Candidate | None:
         """Return a candidate that stops at each node of the shortest path; None if not possible."""
         if not stands(self._problem, scorer.state):
             drive = shifted_drive(self._problem, warm)
@@ -403,9 +405,10 @@ class DrivenReach:
             if drive is None:
                 return None
         if drive is not None and len(drive.inputs) == self._problem.planner.horizon:
-            found = drive_candidate(scorer, drive, Rung.DIRECT, Termination.LATTICE_ONLY)
-            found = scorer.assessed(found)
-            if found.sound:
+            cost = ReachCost(self._problem, scorer.position_m, step.power, priced=False)
+            free = replace(scorer, objective=cost)
+            found = drive_candidate(free, drive, Rung.DIRECT, Termination.LATTICE_ONLY)
+            if (found := scorer.assessed(found)).sound:
                 return found
         return without_guess(scorer, warm)
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from strip_scene import STATION, strip
 
-from planopt import Problem, Run
+from planopt import Problem, Run, check
 from planopt.extend import Rung
 from planopt.planning.scene import Scene, build_scene, first_moves
 from planopt.planning.search.global_search import GlobalSearch
@@ -92,7 +92,7 @@ def test_a_run_through_a_hole_keeps_the_bound(robot: str, tmp_path: Path) -> Non
 def test_a_direct_run_drives_what_is_left(
     robot: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Made direct while it moves, it comes to rest, and then drives no more than what is left."""
+    """Made direct in motion, it stops, drives no more than what is left, and passes the check."""
     problem = behind_a_hole(tmp_path, robot)
     scene = build_scene(problem)
     monkeypatch.setattr(GlobalSearch, "_has_wandered", lambda _, history: history.steps >= 3)
@@ -111,5 +111,7 @@ def test_a_direct_run_drives_what_is_left(
         assert decides[3 : 4 + takes].any()
     deciding = [step for step in range(3, len(legs)) if decides[step]]
     assert len(deciding) >= 5
+    run.save(tmp_path / "run")
+    assert check(tmp_path / "run").reasons == ()
     for step in deciding:
         assert legs[step:].sum() <= left_m(scene, problem, places[step]) + 1e-6

@@ -70,6 +70,21 @@ def test_open_line_is_driven_in_about_the_least_time(horizon: int, acceleration:
     assert np.hypot(*simulation.run.drive.states[-1, 2:]) <= 1e-9
 
 
+def test_a_goal_out_of_contact_is_not_put_off() -> None:
+    """With the goal within the horizon, a metre beyond the plan costs as much as a driven one."""
+    problem = reach(
+        dynamics=DoubleIntegrator(2.5, 0.4),
+        rest=(1.0, -0.3),
+        start_m=(31.8, 16.0),
+        effort_weight_s2_m2=0.1,
+        cost_to_go="connected",
+        step_s=2.0,
+    )
+    simulation = driven(problem, bad_band(20.0, 40.0))
+    assert simulation.run.outcome is Outcome.REACHED
+    assert simulation.run.metrics.goal_time_s <= 16.0
+
+
 @pytest.mark.parametrize("horizon", [1, 10])
 @pytest.mark.parametrize(("dynamics", "rest"), [(BOAT, ()), (CART, BACK)])
 def test_goal_behind_a_wall_is_reached(dynamics: Dynamics, rest, horizon: int) -> None:

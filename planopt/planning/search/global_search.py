@@ -486,5 +486,5 @@ def find_pivot(
     # At the guess's end, the cost via the pivot equals the cost via the lattice.
     joining = float(np.linalg.norm(places[0] - origin)) * float(start.metre_cost[end])
     saved = joining + float(cost_m[end] - cost_m[route[chosen]])
-    metre_cost = saved / straight if straight else 1.0
+    metre_cost = saved / straight if straight else float(start.metre_cost[end])
     return Pivot(places[chosen], float(cost_m[route[chosen]]), max(metre_cost, 1.0))

@@ -92,7 +92,7 @@ _PREDICATE = re.compile(
 def _sentence(where: list[str], message: str) -> str:
     """Return location and message as one sentence; the location may be the message's subject."""
     if where and _PREDICATE.match(message):
-        *before, subject = where
+        *before, subject = where[::-1] if message == "does not exist" else where
         words = f"{subject} {message}"
         return f"{', '.join(before)}: {words}" if before else words
     return f"{', '.join(where)}: {message}" if where else message

@@ -286,8 +286,8 @@ def _fault_of_robot(terms: Sequence[Term], robot: Robot, number: int) -> str | N
         )
     if sum(term.steers is not None for term in own) > 1:
         return (
-            f'two entries of objective.terms steer {key} (kinds "goal" and "until_connected", and '
-            f'the form "two_layer"): leave one out, or give it the weight 0 in {key}.weights'
+            f'{key} has several terms of kind "goal" or "until_connected" or form "two_layer", but '
+            f"only one may steer it: leave the others out, or give them weight 0 in {key}.weights"
         )
     return None
 

@@ -55,7 +55,8 @@ class NoDesignError(NoPlanError):
     def __init__(self, inequality: Inequality, bits_per_axis: int) -> None:
         self.inequality, self.bits_per_axis = inequality, bits_per_axis
         super().__init__(
-            f"no design meets the requirements; with c = {bits_per_axis}, {inequality}"
+            "no design meets the requirements; with "
+            f"{bits_per_axis} bit{'' if bits_per_axis == 1 else 's'} per coordinate, {inequality}"
         )
 
 

@@ -323,7 +323,7 @@ class SurveyTable(Table):
                 "one_of", "needs exactly one of file, places_m with power_dbm, and count"
             )
         if in_place and len(self.places_m or ()) != len(self.power_dbm or ()):
-            raise PydanticCustomError("lengths", "should have one power for each position")
+            raise PydanticCustomError("one_of", "needs one power_dbm for each of places_m")
         return self
 
 

@@ -53,7 +53,7 @@ class RobotPath:
         """Return longitude and latitude of each position as an array ``(n, 2)``."""
         if self.origin_deg is None:
             raise InputError(
-                "is missing, and this file has degrees",
+                "is missing, but files of this kind have positions in degrees",
                 key="--origin",
                 remedy="give the latitude and longitude of (0, 0) as LAT,LON (origin_deg)",
             )

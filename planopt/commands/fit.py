@@ -379,17 +379,17 @@ FIT = (FIT_FILE, "fit.png", "fit_*.png", "held_out.png", "reliability.png")
 STATUS_WORDS = {
     "ok": "the log determines all parameters",
     "weak": "a parameter is poorly determined or implausible",
-    "degenerate": "the log does not determine the channel",
+    "degenerate": "the log does not determine every parameter",
 }
 """Meaning of the status of a fit."""
 
 METHOD_WORDS = {
     "map": "maximum a posteriori",
     "reml": "restricted maximum likelihood",
-    "lemma1": "log-domain line of Lemma 1",
-    "capped": "Lemma 1 with capped correlations",
-    "convex": "convex fit",
-    "nls": "nonlinear least squares",
+    "lemma1": "Lemma 1 of [GM11] (line through logarithms of the empirical covariance)",
+    "capped": "Lemma 1 of [GM11] with a maximum lag and weights",
+    "convex": "Lemma 1 of [GM11] as a convex programme",
+    "nls": "nonlinear least squares on the empirical covariance",
 }
 """Name of each estimator in text."""
 
@@ -440,7 +440,7 @@ def fit(
             from planopt.report import reliability_lines
 
             lines.append(
-                f"P(connected) is P(power >= {report.threshold_dbm:g} dBm) of predictor channel:"
+                f"P(connected) = P(power >= {report.threshold_dbm:g} dBm) by the predictor channel:"
             )
             bins = report.scores["channel"].reliability
             lines += [f"  {line}" for line in reliability_lines(bins, "powers", "groups")]
@@ -522,9 +522,9 @@ def _in_words(data: dict[str, Any]) -> str:
     ]
     for name, (words, unit) in PARAMETER_WORDS.items():
         error = data["standard_errors"][name]
-        error = ", not determined" if error is None else f" +- {error:.2g} {unit}"
+        error = f" {unit}, not determined" if error is None else f" +- {error:.2g} {unit}"
         value = f"{shown_number(data[name]):>9}{error}"
-        lines.append(f"  {name:17}{value:22} {words}")
+        lines.append(f"  {name:17}{value:28} {words}")
     for offset in data["receiver_offsets"]:
         error = shown_number(offset["standard_error"], digits=2)
         lines.append(

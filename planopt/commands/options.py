@@ -152,7 +152,8 @@ class LogOptions(FormatOptions):
         option("--stations", "FILE", "With --each: table of names and positions of transmitters."),
     ] = None
     method: Annotated[
-        str, option("--method", "NAME", "Estimator: map, reml, lemma1, capped, convex or nls.")
+        str,
+        option("--method", "NAME", "Likelihood: map, reml; moments: lemma1, capped, convex, nls."),
     ] = "map"
     station_method: Annotated[
         str | None,

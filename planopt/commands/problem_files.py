@@ -19,29 +19,27 @@ def list_problems(json: JsonOption = False) -> int:
     from planopt.problems.library import list_problems as entries_of_library
 
     entries = entries_of_library()
-    data = {
-        "problems": [
-            {
-                "name": entry.name,
-                "description": entry.description,
-                "file": str(entry.path),
-                **asdict(entry.test),
-            }
-            for entry in entries
-        ]
-    }
+    data = [
+        {
+            "name": entry.name,
+            "description": entry.description,
+            "file": str(entry.path),
+            **asdict(entry.test),
+        }
+        for entry in entries
+    ]
     width = max((len(entry.name) for entry in entries), default=0)
     lines: list[str] = []
     for family in dict.fromkeys(entry.test.family for entry in entries):
-        lines += [f"{family or 'other'}:"]
+        lines.append(f"{family or 'other'}:")
         lines += [
             f"  {entry.name:{width}}  {entry.description}"
             + (f" Needs data in {DATA_FOLDER}." if entry.lacks_data else "")
             for entry in entries
             if entry.test.family == family
         ]
-    lines.append("plan one of them: planopt solve NAME --out plan")
-    show(json, data, "\n".join(lines))
+    lines.append("plan one: planopt solve NAME --out plan (pursuits: planopt simulate NAME)")
+    show(json, {"problems": data}, "\n".join(lines))
     return 0
 
 
@@ -114,7 +112,8 @@ def init(
             write_whole(path, partial(Path.write_bytes, data=contents[path]))
     data = {"problem": str(file), "files": [str(path) for path in contents]}
     text = [f"{path}: written" for path in written]
-    show(json, data, "\n".join([*text, f"next: planopt show {file}, planopt solve {file}"]))
+    verb = "simulate" if read_toml(library[source])["problem"].get("task") == "pursuit" else "solve"
+    show(json, data, "\n".join([*text, f"next: planopt show {file}, planopt {verb} {file}"]))
     return 0
 
 
@@ -139,7 +138,6 @@ def validate(problem: ProblemArgument, json: JsonOption = False) -> int:
         more = task_of(found).validated(found)
     data = {"problem": found.name, "valid": True, **more}
     count = f", {more['measurements']} measurements" if "measurements" in more else ""
-    lines = [f"{found.name}: valid{count}"]
-    lines += [f"  {warning}" for warning in more.get("warnings", ())]
-    show(json, data, "\n".join(lines))
+    warnings = [f"  {warning}" for warning in more.get("warnings", ())]
+    show(json, data, "\n".join([f"{found.name}: valid{count}", *warnings]))
     return 0

@@ -286,9 +286,9 @@ def plan_message(certificate: Certificate, positions_m: Floats) -> str:
         else:
             parts.append(
                 f"P(connected) is below the required value at {steps}: the power is up to "
-                f"{worst:.2f} dB too low. Avoiding it would cost more: plan and remaining route "
-                f"have a priced length of {path_m:.1f} m; the verifier allows a little more than "
-                f"the {best_m:.1f} m of the cheapest route it finds"
+                f"{worst:.2f} dB too low. No other route is cheaper by more than the verifier's "
+                f"tolerance: plan and remaining route have a priced length of {path_m:.1f} m "
+                f"(outage included), the cheapest route that the verifier finds has {best_m:.1f} m"
             )
     if np.linalg.norm(positions_m[1:] - positions_m[0], axis=1).max() <= STANDSTILL_M:
         parts.append("the plan stands still")
@@ -485,7 +485,7 @@ class Relaxation:
         short = "" if self.shortfall is None else _shown(self.shortfall, self.shortfall_unit)
         by = f", short by {short}" if short else ""
         change = (
-            "without this constraint there is a plan"
+            f"without this {'obstacle' if self.value is None else 'limit'} there is a plan"
             if self.relaxed_value is None
             else f"{_shown(self.relaxed_value, self.unit)} would suffice"
         )
@@ -531,17 +531,17 @@ class Crossing:
     @property
     def why(self) -> str:
         """Return text on the cost of the path and on the best-connected alternative."""
-        cost = (
-            f"The cheapest route on the lattice has a priced length of {self.cost_m:.0f} m: its "
-            f"length plus {self.outage_price:g} m for each metre expected out of contact."
-        )
         if self.outside_m < SHORTEST_IN_WORDS_M and not self.at_goal:
-            return f"The shortest route that stays connected is {self.kept_m:.0f} m long. {cost}"
+            return (
+                f"The shortest lattice route that stays connected is {self.kept_m:.0f} m long. "
+                f"The cheapest lattice route has a priced length of {self.cost_m:.0f} m: its "
+                f"length plus {self.outage_price:g} m for each metre expected out of contact."
+            )
         length, outside = f"{self.kept_m:.0f} m", f"{self.outside_m:.0f} m"
         part = f"all of its {length}" if outside == length else f"{outside} of its {length}"
         return (
-            "No route stays connected throughout: even the route with the least outage has "
-            f"P(connected) below {self.p_min:g} over {part}. {cost}"
+            "No lattice route stays connected throughout: the one with the least outage has "
+            f"P(connected) below {self.p_min:g} over {part}."
         )
 
     def __str__(self) -> str:

@@ -28,7 +28,6 @@ from planopt.short_repr import shown_number
 if TYPE_CHECKING:
     from planopt.bounds.bound import Bound
     from planopt.planning.loop.results import Run, Solution
-    from planopt.planning.plan import Plan
 
 COLUMNS = 2
 """Number of metrics per line."""
@@ -36,7 +35,7 @@ COLUMNS = 2
 ORIGINS = {
     "plan": "refined path",
     "cold_retry": "path refined from another initial guess",
-    "lattice": "lattice path without refinement",
+    "lattice": "lattice path",
     "relaxed": "path across a coverage hole",
     "direct": "shortest path",
     "give_way": "evasive path that lets other robots pass",
@@ -77,7 +76,7 @@ def solution_in_words(solution: Solution) -> list[str]:
     if len(plans) > 1:
         total = sum(plan.objective for plan in plans)
         lines.append(f"  sum over {len(plans)} plans: {_value(problem, total)}")
-        lines += [f"  {line}" for line in bound_in_words(problem, solution.bound)]
+        lines += [f"  {line}" for line in bound_in_words(problem, solution.bound, len(plans))]
     for number, plan in enumerate(plans):
         lines += [f"  {line}" for line in plan_in_words(problem_of_robot(problem, number), plan)]
         lines += [f"    {line}" for line in bound_in_words(problem, plan.bound)]
@@ -98,11 +97,11 @@ def _value(problem: Problem, objective: float) -> str:
 def _origin(plan: Plan) -> str:
     """Return text on the origin of a plan's path and on the solver's contribution."""
     count = f"{plan.iterations} iteration" + ("" if plan.iterations == 1 else "s")
-    if plan.termination.value != "lattice_only":
-        return f"{ORIGINS[plan.rung.value]}; solver {STOPPED[plan.termination.value]} after {count}"
-    origin = (
-        ORIGINS[plan.rung.value] if plan.rung.value != "plan" else "path found without the solver"
-    )
+    rung, stopped = plan.rung.value, plan.termination.value
+    if stopped != "lattice_only":
+        kept = ", which the solver did not improve" if rung == "lattice" else ""
+        return f"{ORIGINS[rung]}{kept}; solver {STOPPED[stopped]} after {count}"
+    origin = ORIGINS[rung] if rung != "plan" else "path found without the solver"
     return origin + (f", better than the solver's ({count})" if plan.iterations else "")
 
 
@@ -132,22 +131,23 @@ def plan_in_words(problem: Problem, plan: Plan) -> list[str]:
     return lines
 
 
-def bound_in_words(problem: Problem, bound: Bound | None) -> list[str]:
+def bound_in_words(problem: Problem, bound: Bound | None, plans: int = 1) -> list[str]:
     """Return a proven bound, or the reason for its absence, as lines of text."""
     if bound is None:
         return []
     if bound.value is None or bound.gap is None:
         return [f"no bound is proven: {bound.reason}"]
-    proven = f"no plan has an objective above {shown_number(bound.value)}"
-    cost = f"this plan has {shown_number(bound.cost)}"
+    s, one = ("", "plan") if plans == 1 else ("s", "set of plans")
+    proven = f"no {one} can exceed an objective of {shown_number(bound.value)}"
+    cost = f"the objective of the released plan{s} is {shown_number(bound.cost)}"
     if problem.sense == "min":
-        proven = f"no plan costs less than {shown_number(bound.value, ' s')}"
-        cost = f"this plan with its remaining route costs {shown_number(bound.cost, ' s')}"
+        proven = f"no {one} can cost less than {shown_number(bound.value, ' s')}"
+        cost = f"plan{s} and route{s} cost {shown_number(bound.cost, ' s')} with outage integrated"
     lines = [
         f"proven bound: {proven}; {cost} (gap {100.0 * bound.gap:.2f} %; method: {bound.method})"
     ]
     if bound.relaxed:
-        lines.append(f"the bound is valid but looser, as it ignores {', '.join(bound.relaxed)}")
+        lines.append(f"the bound is valid but looser, as it ignores {' and '.join(bound.relaxed)}")
     return lines
 
 

@@ -73,7 +73,7 @@ METRIC_NAMES = {
     ),
     "final_normalised_trace_p": MetricName("final tr P / initial tr P", "1", digits=4),
     "normalised_trace_p": MetricName("tr P / initial tr P", "1", digits=4),
-    "time_averaged_det_p": MetricName("det P, mean over time", "m4", digits=4),
+    "time_averaged_det_p": MetricName("det P, mean over time", "m⁴", digits=4),
     "nees": MetricName("NEES of the station", "1", digits=2),
     "nis": MetricName("NIS of the robots", "1", digits=2),
     "delivered": MetricName("packets delivered", "%", 100.0, most=100.0),
@@ -88,12 +88,12 @@ METRIC_NAMES = {
     "min_separation_m": MetricName("minimum distance between robots", "m", digits=3),
     "min_moving_clearance_m": MetricName("minimum distance to moving obstacles", "m", digits=3),
     "polish_gain": MetricName("objective gain by refinement", "%", 100.0, 2),
-    "cost_first": MetricName("initial coverage cost", "1", digits=None),
-    "cost_last": MetricName("final coverage cost", "1", digits=None),
-    "cost_mean": MetricName("mean coverage cost", "1", digits=None),
+    "cost_first": MetricName("initial coverage cost", "m⁴", digits=None),
+    "cost_last": MetricName("final coverage cost", "m⁴", digits=None),
+    "cost_mean": MetricName("mean coverage cost", "m⁴", digits=None),
     "residual_m": MetricName("final distance to the targets, largest", "m", digits=2),
     "settled_s": MetricName("time to settle", "s"),
-    "energy_m2_s": MetricName("control energy (integral of squared speed)", "m2/s"),
+    "energy_m2_s": MetricName("control energy (integral of squared speed)", "m²/s"),
     "count_error_most": MetricName("largest error of the agent count", "1", digits=2),
     "pursuer_path_m": MetricName("driven length of the pursuers", "m"),
     "evader_path_m": MetricName("driven length of the evaders", "m"),
@@ -236,7 +236,7 @@ def _names(comparison: Comparison, *, to_goal: bool) -> list[list[str]]:
     ones = [setting.one for setting in settings]
     columns = [["problem", *(one.problem for one in ones)]] if comparison.others else []
     columns += [[key, *(str(one.sweep.get(key, OWN)) for one in ones)] for key in swept]
-    columns += [["cost to go", *(str(one.cost_to_go) for one in ones)]] if to_goal else []
+    columns += [["cost-to-go", *(str(one.cost_to_go) for one in ones)]] if to_goal else []
     horizons = [str(one.horizon) if has_horizon(one) else MISSING for one in ones]
     columns += [["planner", *(one.planner for one in ones)], ["horizon", *horizons]]
     return [list(line) for line in zip(*columns, strict=True)]
@@ -328,8 +328,9 @@ def _mean(rows: Mapping[str, Row], metric: str, *, interval: bool) -> str:
 def _in_blocks(table: Sequence[Sequence[str]], first: int) -> list[str]:
     """Return lines at most `WIDTH` long, in blocks that each repeat the `first` columns."""
     columns = [
-        [textwrap.wrap(heading, max(map(len, (*heading.split(), *below)))), below]
+        [textwrap.wrap(heading, width, break_on_hyphens=False), below]
         for heading, *below in zip(*table, strict=True)
+        for width in [max(len(heading) // 4 + 2, *map(len, (*heading.split(), *below)))]
     ]
     widths = [2 + max(map(len, (*heading, *below))) for heading, below in columns]
     blocks, room = [columns[:first]], WIDTH + 2 - sum(widths[:first])

@@ -320,7 +320,7 @@ def _in_words(result: TaskResult) -> Sequence[str]:
             reached = (
                 "one report was enough, so the bound on later reports was not tested"
                 if share is None
-                else f"the distance measure never exceeded {100.0 * share:.1f} % of its bound"
+                else f"the distance reached at most {100.0 * share:.1f} % of its bound"
             )
             words = f"capture guaranteed{within}; {reached}"
         lines.append(f"  theorem '{theorem}' ({THEOREM_WORDS[theorem]}): {words}")

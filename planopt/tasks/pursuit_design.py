@@ -475,9 +475,7 @@ def in_words(result: TaskResult) -> Sequence[str]:
     if data["message"]:
         lines.append(f"  not verified: {data['message']}")
     else:
-        lines.append(
-            f"  verified: every report is on time, as a slot has room for {blocks} blocks of bits"
-        )
+        lines.append(f"  verified: every report is on time, as a slot has room for {blocks} blocks")
     effects = sorted(data["sensitivities"].items(), key=lambda item: -abs(item[1]))
     what = "energy" if problem.method.of_energy else "power"
     shown = ", ".join(

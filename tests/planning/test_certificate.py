@@ -165,7 +165,7 @@ def test_why_a_hole_is_crossed(open_above_m: float, goal_m: tuple[float, float])
     assert found.at_goal == in_goal == ("also at the goal itself" in str(found))
     if np.isinf(open_above_m) or in_goal:
         assert 0.0 < found.outside_m < below_m + 2.0
-        assert "No route stays connected throughout" in str(found)
+        assert "No lattice route stays connected throughout" in str(found)
     else:
         round_m = 2.0 * np.hypot(15.0, 55.0)
         assert found.outside_m == 0.0 and round_m < found.kept_m < 1.1 * round_m

@@ -18,16 +18,16 @@ def test_exact_lines(comparison):
     title, first, second, tail = blocks_of(comparison)
     assert " ".join(title).startswith("small: 8 runs in 3.2 s; means over runs")
     assert [" ".join(line.split()) for line in first[-4:]] == [
-        "geodesic auto 10 2 0 60.5 (54.1 to 66.9) 90.0 2.0 - -",
-        "geodesic auto 1 2 2 - 90.0 2.0 - -",
-        "connected lattice 10 2 0 60.5 (54.1 to 66.9) 90.0 2.0 - -",
-        "connected lattice 1 2 0 51.5 (45.1 to 57.9) 90.0 2.0 - -",
+        "geodesic auto 10 2 0 60.5 (54.1 to 66.9) 90.0 2.0 -",
+        "geodesic auto 1 2 2 - 90.0 2.0 -",
+        "connected lattice 10 2 0 60.5 (54.1 to 66.9) 90.0 2.0 -",
+        "connected lattice 1 2 0 51.5 (45.1 to 57.9) 90.0 2.0 -",
     ]
     assert [" ".join(line.split()) for line in second[-4:]] == [
-        "geodesic auto 10 - 87.5 1.23 12.5 40.0",
-        "geodesic auto 1 - 87.5 1.23 12.5 40.0",
-        "connected lattice 10 - 87.5 1.23 12.5 40.0",
-        "connected lattice 1 - 87.5 1.23 12.5 40.0",
+        "geodesic auto 10 - - 87.5 1.23 12.5 40.0",
+        "geodesic auto 1 - - 87.5 1.23 12.5 40.0",
+        "connected lattice 10 - - 87.5 1.23 12.5 40.0",
+        "connected lattice 1 - - 87.5 1.23 12.5 40.0",
     ]
     assert tail == reliability_lines(comparison.reliability, "steps", "seeds")
 

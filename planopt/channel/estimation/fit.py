@@ -121,7 +121,7 @@ def _by_correlation(data: _FitInput, method: FitMethod, loss: Loss) -> _Estimate
     notes: list[str] = []
     if measurements.censored.any():
         notes.append(
-            "censored powers were replaced by their expected values; reml treats them better"
+            "censored powers were replaced by their expected values; reml and map need not do this"
         )
     if math.isfinite(data.forgetting_s) and np.ptp(measurements.time_s) > 0.0:
         notes.append("xi, beta and omega were fitted without regard to age; reml regards it")

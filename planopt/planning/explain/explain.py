@@ -320,7 +320,8 @@ def explain_blocked(
             found.append(key.relaxation(robot, (), None, "", value))
     # Without slack_max_db, the constraint may be violated at a price.
     rule = replace(problem.constraints.rule, slack_max_db=None)
-    if trials.is_verified(replace(problem, constraints=replace(problem.constraints, rule=rule))):
+    free = replace(problem, constraints=replace(problem.constraints, rule=rule))
+    if all(one.constraint != keys[-1].name for one in found) and trials.is_verified(free):
         found.append(keys[-1].relaxation(robot, (), None, "", None))
     return tuple(found)
 

@@ -37,7 +37,7 @@ def bound_of(
 ) -> Bound:
     """Return the bound on the first robot's objective for a bound `value_m` on its route cost."""
     triangles = 0 if potential is None else len(potential.corners)
-    method = f"potential on {triangles} triangles" if triangles else "distance to the goal"
+    method = f"potential on a mesh of {triangles} triangles" if triangles else "distance to goal"
     return Bound(
         rate_s_m(problem) * value_m,
         problem.sense,
@@ -87,7 +87,7 @@ def bound_of_sum(problem: Problem, plan: Plan, tilts: Tilts, robots: int) -> Bou
         tilts.value,
         problem.sense,
         plan.objective,
-        f"branch and bound, {tilts.levels} levels of cells",
+        f"branch and bound over cells of {tilts.levels} sizes",
         relaxed=ignored_constraints(problem, robots),
         certificate=tilts,
     )

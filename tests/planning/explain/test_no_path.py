@@ -83,7 +83,7 @@ def test_goal_that_is_walled_in():
     (said,) = explained(problem).values()
     assert said.constraint == "world.obstacles (obstacle 1)"
     assert said.value is None and said.relaxed_value is None and said.verified
-    assert "without this constraint there is a plan" in str(said)
+    assert "without this obstacle there is a plan" in str(said)
 
 
 def test_steps_too_long_for_the_lattice():

@@ -13,11 +13,11 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 70_847,
-    "lines of code": 52_385,
+    "lines": 71_237,
+    "lines of code": 52_696,
     "files": 247,
-    "functions": 3_784,
-    "docstring lines": 7_516,
+    "functions": 3_800,
+    "docstring lines": 7_549,
     "lines of tests": 48_374,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""

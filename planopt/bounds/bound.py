@@ -1,8 +1,10 @@
 """Proven bound on the objective of a problem, with its certificate."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
+
+import numpy as np
 
 from planopt.arrays import Floats, Indices
 from planopt.short_repr import short_repr
@@ -29,8 +31,19 @@ class Potential:
     at_sides: Floats  # (s,) at the middles of all sides, in ascending order of their nodes
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Design:
+    """Measurements that relax an information objective (equation 9.12); none by default."""
+
+    places_m: Floats = field(default_factory=lambda: np.zeros((0, 2)))
+    # (n, 2) measurements per place: in the reference, and in what is assumed to be known
+    weights: Floats = field(default_factory=lambda: np.zeros((0, 2)))
+    # (2, 2) assumed information on the path loss
+    path_loss: Floats = field(default_factory=lambda: np.zeros((2, 2)))
+
+
 @dataclass(frozen=True, eq=False)
-class Tilts:
+class Tilts(Design):
     """Certificate of a bound on a sum over N steps: the multipliers of branch and bound."""
 
     of_steps: Floats  # (t, N, 2) of the moves

@@ -7,6 +7,8 @@ disc of radius rho about c, a Taylor polynomial of degree two and a remainder en
 where phi_l has a kink, a range encloses phi_l. Sums keep quadratic terms, many of which cancel.
 """
 
+from __future__ import annotations
+
 from dataclasses import dataclass, fields
 from typing import cast
 
@@ -16,7 +18,7 @@ from scipy.special import ndtr
 from planopt.arrays import Floats
 from planopt.channel.cholesky import lower_inverse
 from planopt.channel.measurements import covariance_db2, pairwise_distance_m, place_origins
-from planopt.channel.parameters import MIN_DISTANCE_M, regressors
+from planopt.channel.parameters import MIN_DISTANCE_M, ChannelParameters, regressors
 from planopt.channel.posterior import ChannelPosterior
 
 Array = Floats
@@ -25,6 +27,8 @@ DISCS_AT_ONCE = 512
 """Number of discs per block; their covariances with the measurements fit into the cache."""
 MIXED = 2.0 / np.sqrt(3.0)
 """Three times the maximum of c (1 - c^2) for a cosine c, in third derivatives of distances."""
+NEGLIGIBLE = 1e-13
+"""Eigenvalues that may be neglected, relative to the largest; their bound is added."""
 ROUNDING = 1e-9
 """Relative widening of every range, far above the rounding errors of its sums."""
 
@@ -108,13 +112,6 @@ class PowerModel:
         value, slope = self.variance_db2 + self.variance_high + bent, self.variance_slope
         return value, slope.T, value + np.hypot(*slope) * self.radius_m
 
-    def minus_variance_bounds(self) -> tuple[Array, Array, Array]:
-        """Return upper bounds of minus the variance over each disc: value, slope and constant."""
-        bent = _range_of_form(self.variance_form, self.radius_m)[0]
-        value, slope = self.variance_db2 + self.variance_low + bent, self.variance_slope
-        least = np.maximum(value - np.hypot(*slope) * self.radius_m, self.least_variance)
-        return -value, -slope.T, -least
-
     def precision_bounds(self) -> tuple[Array, Array, Array]:
         """Return an affine and a constant upper bound of 1 / variance (equation 9.5)."""
         variance, slope = self.variance_db2, self.variance_slope
@@ -174,6 +171,80 @@ def _largest_form(form: Array, radius: Array) -> Array:
     return np.maximum(-low, high)
 
 
+@dataclass(frozen=True, eq=False)
+class JointModel:
+    """Terms of the covariances between discs, less that of the shadowing (equation 9.16).
+
+    `own` has the terms whose products, the first two less the others, are the covariances.
+    """
+
+    own: Array  # (..., 2 + kappa)
+    pull: Array  # (..., kappa + 1) derivatives by the terms of the other disc
+    slope: Array  # (..., 2, kappa + 1) gradients of the terms
+    rest: Array  # (..., kappa + 1) remainders of the terms
+    change: Array  # (...) norms of the largest changes of `own`
+
+    def at(self, rows: object) -> JointModel:
+        """Return the terms of some of the discs, by an index of their array."""
+        return JointModel(*(getattr(self, each.name)[rows] for each in fields(self)))
+
+    def covariances(self, other: JointModel) -> tuple[Array, Array, list[Array]]:
+        """Return centres' covariances, least ones less the slopes, and both discs' slopes."""
+        joint = 2.0 * _dots(self.own[..., :2], other.own[..., :2]) - _dots(self.own, other.own)
+        if not self.change.any():
+            return joint, joint, [np.zeros((*joint.shape, 2))] * 2
+        one = _dots(other.pull[..., None, :], self.slope)
+        two = _dots(self.pull[..., None, :], other.slope)
+        rest = _dots(np.abs(other.pull), self.rest) + _dots(np.abs(self.pull), other.rest)
+        rest += self.change * other.change + ROUNDING * (1.0 + np.abs(joint))
+        return joint, joint - rest, [one, two]
+
+
+def prior_covariances(
+    offset_m: Array, radius_m: float, far_m: float, parameters: ChannelParameters
+) -> tuple[float, list[tuple[float, Array]]]:
+    """Return the shadowing's covariance of two centres, and affine bounds from below over discs.
+
+    A bound is a value and the slope of the first disc; the second has its negative. The positions
+    are at most `far_m` apart.
+    """
+    shadow, beta = parameters.shadow_std_db**2, parameters.decorrelation_m
+    distance, wide = float(np.hypot(*offset_m)), 2.0 * radius_m
+    centre = shadow * np.exp(-distance / beta)
+    found = [(shadow * np.exp(-far_m / beta), np.zeros(2))]
+    if distance > wide:
+        bend = distance - np.sqrt(distance**2 - wide**2)
+        found.append((centre * (1.0 - bend / beta), offset_m * (centre / (beta * distance))))
+    return centre, found
+
+
+def _dots(one: Array, other: Array) -> Array:
+    """Return the inner products over the last axis."""
+    return np.einsum("...k,...k->...", one, other)
+
+
+@dataclass(frozen=True, eq=False)
+class VarianceDifference:
+    """Difference of two variances, the squared norm of a linear function of the covariances."""
+
+    enclosure: PowerEnclosure
+    root: Array  # (r, kappa + 2)
+    neglected: float  # Largest neglected eigenvalue
+
+    def bounds(self, centre_m: Array, radius_m: float) -> tuple[Array, Array, Array]:
+        """Return an affine and a constant upper bound over discs (equation 9.15)."""
+        radius = np.full(len(centre_m), radius_m)
+        term, slope, rest = self.enclosure.terms(centre_m, radius)
+        own, steep = self.root @ term, self.root @ slope
+        change = radius * np.sqrt((steep**2).sum(axis=(0, 1)))
+        change += np.sqrt(((np.abs(self.root) @ rest) ** 2).sum(axis=0))
+        value = (own**2).sum(axis=0) + 2.0 * (np.abs(self.root.T @ own) * rest).sum(axis=0)
+        value += change**2 + self.neglected * ((np.abs(term) + rest) ** 2).sum(axis=0)
+        value += ROUNDING * (1.0 + value)
+        tangent = 2.0 * np.einsum("rn,drn->dn", own, steep)
+        return value, tangent.T, value + radius * np.hypot(*tangent)
+
+
 class PowerEnclosure:
     """Certified ranges of the predicted power over discs, from all measurements of a posterior."""
 
@@ -185,6 +256,8 @@ class PowerEnclosure:
         solved = self._inverse.T @ columns  # U^-1 [y, Gamma]
         self._weight = solved[:, 0] - solved[:, 1:] @ posterior.theta
         self._root = _root(posterior.theta_covariance)
+        noise = posterior.parameters.multipath_std_db**2
+        self._least_noise = float(posterior.noise_variance_db2.min(initial=noise))
         self._sides = self._root @ solved[:, 1:].T  # (2, kappa)
 
     def over(self, centre_m: Array, radius_m: Array) -> PowerModel:
@@ -199,45 +272,67 @@ class PowerEnclosure:
         found = dict(zip(names, columns, strict=True))
         return PowerModel(radius_m=radius_m, **found, least_variance=noise)
 
+    def joint(self, centre_m: Array, radius_m: float) -> JointModel:
+        """Return terms of the posterior covariances between discs with centres (n, 2)."""
+        posterior, root, sides = self._posterior, self._root, self._sides
+        parameters, radius = posterior.parameters, np.full(len(centre_m), radius_m)
+        phi, slope, form, below, above = self._covariances(centre_m, radius)
+        gradient, trend_form, trend_range = _trend(posterior, centre_m, radius)
+        rest, trend_rest = np.maximum(-below, above), np.abs(trend_range).max(axis=0)
+        square, beyond = self._square_of_change(slope, form, rest, radius)
+        square = _largest_form(square, radius) + beyond
+        by_kernel = (
+            -2.0 * parameters.shadow_std_db**2 * np.expm1(-radius / parameters.decorrelation_m)
+        )
+        rest = rest + _largest_form(form, radius)
+        trend_rest += _largest_form(trend_form, radius)
+        z = root @ regressors(centre_m, parameters.station).T - sides @ phi
+        whitened = self._inverse @ phi
+        z_slope = root[:, 1, None, None] * gradient - np.einsum("ik,dkn->idn", sides, slope)
+        z_change = np.sqrt((z_slope**2).sum(axis=(0, 1))) * radius
+        z_change += np.hypot(*(np.abs(root[:, 1, None]) * trend_rest + np.abs(sides) @ rest))
+        back = -(self._inverse.T @ whitened + sides.T @ z)
+        return JointModel(
+            np.vstack([z, whitened]).T,
+            np.vstack([back, root[:, 1] @ z]).T,
+            np.moveaxis(np.concatenate([slope, gradient[:, None]], axis=1), 2, 0),
+            np.vstack([rest, trend_rest]).T,
+            np.sqrt(z_change**2 + np.minimum(square, by_kernel)),
+        )
+
+    def less(self, other: PowerEnclosure) -> VarianceDifference:
+        """Return the variance less that of `other`, which has the same measured positions."""
+        forms: list[Array] = []
+        for each in (self, other):
+            rows = np.hstack([-each._sides, each._root])
+            forms.append(rows.T @ rows)
+            forms[-1][:-2, :-2] -= each._inverse.T @ each._inverse
+        values, vectors = np.linalg.eigh(forms[0] - forms[1])
+        kept = values > NEGLIGIBLE * values.max(initial=0.0)
+        root = np.sqrt(values[kept])[:, None] * vectors[:, kept].T
+        return VarianceDifference(self, root, NEGLIGIBLE * float(values.max(initial=0.0)))
+
+    def terms(self, centre_m: Array, radius: Array) -> tuple[Array, Array, Array]:
+        """Return covariances and regressors (kappa + 2, n), gradients, and remainders."""
+        posterior, count = self._posterior, len(centre_m)
+        phi, slope, form, below, above = self._covariances(centre_m, radius)
+        gradient, trend_form, trend_range = _trend(posterior, centre_m, radius)
+        rest = np.maximum(-below, above) + _largest_form(form, radius)
+        trend_rest = np.abs(trend_range).max(axis=0) + _largest_form(trend_form, radius)
+        row = regressors(centre_m, posterior.parameters.station).T
+        return (
+            np.vstack([phi, row]),
+            np.concatenate([slope, np.zeros((2, 1, count)), gradient[:, None]], axis=1),
+            np.vstack([rest, np.zeros(count), trend_rest]),
+        )
+
     def _block(self, centre: Array, radius: Array) -> tuple[Array, ...]:
         """Return values, tangents and remainder ranges of mean and variance over several discs."""
         posterior, root, sides, weight = self._posterior, self._root, self._sides, self._weight
         parameters = posterior.parameters
         shadow, beta = parameters.shadow_std_db**2, parameters.decorrelation_m
-        noise, measured = parameters.multipath_std_db**2, posterior.origins
-        theta = posterior.theta
-        places = place_origins(centre, posterior.now_s, parameters)
-
-        # Covariances (kappa, n), their gradients (2, kappa, n), forms (3, kappa, n) and remainders.
-        phi = covariance_db2(measured, places, parameters)
-        blur = None if measured.blur_m2 is None else measured.blur_m2[:, None]
-        distance = pairwise_distance_m(measured.positions_m, centre, blur)
-        offset = centre.T[:, None, :] - measured.positions_m.T[:, :, None]
-        unit = offset / np.maximum(distance, 1e-300)
-        slope = unit * (-phi / beta)
-        nearest = np.maximum(distance - radius, np.maximum(1e-6 * radius, 1e-100))
-        bend = distance - np.sqrt(np.maximum(distance**2 - radius**2, 0.0))
-        below = -phi * bend / beta
-        largest = phi * np.exp(radius / beta)
-        above = largest * radius**2 / (2.0 * beta**2)
-        # The disc may hold the measured position, where the covariance has a cusp.
-        cusp = distance <= radius
-        slope[:, cusp] = 0.0
-        with np.errstate(over="ignore"):
-            peak = phi * np.exp(np.minimum(distance / beta, 700.0))
-            third = 1.0 / beta**2 + MIXED * (1.0 / beta + 1.0 / nearest) / nearest
-            third *= largest * radius**3 / (6.0 * beta)
-        below = np.where(cusp, phi * np.expm1(-radius / beta), below)
-        above = np.where(cusp, np.minimum(peak, largest) - phi, above)
-        tail = np.maximum(-below, above)
-        far = ~cusp & (third < tail)
-        below, above = np.where(far, -third, below), np.where(far, third, above)
-        across = np.where(far, phi / (beta * np.maximum(distance, 1e-300)), 0.0)
-        curved = np.where(far, phi / beta**2, 0.0) + across
-        form = 0.5 * curved * _product(unit, unit)
-        form[0] -= 0.5 * across
-        form[2] -= 0.5 * across
-
+        noise, theta = parameters.multipath_std_db**2, posterior.theta
+        phi, slope, form, below, above = self._covariances(centre, radius)
         gradient, trend_form, trend_range = _trend(posterior, centre, radius)
         row = regressors(centre, parameters.station)
 
@@ -271,9 +366,7 @@ class PowerEnclosure:
         variance_form += _product(z_slope[0], z_slope[0]) + _product(z_slope[1], z_slope[1])
         low, high = _weighted(back, below, above)
         z_rest = 2.0 * z_steep * np.hypot(*z_tail) + (z_tail**2).sum(axis=0)
-        square, rest = _square_of_change(
-            self._inverse @ slope, self._inverse @ form, rest, radius, noise
-        )
+        square, rest = self._square_of_change(slope, form, rest, radius)
         # Without fading, or over large discs, the kernel's norm bounds the square.
         by_kernel = -2.0 * shadow * np.expm1(-radius / beta)
         coarse = ~(_largest_form(square, radius) + rest < by_kernel)
@@ -286,6 +379,60 @@ class PowerEnclosure:
             *(mean, mean_slope, mean_form, mean_low, mean_high),
             *(variance, variance_slope, variance_form, variance_low, variance_high),
         )
+
+    def _square_of_change(
+        self, slope: Array, form: Array, rest: Array, radius: Array
+    ) -> tuple[Array, Array]:
+        """Return the squared, whitened change of covariances: forms (3, n), remainders (n,)."""
+        (x, y), form = self._inverse @ slope, self._inverse @ form
+        pairs = (x, x), (x, y), (y, y)
+        found = np.array([np.einsum("kn,kn->n", one, other) for one, other in pairs])
+        found[1] *= 2.0
+        sizes = np.einsum("dkn,dkn->dn", form, form)
+        # The triangle inequality in the norm of U^-1 bounds the remainder; U's eigenvalues are at
+        # least the least noise variance.
+        with np.errstate(divide="ignore", invalid="ignore"):
+            beyond = (rest**2).sum(axis=0) / self._least_noise
+        beyond = np.fmin(beyond, ((np.abs(self._inverse) @ rest) ** 2).sum(axis=0))
+        beyond = np.sqrt(beyond) + radius**2 * np.sqrt(sizes[0] + 0.5 * sizes[1] + sizes[2])
+        return found, (2.0 * np.sqrt(_largest_form(found, radius)) + beyond) * beyond
+
+    def _covariances(
+        self, centre: Array, radius: Array
+    ) -> tuple[Array, Array, Array, Array, Array]:
+        """Return covariances (kappa, n), their gradients, forms, and ranges of remainders."""
+        posterior, parameters = self._posterior, self._posterior.parameters
+        measured, beta = posterior.origins, parameters.decorrelation_m
+        places = place_origins(centre, posterior.now_s, parameters)
+        phi = covariance_db2(measured, places, parameters)
+        blur = None if measured.blur_m2 is None else measured.blur_m2[:, None]
+        distance = pairwise_distance_m(measured.positions_m, centre, blur)
+        offset = centre.T[:, None, :] - measured.positions_m.T[:, :, None]
+        unit = offset / np.maximum(distance, 1e-300)
+        slope = unit * (-phi / beta)
+        nearest = np.maximum(distance - radius, np.maximum(1e-6 * radius, 1e-100))
+        bend = distance - np.sqrt(np.maximum(distance**2 - radius**2, 0.0))
+        below = -phi * bend / beta
+        largest = phi * np.exp(radius / beta)
+        above = largest * radius**2 / (2.0 * beta**2)
+        # The disc may hold the measured position, where the covariance has a cusp.
+        cusp = distance <= radius
+        slope[:, cusp] = 0.0
+        with np.errstate(over="ignore"):
+            peak = phi * np.exp(np.minimum(distance / beta, 700.0))
+            third = 1.0 / beta**2 + MIXED * (1.0 / beta + 1.0 / nearest) / nearest
+            third *= largest * radius**3 / (6.0 * beta)
+        below = np.where(cusp, phi * np.expm1(-radius / beta), below)
+        above = np.where(cusp, np.minimum(peak, largest) - phi, above)
+        tail = np.maximum(-below, above)
+        far = ~cusp & (third < tail)
+        below, above = np.where(far, -third, below), np.where(far, third, above)
+        across = np.where(far, phi / (beta * np.maximum(distance, 1e-300)), 0.0)
+        curved = np.where(far, phi / beta**2, 0.0) + across
+        form = 0.5 * curved * _product(unit, unit)
+        form[0] -= 0.5 * across
+        form[2] -= 0.5 * across
+        return phi, slope, form, below, above
 
 
 def _trend(
@@ -329,23 +476,3 @@ def _root(covariance: Array) -> Array:
     """Return R with R' R = M for a covariance M (2, 2), which may be zero."""
     values, vectors = np.linalg.eigh(covariance)
     return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-
-
-def _square_of_change(
-    slope: Array,  # (2, kappa, n) L^-1 times the gradients of phi
-    form: Array,  # (3, kappa, n) L^-1 times its quadratic forms
-    rest: Array,  # (kappa, n) its largest remainder
-    radius: Array,
-    noise: float,
-) -> tuple[Array, Array]:
-    """Return the squared, whitened change of covariances as forms (3, n) and remainders (n,)."""
-    # The triangle inequality in the norm of U^-1 bounds the remainder; U's eigenvalues are >=
-    # omega^2.
-    x, y = slope
-    found = np.array([np.einsum("kn,kn->n", one, other) for one, other in ((x, x), (x, y), (y, y))])
-    found[1] *= 2.0
-    sizes = np.einsum("dkn,dkn->dn", form, form)
-    beyond = radius**2 * np.sqrt(sizes[0] + 0.5 * sizes[1] + sizes[2])
-    with np.errstate(divide="ignore"):
-        beyond += np.sqrt((rest**2).sum(axis=0) / noise)
-    return found, (2.0 * np.sqrt(_largest_form(found, radius)) + beyond) * beyond

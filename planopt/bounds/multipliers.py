@@ -5,7 +5,9 @@ At a local optimum the gradient of stage k is ``m_k - m_{k+1}`` minus those of a
 obstacle constraints (solved by least squares). Inaccurate multipliers only loosen the bound.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from itertools import product
+from time import monotonic
 from typing import Any
 
 import numpy as np
@@ -13,8 +15,18 @@ import shapely
 from scipy.optimize import minimize, nnls
 
 from planopt.arrays import Floats, Mask
-from planopt.bounds.tube import StageProblem
-from planopt.objectives.upper_bounds import Discs, Field
+from planopt.bounds.bound import Design
+from planopt.bounds.stages import repeated
+from planopt.bounds.tube import (
+    FIRST_SHARE,
+    StageProblem,
+    divided,
+    evaluated,
+    first_cells,
+    through_bounds,
+    untilted,
+)
+from planopt.objectives.upper_bounds import Discs, Field, Measured
 
 Array = Floats
 
@@ -30,6 +42,13 @@ AT_KINK_M = 0.02
 """Distance from a position of a measurement at which the gradient is not determined."""
 AT_P_MIN = 0.02
 """Surplus of the probability of connection up to which p_min may count as active."""
+
+COARSE_LEVELS, MOST_ROUNDS, ROUNDS_PER_TRIAL = 2, 25, 2
+"""Levels of cells, rounds on each, and rounds between other shares, of the search for a design."""
+LEAST_SECONDS = 8.0
+"""Time below which the search uses coarse cells only."""
+FIRST_SHARES = 0.01, 0.5
+"""First assumed information, in units of the reference's: of the map, and of the path loss."""
 
 
 def stage_rewards(problem: StageProblem, path_m: Array) -> tuple[Array, Array, Field]:
@@ -149,3 +168,62 @@ def multipliers_of(problem: StageProblem, path_m: Array, is_free: Mask) -> tuple
             else:
                 found[k] += amount * direction
     return found, of_p_min
+
+
+def fitted_design(
+    problem_of: Callable[[Design], StageProblem], measured: Measured, path_m: Array, seconds: float
+) -> Design:
+    """Return the design with the least bound that a search on the centres of cells finds.
+
+    The search begins at measurements along a path (N, 2). Each round moves the weights towards the
+    positions at which the bound is attained; some rounds try more and less assumed information.
+    """
+    problem, is_map = problem_of(Design()), measured.criterion == "map"
+    sides, grids = [FIRST_SHARE * problem.step_m], [first_cells(problem)]
+    for _ in range(COARSE_LEVELS):
+        sides.append(0.5 * sides[-1])
+        grids.append([divided(problem, each, sides[-1], k) for k, each in enumerate(grids[-1], 1)])
+    if not all(map(len, grids[-1])):
+        return Design()
+
+    def attained(design: Design, grid: int, size: float) -> tuple[float, Array, Design]:
+        level = evaluated(problem_of(design), sides[grid], grids[grid], size)
+        through = through_bounds(level, [untilted(problem)])
+        best = [level.offsets_m(k)[each.argmax()] for k, each in enumerate(through) if len(each)]
+        value = min(float(each.max(initial=-np.inf)) for each in through)
+        return value, problem.start_m + np.reshape(best, (-1, 2)), design
+
+    def bound_by(
+        share: Array, places: Array, weight: Array, grid: int
+    ) -> tuple[float, Array, Design]:
+        known = share[2] * repeated(measured.posterior, places, weight)[2]
+        weights = np.outer(weight, share[:2])
+        return attained(Design(places_m=places, weights=weights, path_loss=known), grid, 0.0)
+
+    found: list[tuple[float, Array, Design]] = []
+    levels = COARSE_LEVELS if seconds >= LEAST_SECONDS else 1
+    limit = seconds / levels / (1 + is_map)
+    for is_referred in (1.0, 0.0) if is_map else (1.0,):
+        places, weight, number = path_m, np.ones(len(path_m), dtype=np.float64), 0
+        share, step = np.array([is_referred, *FIRST_SHARES]), 3.0
+        for grid in range(1, levels + 1):
+            best, last, until = None, number + MOST_ROUNDS, monotonic() + limit
+            while best is None or (number < last and monotonic() < until):
+                now, better = bound_by(share, places, weight, grid), False
+                tried = is_map and number % ROUNDS_PER_TRIAL == 0
+                for k, power in product((1, 2), (1.0, -1.0)) if tried else ():
+                    changed = np.where(np.arange(3) == k, step**power, 1.0) * share
+                    if monotonic() < until:
+                        other = bound_by(changed, places, weight, grid)
+                        if other[0] < now[0]:
+                            now, share, better = other, changed, True
+                step = step if better or not tried else step**0.6
+                best = now if best is None or now[0] < best[0] else best
+                number, moved = number + 1, 1.0 / (number + 3)
+                every = np.vstack([places, now[1]])
+                places, owner = np.unique(every, axis=0, return_inverse=True)
+                added = np.append((1.0 - moved) * weight, np.full(len(now[1]), moved))
+                weight = np.asarray(np.bincount(owner.ravel(), added), dtype=np.float64)
+            if best is not None and grid == levels:
+                found.append(attained(best[2], levels, 1.0))
+    return min(found, key=lambda each: each[0])[2]

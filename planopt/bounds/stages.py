@@ -4,6 +4,8 @@ Each term supplies bounds of its own stages. Constraints that only exclude paths
 listed, except for the workspace, static obstacles and p_min.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial, reduce
@@ -12,21 +14,24 @@ import numpy as np
 import shapely
 
 from planopt.arrays import Floats, Mask
-from planopt.bounds.enclosure import PowerEnclosure, PowerModel
+from planopt.bounds.bound import Design
+from planopt.bounds.enclosure import PowerEnclosure, PowerModel, VarianceDifference
 from planopt.bounds.reach import ignored_motion, why_not_enclosed
 from planopt.bounds.route import INNER_SHARE
-from planopt.bounds.tube import StageProblem
+from planopt.bounds.tube import LARGEST, Chain, StageProblem
 from planopt.channel.measurements import SAME_PLACE_M
-from planopt.channel.posterior import ChannelPosterior
+from planopt.channel.posterior import ChannelPosterior, with_repeated
 from planopt.objectives.terms.term import TermContext
 from planopt.objectives.upper_bounds import (
     Discs,
     Field,
     Makers,
+    Measured,
     Quantity,
     StageBounds,
     UpperBounds,
     constant_bounds,
+    information_bounds,
     no_reward,
 )
 from planopt.problems.problem import Problem
@@ -39,6 +44,8 @@ LESS_CHANCE = 1e-5
 """Probability by which a verified step may fall below p_min, for the verifier's tolerance."""
 CLOSER_M = 1e-6
 """Distance by which a verified path may fall below the clearance, for the verifier's tolerance."""
+LEAST_WEIGHT = 1e-9
+"""Least weight of a measurement in a reference."""
 MOST_MEASUREMENTS = 1000
 """Maximum number of measurements for which objectives are computed from all of them."""
 
@@ -61,6 +68,7 @@ def summed_terms(problem: Problem, at: TermContext) -> SummedTerms:
             reason=f"no bound of this objective is implemented beyond {MOST_MEASUREMENTS:,} "
             "measurements"
         )
+    alone = sum(term.is_measured and term.weight != 0.0 for term in problem.terms) == 1
     found: list[tuple[float, StageBounds]] = []
     for term in problem.terms:
         if term.weight == 0.0:
@@ -70,6 +78,10 @@ def summed_terms(problem: Problem, at: TermContext) -> SummedTerms:
         bounds = term.stage_bounds(at) if own else "without a proven bound"
         if not isinstance(bounds, StageBounds):
             return SummedTerms(reason=f"the term {term.kind} is {bounds}")
+        if not alone or (problem.planner.horizon == 1 and bounds.most_steps != 0):
+            bounds = replace(bounds, measured=None)
+        elif bounds.measured is not None:
+            bounds = replace(bounds, most_steps=None)
         if bounds.most_steps is not None and problem.planner.horizon > bounds.most_steps:
             words = f"has a proven bound only up to planner.horizon = {bounds.most_steps}"
             return SummedTerms(reason=f"the term {term.kind} {words}")
@@ -77,28 +89,105 @@ def summed_terms(problem: Problem, at: TermContext) -> SummedTerms:
     return SummedTerms(tuple(found))
 
 
-def stage_problem(
-    problem: Problem, at: TermContext, terms: SummedTerms, kept: Mask, path_m: Array | None = None
-) -> StageProblem:
-    """Return the first robot's stage problem; p_min applies to steps in the mask `kept` (N,).
+@dataclass(frozen=True, eq=False)
+class Relaxation:
+    """Upper bound of the information of any path: a constant, and what each position adds."""
 
-    A path (N, 2) that measures makes the bound of mapped information tighter (equation 9.14).
+    share: float  # Factor of the constant and of all that is added
+    constant: float
+    # Each position adds what its predecessor does not tell; None: nothing
+    chain: Chain | None
+    # Each position also adds this difference of variances (equation 9.12); None: nothing
+    tangent: VarianceDifference | None
+    noise_db2: float  # omega^2
+
+    @classmethod
+    def of(cls, measured: Measured, design: Design, weight: float) -> Relaxation:
+        """Return the bound of an information objective with a weight, for any design."""
+        prior, places, form = measured.posterior, design.places_m, measured.map_form
+        own, (reference, assumed) = prior.theta_covariance, design.weights.T
+        noise = prior.parameters.multipath_std_db**2
+        is_referred = measured.criterion != "map" or bool(reference.any())
+        # Both posteriors of the difference have all positions.
+        reference = np.maximum(reference, LEAST_WEIGHT) if is_referred else reference
+        more, nats, information = repeated(prior, places, reference)
+        chain, share = None, weight
+        if measured.criterion == "map":
+            gain = np.eye(2) + own @ design.path_loss
+            left, given = np.linalg.solve(gain, own), float(np.linalg.slogdet(gain)[1])
+            known = replace(prior, theta_covariance=0.5 * (left + left.T))
+            assuming, base, _ = repeated(known, places, assumed)
+            share, constant = 0.5 * weight, given + base
+            chain = Chain(assuming, share, noise)
+            less, most, _ = repeated(known, places, reference + assumed)
+            constant -= given + most - nats if is_referred else 0.0
+        else:
+            left = more.theta_covariance
+            changes = {
+                "T": (np.trace(information), np.eye(2)),
+                "D": (np.linalg.slogdet(np.eye(2) + own @ information)[1], left),
+            }
+            other = np.trace(form @ (own - left)), left @ form @ left
+            constant, spread = changes.get(measured.criterion, other)
+            less = replace(more, theta_covariance=np.zeros((2, 2)))
+            more = replace(more, theta_covariance=spread)
+        if not is_referred:
+            return cls(share, constant, chain, None, noise)
+        both = PowerEnclosure(more), PowerEnclosure(less)
+        if len(places):
+            one, two = (each.over(places, 0.0 * reference).variance_db2 for each in both)
+            constant -= float(reference @ (one - two)) / noise
+        return cls(share, constant, chain, both[0].less(both[1]), noise)
+
+    def reward(self, stage: int, field: Field) -> UpperBounds:
+        """Return upper bounds of what a stage's position adds."""
+        total = constant_bounds(field.discs, 0.0 if stage else self.share * self.constant)
+        if self.chain is not None:
+            own = information_bounds(field["variance_db2"], self.noise_db2)
+            total = total.plus(own.scaled(2.0 * self.share))
+        if self.tangent is not None:
+            total = total.plus(field["tangent"].scaled(self.share / self.noise_db2))
+        return total
+
+
+def repeated(
+    prior: ChannelPosterior, places_m: Array, weight: Array
+) -> tuple[ChannelPosterior, float, Array]:
+    """Return the posterior of weighted measurements, twice their information, and that on theta.
+
+    A measurement with weight w has the noise variance omega^2 / w.
     """
-    paired, measured = None, at.anticipated[0]
-    mapped = [(weight, each.paired) for weight, each in terms.each if each.paired is not None]
-    if len(kept) > 1 and len(mapped) == sum(term.is_measured for term in problem.terms) == 1:
-        [(weight, own)] = mapped
-        paired = replace(own, weight=weight).informed(path_m)
-        measured = paired.posterior
+    used, count = weight > 0.0, len(prior.measurements)
+    if not used.any():
+        return prior, 0.0, np.zeros((2, 2))
+    noise = prior.parameters.multipath_std_db**2 / weight[used]
+    found = with_repeated(prior, places_m[used], noise)
+    rows = found.whitened_regressors[count:]
+    information = rows.T @ rows
+    gain = np.linalg.slogdet(np.eye(2) + prior.theta_covariance @ information)[1]
+    pivots = np.diagonal(found.factor)[count:]
+    return found, float(2.0 * np.log(pivots).sum() - np.log(noise).sum() + gain), information
+
+
+def stage_problem(
+    problem: Problem, at: TermContext, terms: SummedTerms, kept: Mask, design: Design | None = None
+) -> StageProblem:
+    """Return the first robot's stage problem; p_min applies to steps in the mask `kept` (N,)."""
+    measured, relaxation = None, None
+    for weight, each in terms.each:
+        if each.measured is not None:
+            measured, relaxation = (
+                each.measured,
+                Relaxation.of(each.measured, design or Design(), weight),
+            )
 
     def reward(stage: int, field: Field) -> UpperBounds:
         total = no_reward(stage, field)
         for weight, bounds in terms.each:
-            own = bounds.reward(stage, field)
-            if paired is not None and bounds.paired is not None:
-                most = own.most + (0.0 if stage else paired.given_nats)
-                own = replace(own, value=most, slope=np.zeros_like(own.slope), most=most)
-            total = total.plus(own.scaled(weight))
+            if relaxation is not None and bounds.measured is not None:
+                total = total.plus(relaxation.reward(stage, field))
+            else:
+                total = total.plus(bounds.reward(stage, field).scaled(weight))
         return total
 
     return StageProblem(
@@ -107,14 +196,17 @@ def stage_problem(
         steps=len(kept),
         bounds_m=problem.workspace.bounds_m,
         blocked=blocked_parts(problem),
-        makers=quantity_makers(at.law.posteriors, at.law.thresholds_dbm, measured),
+        makers=quantity_makers(
+            at.law.posteriors, at.law.thresholds_dbm, at.anticipated[0], relaxation
+        ),
         reward=reward,
         sure_m=at.connected_m,
         sure_radius_m=1.5 * SAME_PLACE_M,
         per_metre=sum(weight * bounds.per_metre for weight, bounds in terms.each),
         per_move=sum(weight * bounds.per_move for weight, bounds in terms.each),
         standstill_m=at.standstill_m,
-        paired=paired,
+        measured=measured,
+        chain=None if relaxation is None else relaxation.chain,
         p_min=np.where(kept, problem.constraints.p_min - LESS_CHANCE, 0.0) if kept.any() else None,
     )
 
@@ -123,8 +215,11 @@ def quantity_makers(
     stations: Sequence[ChannelPosterior],
     thresholds_dbm: Sequence[float],
     measured: ChannelPosterior,
+    relaxation: Relaxation | None = None,
 ) -> Makers:
     """Return, by name, functions that bound the predicted quantities over discs."""
+    if relaxation is not None and relaxation.chain is not None:
+        measured = relaxation.chain.posterior
     shared = replace(measured, theta_covariance=np.zeros((2, 2)))
     trended = replace(measured, theta_covariance=np.eye(2))
     enclosures: dict[int, PowerEnclosure] = {}
@@ -151,13 +246,16 @@ def quantity_makers(
         share = UpperBounds(*model(shared, discs).precision_bounds(), discs.radius_m)
         return whole.times(share).plus(constant_bounds(discs, -1.0))
 
-    def minus_variance(discs: Discs) -> UpperBounds:
-        return UpperBounds(*model(measured, discs).minus_variance_bounds(), discs.radius_m)
+    def tangent(discs: Discs) -> UpperBounds:
+        if relaxation is None or relaxation.tangent is None:
+            return constant_bounds(discs, 0.0)
+        bounds = relaxation.tangent.bounds(discs.centre_m, discs.radius_m)
+        return UpperBounds(*bounds, discs.radius_m)
 
     makers: dict[Quantity, Callable[[Discs], UpperBounds]] = {
         "chance": chance,
         "variance_db2": variance,
-        "minus_variance_db2": minus_variance,
+        "tangent": tangent,
         "trend": trend,
     }
     return {name: partial(or_nothing, make) for name, make in makers.items()}
@@ -199,3 +297,16 @@ def ignored_constraints(problem: Problem, robots: int) -> tuple[str, ...]:
     if len(problem.workspace.lasting):
         found = (*found, "obstacles between the ends of a step")
     return (*found, *ignored_motion(problem, robots))
+
+
+def is_design(design: Design) -> bool:
+    """Return whether the numbers of a saved design may occur in a proof."""
+    weights, known = design.weights, design.path_loss
+    sizes = np.abs(design.places_m).max(initial=0.0), weights.max(initial=0.0), np.abs(known).max()
+    return (
+        len(weights) == len(design.places_m)
+        and all(size < LARGEST for size in sizes)
+        and float(weights.min(initial=0.0)) >= 0.0
+        and np.array_equal(known, known.T)
+        and float(np.linalg.eigvalsh(known)[0]) >= 0.0
+    )

@@ -23,16 +23,51 @@ from numpy.typing import NDArray
 
 from planopt.arrays import Floats, Indices
 from planopt.bounds.bound import Tilts
+from planopt.bounds.enclosure import PowerEnclosure, prior_covariances
+from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.upper_bounds import (
     Discs,
     Field,
     Makers,
-    PairedInformation,
+    Measured,
     UpperBounds,
     constant_bounds,
 )
 
 Slices = tuple[slice, slice]
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """Information that each measurement of a path adds to the preceding one."""
+
+    posterior: ChannelPosterior
+    share: float  # Weight of the logarithm of a variance
+    noise_db2: float
+
+    def lost(
+        self,
+        after: UpperBounds,
+        before: UpperBounds,
+        centre: Array,
+        least: Array,
+        slopes: Sequence[Array],
+    ) -> Array:
+        """Return what measurements lose if the preceding ones are known (equation 9.16).
+
+        `least` and `slopes` bound the covariances from below; `centre` are those of the centres.
+        """
+        half, by = np.sqrt(0.5) * after.radius_m, np.maximum(centre, 0.0) / before.value
+        factor = by[..., None]
+        # The explained variance is at least this; its share of the variance is at least `share`.
+        explained = 2.0 * by * least - by**2 * before.value
+        own, other = 2.0 * factor * slopes[0], factor * (2.0 * slopes[1] - factor * before.slope)
+        share = explained / after.value
+        fall = np.abs(own - share[..., None] * after.slope) + np.abs(other)
+        room = after.value - half * np.abs(after.slope).sum(axis=-1)
+        share -= half * fall.sum(axis=-1) / np.maximum(room, self.noise_db2)
+        share = np.where(room > self.noise_db2, np.clip(share, 0.0, 1.0 - ROUNDING), 0.0)
+        return -self.share * np.log1p(-share)
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,45 +77,54 @@ class PairedSteps:
     active: Sequence[Cells]  # Cells of each stage
     corner: Cells  # (2,) lower left cell of the grid
     shape: tuple[int, int]
-    # For each offset, slices of earlier and later cells, and bounds of their moves and of what
-    # the later reward loses
+    # For each offset, slices of earlier and later cells, and what their moves add or lose
     pairs: Sequence[tuple[Slices, Slices, Array]]
 
     @classmethod
-    def over(
-        cls,
-        paired: PairedInformation,
-        active: Sequence[Cells],
-        fields: Sequence[Field],
-        side_m: float,
-        longest_m: float,
-        costs: tuple[float, float, float],
-    ) -> PairedSteps:
-        """Return a level's cell pairs; `costs` are per metre, per move, and standstill length."""
-        cells = np.vstack(active)
+    def over(cls, level: Level, chain: Chain) -> PairedSteps:
+        """Return the pairs of a level's cells."""
+        problem, side = level.problem, level.side_m
+        cells = np.unique(np.vstack(level.active), axis=0)
         corner = cells.min(axis=0, initial=0)
-        rows, columns = (cells.max(axis=0, initial=0) + 1 - corner).tolist()
-        least, most, near = (np.full((rows, columns), 1.0) for _ in range(3))
-        for own, field in zip(active, fields, strict=True):
-            at = tuple((own - corner).T)
-            least[at] = -field["minus_variance_db2"].most
-            most[at] = field["variance_db2"].most
-            near[at] = paired.nearest_m(field.discs)
-        count = int(np.ceil(longest_m / side_m)) + 1
+        rows, columns = (cells.max(axis=0, initial=-1) + 1 - corner).tolist()
         pairs: list[tuple[Slices, Slices, Array]] = []
-        for i in range(-count, count + 1):
-            for j in range(-count, count + 1):
-                away = side_m * float(np.hypot(max(abs(i) - 1, 0), max(abs(j) - 1, 0)))
-                if away > longest_m or abs(i) >= rows or abs(j) >= columns:
-                    continue
-                far = min(longest_m, side_m * float(np.hypot(abs(i) + 1, abs(j) + 1)))
-                before = _shifted(rows, -i), _shifted(columns, -j)
-                after = _shifted(rows, i), _shifted(columns, j)
-                nearest = np.minimum(near[before], near[after])
-                lost = paired.lost(least[before], most[after], far, nearest)
-                cost = costs[0] * away + (costs[1] if away > costs[2] else 0.0)
-                pairs.append((before, after, -lost - cost))
-        return cls(active, corner, (rows, columns), pairs)
+        # Cells of the grid that no stage has are never reached, so that their terms do not matter.
+        number = np.zeros((rows, columns), dtype=np.intp)
+        number[tuple((cells - corner).T)] = np.arange(len(cells))
+        field = level.field(cells)
+        radius = field.discs.radius_m
+        whole = PowerEnclosure(chain.posterior).joint(field.discs.centre_m, radius).at(number)
+        variance = field["variance_db2"].at(number)
+        longest = problem.step_m * (1.0 + ROUNDING)
+        count = int(np.ceil(longest / side)) + 1
+        for i, j in np.ndindex(count + 1, 2 * count + 1):
+            offset = side * np.array([i, j - count])
+            away = float(np.hypot(*np.maximum(np.abs(offset) - level.size * side, 0.0)))
+            if away > longest or i >= rows or abs(j - count) >= columns:
+                continue
+            if i == 0 and j < count:
+                continue
+            one = _shifted(rows, -i), _shifted(columns, count - j)
+            two = _shifted(rows, i), _shifted(columns, j - count)
+            cost = problem.per_metre * away
+            cost += problem.per_move if away > problem.standstill_m else 0.0
+            far = min(float(np.hypot(*(np.abs(offset) + level.size * side))), longest)
+            prior, bounds = prior_covariances(offset, radius, far, chain.posterior.parameters)
+            centre, least, slopes = whole.at(one).covariances(whole.at(two))
+            for before, after, sign in ((one, two, -1), (two, one, 1)):
+                # A bound of the shadowing for all distances, and another at distinct positions.
+                lost = [
+                    chain.lost(
+                        variance.at(after),
+                        variance.at(before),
+                        prior + centre,
+                        value + least,
+                        (slopes[::sign][0] + sign * slope, slopes[::sign][1] - sign * slope),
+                    )
+                    for value, slope in bounds
+                ]
+                pairs.append((before, after, -np.max(lost, axis=0) - cost))
+        return cls(level.active, corner, (rows, columns), pairs)
 
     def best(self, stage: int, values: Array, *, ahead: bool) -> Array:
         """Return, for each cell, the largest sum of a pair's reward and its other cell's value.
@@ -148,7 +192,8 @@ class StageProblem:
     standstill_m: float = 0.0
     # (N,) least probability of connection at the end of each step; 0 if there is none
     p_min: Array | None = None
-    paired: PairedInformation | None = None
+    measured: Measured | None = None  # Information that a design bounds
+    chain: Chain | None = None
 
 
 @dataclass(frozen=True)
@@ -175,6 +220,14 @@ class Level:
     # For each stage, rows (v,) of cells that blocked areas cut, and corners (v, 2) of what is left
     # relative to the centre
     cut: list[tuple[Indices, Array]]
+    # Size of the cells in their sides; 0 stands for their centres, whose bound proves nothing
+    size: float = 1.0
+
+    def field(self, cells: Cells) -> Field:
+        """Return bounds of predicted quantities over cells (n, 2)."""
+        radius = self.size * self.side_m * np.sqrt(0.5) * (1.0 + 1e-12)
+        centres = self.problem.start_m + (cells + 0.5) * self.side_m
+        return Field(Discs(centres, radius), self.problem.makers)
 
     def offsets_m(self, stage: int) -> Array:
         """Return the centres of the active cells relative to the start as an array (n, 2)."""
@@ -199,8 +252,9 @@ def tube_bounds(
         yield TubeBound(best, cells, number, monotonic() - begun)
         active = kept_cells(level, through, threshold)
         left = sum(map(len, active))
-        # The next level takes time about proportional to its cells.
-        ahead = (monotonic() - level_begun) * max(1.0, left / max(cells, 1))
+        # The next level takes time about proportional to its cells, or to their pairs.
+        growth = max(1.0, left / max(cells, 1))
+        ahead = (monotonic() - level_begun) * growth ** (1 if problem.chain is None else 2)
         late = monotonic() - begun + ahead > seconds
         if highest <= threshold or left > MOST_CELLS or late:
             return
@@ -282,14 +336,14 @@ def squares(corner: Array, side: float) -> NDArray[np.object_]:
     return np.asarray(shapely.box(x0, y0, x1, y1), dtype=np.object_)
 
 
-def evaluated(problem: StageProblem, side: float, active: Sequence[Cells]) -> Level:
+def evaluated(
+    problem: StageProblem, side: float, active: Sequence[Cells], size: float = 1.0
+) -> Level:
     """Return a level of the active cells, with bounds of the reward of each cell."""
-    radius = side * np.sqrt(0.5) * (1.0 + 1e-12)
     cells, place = np.unique(np.vstack(active), axis=0, return_inverse=True)
-    centres = problem.start_m + (cells + 0.5) * side
-    field = Field(Discs(centres, radius), problem.makers)
-    level = Level(problem, side, [], [], [], [], [])
-    owner, corner = cut_corners(problem, centres, side)
+    level = Level(problem, side, [], [], [], [], [], size)
+    field = level.field(cells)
+    owner, corner = cut_corners(problem, field.discs.centre_m, side)
     ends = np.cumsum([len(each) for each in active])[:-1]
     for stage, rows in enumerate(np.split(place.ravel(), ends)):
         own, (pairs, values) = active[stage], sure_rewards(problem, stage, active[stage], side)
@@ -364,8 +418,8 @@ def sure_rewards(
 def through_bounds(level: Level, tilts: Sequence[Tilt]) -> list[Array]:
     """Return, for each stage, upper bounds on the value of paths through each active cell."""
     best = [np.full(len(each), np.inf) for each in level.active]
-    if level.problem.paired is not None:
-        return paired_bounds(level, level.problem.paired)
+    if level.problem.chain is not None:
+        return paired_bounds(level, level.problem.chain)
     steps = [Step.between(level, k) for k in range(1, len(best))]
     for of_steps, of_p_min in tilts:
         own = [tilted(level, k, of_steps, of_p_min) for k in range(len(best))]
@@ -385,12 +439,10 @@ def through_bounds(level: Level, tilts: Sequence[Tilt]) -> list[Array]:
     return [np.nan_to_num(each, nan=np.inf, posinf=np.inf, neginf=-np.inf) for each in best]
 
 
-def paired_bounds(level: Level, paired: PairedInformation) -> list[Array]:
+def paired_bounds(level: Level, chain: Chain) -> list[Array]:
     """Return :func:`through_bounds` without multipliers, with losses between successive stages."""
     problem, (of_steps, of_p_min) = level.problem, untilted(level.problem)
-    costs = problem.per_metre, problem.per_move, problem.standstill_m
-    longest_m = problem.step_m * (1.0 + ROUNDING)
-    steps = PairedSteps.over(paired, level.active, level.fields, level.side_m, longest_m, costs)
+    steps = PairedSteps.over(level, chain)
     own = [tilted(level, k, of_steps, of_p_min) for k in range(problem.steps)]
     forward = [own[0] + first_moves(level, of_steps[0])]
     for k in range(1, problem.steps):
@@ -442,7 +494,7 @@ def tilted(level: Level, stage: int, of_steps: Array, of_p_min: Array) -> Array:
 def first_moves(level: Level, multiplier: Array) -> Array:
     """Return bounds (n,) of the step from the start to each active cell (equation 9.10)."""
     problem, centres, half = level.problem, level.offsets_m(0), 0.5 * level.side_m
-    away = np.hypot(*np.maximum(np.abs(centres) - half, 0.0).T)
+    away = np.hypot(*np.maximum(np.abs(centres) - level.size * half, 0.0).T)
     found = move_bounds(problem, multiplier, centres, half, away)
     return np.where(away <= problem.step_m * (1.0 + ROUNDING), found, -np.inf)
 

@@ -340,6 +340,21 @@ def with_expected(posterior: ChannelPosterior, positions_m: Floats) -> ChannelPo
     return extend(known, Measurements(positions_m, power, time_s=times))
 
 
+def with_repeated(
+    posterior: ChannelPosterior, positions_m: Floats, noise_variance_db2: Floats
+) -> ChannelPosterior:
+    """Return the posterior's covariance after measurements with given noise; the mean is kept."""
+    count, times = len(posterior.measurements), np.full(len(positions_m), posterior.now_s)
+    more = Measurements(positions_m, np.zeros(len(times)), time_s=times)
+    grown = _append(
+        replace(posterior, theta_rule="known"), more, Sites(more.power_dbm, noise_variance_db2)
+    )
+    rows = grown.whitened_regressors[count:]
+    gain = np.eye(2) + posterior.theta_covariance @ (rows.T @ rows)
+    left = np.linalg.solve(gain, posterior.theta_covariance)
+    return replace(grown, theta_covariance=0.5 * (left + left.T))
+
+
 def factored_near(posterior: ChannelPosterior, path_m: Floats) -> ChannelPosterior:
     """Return `posterior` if it has a factor, else one with a factor from data near `path_m`."""
     # Theta and its covariance still come from all measurements.

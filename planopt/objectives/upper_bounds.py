@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 
 from planopt.arrays import Floats, Indices
-from planopt.channel.parameters import MIN_DISTANCE_M
 from planopt.channel.posterior import ChannelPosterior
-from planopt.objectives.moments import posterior_moments
 from planopt.targets.information_filter import Sensor
-
-ASSUMED = 3.0
-"""Assumed information on the path loss, in units of what the plan tells of it (equation 9.14)."""
-DECIBELS = 10.0 / np.log(10.0)
-"""Change of the path loss by a unit of the natural logarithm of the distance."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +30,8 @@ class UpperBounds:
     most: Floats  # (n,) over the whole disc
     radius_m: float
 
-    def at(self, rows: Indices) -> UpperBounds:
-        """Return the bounds over some of the discs."""
+    def at(self, rows: Indices | tuple[slice, ...]) -> UpperBounds:
+        """Return the bounds over some of the discs, by an index of their array."""
         return UpperBounds(self.value[rows], self.slope[rows], self.most[rows], self.radius_m)
 
     def scaled(self, factor: float) -> UpperBounds:
@@ -72,9 +65,9 @@ class UpperBounds:
         )
 
 
-Quantity = Literal["chance", "variance_db2", "minus_variance_db2", "trend"]
-"""Predicted quantity: probability of connection, variance of the power, minus the variance, or the
-trace of the information on the path loss (equation 9.6)."""
+Quantity = Literal["chance", "variance_db2", "tangent", "trend"]
+"""Predicted quantity: probability of connection, variance of the power, difference of variances in
+the tangent of the information (9.12), or trace of the information on the path loss (9.6)."""
 
 
 Makers = Mapping[Quantity, Callable[[Discs], UpperBounds]]
@@ -107,45 +100,12 @@ class Field:
 
 
 @dataclass(frozen=True, eq=False)
-class PairedInformation:
-    """Information that a measurement loses because the preceding position is measured too."""
+class Measured:
+    """Information that measurements give, as a concave function of the positions' weights."""
 
     posterior: ChannelPosterior
-    weight: float = 1.0
-    given_nats: float = 0.0  # Information of what the posterior is assumed to know of the path loss
-
-    def informed(self, path_m: Floats | None) -> PairedInformation:
-        """Return the bound if the path loss is known at least as well as after `path_m`."""
-        if path_m is None:
-            return self
-        moments, spread = posterior_moments(self.posterior, path_m), self.posterior.theta_covariance
-        trend = moments.whole_trend
-        information = trend.T @ np.linalg.solve(moments.whole_covariance, trend)
-        gain = np.eye(2) + ASSUMED * spread @ information
-        left = np.linalg.solve(gain, spread)
-        posterior = replace(self.posterior, theta_covariance=0.5 * (left + left.T))
-        return replace(self, posterior=posterior, given_nats=0.5 * np.linalg.slogdet(gain)[1])
-
-    def nearest_m(self, discs: Discs) -> Floats:
-        """Return the distance (n,) from the station to the nearest point of each disc."""
-        station = self.posterior.parameters.station
-        across = np.hypot(*(discs.centre_m - np.asarray(station.position_m)).T) - discs.radius_m
-        return np.maximum(np.hypot(np.maximum(across, 0.0), station.height_m), MIN_DISTANCE_M)
-
-    def lost(
-        self, before_db2: Floats, after_db2: Floats, distance_m: float, nearest_m: Floats
-    ) -> Floats:
-        """Return least losses in nats of positions at most `distance_m` apart (equation 9.13)."""
-        parameters, spread = self.posterior.parameters, self.posterior.theta_covariance
-        noise = parameters.multipath_std_db**2
-        shadow = -np.expm1(-distance_m / parameters.decorrelation_m)
-        apart = np.sqrt(2.0 * shadow) * parameters.shadow_std_db
-        trend = np.sqrt(spread[1, 1]) * DECIBELS * np.log1p(distance_m / nearest_m)
-        apart = noise + 0.5 * (apart + trend) ** 2
-        after = np.minimum(after_db2, before_db2 + 2.0 * apart)
-        shared = np.maximum(0.5 * (before_db2 + after) - apart, 0.0)
-        left = np.maximum(after - shared**2 / before_db2, noise)
-        return 0.5 * self.weight * np.log(np.maximum(after_db2, left) / left)
+    criterion: Literal["map", "D", "A", "V", "T"] = "map"  # Of the path loss, unless ``map``
+    map_form: Floats = field(default_factory=lambda: np.eye(2))  # G of criterion V (equation 4.2)
 
 
 @dataclass(frozen=True)
@@ -157,8 +117,8 @@ class StageBounds:
     per_metre: float = 0.0  # Cost of a metre
     per_move: float = 0.0  # Cost of a step longer than a standstill
     most_steps: int | None = None  # Maximum number of steps of a plan; None: any
-    # What a stage loses by the previous position; its reward is then a constant on each disc
-    paired: PairedInformation | None = None
+    # Information that replaces the rewards of several stages
+    measured: Measured | None = None
 
 
 def no_reward(stage: int, field: Field) -> UpperBounds:

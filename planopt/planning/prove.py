@@ -13,12 +13,12 @@ from time import monotonic
 import numpy as np
 
 from planopt.arrays import Floats
-from planopt.bounds.bound import Bound, Tilts
-from planopt.bounds.multipliers import local_optimum, tilts_near
+from planopt.bounds.bound import Bound, Design, Tilts
+from planopt.bounds.multipliers import fitted_design, local_optimum, tilts_near
 from planopt.bounds.one_step import best_place
 from planopt.bounds.reach import route_problem, why_unbounded
 from planopt.bounds.route import route_bounds
-from planopt.bounds.tube import tube_bounds
+from planopt.bounds.tube import StageProblem, tube_bounds
 from planopt.channel.posterior import Belief
 from planopt.planning.candidates import Scorer
 from planopt.planning.plan import Plan, Termination, Verdict
@@ -33,6 +33,8 @@ from planopt.world.clearance import index_obstacles
 
 LEAST_SHARE = 0.3
 """Minimum share of the time that is reserved for the bound."""
+DESIGN_SHARE = 0.3
+"""Share of the time for the design of a bound on information."""
 SURPLUS = 2e-5
 """Surplus of the probability of connection over the bound's p_min in an improved plan."""
 
@@ -80,8 +82,18 @@ def with_sum_bound(
     stages = stages_of(problem, at, plan)
     if isinstance(stages, str):
         return replace(plan, bound=Bound(None, problem.sense, plan.objective, reason=stages))
-    if stages.paired is not None:
+    design = Design()
+    if stages.measured is not None:
         optimum = plan.positions_m[1:]
+
+        def problem_of(design: Design) -> StageProblem:
+            found = stages_of(problem, at, plan, design)
+            if isinstance(found, str):
+                raise AssertionError(found)
+            return found
+
+        design = fitted_design(problem_of, stages.measured, optimum, DESIGN_SHARE * seconds)
+        stages = problem_of(design)
     elif stages.steps == 1:
         exact = replace(stages, step_m=at.step_length_m)
         optimum = best_place(exact, 0.3 * seconds).place_m[None]
@@ -94,7 +106,7 @@ def with_sum_bound(
     left = max(LEAST_SHARE * seconds, seconds - (monotonic() - begun))
     *_, best = tube_bounds(stages, plan.objective, tilts, left)
     of_steps, of_p_min = (np.array(each) for each in zip(*tilts, strict=True))
-    tilted = Tilts(of_steps, of_p_min, best.levels, best.value)
+    tilted = Tilts(of_steps, of_p_min, best.levels, best.value, **vars(design))
     bound = bound_of_sum(problem, plan, tilted, robots)
     return replace(plan, bound=replace(bound, wall_s=monotonic() - begun))
 

@@ -6,10 +6,11 @@ import numpy as np
 import shapely
 
 import planopt
+from planopt.bounds.bound import Design
 from planopt.bounds.stages import stage_problem, summed_terms
 from planopt.bounds.tube import StageProblem
 from planopt.channel import ChannelParameters, Measurements, condition
-from planopt.objectives import MappingTerm, MotionEnergyTerm, TrackingTerm
+from planopt.objectives import LearningTerm, MappingTerm, MotionEnergyTerm, TrackingTerm
 from planopt.planning.proof.rule import verifier_context
 from planopt.planning.values.context import Aim, StepContext, step_context, workspace_region
 from planopt.planning.values.objective_value import ObjectiveValue
@@ -20,9 +21,12 @@ STEP_M = 2.0
 
 
 def sum_context(
-    seed: int, steps: int, *, energy: bool = True, plain: bool = False, mapped: bool = False
+    seed: int, steps: int, *, energy: bool = True, plain: bool = False, measured: str = ""
 ) -> StepContext:
-    """A random channel, target and sensor, up to three obstacles, one or two stations."""
+    """A random channel, target and sensor, up to three obstacles, one or two stations.
+
+    `measured` replaces tracking by mapping (``map``) or by a criterion of learning.
+    """
     generator = np.random.default_rng(seed)
     uniform = generator.uniform
     start = uniform(10.0, 30.0, 2)
@@ -44,8 +48,10 @@ def sum_context(
     terms: list[planopt.objectives.Term] = [
         TrackingTerm(**sensor, form="additive", terminal_weight=float(uniform(0.5, 2.0)))
     ]
-    if mapped:
+    if measured == "map":
         terms = [MappingTerm(weight=float(uniform(0.5, 2.0)))]
+    elif measured:
+        terms = [LearningTerm(criterion=measured, weight=float(uniform(0.5, 2.0)))]
     if energy:
         power = float(generator.choice([0.0, 0.3]))
         terms.append(MotionEnergyTerm(float(uniform(0.0, 1.0)), power, weight=float(uniform())))
@@ -60,7 +66,7 @@ def sum_context(
             [planopt.Obstacle(f"box {k}", b) for k, b in enumerate(boxes)],
         ),
         objective=terms,
-        targets=() if mapped else planopt.Target(start_m=(20.0, 20.0), velocity_m_s=(0.0, 0.0)),
+        targets=() if measured else planopt.Target(start_m=(20.0, 20.0), velocity_m_s=(0.0, 0.0)),
         constraints=planopt.Constraints(clearance_m=float(generator.choice([0.0, 0.5]))),
         planner=planopt.PlannerSettings(step_s=1.0, horizon=steps),
     )
@@ -85,17 +91,17 @@ def sum_context(
     line = start + uniform(-6.0, 6.0, 2)
     target = line + np.arange(1, steps + 1)[:, None] * [np.cos(angle), np.sin(angle)]
     base = verifier_context(problem, index_obstacles(problem.workspace), posteriors, start)
-    return step_context(base, workspace_region(problem), Aim(None if mapped else target))
+    return step_context(base, workspace_region(problem), Aim(None if measured else target))
 
 
 def stages_in(
-    context: StepContext, p_min: float = 0.0, path: np.ndarray | None = None
+    context: StepContext, p_min: float = 0.0, design: Design | None = None
 ) -> StageProblem:
-    """The stage problem of a context, with p_min at all its steps, near a path that measures."""
+    """The stage problem of a context, with p_min at all its steps, for a design."""
     problem = context.problem
     problem = replace(problem, constraints=replace(problem.constraints, p_min=p_min))
     kept = np.full(problem.planner.horizon, p_min > 0.0)
-    return stage_problem(problem, context, summed_terms(problem, context), kept, path)
+    return stage_problem(problem, context, summed_terms(problem, context), kept, design)
 
 
 def random_paths(context: StepContext, count: int, seed: int) -> np.ndarray:

@@ -79,7 +79,7 @@ def test_terms_without_a_bound_say_so() -> None:
     [("fig2", {"criterion": "T"}), ("fig3", {"form": "path", "closeness_per_m": 0.1})],
 )
 def test_single_measurements_are_proven_best(name: str, changes: dict[str, object]) -> None:
-    """Learning and mapping one step ahead have bounds; two steps of learning do not."""
+    """Learning and mapping one step ahead have tight bounds; two steps of learning a loose one."""
     problem = planopt.load(name)
     objective = planopt.objectives.TermsObjective((replace(problem.terms[0], **changes),))
     problem = replace(problem, objective=objective)
@@ -88,4 +88,4 @@ def test_single_measurements_are_proven_best(name: str, changes: dict[str, objec
     assert bound.cost <= bound.value <= 1.001 * bound.cost
     if name == "fig2":
         longer = planopt.solve(problem, horizon=2, prove_s=1.0).plan.bound
-        assert longer is not None and longer.value is None and "horizon = 1" in longer.reason
+        assert longer is not None and longer.value is not None and longer.cost <= longer.value

@@ -35,7 +35,7 @@ from planopt.objectives.terms.term import (
 )
 from planopt.objectives.upper_bounds import Field as DiscField
 from planopt.objectives.upper_bounds import (
-    PairedInformation,
+    Measured,
     StageBounds,
     UpperBounds,
     closeness_bounds,
@@ -182,10 +182,16 @@ class LearningTerm(MeasuredTerm):
         return VarianceRemoved(spread @ square_root(map_criterion(posterior, at.region)))
 
     def stage_bounds(self, at: TermContext) -> StageBounds | str:
-        """Return upper bounds of criterion T one step ahead, with one station."""
-        if self.criterion != "T" or len(at.law.posteriors) > 1:
-            return f"without a proven bound for criterion = {self.criterion} or several stations"
-        return StageBounds(lambda stage, field: field["trend"].positive_part(), most_steps=1)
+        """Return upper bounds with one station; of criterion T, an own one for a single step."""
+        if len(at.law.posteriors) > 1:
+            return "without a proven bound for several stations"
+        [posterior] = at.anticipated
+        form = map_criterion(posterior, at.region) if self.criterion == "V" else np.eye(2)
+        return StageBounds(
+            lambda stage, field: field["trend"].positive_part(),
+            most_steps=1 if self.criterion == "T" else 0,
+            measured=Measured(posterior, self.criterion, form),
+        )
 
     def node_gain(self, station: NodeChannel, posterior: ChannelPosterior) -> Floats:
         """Return each node's gain: the trace for criterion T, else information in nats."""
@@ -297,7 +303,7 @@ class MappingTerm(MeasuredTerm):
             noise = posterior.parameters.multipath_std_db**2
             return StageBounds(
                 lambda stage, field: information_bounds(field["variance_db2"], noise),
-                paired=PairedInformation(posterior),
+                measured=Measured(posterior),
             )
 
         def reward(stage: int, field: DiscField) -> UpperBounds:

@@ -229,6 +229,13 @@ def _require_fit(
 
 BOUND_FILE = "bound.npz"
 
+DESIGN: dict[str, tuple[str, tuple[int | None, ...]]] = {
+    "places_m": ("f", (None, 2)),
+    "weights": ("f", (None, 2)),
+    "path_loss": ("f", (2, 2)),
+}
+"""Arrays that results of version 1.0 do not have."""
+
 KINDS: dict[type[Any], dict[str, tuple[str, tuple[int | None, ...]]]] = {
     Potential: {
         "nodes_m": ("f", (None, 2)),
@@ -237,6 +244,7 @@ KINDS: dict[type[Any], dict[str, tuple[str, tuple[int | None, ...]]]] = {
         "at_sides": ("f", (None,)),
     },
     Tilts: {
+        **DESIGN,
         "of_steps": ("f", (None, None, 2)),
         "of_p_min": ("f", (None, None)),
         "levels": ("iu", ()),
@@ -271,9 +279,13 @@ def _certificate(path: Path, arrays: Arrays, number: int) -> Potential | Tilts |
         found: dict[str, Any] = {}
         for name, (kind, sizes) in kinds.items():
             key = f"{number}_{name}"
+            if key not in arrays and name in DESIGN:
+                continue
             if key not in arrays:
                 raise InputError("the array is missing", file=path, key=key, remedy=REMEDY)
-            _require_fit(path, key, arrays[key], kind if arrays[key].size else "", sizes)
+            _require_fit(
+                path, key, arrays[key], kind if arrays[key].size or name in DESIGN else "", sizes
+            )
             found[name] = arrays[key].astype(np.float64 if kind == "f" else np.intp)
         if made is Tilts:
             found |= {"levels": int(found["levels"]), "value": float(found["value"])}

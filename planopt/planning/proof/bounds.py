@@ -8,10 +8,10 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from planopt.arrays import Floats
-from planopt.bounds.bound import Bound, Potential, Tilts
+from planopt.bounds.bound import Bound, Design, Potential, Tilts
 from planopt.bounds.reach import relaxed_constraints, route_problem, why_unbounded
 from planopt.bounds.route import route_bounds, verified_value
-from planopt.bounds.stages import ignored_constraints, stage_problem, summed_terms
+from planopt.bounds.stages import ignored_constraints, is_design, stage_problem, summed_terms
 from planopt.bounds.tube import StageProblem, proves
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.terms.term import TermContext
@@ -67,18 +67,21 @@ def verified_bound(
     return bound_of(problem, posteriors, plan, value_m, potential, robots)
 
 
-def stages_of(problem: Problem, at: TermContext, plan: Plan) -> StageProblem | str:
-    """Return the first robot's stage problem, or the reason why there is no bound.
+def stages_of(
+    problem: Problem, at: TermContext, plan: Plan, design: Design | None = None
+) -> StageProblem | str:
+    """Return the first robot's stage problem for a design, or the reason why there is no bound.
 
     If a step of `plan` satisfies p_min, the same step of every verified plan satisfies it.
     """
-    terms, path = summed_terms(problem, at), plan.positions_m[1:]
+    terms = summed_terms(problem, at)
     if terms.reason:
         return terms.reason
+    path = plan.positions_m[1:]
     kept = np.zeros(len(path), dtype=np.bool_)
     if problem.constraints.p_min > 0.0 and problem.constraints.rule.is_plain:
         kept = np.asarray(required_margins_db(problem, at.predicted(path)) >= 0.0)
-    return stage_problem(problem, at, terms, kept, path)
+    return stage_problem(problem, at, terms, kept, design)
 
 
 def bound_of_sum(problem: Problem, plan: Plan, tilts: Tilts, robots: int) -> Bound:
@@ -97,10 +100,11 @@ def verified_sum(
     problem: Problem, at: TermContext, plan: Plan, tilts: Tilts | None, robots: int
 ) -> Bound:
     """Return the bound that a saved certificate proves for the first robot's sum of terms."""
-    stages = stages_of(problem, at, plan)
+    usable = tilts is not None and is_design(tilts)
+    stages = stages_of(problem, at, plan, tilts if usable else None)
     if isinstance(stages, str):
         return Bound(None, problem.sense, plan.objective, reason=stages)
-    if tilts is None or not proves(stages, tilts):
+    if tilts is None or not usable or not proves(stages, tilts):
         return Bound(
             None, problem.sense, plan.objective, reason="the certificate does not prove its bound"
         )

@@ -18,7 +18,7 @@ BUDGET = {
     "files": 247,
     "functions": 3_800,
     "docstring lines": 7_549,
-    "lines of tests": 48_374,
+    "lines of tests": 47_500,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

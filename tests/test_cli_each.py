@@ -50,9 +50,14 @@ def test_every_fit_is_that_of_its_rows(log: Path, tmp_path: Path, capsys) -> Non
 
 
 def test_transmitters_are_located(log: Path, capsys) -> None:
+    """Each where it is; a fit of several transmitters as one has a warning."""
     each = found(capsys, "fit", log, "--each", "bssid", "--station", "unknown")
     for name, site in SITES.items():
         assert np.hypot(*np.subtract(each["fits"][name]["station"], site)) < 5.0
+    together = found(capsys, "fit", log, "--station", "0,0")
+    alone = found(capsys, "fit", log, "--station", "0,0", "--where", "bssid=a:1")
+    assert "bssid names 3 transmitters" in together["warnings"][0]
+    assert not any("transmitters" in each for each in alone["warnings"])
 
 
 def test_the_best_server(log: Path, tmp_path: Path, capsys) -> None:
@@ -91,11 +96,3 @@ def test_the_best_server(log: Path, tmp_path: Path, capsys) -> None:
 )
 def test_refusals(arguments: list[str], log: Path, capsys) -> None:
     refused_command(capsys, "fit", log, *arguments)
-
-
-def test_mixed_transmitters_are_reported(log: Path, capsys) -> None:
-    """A fit of several transmitters as one has a warning, a fit of one has none."""
-    together = found(capsys, "fit", log, "--station", "0,0")
-    alone = found(capsys, "fit", log, "--station", "0,0", "--where", "bssid=a:1")
-    assert "bssid names 3 transmitters" in together["warnings"][0]
-    assert not any("transmitters" in each for each in alone["warnings"])

@@ -138,8 +138,8 @@ def test_map_of_the_reference_receiver(log: Path, capsys) -> None:
     assert means[1] - means[0] == pytest.approx(4.5, abs=1.0)
 
 
-def test_masks_of_a_log(log, tmp_path, capsys):
-    """Masks without a map file; shares are those of the map."""
+def test_masks(log, tmp_path, capsys):
+    """Masks without a map file have its shares; those of a problem are of the best station."""
     masks = tmp_path / "masks"
     arguments = ["map", str(log), "--station", "0,0", "--threshold", "-70", "--cell", "2"]
     assert main([*arguments, "--nav2", str(masks), "--p-min", "0.6", "--json"]) in FITTED
@@ -152,10 +152,6 @@ def test_masks_of_a_log(log, tmp_path, capsys):
     assert data["nav2"]["keepout_share"] == np.mean(chance < 0.1)
     assert data["nav2"]["contact_share"] == np.mean(chance >= 0.6)
     assert {path.name for path in masks.iterdir()} == set(NAV2_FILES)
-
-
-def test_masks_of_a_problem(tmp_path, capsys):
-    """The best of both stations over the bounds, by name too; no options of logs."""
     file = str(library_folder() / "two_station_courier.toml")
     found = []
     for named in (file, "two_station_courier"):

@@ -89,14 +89,10 @@ def test_page_of_keys(monkeypatch: pytest.MonkeyPatch) -> None:
         assert f"## `{heading}`" in page
 
 
-def test_nothing_refers_to_what_a_reader_cannot_look_up() -> None:
-    """No papers by nickname and no numbered equations of elsewhere in the schema's words."""
+def test_words_of_schema_and_docstrings() -> None:
+    """No nicknames of papers in the schema, and no docstring that opens without a subject."""
     words = json.dumps(json_schema())
     assert not re.findall(r"(?i)the seed's|theory|lemma \d|\bdesign\b|\(\d\)", words)
-
-
-def test_docstrings_begin_with_their_subject() -> None:
-    """No first line opens with What, Of or Where, as if it had neither subject nor verb."""
     opening = re.compile(r"(What|Of|Where|Whether|Why|By how|Those|Plan alone)\b")
     riddles = [
         f"{path}: {words.splitlines()[0]}"

@@ -17,7 +17,10 @@ def beside(tmp_path: Path, monkeypatch) -> Path:
 
 
 def test_stand_in(beside: Path, capsys) -> None:
-    """Three transmitters in the files' own format: the figure, and numbers about each method."""
+    """Without data a word and no figure; with three transmitters the figure and numbers."""
+    page = runpy.run_path(str(PAGE))
+    assert "figure" not in page
+    assert "no figure" in capsys.readouterr().out
     beside.mkdir(parents=True)
     rng = np.random.default_rng(0)
     places = [f"{k},{k:03d},{x},{y},40" for k, (x, y) in enumerate(TRUE)]
@@ -35,10 +38,3 @@ def test_stand_in(beside: Path, capsys) -> None:
     assert len(page["figure"].axes) == 2
     printed = capsys.readouterr().out
     assert "of 3 inside; not bounded: 0" in printed and "strongest power" in printed
-
-
-def test_without_data(beside: Path, capsys) -> None:
-    """No figure, no failure, and a word about it."""
-    page = runpy.run_path(str(PAGE))
-    assert "figure" not in page
-    assert "no figure" in capsys.readouterr().out

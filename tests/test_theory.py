@@ -90,17 +90,13 @@ def test_named_functions_exist(page: Path) -> None:
     assert [name for name in named if name not in defined_names()] == []
 
 
-def test_every_chapter_is_listed() -> None:
-    """The overview links to every page of theory there is."""
+def test_chapters_and_mentioned_equations_exist() -> None:
+    """The overview links to every page; "equation 3.4" in any file is of an equation there is."""
     overview = (ROOT / "docs" / "theory.md").read_text("utf-8")
     assert {page.name for page in (ROOT / "docs" / "theory").glob("*.md")} == {
         page.name for page in PAGES
     }
     assert all(f"(theory/{name}.md)" in overview for name in CHAPTERS)
-
-
-def test_mentioned_equations_exist() -> None:
-    """A mention of "equation 3.4" in code, tests or docs is of an equation that exists."""
     wrong = [
         (name, found.group())
         for name, text in tracked_texts()
@@ -118,7 +114,7 @@ def test_numbers_in_brackets_exist(page: Path) -> None:
 
 
 def test_citations_are_in_the_references() -> None:
-    """Every [GM11] of a page is an entry of the references, and every entry is cited."""
+    """Every citation of pages and code is an entry, and pages cite every entry."""
     references = (ROOT / "docs" / "references.md").read_text("utf-8")
     entries = set(re.findall(r"^\*\*\[(\w+)\]\*\*", references, flags=re.MULTILINE))
     cited = {
@@ -128,10 +124,6 @@ def test_citations_are_in_the_references() -> None:
         for key in re.findall(r"\[\[(\w+)\]\]\((?:\.\./)?references\.md\)", text)
     }
     assert cited == entries
-
-
-def test_citations_in_code_are_in_the_references() -> None:
-    """A [GM11] in a docstring or comment is an entry of the references."""
     references = (ROOT / "docs" / "references.md").read_text("utf-8")
     wrong = [
         (name, found.group())

@@ -33,12 +33,16 @@ def all_given(count, start=0.0):
     )
 
 
-def test_missing_columns_are_zero():
-    """Of the length of the rest, and receivers are whole numbers."""
+def test_lists_and_missing_columns():
+    """Pairs and powers in lists are arrays; columns that are left out are zero."""
     plain = some(3)
     for name in OPTIONAL:
         np.testing.assert_array_equal(getattr(plain, name), np.zeros(3))
     assert plain.receiver.dtype == np.intp
+    lists = planopt.Measurements(PLACES.tolist(), POWER.tolist())  # pyright: ignore
+    assert same(lists, planopt.Measurements(PLACES, POWER, np.zeros(40, dtype=bool)))
+    whole = planopt.Measurements([[0, 1], [2, 3]], [-50, -60])  # pyright: ignore
+    assert whole.positions_m.dtype == whole.power_dbm.dtype == np.float64
 
 
 @pytest.mark.parametrize(
@@ -108,14 +112,6 @@ def test_table_is_measurements(table: Callable[[dict[str, Any]], Any]) -> None:
     more = {**COLUMNS, "time_s": list(range(40)), "receiver": [0, 1] * 20}
     found = as_measurements(table(more))
     assert found.time_s[-1] == 39.0 and found.receiver.dtype == np.intp and found.receiver[1] == 1
-
-
-def test_lists_are_arrays() -> None:
-    """A list of pairs and a list of powers; who says nothing of censoring has none."""
-    lists = planopt.Measurements(PLACES.tolist(), POWER.tolist())  # pyright: ignore
-    assert same(lists, planopt.Measurements(PLACES, POWER, np.zeros(40, dtype=bool)))
-    whole = planopt.Measurements([[0, 1], [2, 3]], [-50, -60])  # pyright: ignore
-    assert whole.positions_m.dtype == whole.power_dbm.dtype == np.float64
 
 
 @pytest.mark.parametrize("table", TABLES.values(), ids=TABLES)

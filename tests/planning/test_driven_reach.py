@@ -136,8 +136,8 @@ def test_mirrored_scene_gives_the_mirrored_plan(dynamics: Dynamics, rest) -> Non
     assert 30.0 - other.positions_m[:, 1] == pytest.approx(one.positions_m[:, 1], abs=0.05)
 
 
-def test_cost_of_a_plan_counts_from_where_it_would_stand() -> None:
-    """By hand: steps short of the goal, effort, and metres from the resting place on."""
+def test_costs_count_from_where_it_would_stand() -> None:
+    """Steps, effort, and metres to, and from, the resting place, by hand."""
     problem = reach(dynamics=BOAT, horizon=2, effort_weight_s2_m2=0.1)
     plan = ReachPlanner(problem, build_scene(problem)).plan(
         belief_of(problem), problem.robots[0].start_state
@@ -149,10 +149,6 @@ def test_cost_of_a_plan_counts_from_where_it_would_stand() -> None:
     rate = (1.0 + 0.1 * 2.0**2) / 2.0
     expected = 2.0 + 0.1 * (lengths**2).sum() + rate * ahead
     assert plan.objective == pytest.approx(expected, abs=1e-3)
-
-
-def test_the_way_to_where_it_would_stand_is_charged() -> None:
-    """At P = 1/2 everywhere each metre counts alike, driven, braked or left."""
     problem = reach(dynamics=BOAT, horizon=3)
     rule = problem.stations[0].threshold_dbm
     drive = rolled_out(BOAT, (5.0, 15.0, 1.0, 0.0), np.full((3, 2), (0.3, 0.1)), 1.0)

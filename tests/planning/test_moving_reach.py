@@ -113,8 +113,8 @@ def fenced_run(problem):
     return run, [shapely.LineString(one.log.positions_m) for one in run.runs]
 
 
-def test_a_workspace_tells_what_stands_when():
-    """From its time on until before its end, in seconds that are sums of steps."""
+def test_worlds_that_change():
+    """A workspace tells what stands when; leaving an obstacle crosses no other one."""
     house, fence = Obstacle("house", HOUSE), Obstacle("fence", FENCE, 0.3, 0.7)
     gone = Obstacle("gone", HOUSE, 0.0, 0.2)
     workspace = Workspace((0, 0, 40, 30), [gone, house, fence])
@@ -122,6 +122,12 @@ def test_a_workspace_tells_what_stands_when():
     steps = [tuple(one.name for one in workspace.known_at(0.1 * k)) for k in range(9)]
     assert steps[:2] == [("house", "gone")] * 2 and steps[2] == steps[7] == ("house",)
     assert steps[3:7] == [("house", "fence")] * 4
+    problem = small_problem(HOUSE, shapely.box(22.2, 10.0, 22.4, 20.0))
+    index = index_obstacles(problem.workspace)
+    path = leaving_path(problem, index, NOTHING_MOVES, np.array([21.5, 15.0]))
+    assert path is None or path[0, 0] < 22.2
+    touching = leaving_path(problem, index, NOTHING_MOVES, np.array([22.4, 15.0]))
+    assert touching is None or touching[0, 0] >= 22.4
 
 
 def test_a_plan_knows_only_what_stands_then():
@@ -186,16 +192,6 @@ def test_a_robot_in_a_new_obstacle_leaves_it_and_says_so():
     for k, plan in enumerate(plans):
         assert (plan.verdict is Verdict.VERIFIED) == (k not in left)
     assert "clearance" in plans[first].message
-
-
-def test_leaving_crosses_no_other_obstacle():
-    """Out of the one, not through the other beside its nearest side; nor through a wall touched."""
-    problem = small_problem(HOUSE, shapely.box(22.2, 10.0, 22.4, 20.0))
-    index = index_obstacles(problem.workspace)
-    path = leaving_path(problem, index, NOTHING_MOVES, np.array([21.5, 15.0]))
-    assert path is None or path[0, 0] < 22.2
-    touching = leaving_path(problem, index, NOTHING_MOVES, np.array([22.4, 15.0]))
-    assert touching is None or touching[0, 0] >= 22.4
 
 
 def test_couriers_keep_apart_where_the_map_changes():

@@ -87,10 +87,14 @@ def heavy(x, y, *velocity):
 WHEELS = {"start_m": [12.0, 8.0], "dynamics": "unicycle", "turn_rate_max_rad_s": 1.0}
 
 
-def test_every_dynamics_is_welcome(tmp_path):
+def test_robots_beside_each_other(tmp_path):
+    """Every dynamics is allowed; two that follow each other stop apart, two that meet do not."""
     problem = loaded(tmp_path, heavy(5.0, 8.0, 0.0, 0.0), WHEELS, separation_m=3.0)
     assert problem.constraints.separation_m == 3.0
     assert len(problem.workspace.moving) == 1
+    loaded(tmp_path, heavy(5.0, 8.0, 1.5, 0.0), heavy(9.0, 8.0, 1.5, 0.0), separation_m=3.5)
+    with refused():
+        loaded(tmp_path, heavy(5.0, 8.0, 1.5, 0.0), heavy(9.0, 8.0, -0.5, 0.0), separation_m=3.0)
 
 
 @pytest.mark.parametrize("first", [True, False])
@@ -102,10 +106,3 @@ def test_robots_that_cannot_stop_apart_are_refused(tmp_path, first):
     assert caught.value.key == f"robots[{0 if first else 1}].start_velocity_m_s"
     loaded(tmp_path, *robots, separation_m=3.0)
     loaded(tmp_path, heavy(5.0, 8.0, -0.5, 0.0), WHEELS, separation_m=3.0)
-
-
-def test_both_may_move(tmp_path):
-    """Two that follow each other stop apart; two that meet do not."""
-    loaded(tmp_path, heavy(5.0, 8.0, 1.5, 0.0), heavy(9.0, 8.0, 1.5, 0.0), separation_m=3.5)
-    with refused():
-        loaded(tmp_path, heavy(5.0, 8.0, 1.5, 0.0), heavy(9.0, 8.0, -0.5, 0.0), separation_m=3.0)

@@ -130,17 +130,13 @@ def test_logs_in_other_units(columns: str, words: str, code: int, log: Path, cap
     assert found == code and (data["status"] == "degenerate") == (code == 3)
 
 
-def test_milliwatts_that_count_as_dbm(log: Path, capsys) -> None:
-    """The refusal of an unknown station names the unit; without the option the fit succeeds."""
+def test_milliwatts_and_degenerate_fits(log: Path, capsys) -> None:
+    """An unknown station names the unit; a degenerate fit is printed and has exit code 3."""
     arguments = ["fit", str(log), "--station=unknown", "--columns", "x=x,y=y,power=linear"]
     refused_command(capsys, *arguments, "--power-unit", "dBm")
     _, linear = fitted(log, "x=x,y=y,power=linear", "unknown", capsys)
     _, dbm = fitted(log, "x=x,y=y,power=dbm", "unknown", capsys)
     assert linear["station"] == pytest.approx(dbm["station"], abs=0.1)
-
-
-def test_a_degenerate_fit(log: Path, capsys) -> None:
-    """It is saved and printed, and scripts stop: exit code 3, of maps as well."""
     code, data = fitted(log, "x=lon,y=lat,power=dbm", "-30,20", capsys)
     assert (code, data["status"]) == (3, "degenerate")
 

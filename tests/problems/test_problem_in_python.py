@@ -278,7 +278,7 @@ def test_a_connection_is_true_or_false() -> None:
 
 
 def test_ground_truth_of_arrays_and_functions() -> None:
-    """Every cell has the power of its centre, from arrays and from a function."""
+    """Every cell has the power of its centre; the first axis counts stations."""
     by_function = FunctionTruth(power_dbm=power_dbm, cell_m=0.5, floor_dbm=-90.0)
     x, y = np.arange(0.25, 40.0, 0.5), np.arange(0.25, 30.0, 0.5)
     centres = np.stack(np.meshgrid(x, y), axis=-1)
@@ -290,9 +290,6 @@ def test_ground_truth_of_arrays_and_functions() -> None:
         given = draw_initial_data(small(channel=channel), 3)
         assert true_power_dbm(given.truths[0], places) == pytest.approx(power_dbm(nearest))
         assert len(given.measurements[0]) == 40
-
-
-def test_ground_truth_of_several_stations() -> None:
     truth = FunctionTruth(
         power_dbm=lambda places: np.stack([power_dbm(places), power_dbm(places) - 7.0])
     )

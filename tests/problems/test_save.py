@@ -139,16 +139,12 @@ def test_tables_survive_json_exactly(
     assert there_and_back(problem) == problem
 
 
-def test_a_rician_factor_keeps_its_key(tables: Tables, built: Build) -> None:
-    """Files that have it are saved as they were; other laws have a table."""
+def test_laws_of_multipath_in_files(tables: Tables, built: Build) -> None:
+    """A Rician factor keeps its key; another law stands in place of the deviation that it gives."""
     for fading, has_factor in (({"rician_k": 10.0}, True), ({"multipath": RAYLEIGH}, False)):
         tables["channel"]["truth"] = RASTER | fading
         saved = problem_to_dict(built(tables))["channel"]["truth"]
         assert ("rician_k" in saved) == has_factor
-
-
-def test_a_law_has_a_deviation(tables: Tables, built: Build) -> None:
-    """The law in place of its deviation, which it gives."""
     tables["channel"]["truth"] = MODEL | {"multipath": {"kind": "nakagami", "m": 3.27}}
     truth = built(tables).channel.truth
     assert truth.multipath == Nakagami(3.27) and abs(truth.multipath_std_db - 2.60) < 0.01

@@ -207,7 +207,8 @@ def test_texts_of_files_are_escaped(saved: dict[str, Path], tmp_path: Path) -> N
     assert groups[0]["name"] == HOSTILE
 
 
-def test_labels_of_charts_are_escaped() -> None:
+def test_tables_and_labels() -> None:
+    """Long tables are cut, and HTML in labels is escaped."""
     assert plain("<a href='x'>&") == "&lt;a href='x'&gt;&amp;"
     chart = Chart(HOSTILE, [{"type": "scatter", "name": plain(HOSTILE)}], "x", "y")
     text = page_html(Page(HOSTILE, HOSTILE, [HOSTILE], [HOSTILE], charts=[chart]))
@@ -215,9 +216,6 @@ def test_labels_of_charts_are_escaped() -> None:
     assert len(elements.all("script")) == 3 and not elements.all("img")
     assert elements.texts["h1"] == [HOSTILE]
     assert elements.texts["figcaption"][0] == HOSTILE
-
-
-def test_long_tables_are_cut() -> None:
     rows = [(number, None, float("nan")) for number in range(MOST_ROWS)]
     table = PageTable("t", ("a", "b", "c"), rows, MOST_ROWS + 5, "steps.csv")
     text = page_html(Page("title", "", (), tables=[table]))
@@ -235,13 +233,13 @@ def test_new_results_remove_the_page(saved: dict[str, Path], tmp_path: Path) -> 
     assert not (tmp_path / "report.html").exists()
 
 
-def test_without_plotly(saved: dict[str, Path], monkeypatch, capsys) -> None:
+def test_pages_that_cannot_be_made(
+    saved: dict[str, Path], monkeypatch, capsys, tmp_path: Path
+) -> None:
+    """Without Plotly the extra is named; a folder without a result has no page."""
     monkeypatch.setattr("planopt.report.page.find_spec", lambda name: None)
     assert main(["report", str(saved["plan"])]) == 2
     assert "pip install 'planopt[report]'" in capsys.readouterr().err
-
-
-def test_not_a_result(tmp_path: Path, capsys) -> None:
     assert main(["report", str(tmp_path)]) == 2
     assert not list(tmp_path.iterdir())
     assert capsys.readouterr().err.startswith("planopt: ")

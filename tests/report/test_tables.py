@@ -33,15 +33,11 @@ def test_exact_lines(comparison):
 
 
 def test_lines_fit_a_terminal(comparison):
-    """A hundred letters at most, whatever there is to show."""
+    """A hundred letters at most; one run has a mean without interval, and the title says so."""
     rows = [replace(row, metric=f"{row.metric} {n}") for n in range(9) for row in comparison.rows]
     long = replace(comparison.problem, name="long " * 30)
     text = comparison_text(replace(comparison, problem=long, rows=tuple(rows)))
     assert max(map(len, text.splitlines())) <= 100
-
-
-def test_mean_without_interval(comparison):
-    """One run has a mean and no interval, and the title says so."""
     row = replace(comparison.rows[0], seeds=1, mean=61.25, ci_low=None, ci_high=None)
     title, table, *_ = blocks_of(replace(comparison, rows=(row,)))
     assert ["geodesic", "auto", "10", "2", "0", "61.2", "-"] in [line.split()[:7] for line in table]

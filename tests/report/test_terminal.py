@@ -42,20 +42,12 @@ def test_frames_show_the_run() -> None:
     assert "." in frames[-1] and "." not in frames[0].split("+")[2]
 
 
-def test_live_without_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
-    """A line on stderr for each step, without control codes."""
+def test_live(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """A line for each step without a terminal, a cleared screen on one; for motion only."""
     assert main(["simulate", "open_field", "--horizon", "2", "--live", "--json"]) == 0
     lines = [each for each in capsys.readouterr().err.split("\n") if "rover at (" in each]
     assert len(lines) > 20 and all(each.isprintable() for each in lines)
-
-
-def test_live_on_a_terminal(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
     monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
     assert main(["simulate", "open_field", "--horizon", "1", "--live"]) in (0, 3)
     assert capsys.readouterr().err.count("\x1b[H\x1b[2J+--") > 20
-
-
-def test_live_is_for_motion(capsys: pytest.CaptureFixture[str]) -> None:
     refused_command(capsys, "simulate", "coverage_plain", "--live")

@@ -158,7 +158,7 @@ def test_known_path_loss_has_no_uncertainty_to_show(comparison) -> None:
 
 
 def test_settings_with_several_keys_are_numbered(comparison) -> None:
-    """In words once, with short keys; every paired difference has its interval."""
+    """In words once, with distinct short keys; every paired difference has its interval."""
     text = comparison_text(comparison)
     assert "      2  n_pl = 1.0, planner one_step, horizon 1" in text
     assert f"n_pl is {GIVEN}.n_pl" in text
@@ -171,9 +171,6 @@ def test_settings_with_several_keys_are_numbered(comparison) -> None:
     # Wrong parameters change no path here, which is said, not left out.
     assert "equal in all settings: " in text
     assert layout_of(comparison).ticks == ("1", "2", "3", "4")
-
-
-def test_short_keys_are_distinct(comparison) -> None:
     (run, *_) = comparison.runs
     sweep = dict.fromkeys(("robots[0].speed_max_m_s", "robots[1].speed_max_m_s", "planner.step_s"))
     assert list(short_keys([replace(run, sweep=sweep)]).values()) == [
@@ -193,16 +190,12 @@ def bounded() -> Comparison:
 
 
 def test_bounds_are_run_once_without_horizon(bounded) -> None:
-    """They foresee the whole run whatever the horizon, and are compared with all of these."""
+    """They foresee the whole run; bands stand behind NIS and have no panel and no column."""
     assert planner_kind("oracle_log").foresees
     assert [run.planner for run in bounded.runs[::5]] == ["auto", "auto", "oracle_log"]
     assert layout_of(bounded).ticks == ("1", "2", "whole run")
     lines = [line for line in comparison_text(bounded).splitlines() if line[:10] == "oracle_log"]
     assert lines and all(line.split()[1] == "-" for line in lines)
-
-
-def test_bands_are_no_metrics(bounded) -> None:
-    """The band that NIS should be in stands behind it, and has no panel and no column."""
     figure = draw_comparison(bounded)
     (panel,) = (axes for axes in figure.axes if "NIS" in axes.get_title("left"))
     assert len(panel.patches) == 3

@@ -67,7 +67,7 @@ def test_text_says_verdict_and_outcome(short: Path, capsys) -> None:
     assert main(["simulate", str(short), "--horizon", "2", "--planner", "random"]) == 0
     printed_words = capsys.readouterr().out
     assert "completed (all 3 steps driven), horizon 2" in printed_words
-    assert re.search(r"\d measurements in \d steps", printed_words)
+    assert re.search(r"steps: \d; measurements: \d", printed_words)
 
 
 def test_what_is_not_verified_is_exit_code_3(short: Path, capsys) -> None:

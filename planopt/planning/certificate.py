@@ -322,8 +322,8 @@ class Excused:
         why = "nothing excuses it"
         if self.excuse == "price":
             why = (
-                f"the route has a priced length of {self.path_cost_m:.1f} m, and the verifier's "
-                f"cheapest route has {self.best_cost_m:.1f} m"
+                f"the route has a priced length of {self.path_cost_m:.1f} m, and the cheapest "
+                f"route that the verifier found has {self.best_cost_m:.1f} m"
             )
         elif self.excuse == "slack":
             why = "within constraints.slack_max_db"

@@ -91,7 +91,7 @@ def _value(problem: Problem, objective: float) -> str:
     if problem.has_goal:
         return f"cost {shown_number(objective, ' s')} (travel time, control effort, outage penalty)"
     terms = ", ".join(dict.fromkeys(term.kind for term in problem.terms))
-    return f"objective {shown_number(objective)} (larger is better; terms: {terms})"
+    return f"objective {shown_number(objective)} (weighted sum of terms: {terms}; larger is better)"
 
 
 def _origin(plan: Plan) -> str:
@@ -112,8 +112,8 @@ def plan_in_words(problem: Problem, plan: Plan) -> list[str]:
     lines = [
         f"{plan.robot}: {plan.verdict.value}; {_origin(plan)}; computed in "
         f"{shown_number(plan.wall_s, ' s', 2)}",
-        f"  {_value(problem, plan.objective)}; "
-        f"{shown_number(plan.lattice_objective, unit)} before refinement",
+        f"  {_value(problem, plan.objective)}; initial guess "
+        f"{shown_number(plan.lattice_objective, unit)}",
         f"  {planned_in_words(proof.min_clearance_m, proof.min_connectivity)}"
         + ("" if limited else " (no minimum required)"),
         *apart_in_words(proof.min_separation_m, proof.min_moving_clearance_m),
@@ -196,8 +196,8 @@ def run_in_words(run: Run) -> list[str]:
         return [head, f"  {robots}, no step was driven"]
     lines = [
         f"{robots}; plans verified: {100.0 * run.verified_rate:.1f} %; "
-        f"{measured} measurements in {steps} steps"
-        + (" of all robots" if len(run.runs) > 1 else ""),
+        f"steps: {steps}; measurements: {measured}"
+        + (" (all robots)" if len(run.runs) > 1 else ""),
         f"executed steps by type of path: {origins or 'none'}",
         *in_columns([*_metrics_in_words(run)]),
         *symbols_in_words(metric for metric, value in run.metrics.items() if not isnan(value)),
@@ -260,7 +260,7 @@ def _costs_in_words(run: Run) -> list[str]:
     if excess_m:
         lines.append(
             f"{len(excess_m)} of {len(proofs)} plans have steps below the required P(connected); "
-            f"their priced length is at most {max(*excess_m, 0.0):.1f} m above the verifier's best"
+            f"their priced length is at most {max(*excess_m, 0.0):.1f} m above the cheapest found"
         )
     return lines + [
         f"{made[0].robot}, {line}" if len(run.plans) > 1 else line
@@ -299,7 +299,7 @@ def problem_in_words(problem: Problem) -> list[str]:
         f"  task        {problem.task}, horizon {planner.horizon} steps of {planner.step_s:g} s, "
         f"run of at most {planner.max_steps} steps",
         f"  world       {east - west:g} x {north - south:g} m, "
-        f"{len(workspace.obstacles)} fixed obstacles"
+        f"obstacles: {len(workspace.obstacles)} fixed"
         + (f", {len(workspace.moving)} moving" if workspace.moving else "")
         + (f", {len(workspace.timed)} temporary" if workspace.timed else ""),
         f"  channel     {'no ground truth' if truth is None else kind}; initial power "

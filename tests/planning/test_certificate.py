@@ -40,7 +40,7 @@ def test_a_plan_tells_of_all_its_steps():
     first, second = said([PRICED])
     assert first == (
         "step 1 misses p_min by 0.50 dB of power: the route has a priced length of 8.0 m, "
-        "and the verifier's cheapest route has 7.5 m"
+        "and the cheapest route that the verifier found has 7.5 m"
     )
     assert second.startswith("step 3 misses p_min by 2.00 dB of power")
     assert said([FAR]) == [

@@ -175,7 +175,7 @@ def test_key_figures_are_words(kind: str, pages: dict[str, str]) -> None:
 
 def test_plan_states_its_certificate(pages: dict[str, str]) -> None:
     text = "".join(Elements(pages["plan"]).texts["pre"])
-    assert text.count("before refinement") <= 1  # The certificate does not repeat the result
+    assert text.count("initial guess") <= 1  # The certificate does not repeat the result
     assert "KKT residual" in text and "clearance" in text and "P(connected)" in text
 
 

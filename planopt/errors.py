@@ -90,7 +90,7 @@ _PREDICATE = re.compile(
 
 
 def _sentence(where: list[str], message: str) -> str:
-    """Return location and message as one sentence; the location may be the message's subject."""
+    """Return location and message as one sentence, of which the location may be the subject."""
     if where and _PREDICATE.match(message):
         *before, subject = where[::-1] if message == "does not exist" else where
         words = f"{subject} {message}"
@@ -150,7 +150,7 @@ class InputError(PlanoptError):
         return InputError(self.message, file=self.file, key=below, row=self.row, remedy=self.remedy)
 
     def remedied(self, remedy: str) -> InputError:
-        """Return the error with a remedy, unless it already has one."""
+        """Return the error, with `remedy` added if it has none."""
         return self.located(None, remedy)
 
 

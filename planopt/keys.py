@@ -238,7 +238,7 @@ def _meaning(field: FieldInfo) -> str | None:
 def _resolve(
     location: KeyPath, model: type[BaseModel]
 ) -> tuple[KeyPath, dict[str, FieldInfo], FieldInfo | None]:
-    """Return the key path of a pydantic error location, the fields of its table, and the field."""
+    """Return an error location's key path, all fields of the table with the key, and the field."""
     path: list[str | int] = []
     fields: dict[str, FieldInfo] = {}
     field: FieldInfo | None = None

@@ -1,4 +1,4 @@
-"""Calibration of predictions: ratios over groups, and reliability tables.
+"""Calibration of predictions: ratios of sums over groups, and reliability tables.
 
 Powers of one walk, and steps of one run, are correlated. Intervals are therefore based on groups:
 linearised variances of ratios as in cluster sampling, and Student's t with g - 1 degrees of freedom

@@ -1,8 +1,8 @@
 """Kriging: mean and standard deviation of power from all measurements or from the nearest.
 
-:class:`LocalChannel` is an exact posterior given the measurements nearest to chosen positions, so
-its variance is at least that given all measurements. Path loss and receivers' offsets come from
-all measurements, with their uncertainty.
+:class:`LocalChannel` estimates path loss and receiver offsets, with their uncertainty, from all
+measurements, and shadowing from those nearest to chosen positions. Its variance is at least that
+given all measurements.
 """
 
 from __future__ import annotations

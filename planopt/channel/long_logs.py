@@ -1,7 +1,7 @@
-"""Approximations for long logs: Vecchia's information, receiver offsets, and sites by windows.
+"""Approximations for long logs: Vecchia's likelihood, receiver offsets, intervals in windows.
 
 Each measurement is conditioned on the nearest earlier ones (equation 1.18). Only products of the
-whitened columns are stored, so the cost of one more measurement does not depend on their number.
+whitened columns are stored, so adding a measurement costs the same however long the log is.
 Receiver offsets have separate columns, because the nearest measurements may be from other receivers
 (equation 1.15). With U the covariance of a window, sites included, the cavity of measurement
 i has mean ``y_i - (U^-1 y)_i / (U^-1)_ii`` and variance ``1 / (U^-1)_ii`` less the site's.

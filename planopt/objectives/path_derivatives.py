@@ -48,7 +48,7 @@ class Rows:
     second: Floats  # (h, 3, r) xx, xy, yy; with gates (h, 6, r): xx, xy, yy, xg, yg, gg
 
     def times(self, matrix: Floats) -> Rows:
-        """Return the rows times `matrix` (r, s), or elementwise times a vector (r,)."""
+        """Return the rows times `matrix` (r, s), or scaled by the elements of a vector (r,)."""
         if matrix.ndim == 1:
             return Rows(self.value * matrix, self.first * matrix, self.second * matrix)
         return Rows(self.value @ matrix, self.first @ matrix, self.second @ matrix)

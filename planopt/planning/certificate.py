@@ -109,7 +109,7 @@ def holes_along(places_m: Floats, connectivity: Floats, is_below: Mask) -> tuple
 
 
 def holes_on(problem: Problem, power: Prediction, places_m: Floats) -> tuple[Hole, ...]:
-    """Return the coverage holes of a path (n, 2) whose predicted power is `power`."""
+    """Return the coverage holes of a path (n, 2), along which the predicted power is `power`."""
     threshold = problem.stations[0].threshold_dbm
     chance = connection_probability(power.mean_db, power.deviation_db, threshold)
     slack_db = problem.constraints.rule.slack_max_db or 0.0
@@ -286,9 +286,9 @@ def plan_message(certificate: Certificate, positions_m: Floats) -> str:
         else:
             parts.append(
                 f"P(connected) is below the required value at {steps}: the power is up to "
-                f"{worst:.2f} dB too low. No other route is cheaper by more than the verifier's "
-                f"tolerance: plan and remaining route have a priced length of {path_m:.1f} m "
-                f"(outage included), the cheapest route that the verifier finds has {best_m:.1f} m"
+                f"{worst:.2f} dB too low. The verifier accepts this, because avoiding it is not "
+                f"cheaper: length plus outage penalty is {path_m:.1f} m for plan and remaining "
+                f"route, and {best_m:.1f} m for the cheapest route found, within the tolerance"
             )
     if np.linalg.norm(positions_m[1:] - positions_m[0], axis=1).max() <= STANDSTILL_M:
         parts.append("the plan stands still")

@@ -90,7 +90,7 @@ class PursuitData:
 
 @dataclass(frozen=True, eq=False)
 class Reports:
-    """Reports in the order of first use."""
+    """Reports that pursuers used, in the order of first use."""
 
     pursuer: Indices  # (k,) indices of pursuer and evader
     evader: Indices

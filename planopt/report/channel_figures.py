@@ -185,12 +185,12 @@ def _prediction_maps(
 
 
 def draw_fit(measurements: Measurements | None, fit: ChannelFit, station: Station) -> Figure:
-    """Draw power over distance with the fitted line, and residual covariance over lag.
+    """Draw power against distance with the fitted line, and residual covariance against lag.
 
     Parameters
     ----------
     measurements
-        Measurements used by the fit; None draws the fitted curves alone.
+        Measurements used by the fit; if None, only the fitted curves are drawn.
     fit
         Fitted channel.
     station

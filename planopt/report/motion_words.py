@@ -142,7 +142,10 @@ def bound_in_words(problem: Problem, bound: Bound | None, plans: int = 1) -> lis
     cost = f"the objective of the released plan{s} is {shown_number(bound.cost)}"
     if problem.sense == "min":
         proven = f"no {one} can cost less than {shown_number(bound.value, ' s')}"
-        cost = f"plan{s} and route{s} cost {shown_number(bound.cost, ' s')} with outage integrated"
+        cost = (
+            f"plan{s} and remaining route{s} cost {shown_number(bound.cost, ' s')} with the outage "
+            "integrated along them"
+        )
     lines = [
         f"proven bound: {proven}; {cost} (gap {100.0 * bound.gap:.2f} %; method: {bound.method})"
     ]

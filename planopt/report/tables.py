@@ -147,7 +147,7 @@ def figures_in_words(figures: Iterable[tuple[str, object]]) -> Iterator[tuple[st
 
 
 def symbols_in_words(metrics: Iterable[str]) -> list[str]:
-    """Return a line that explains symbols in the names of metrics; empty without symbols."""
+    """Return a line that explains symbols in the names of metrics; empty if there are none."""
     listed = " ".join(metrics)
     words = [words for metric, words in SYMBOLS.items() if metric in listed]
     return ["; ".join(words)] if words else []

@@ -408,7 +408,7 @@ class Unicycle(Dynamics):
         return float(np.max(np.concatenate([step_s * speed, sideways])))
 
     def unit_m(self, step_s: float) -> tuple[float, ...]:
-        """Return the displacement per unit of state: 1 m for position, a full step for heading."""
+        """Return displacements in m per unit of each state: for a heading, a step at full speed."""
         return (1.0, 1.0, self.speed_max_m_s * step_s)
 
 

@@ -170,14 +170,16 @@ class CoverageProblem(TaskProblem):
         """Return a text summary of the problem, line by line."""
         config, limit = self.config, self.config.agents.speed_max_m_s
         speed = "without a speed limit" if limit is None else f"at most {limit:g} m/s"
-        counted = config.counting.method
+        counted = "agents know their number"
+        if config.counting.method != "known":
+            counted = f"agents count themselves by {config.counting.method}"
         lines = [
             f"{self.name}: {self.description}",
             f"  task        coverage, planner {config.planner.name}, steps of "
             f"{config.control.time_step_s:g} s, at most {config.control.duration_s:g} s",
             f"  region      {self.scene.ground.area_m2:g} m^2, {len(self.obstacles)} obstacles, "
             f"density {config.density.kind}",
-            f"  agents      {config.agents.start.number}, {speed}; counting method: {counted}",
+            f"  agents      {config.agents.start.number}, {speed}; {counted}",
         ]
         for event in self.scene.events:
             x, y = event.place_m

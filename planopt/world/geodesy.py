@@ -122,7 +122,7 @@ def _axes(origin_deg: Origin) -> Floats:
 
 
 def turn_deg(origin_deg: Origin) -> float:
-    """Return the angle in degrees from east to the x axis."""
+    """Return the angle in degrees, counter-clockwise, from east to the x axis."""
     return origin_deg[2] if len(origin_deg) == 3 else 0.0
 
 

@@ -13,11 +13,11 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 71_237,
-    "lines of code": 52_696,
+    "lines": 71_482,
+    "lines of code": 52_897,
     "files": 247,
-    "functions": 3_800,
-    "docstring lines": 7_549,
+    "functions": 3_809,
+    "docstring lines": 7_565,
     "lines of tests": 47_500,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""

@@ -1,7 +1,8 @@
 """Gaps of proven bounds on additive tracking over time, for seeded single steps.
 
 Run from the project's root: python benchmarks/bound_cases.py --steps 10 --count 102 --seeds 40
-Scenes are those of `tracking_scene.py`: eight obstacles and p_min = 0.8; `--free` drops both.
+Scenes are those of `tracking_scene.py`: eight obstacles and p_min = 0.8; `--free` drops both. With
+`--team`, `outdoor_track` is solved: three robots that keep apart, each given the others' plans.
 Times are processor times, with planning excluded.
 """
 
@@ -14,18 +15,17 @@ from time import process_time
 import numpy as np
 from tracking_scene import context_in, single_step
 
-from planopt.bounds.multipliers import local_optimum, tilts_near
-from planopt.bounds.tube import tube_bounds
+import planopt
+from planopt.bounds import tube
+from planopt.planning import prove
 from planopt.planning.horizon_planner import HorizonPlanner
-from planopt.planning.proof.bounds import stages_of
-from planopt.planning.prove import SURPLUS, better_of
 from planopt.planning.scene import build_ground
+from planopt.planning.solve import proven
+from planopt.world.motion import NOTHING_MOVES
 
 
-def gaps_of(
-    steps: int, count: int, seed: int, limit_s: float, free: bool
-) -> list[tuple[float, float]]:
-    """Processor times and gaps of the bounds of one step, until the limit."""
+def gaps_of(steps: int, count: int, seed: int, limits_s: list[float], free: bool) -> list[float]:
+    """Gaps of one plan after some processor times, each from a search of its own."""
     place, at, scorer = single_step(steps, count, seed)
     if free:
         problem = place.problem
@@ -35,21 +35,27 @@ def gaps_of(
         place = replace(place, problem=problem, ground=build_ground(problem, at.position_m))
         at, scorer = context_in(place, place.belief, at.position_m, np.asarray(at.aim.target_m))
     plan = HorizonPlanner(place.problem, place.ground).plan(at, scorer)
-    begun, found = process_time(), list[tuple[float, float]]()
-    stages = stages_of(place.problem, at, plan)
-    if isinstance(stages, str):
-        raise AssertionError(stages)
-    optimum = local_optimum(stages, plan.positions_m[1:], SURPLUS)
-    plan = better_of(at, plan, optimum)
-    tilts = tilts_near(
-        stages, [plan.positions_m[1:], optimum], at.law.posteriors[0].measurements.positions_m
-    )
-    for bound in tube_bounds(stages, plan.objective, tilts, 1e6):
-        taken = process_time() - begun
-        if taken > limit_s:
-            break
-        found.append((taken, bound.value / plan.objective - 1.0))
+    found = list[float]()
+    for limit_s in limits_s:
+        given = place.problem, place.belief, plan, at.aim, NOTHING_MOVES
+        bound = prove.with_sum_bound(*given, limit_s, improves=True).bound
+        assert bound is not None
+        assert bound.gap is not None
+        found.append(bound.gap)
     return found
+
+
+def team_gaps(steps: int, count: int, seed: int, limits_s: list[float]) -> list[list[float]]:
+    """Gaps of the three robots of `outdoor_track` after some processor times."""
+    problem = planopt.load("outdoor_track")
+    measured = replace(problem.channel.measurements, count=count)
+    problem = replace(problem, channel=replace(problem.channel, measurements=measured))
+    solution = planopt.solve(problem, horizon=steps, seed=seed)
+    bounds = [
+        [plan.bound for plan in proven(solution, limit_s).plans if plan.bound is not None]
+        for limit_s in limits_s
+    ]
+    return [[each.gap or 0.0 for each in robot] for robot in zip(*bounds, strict=True)]
 
 
 def main() -> None:
@@ -61,20 +67,22 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, default=40)
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--free", action="store_true")
+    parser.add_argument("--team", action="store_true")
     given = parser.parse_args()
+    tube.monotonic = prove.monotonic = process_time
+    limits = [limit for limit in (1.0, 10.0, 30.0) if limit <= given.seconds]
     seeds = range(given.first_seed, given.first_seed + given.seeds)
-    cases = []
+    cases: list[list[float]] = []
     for seed in seeds:
-        cases.append(gaps_of(given.steps, given.count, seed, given.seconds, given.free))
+        if given.team:
+            cases += team_gaps(given.steps, given.count, seed, limits)
+        else:
+            cases.append(gaps_of(given.steps, given.count, seed, limits, given.free))
+        words = zip(limits, cases[-1], strict=True)
         print(
-            f"seed {seed}:",
-            ", ".join(f"{t:.2f} s {100 * gap:.3f} %" for t, gap in cases[-1]),
-            flush=True,
+            f"seed {seed}:", ", ".join(f"{t:g} s {100 * gap:.3f} %" for t, gap in words), flush=True
         )
-    for limit in (1.0, 10.0, 30.0):
-        if limit > given.seconds:
-            break
-        gaps = [min([gap for t, gap in case if t <= limit], default=np.inf) for case in cases]
+    for limit, gaps in zip(limits, np.array(cases).T, strict=True):
         middle, high, worst = 100.0 * np.quantile(gaps, [0.5, 0.95, 1.0], method="higher")
         print(f"{limit:g} s: median {middle:.3f} %, 95 % {high:.3f} %, worst {worst:.3f} %")
 

@@ -15,6 +15,12 @@ GAP_TOLERANCE = 1e-6
 """Largest relative error of the cost that a bound is compared with; its outage is a quadrature."""
 
 
+SEPARATION = "the separation of robots"
+"""Words for a constraint that a bound ignores."""
+GIVEN_PLANS = "the bound of a robot holds only given the other robots' plans"
+"""Reason why the robots' bounds do not add up."""
+
+
 def relative_gap(cost: float, bound: float, sense: Sense) -> float:
     """Return the gap between a cost and its bound, relative to the cost; below 0 if violated."""
     better = cost - bound if sense == "min" else bound - cost
@@ -49,7 +55,9 @@ class Tilts(Design):
     of_steps: Floats  # (t, N, 2) of the moves
     of_p_min: Floats  # (t, N) of the chance constraint, at least 0
     levels: int  # Number of levels of cells
-    value: float  # Proven bound
+    value: float  # Proven bound, given the other robots' plans
+    alone_levels: int
+    alone_value: float  # Proven bound without the other robots
 
 
 @dataclass(frozen=True)
@@ -74,6 +82,10 @@ class Bound:
         Reason why there is no bound; empty if there is one.
     relaxed
         Constraints that the bound ignores. Ignoring them keeps the bound valid, but loosens it.
+    alone
+        Bound that holds whatever the other robots do; None if none is proven. It differs from
+        `value` if robots with a sum of terms keep apart: `value` then holds given the other
+        robots' plans.
     wall_s
         Wall time of the bound's computation, in seconds.
     certificate
@@ -93,6 +105,7 @@ class Bound:
     method: str | None = None
     reason: str = ""
     relaxed: tuple[str, ...] = ()
+    alone: float | None = None
     wall_s: float = 0.0
     certificate: Potential | Tilts | None = None
 
@@ -112,10 +125,12 @@ def total_bound(bounds: Sequence[Bound], sense: Sense) -> Bound:
     cost = sum(bound.cost for bound in bounds)
     if len(bounds) == 1:
         return bounds[0]
-    missing = [bound.reason for bound in bounds if bound.value is None]
-    value = None if missing else sum(bound.value or 0.0 for bound in bounds)
+    missing = [bound.reason or GIVEN_PLANS for bound in bounds if bound.alone is None]
+    value = None if missing else sum(bound.alone or 0.0 for bound in bounds)
     methods = dict.fromkeys(bound.method for bound in bounds if bound.method)
     relaxed = dict.fromkeys(words for bound in bounds for words in bound.relaxed)
+    if any(bound.alone != bound.value for bound in bounds):
+        relaxed[SEPARATION] = None
     side = "lower" if sense == "min" else "upper"
     return Bound(
         value,
@@ -124,5 +139,6 @@ def total_bound(bounds: Sequence[Bound], sense: Sense) -> Bound:
         None if missing else f"sum of the robots' {side} bounds: {'; '.join(methods)}",
         missing[0] if missing else "",
         tuple(relaxed),
+        value,
         sum(bound.wall_s for bound in bounds),
     )

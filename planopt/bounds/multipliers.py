@@ -19,6 +19,7 @@ from planopt.bounds.bound import Design
 from planopt.bounds.stages import repeated
 from planopt.bounds.tube import (
     FIRST_SHARE,
+    KeepOut,
     StageProblem,
     divided,
     evaluated,
@@ -38,6 +39,8 @@ MOST_ITERATIONS = 100
 """Maximum number of iterations of a local search."""
 ROUNDED = 1e-3
 """Smoothing width of step lengths in a local search, relative to the longest step."""
+APART_M = 5e-4
+"""Distance that a local search adds to the radius of discs, as its steps are shortened later."""
 AT_KINK_M = 0.02
 """Distance from a position of a measurement at which the gradient is not determined."""
 AT_P_MIN = 0.02
@@ -62,7 +65,6 @@ def stage_rewards(problem: StageProblem, path_m: Array) -> tuple[Array, Array, F
 def local_optimum(problem: StageProblem, path_m: Array, surplus: float = 0.0) -> Array:
     """Return a nearly optimal path (N, 2) that ignores obstacles; `surplus` is added to p_min."""
     shape, scale = path_m.shape, 1.0 / problem.step_m**2
-    stage = np.arange(problem.steps)
     least = np.zeros(problem.steps) if problem.p_min is None else problem.p_min
     bounded = np.flatnonzero(least > 0.0)
     known: dict[bytes, tuple[Array, Array, Field]] = {}
@@ -83,23 +85,26 @@ def local_optimum(problem: StageProblem, path_m: Array, surplus: float = 0.0) ->
         return float(problem.per_metre * length.sum() - values.sum()), (pull - slopes).ravel()
 
     def room(flat: Array) -> Array:
-        moves = np.diff(np.vstack([problem.start_m, flat.reshape(shape)]), axis=0)
-        rest = 1.0 - scale * (moves**2).sum(axis=1)
-        if not len(bounded):
-            return rest
-        chance = at(flat)[2]["chance"].value[bounded] - least[bounded] - surplus
-        return np.concatenate([rest, chance])
+        path = np.vstack([problem.start_m, flat.reshape(shape)])
+        found = [1.0 - scale * (np.diff(path, axis=0) ** 2).sum(axis=1)]
+        for each in problem.keep_outs:
+            away = (nearest_to(each, path)[0] ** 2).sum(axis=1)
+            found.append(scale * (away - np.maximum(each.on_way_m + APART_M, 0.0) ** 2))
+        if len(bounded):
+            found.append(at(flat)[2]["chance"].value[bounded] - least[bounded] - surplus)
+        return np.concatenate(found)
 
     def room_slope(flat: Array) -> Array:
-        moves = np.diff(np.vstack([problem.start_m, flat.reshape(shape)]), axis=0)
-        found = np.zeros((len(stage) + len(bounded), *shape))
-        found[stage, stage] = -2.0 * scale * moves
-        found[stage[1:], stage[:-1]] = 2.0 * scale * moves[1:]
+        path = np.vstack([problem.start_m, flat.reshape(shape)])
+        moves = 2.0 * scale * np.diff(path, axis=0)
+        found = [slopes_of(moves, -moves)]
+        for each in problem.keep_outs:
+            away, share = nearest_to(each, path)
+            away *= 2.0 * scale
+            found.append(slopes_of((1.0 - share) * away, share * away))
         if len(bounded):
-            found[len(stage) + np.arange(len(bounded)), bounded] = at(flat)[2]["chance"].slope[
-                bounded
-            ]
-        return found.reshape(len(found), -1)
+            found.append(slopes_of(0.0 * moves, at(flat)[2]["chance"].slope)[bounded])
+        return np.concatenate(found)
 
     limits: Any = {"type": "ineq", "fun": room, "jac": room_slope}
     options: Any = {"maxiter": MOST_ITERATIONS, "ftol": 1e-10}
@@ -107,6 +112,23 @@ def local_optimum(problem: StageProblem, path_m: Array, surplus: float = 0.0) ->
         loss, path_m.ravel(), jac=True, method="SLSQP", constraints=limits, options=options
     )
     return np.asarray(found.x, dtype=np.float64).reshape(shape)
+
+
+def nearest_to(each: KeepOut, path_m: Array) -> tuple[Array, Array]:
+    """Return where a path's steps are nearest to a disc's centre (N, 2), and shares (N, 1)."""
+    first, last = path_m[:-1] - each.centre_m[:-1], path_m[1:] - each.centre_m[1:]
+    square = np.maximum(((last - first) ** 2).sum(axis=1), 1e-300)
+    share = np.clip(-((last - first) * first).sum(axis=1) / square, 0.0, 1.0)[:, None]
+    return first + share * (last - first), share
+
+
+def slopes_of(before: Array, after: Array) -> Array:
+    """Return derivatives (N, 2 N) by all positions from those by the ends of each step (N, 2)."""
+    stage = np.arange(len(after))
+    found = np.zeros((len(after), *after.shape))
+    found[stage, stage] = after
+    found[stage[1:], stage[:-1]] = before[1:]
+    return found.reshape(len(found), -1)
 
 
 def tilts_near(
@@ -118,8 +140,8 @@ def tilts_near(
         is_free = np.ones(len(path), dtype=np.bool_)
         if len(kinks_m):
             is_free &= np.linalg.norm(path[:, None] - kinks_m, axis=2).min(axis=1) > AT_KINK_M
-        for area in problem.blocked:
-            is_free &= shapely.distance(area, shapely.points(path)) > AT_KINK_M
+        for k, place in enumerate(map(shapely.Point, path)):
+            is_free[k] &= all(area.distance(place) > AT_KINK_M for area in problem.areas(k))
         found.append(multipliers_of(problem, path, is_free))
     return found
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from planopt.bounds.bound import SEPARATION
 from planopt.bounds.route import RouteProblem
 from planopt.channel.posterior import ChannelPosterior
 from planopt.problems.problem import Problem
@@ -15,6 +16,8 @@ from planopt.robots.models import DoubleIntegrator, SingleIntegrator, Unicycle
 
 LEAST_FADING_DB = 0.05
 """Minimum standard deviation of multipath fading for which probabilities can be bounded."""
+MOVING = "moving obstacles"
+"""Words for a constraint that the bound of a route ignores."""
 SAG_SHARE = 1.001
 """Factor on the sag of a step (distance from its chord), for the verifier's input tolerance."""
 
@@ -55,13 +58,13 @@ def ignored_motion(problem: Problem, robots: int) -> tuple[str, ...]:
     """Return descriptions of the motion constraints that no bound considers."""
     found: list[str] = []
     if problem.workspace.moving:
-        found.append("moving obstacles")
+        found.append(MOVING)
     if problem.workspace.timed:
         found.append("obstacles that appear or disappear")
     if not problem.robots[0].moves_freely:
         found.append("inertia and turning")
     if robots > 1 and problem.constraints.separation_m > 0.0:
-        found.append("the separation of robots")
+        found.append(SEPARATION)
     return tuple(found)
 
 

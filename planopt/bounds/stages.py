@@ -16,9 +16,9 @@ import shapely
 from planopt.arrays import Floats, Mask
 from planopt.bounds.bound import Design
 from planopt.bounds.enclosure import PowerEnclosure, PowerModel, VarianceDifference
-from planopt.bounds.reach import ignored_motion, why_not_enclosed
+from planopt.bounds.reach import MOVING, ignored_motion, longest_sag_m, why_not_enclosed
 from planopt.bounds.route import INNER_SHARE
-from planopt.bounds.tube import LARGEST, Chain, StageProblem
+from planopt.bounds.tube import LARGEST, Chain, KeepOut, StageProblem
 from planopt.channel.measurements import SAME_PLACE_M
 from planopt.channel.posterior import ChannelPosterior, with_repeated
 from planopt.objectives.terms.term import TermContext
@@ -35,6 +35,7 @@ from planopt.objectives.upper_bounds import (
     no_reward,
 )
 from planopt.problems.problem import Problem
+from planopt.world.motion import NOTHING_MOVES, MovingDiscs
 
 Array = Floats
 
@@ -170,7 +171,12 @@ def repeated(
 
 
 def stage_problem(
-    problem: Problem, at: TermContext, terms: SummedTerms, kept: Mask, design: Design | None = None
+    problem: Problem,
+    at: TermContext,
+    terms: SummedTerms,
+    kept: Mask,
+    design: Design | None = None,
+    moving: MovingDiscs = NOTHING_MOVES,  # Discs that the robot avoids, for instance other robots
 ) -> StageProblem:
     """Return the first robot's stage problem; p_min applies to steps in the mask `kept` (N,)."""
     measured, relaxation = None, None
@@ -208,6 +214,8 @@ def stage_problem(
         measured=measured,
         chain=None if relaxation is None else relaxation.chain,
         p_min=np.where(kept, problem.constraints.p_min - LESS_CHANCE, 0.0) if kept.any() else None,
+        keep_outs=keep_outs(problem, moving, len(kept)),
+        sag_m=longest_sag_m(problem) or 0.0,
     )
 
 
@@ -290,13 +298,26 @@ def blocked_parts(problem: Problem) -> list[shapely.Polygon]:
     return [part for part in parts if isinstance(part, shapely.Polygon)]
 
 
-def ignored_constraints(problem: Problem, robots: int) -> tuple[str, ...]:
+def keep_outs(problem: Problem, moving: MovingDiscs, steps: int) -> list[KeepOut]:
+    """Return the discs that the first robot's positions and motions may not enter."""
+    sag_m = longest_sag_m(problem) or 0.0
+    centres_m, bulges_m = moving.centres_m[:, : steps + 1], moving.bulges_m[:, :steps]
+    radii_m = moving.radius_m[:, :steps] + moving.least_m[:, None] - 2.0 * CLOSER_M
+    return [
+        KeepOut(centre, radius, radius - bulge - sag_m, is_robot)
+        for centre, radius, bulge, is_robot in zip(
+            centres_m, radii_m, bulges_m, moving.is_robot.tolist(), strict=True
+        )
+    ]
+
+
+def ignored_constraints(problem: Problem) -> tuple[str, ...]:
     """Return descriptions of the constraints that the bound of a robot ignores."""
     rule = problem.constraints.rule
     found = () if rule.is_plain else (f"the rule {rule.connectivity}",)
     if len(problem.workspace.lasting):
-        found = (*found, "obstacles between the ends of a step")
-    return (*found, *ignored_motion(problem, robots))
+        found = (*found, "some obstacles between the ends of a step")
+    return (*found, *(words for words in ignored_motion(problem, 1) if words != MOVING))
 
 
 def is_design(design: Design) -> bool:

@@ -13,7 +13,7 @@ local optimum make the bound exact up to the square of the cell size.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from time import monotonic
 
@@ -21,7 +21,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from planopt.arrays import Floats, Indices
+from planopt.arrays import Floats, Indices, Mask
 from planopt.bounds.bound import Tilts
 from planopt.bounds.enclosure import PowerEnclosure, prior_covariances
 from planopt.channel.posterior import ChannelPosterior
@@ -33,6 +33,7 @@ from planopt.objectives.upper_bounds import (
     UpperBounds,
     constant_bounds,
 )
+from planopt.world.motion import closest_approach_m
 
 Slices = tuple[slice, slice]
 
@@ -157,12 +158,18 @@ MOST_LEVELS = 30
 """Maximum number of levels of cells."""
 MOST_CELLS = 200_000
 """Maximum number of cells per level, over all stages."""
+MOST_TILTS = 3
+"""Maximum number of tilts that the search uses at a level."""
 GAP = 1e-4
 """Cells are dropped unless they may beat the value of a feasible path by this share of it."""
 MOST_PAIRS = 2_000_000
 """Maximum number of pairs of cells of successive stages that are evaluated one by one."""
 PAIRS_PER_NODE, NODES_PER_OFFSET = 0.25, 2000
 """Cell pairs that take as long as one grid node, and grid nodes that take as long as one offset."""
+DISC_SIDES = 128
+"""Number of sides of the polygons inside discs."""
+WAY_PARTS = 8
+"""Number of equal parts into which moves are divided to test them for obstacles."""
 ROUNDING = 1e-10
 """Relative widening of every bound, far above the rounding errors of its sums."""
 OUTSIDE_M = 3e-6
@@ -171,6 +178,21 @@ LARGEST = 1e12
 """Limit of the multipliers and the value of a saved certificate."""
 MARGIN = 1e-9
 """Relative margin of a claimed bound; a proof on another processor rounds differently."""
+
+
+@dataclass(frozen=True, eq=False)
+class KeepOut:
+    """Disc that no path enters; its centre moves straight at constant speed during each step."""
+
+    centre_m: Array  # (N + 1, 2) at the start and after each step
+    radius_m: Array  # (N,) after each step
+    on_way_m: Array  # (N,) during each step; the difference allows for curved motions
+    is_robot: bool
+
+    def polygon(self, stage: int) -> shapely.Polygon:
+        """Return a polygon inside the disc after a stage (from 0)."""
+        radius = max(0.0, float(self.radius_m[stage]))
+        return shapely.Point(self.centre_m[stage + 1]).buffer(radius, DISC_SIDES // 4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,6 +216,16 @@ class StageProblem:
     p_min: Array | None = None
     measured: Measured | None = None  # Information that a design bounds
     chain: Chain | None = None
+    keep_outs: Sequence[KeepOut] = ()
+    sag_m: float = 0.0  # Largest distance of a motion from the straight move of the step
+
+    def alone(self) -> StageProblem:
+        """Return the problem without the other robots."""
+        return replace(self, keep_outs=[each for each in self.keep_outs if not each.is_robot])
+
+    def areas(self, stage: int) -> list[shapely.Polygon]:
+        """Return the areas that no path visits after a stage (from 0)."""
+        return [*(each.polygon(stage) for each in self.keep_outs), *self.blocked]
 
 
 @dataclass(frozen=True)
@@ -217,6 +249,7 @@ class Level:
     rewards: list[UpperBounds]
     # For each stage, pairs (s, 2) of a cell and a surely connected position in it, and rewards (s,)
     sure: list[tuple[Cells, Array]]
+    core: shapely.Geometry  # Part of the blocked areas: a move between centres may not enter it
     # For each stage, rows (v,) of cells that blocked areas cut, and corners (v, 2) of what is left
     # relative to the centre
     cut: list[tuple[Indices, Array]]
@@ -235,17 +268,29 @@ class Level:
 
 
 def tube_bounds(
-    problem: StageProblem, known: float, tilts: Sequence[Tilt], seconds: float
+    problem: StageProblem,
+    known: float,
+    tilts: Sequence[Tilt],
+    seconds: float,
+    improved: Callable[[Array], float] | None = None,
 ) -> Iterator[TubeBound]:
-    """Yield ever tighter upper bounds on the value of all paths until the time limit."""
-    # Each tilt has multipliers of steps (N, 2) and of p_min (N,).
+    """Yield ever tighter upper bounds on the value of all paths until the time limit.
+
+    `improved` maps the positions (N, 2) of the relaxed problem's best path to the value of the best
+    known path, and may append multipliers to `tilts`, of which the search uses the last ones.
+    """
     begun, best = monotonic(), np.inf
     threshold = known + GAP * abs(known)
     side, active = FIRST_SHARE * problem.step_m, first_cells(problem)
     for number in range(1, MOST_LEVELS + 1):
         level_begun = monotonic()
         level = evaluated(problem, side, active)
-        through = through_bounds(level, [untilted(problem), *tilts])
+        through = through_bounds(level, [untilted(problem), *tilts[-MOST_TILTS:]])
+        if improved is not None and min(map(len, through)):
+            best_cells = [int(each.argmax()) for each in through]
+            path = [level.offsets_m(k)[cell] for k, cell in enumerate(best_cells)]
+            known = improved(problem.start_m + np.array(path))
+            threshold = known + GAP * abs(known)
         highest = max(threshold, min(float(each.max(initial=-np.inf)) for each in through))
         best = min(best, highest + MARGIN * abs(highest))
         cells = sum(map(len, level.active))
@@ -323,10 +368,11 @@ def open_cells(problem: StageProblem, cells: Cells, side: float, stage: int) -> 
     inside &= (corner <= np.array([x1, y1]) + OUTSIDE_M).all(axis=1)
     inside &= (corner + side >= np.array([x0, y0]) - OUTSIDE_M).all(axis=1)
     cells, corner = cells[inside], corner[inside]
-    if not problem.blocked or not len(cells):
+    areas = problem.areas(stage - 1)
+    if not areas or not len(cells):
         return cells
     boxes = squares(corner, side)
-    hidden, _ = shapely.STRtree(problem.blocked).query(boxes, predicate="covered_by")
+    hidden, _ = shapely.STRtree(areas).query(boxes, predicate="covered_by")
     return np.delete(cells, hidden, axis=0)
 
 
@@ -341,9 +387,13 @@ def evaluated(
 ) -> Level:
     """Return a level of the active cells, with bounds of the reward of each cell."""
     cells, place = np.unique(np.vstack(active), axis=0, return_inverse=True)
-    level = Level(problem, side, [], [], [], [], [], size)
+    # GEOS shrinks polygons by up to a hundredth too little.
+    inset = 1.02 * (np.sqrt(0.5) * side + problem.sag_m)
+    core = shapely.MultiPolygon(problem.blocked).buffer(-inset)
+    shapely.prepare(core)
+    level = Level(problem, side, [], [], [], [], core, [], size)
     field = level.field(cells)
-    owner, corner = cut_corners(problem, field.discs.centre_m, side)
+    centres = field.discs.centre_m
     ends = np.cumsum([len(each) for each in active])[:-1]
     for stage, rows in enumerate(np.split(place.ravel(), ends)):
         own, (pairs, values) = active[stage], sure_rewards(problem, stage, active[stage], side)
@@ -356,36 +406,25 @@ def evaluated(
         level.fields.append(field.at(rows))
         level.rewards.append(problem.reward(stage, level.fields[-1]))
         level.sure.append((pairs, values))
-        level.cut.append(joined(rows, owner, corner))
+        level.cut.append(cut_corners(problem.areas(stage), centres[rows], side))
     return level
 
 
-def cut_corners(problem: StageProblem, centres: Array, side: float) -> tuple[Indices, Array]:
+def cut_corners(
+    areas: Sequence[shapely.Polygon], centres: Array, side: float
+) -> tuple[Indices, Array]:
     """Return cells (v,) cut by blocked areas, and corners (v, 2) of the cells' free parts."""
-    nothing = np.zeros(0, dtype=np.intp), np.zeros((0, 2))
-    if not problem.blocked:
-        return nothing
+    if not areas:
+        return np.zeros(0, dtype=np.intp), np.zeros((0, 2))
     boxes = squares(centres - 0.5 * side, side)
-    cells, areas = shapely.STRtree(problem.blocked).query(boxes, predicate="intersects")
-    if not len(cells):
-        return nothing
-    parts = shapely.difference(boxes[cells], np.array(problem.blocked)[areas])
+    cells, cutters = shapely.STRtree(areas).query(boxes, predicate="intersects")
+    parts = shapely.difference(boxes[cells], np.array(areas)[cutters])
     # A cell that two areas cut is cut by the first only.
     places, owner = shapely.get_coordinates(parts, return_index=True)
     first = np.concatenate([[True], cells[1:] != cells[:-1]])
     kept = first[owner]
     owner = cells[owner[kept]]
     return owner, places[kept] - centres[owner]
-
-
-def joined(rows: Indices, owner: Indices, corner: Array) -> tuple[Indices, Array]:
-    """Return indices (v,) into `rows`, and corners (v, 2): all corners of the cells `rows`."""
-    first = np.searchsorted(owner, rows, side="left")
-    count = np.searchsorted(owner, rows, side="right") - first
-    which = np.repeat(np.arange(len(rows)), count)
-    begins = np.cumsum(count) - count
-    at = first[which] + np.arange(len(which)) - begins[which]
-    return which, corner[at]
 
 
 def sure_rewards(
@@ -535,6 +574,7 @@ class Step:
         ):
             right, up = (after[:, i] - before[:, i, None] - low[i] for i in (0, 1))
             outside = (right < 0) | (right >= rows) | (up < 0) | (up >= columns)
+            outside |= never_moved(level, stage, ~outside)
             places = np.where(outside, rows * columns, right * columns + up).astype(np.intp)
         return cls((before, after), low, offsets, away[near], (rows, columns), places)
 
@@ -567,6 +607,40 @@ class Step:
         for (i, j), move in zip((margin - offsets).tolist(), moves.tolist(), strict=True):
             np.maximum(reached, grid[i : i + rows, j : j + columns] + move, out=reached)
         return reached[tuple((wanted - corner).T)]
+
+
+def never_moved(level: Level, stage: int, near: Mask) -> Mask:
+    """Return a mask (n, m) of pairs of cells near each other that no path moves between."""
+    # A point of a move is within half a diagonal of the same point of the centres' move.
+    problem, margin_m = level.problem, np.sqrt(0.5) * level.side_m
+    found, (one, other) = np.zeros_like(near), np.nonzero(near)
+    before, after = (problem.start_m + level.offsets_m(stage - 1 + k) for k in (0, 1))
+    for each in problem.keep_outs:
+        centres = each.centre_m[stage : stage + 2]
+        nearest_m = closest_approach_m(before[one], after[other], centres[:1], centres[1:])
+        found[one, other] |= nearest_m < each.on_way_m[stage] - margin_m
+    core = level.core
+    if shapely.is_empty(core):
+        return found
+    ends_m = [np.asarray(shapely.points(each)) for each in (before, after)]
+    # The stubs of shapely leave the type of keyword arguments open.
+    away = [shapely.distance(core, each) for each in ends_m]  # pyright: ignore[reportUnknownMemberType]
+    close = away[0][one] + away[1][other] <= np.hypot(*(after[other] - before[one]).T)
+    one, other = one[close], other[close]
+    if len(one):
+        ends, hit = (level.active[stage - 1][one], level.active[stage][other]), False
+        for share in range(1, WAY_PARTS):
+            place = (WAY_PARTS - share) * ends[0] + share * ends[1]
+            low = place.min(axis=0)
+            inside = np.zeros(place.max(axis=0) + 1 - low, dtype=np.bool_)
+            at = tuple((place - low).T)
+            inside[at] = True
+            visited = np.argwhere(inside)
+            there = problem.start_m + ((visited + low) / WAY_PARTS + 0.5) * level.side_m
+            inside[tuple(visited.T)] = shapely.contains_xy(core, *there.T)
+            hit |= inside[at]
+        found[one, other] |= hit
+    return found
 
 
 def move_bounds(

@@ -21,20 +21,41 @@ from planopt.bounds.route import route_bounds
 from planopt.bounds.tube import StageProblem, tube_bounds
 from planopt.channel.posterior import Belief
 from planopt.planning.candidates import Scorer
-from planopt.planning.plan import Plan, Termination, Verdict
+from planopt.planning.horizon_planner import FallbackCascade
+from planopt.planning.plan import Plan, Rung, Termination, Verdict
 from planopt.planning.proof.bounds import bound_of, bound_of_sum, stages_of
 from planopt.planning.proof.rule import verifier_context
+from planopt.planning.refinement import Refinement
+from planopt.planning.reservations import (
+    discs_to_avoid,
+    others_of,
+    planned_motion,
+    with_separations,
+)
 from planopt.planning.route_smoothing import RouteSmoothing
+from planopt.planning.scene import build_ground
+from planopt.planning.search.guess_search import Guess
 from planopt.planning.tolerances import STEP_PAD_M
-from planopt.planning.values.context import Aim, StepContext, step_context, workspace_region
+from planopt.planning.values.context import (
+    Aim,
+    StepContext,
+    counts_others,
+    step_context,
+    workspace_region,
+)
 from planopt.planning.values.objective_value import ObjectiveValue
 from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.clearance import index_obstacles
+from planopt.world.motion import MovingDiscs
 
 LEAST_SHARE = 0.3
 """Minimum share of the time that is reserved for the bound."""
 DESIGN_SHARE = 0.3
 """Share of the time for the design of a bound on information."""
+ALONE_SHARE = 0.2
+"""Share of the time for the bound that holds whatever the other robots do."""
+SWEEPS, IMPROVING_SHARE = 2, 0.2
+"""Searches for better plans of robots that keep apart, before their bounds; time of each."""
 SURPLUS = 2e-5
 """Surplus of the probability of connection over the bound's p_min in an improved plan."""
 
@@ -46,13 +67,12 @@ def proven_plans(
 
     Each robot gets the same share of the time.
     """
+    if not problem.has_goal:
+        return with_sum_bounds(problem, belief, plans, aims, seconds)
     found: list[Plan] = []
-    for number, (plan, aim) in enumerate(zip(plans, aims, strict=True)):
+    for number, plan in enumerate(plans):
         own = problem_of_robot(problem, number)
         share = seconds / len(plans)
-        if not problem.has_goal:
-            found.append(with_sum_bound(own, belief, plan, aim, share, len(plans)))
-            continue
         reason = why_unbounded(own, belief.posteriors)
         if reason:
             found.append(
@@ -71,13 +91,43 @@ def proven_plans(
     return tuple(found)
 
 
+def with_sum_bounds(
+    problem: Problem, belief: Belief, plans: Sequence[Plan], aims: Sequence[Aim], seconds: float
+) -> tuple[Plan, ...]:
+    """Return the plans, or better plans nearby, with bounds given the other robots' plans."""
+    found, apart = list(plans), problem.has_separation
+    share = seconds / len(plans)
+    # A better plan would change the values of plans that count its measurements.
+    improves = len(plans) == 1 or not counts_others(problem)
+    # If robots keep apart, a better plan changes the problems of the others, so it comes first.
+    sweeps = SWEEPS if apart and improves else 0
+    limits_s = [IMPROVING_SHARE * share] * sweeps
+    for limit_s in [*limits_s, share - sum(limits_s)]:
+        is_changed = improves and (not apart or sweeps > 0)
+        sweeps -= 1
+        for number, aim in enumerate(aims):
+            motions = [planned_motion(problem, plan) for plan in found]
+            moving = discs_to_avoid(problem, 0, others_of(motions, number))
+            own = problem_of_robot(problem, number)
+            found[number] = with_sum_bound(
+                own, belief, found[number], aim, moving, limit_s, is_changed
+            )
+    return tuple(with_separations(problem, 0, found))
+
+
 def with_sum_bound(
-    problem: Problem, belief: Belief, plan: Plan, aim: Aim, seconds: float, robots: int
+    problem: Problem,
+    belief: Belief,
+    plan: Plan,
+    aim: Aim,
+    moving: MovingDiscs,
+    seconds: float,
+    improves: bool,
 ) -> Plan:
     """Return the first robot's plan, or a better plan nearby, with a bound on its objective."""
     begun, index = monotonic(), index_obstacles(problem.workspace)
     start = plan.positions_m[0] if plan.drive is None else plan.drive.states[0]
-    base = verifier_context(problem, index, belief.posteriors, start)
+    base = verifier_context(problem, index, belief.posteriors, start, moving=moving)
     at = step_context(base, workspace_region(problem), aim)
     stages = stages_of(problem, at, plan)
     if isinstance(stages, str):
@@ -99,16 +149,53 @@ def with_sum_bound(
         optimum = best_place(exact, 0.3 * seconds).place_m[None]
     else:
         optimum = local_optimum(stages, plan.positions_m[1:], SURPLUS)
-    if robots == 1 or problem.constraints.separation_m == 0.0:
-        plan = better_of(at, plan, optimum)
+    improves = improves and plan.drive is None
+    plan = better_of(at, plan, optimum) if improves else plan
+    refinement = None
+    if improves and stages.measured is None and stages.steps > 1:
+        ground = build_ground(problem, at.position_m)
+        refinement = FallbackCascade(problem, ground).refinement
     kinks = np.vstack([each.measurements.positions_m for each in belief.posteriors])
-    tilts = tilts_near(stages, [plan.positions_m[1:], optimum], kinks)
+    tilts = tilts_near(stages, [optimum, plan.positions_m[1:]], kinks)
+
+    def improved(path_m: Floats) -> float:
+        nonlocal plan
+        if refinement is None:
+            return plan.objective
+        better = plan
+        if stages.keep_outs:
+            # The refinement alone does not find a way round discs that the path crosses.
+            path_m = local_optimum(stages, path_m, SURPLUS)
+            better = better_of(at, plan, path_m)
+        better = refined(refinement, at, better, path_m)
+        if better is not plan:
+            plan = better
+            tilts.extend(tilts_near(stages, [plan.positions_m[1:]], kinks))
+        return plan.objective
+
     left = max(LEAST_SHARE * seconds, seconds - (monotonic() - begun))
-    *_, best = tube_bounds(stages, plan.objective, tilts, left)
+    alone, alone_s = stages.alone(), 0.0
+    if len(alone.keep_outs) < len(stages.keep_outs) and not improves:
+        alone_s = ALONE_SHARE * left
+    *_, best = tube_bounds(stages, plan.objective, tilts, left - alone_s, improved)
+    free = best
+    if alone_s:
+        *_, free = tube_bounds(alone, plan.objective, tilts, alone_s)
     of_steps, of_p_min = (np.array(each) for each in zip(*tilts, strict=True))
-    tilted = Tilts(of_steps, of_p_min, best.levels, best.value, **vars(design))
-    bound = bound_of_sum(problem, plan, tilted, robots)
+    of_both = (best.levels, best.value), (free.levels, free.value)
+    tilted = Tilts(of_steps, of_p_min, *of_both[0], *of_both[1], **vars(design))
+    bound = bound_of_sum(problem, at, plan, tilted)
     return replace(plan, bound=replace(bound, wall_s=monotonic() - begun))
+
+
+def refined(refinement: Refinement, at: StepContext, plan: Plan, path_m: Floats) -> Plan:
+    """Return the plan refined from a path (N, 2) if it is verified and better, else `plan`."""
+    scorer = Scorer(at, ObjectiveValue(at))
+    guess = Guess(path_m, scorer.objective(path_m), 0.0, clear=False)
+    for found in refinement.candidates(at, scorer, guess, Rung.PLAN):
+        if found.verdict is Verdict.VERIFIED and found.objective > plan.objective:
+            plan = scorer.plan_from(found, plan.wall_s)
+    return plan
 
 
 def better_of(at: StepContext, plan: Plan, path_m: Floats) -> Plan:

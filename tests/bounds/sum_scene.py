@@ -14,10 +14,12 @@ from planopt.objectives import LearningTerm, MappingTerm, MotionEnergyTerm, Trac
 from planopt.planning.proof.rule import verifier_context
 from planopt.planning.values.context import Aim, StepContext, step_context, workspace_region
 from planopt.planning.values.objective_value import ObjectiveValue
-from planopt.world.clearance import index_obstacles
+from planopt.world.clearance import index_obstacles, segment_clearance_m
+from planopt.world.motion import MovingDiscs, paths_gap_m
 
 SIZE_M = 40.0
 STEP_M = 2.0
+APART_M = 2.0
 
 
 def sum_context(
@@ -94,6 +96,23 @@ def sum_context(
     return step_context(base, workspace_region(problem), Aim(None if measured else target))
 
 
+def with_others(context: StepContext, count: int, seed: int) -> StepContext:
+    """The context with other robots that walk near the first one, 2 m to keep apart."""
+    steps, generator = context.problem.planner.horizon, np.random.default_rng(seed)
+    starts = context.position_m + generator.uniform(1.5, 4.0, (count, 1, 2)) * generator.choice(
+        [-1.0, 1.0], (count, 1, 2)
+    )
+    walks = starts + np.cumsum(generator.normal(0.0, 1.0, (count, steps + 1, 2)), axis=1)
+    discs = MovingDiscs(
+        tuple(f"other {k}" for k in range(count)),
+        walks,
+        np.zeros((count, steps)),
+        np.full(count, APART_M),
+        np.ones(count, dtype=np.bool_),
+    )
+    return replace(context, moving=discs)
+
+
 def stages_in(
     context: StepContext, p_min: float = 0.0, design: Design | None = None
 ) -> StageProblem:
@@ -101,7 +120,8 @@ def stages_in(
     problem = context.problem
     problem = replace(problem, constraints=replace(problem.constraints, p_min=p_min))
     kept = np.full(problem.planner.horizon, p_min > 0.0)
-    return stage_problem(problem, context, summed_terms(problem, context), kept, design)
+    terms = summed_terms(problem, context)
+    return stage_problem(problem, context, terms, kept, design, context.moving)
 
 
 def random_paths(context: StepContext, count: int, seed: int) -> np.ndarray:
@@ -127,6 +147,16 @@ def random_paths(context: StepContext, count: int, seed: int) -> np.ndarray:
         here = np.where(free[:, None], there, here)
         paths[:, k] = here
     return paths
+
+
+def clear_of_all(context: StepContext, paths: np.ndarray) -> np.ndarray:
+    """The paths (n, N, 2) whose steps keep away from other robots and from obstacles."""
+    starts = np.broadcast_to(context.position_m, (len(paths), 1, 2))
+    whole, limit = np.concatenate([starts, paths], axis=1), context.problem.constraints.clearance_m
+    clear = paths_gap_m(context.moving, whole) >= 0.0
+    ends = whole[:, :-1].reshape(-1, 2), whole[:, 1:].reshape(-1, 2)
+    away = segment_clearance_m(context.index, *ends).reshape(len(paths), -1).min(axis=1)
+    return paths[clear & (away >= limit)]
 
 
 def values_of(context: StepContext, paths: np.ndarray) -> np.ndarray:

@@ -2,16 +2,26 @@
 
 import numpy as np
 import pytest
-from sum_scene import STEP_M, random_paths, stages_in, sum_context, values_of
+from sum_scene import (
+    STEP_M,
+    clear_of_all,
+    random_paths,
+    stages_in,
+    sum_context,
+    values_of,
+    with_others,
+)
 
 from planopt.bounds.bound import Tilts, relative_gap
 from planopt.bounds.multipliers import local_optimum, tilts_near
 from planopt.bounds.tube import (
     FIRST_SHARE,
     StageProblem,
+    divided,
     evaluated,
     first_cells,
     move_bounds,
+    never_moved,
     proves,
     through_bounds,
     tube_bounds,
@@ -19,6 +29,11 @@ from planopt.bounds.tube import (
 from planopt.objectives.upper_bounds import Discs, UpperBounds, sensing_bounds
 from planopt.planning.values.context import StepContext
 from planopt.targets.information_filter import Sensor, sensing_information
+
+
+def certificate(of_steps: np.ndarray, of_p_min: np.ndarray, levels: int, value: float) -> Tilts:
+    """A certificate of a robot without others."""
+    return Tilts(of_steps, of_p_min, levels, value, levels, value)
 
 
 def tightest(
@@ -37,7 +52,7 @@ def tightest(
     value = float(values_of(context, path[None])[0]) if known is None else known
     *_, last = tube_bounds(problem, value, tilts, seconds)
     both = [np.array(each) for each in zip(*tilts, strict=True)]
-    return last, Tilts(*both, last.levels, last.value)
+    return last, certificate(*both, last.levels, last.value)
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -59,6 +74,56 @@ def test_no_cell_hides_a_better_path(seed: int) -> None:
             compared += 1
     print(f"{compared} comparisons")
     assert compared == 400
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_clear_path_is_excluded(seed: int) -> None:
+    """Near other robots and obstacles, cells and moves of every clear path remain at all levels."""
+    context = with_others(sum_context(seed, 4, energy=False), 1 + seed % 2, seed)
+    problem = stages_in(context)
+    paths = clear_of_all(context, random_paths(context, 400, seed))
+    values, compared, excluded = values_of(context, paths), 0, 0
+    side, active = FIRST_SHARE * problem.step_m, first_cells(problem)
+    for _ in range(4):
+        level = evaluated(problem, side, active)
+        through = through_bounds(level, [(np.zeros((4, 2)), np.zeros(4))])
+        visited = np.floor((paths - problem.start_m) / side).astype(int)
+        rows = [
+            {tuple(cell): row for row, cell in enumerate(cells.tolist())} for cells in level.active
+        ]
+        for path, value in zip(visited.tolist(), values.tolist(), strict=True):
+            own = [row[tuple(cell)] for row, cell in zip(rows, path, strict=True)]
+            assert min(through[k][row] for k, row in enumerate(own)) >= value - 1e-9 * abs(value)
+            compared += 1
+        for k in range(1, 4):
+            near = np.ones((len(level.active[k - 1]), len(level.active[k])), dtype=np.bool_)
+            never = never_moved(level, k, near)
+            cells = zip(visited[:, k - 1].tolist(), visited[:, k].tolist(), strict=True)
+            assert not any(never[rows[k - 1][tuple(a)], rows[k][tuple(b)]] for a, b in cells)
+            excluded += int(never.sum())
+        kept = [np.unique(visited[:, k], axis=0) for k in range(4)]
+        side *= 0.5
+        active = [divided(problem, cells, side, k + 1) for k, cells in enumerate(kept)]
+    print(f"{compared} comparisons, {excluded} pairs of cells excluded")
+    assert compared > 200 and excluded > 0
+
+
+def test_other_robots_tighten_the_bound() -> None:
+    """Bounds near other robots are above the best clear path, and below those without robots."""
+    gaps, compared = list[float](), 0
+    for seed in range(20, 26):
+        context = with_others(sum_context(seed, 4, energy=False), 2, seed)
+        paths = clear_of_all(context, random_paths(context, 400, seed))
+        if not len(paths):
+            continue
+        problem, values = stages_in(context), values_of(context, paths)
+        last, _ = tightest(problem, context, paths[values.argmax()], 0.3)
+        free, _ = tightest(problem.alone(), context, paths[values.argmax()], 0.3)
+        assert values.max() <= last.value
+        gaps.append(free.value / last.value - 1.0)
+        compared += len(paths)
+    print(f"{compared} comparisons, looser without robots by {np.round(gaps, 4)}")
+    assert compared > 200 and max(gaps) > 1e-3
 
 
 def gap_of(seed: int, seconds: float) -> float:
@@ -152,14 +217,14 @@ def test_wrong_multipliers_only_loosen() -> None:
         last, tilts = tightest(problem, context, paths[values.argmax()], 0.4)
         assert proves(problem, tilts)
         assert not proves(
-            problem, Tilts(tilts.of_steps[:, :2], tilts.of_p_min[:, :2], 3, last.value)
+            problem, certificate(tilts.of_steps[:, :2], tilts.of_p_min[:, :2], 3, last.value)
         )
         for scale in (1e-3, 0.1, 10.0, np.nan):
             steps = tilts.of_steps + scale * generator.normal(size=tilts.of_steps.shape)
             p_min = scale * generator.normal(size=tilts.of_p_min.shape)
             for share in (0.9, 1.0, 1.5):
                 value = values.max() + (share - 1.0) * abs(values.max())
-                if proves(problem, Tilts(steps, p_min, 3, value)):
+                if proves(problem, certificate(steps, p_min, 3, value)):
                     assert value >= values.max()
                     proven += 1
                 compared += 1

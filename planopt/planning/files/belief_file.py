@@ -249,6 +249,8 @@ KINDS: dict[type[Any], dict[str, tuple[str, tuple[int | None, ...]]]] = {
         "of_p_min": ("f", (None, None)),
         "levels": ("iu", ()),
         "value": ("f", ()),
+        "alone_levels": ("iu", ()),
+        "alone_value": ("f", ()),
     },
 }
 """NumPy kinds and shapes of the arrays of each kind of certificate."""
@@ -279,6 +281,9 @@ def _certificate(path: Path, arrays: Arrays, number: int) -> Potential | Tilts |
         found: dict[str, Any] = {}
         for name, (kind, sizes) in kinds.items():
             key = f"{number}_{name}"
+            # Earlier files have only bounds without the other robots.
+            if key not in arrays:
+                key = f"{number}_{name.removeprefix('alone_')}"
             if key not in arrays and name in DESIGN:
                 continue
             if key not in arrays:
@@ -288,6 +293,7 @@ def _certificate(path: Path, arrays: Arrays, number: int) -> Potential | Tilts |
             )
             found[name] = arrays[key].astype(np.float64 if kind == "f" else np.intp)
         if made is Tilts:
-            found |= {"levels": int(found["levels"]), "value": float(found["value"])}
+            for name in ("levels", "value", "alone_levels", "alone_value"):
+                found[name] = found[name].item()
         return made(**found)
     return None

@@ -230,6 +230,7 @@ class RobotPlan(Trajectory):
     holes: Annotated[Computed, Source(lambda plan: _holes(plan.holes))]
     bound: Annotated[Computed, _of_bound("value")]
     gap: Annotated[Computed, _of_bound("gap")]
+    bound_alone: Annotated[Computed, _of_bound("alone")]
     bound_method: Annotated[Computed, _of_bound("method")]
     bound_cost: Annotated[float | None, _of_bound("cost")] = None
     bound_relaxed: Annotated[Computed, _of_bound("relaxed")]

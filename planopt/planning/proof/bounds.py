@@ -4,6 +4,7 @@ A bound holds for the cost with the outage integrated along the route (equation 
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,10 +15,10 @@ from planopt.bounds.route import route_bounds, verified_value
 from planopt.bounds.stages import ignored_constraints, is_design, stage_problem, summed_terms
 from planopt.bounds.tube import StageProblem, proves
 from planopt.channel.posterior import ChannelPosterior
-from planopt.objectives.terms.term import TermContext
 from planopt.planning.certificate import required_margins_db
 from planopt.planning.plan import Plan
 from planopt.planning.proof.rule import connectivity_law
+from planopt.planning.values.context import StepContext
 from planopt.problems.problem import (
     Problem,
     integrated_cost_m,
@@ -44,6 +45,7 @@ def bound_of(
         integrated_cost_s(problem, posteriors, plan),
         method,
         relaxed=relaxed_constraints(problem, robots),
+        alone=rate_s_m(problem) * value_m,
         certificate=potential,
     )
 
@@ -68,7 +70,7 @@ def verified_bound(
 
 
 def stages_of(
-    problem: Problem, at: TermContext, plan: Plan, design: Design | None = None
+    problem: Problem, at: StepContext, plan: Plan, design: Design | None = None
 ) -> StageProblem | str:
     """Return the first robot's stage problem for a design, or the reason why there is no bound.
 
@@ -81,34 +83,42 @@ def stages_of(
     kept = np.zeros(len(path), dtype=np.bool_)
     if problem.constraints.p_min > 0.0 and problem.constraints.rule.is_plain:
         kept = np.asarray(required_margins_db(problem, at.predicted(path)) >= 0.0)
-    return stage_problem(problem, at, terms, kept, design)
+    return stage_problem(problem, at, terms, kept, design, at.moving)
 
 
-def bound_of_sum(problem: Problem, plan: Plan, tilts: Tilts, robots: int) -> Bound:
+def bound_of_sum(problem: Problem, at: StepContext, plan: Plan, tilts: Tilts) -> Bound:
     """Return the bound that a certificate proves for the first robot's sum of terms."""
+    given = at.moving.is_robot.any() or len(at.aim.pending.planned_m) > 0
+    words = ", given the other robots' plans" if given else ""
     return Bound(
         tilts.value,
         problem.sense,
         plan.objective,
-        f"branch and bound over cells of {tilts.levels} sizes",
-        relaxed=ignored_constraints(problem, robots),
+        f"branch and bound over cells of {tilts.levels} sizes{words}",
+        relaxed=ignored_constraints(problem),
+        # The value of other robots' planned measurements depends on their plans.
+        alone=None if len(at.aim.pending.planned_m) else tilts.alone_value,
         certificate=tilts,
     )
 
 
-def verified_sum(
-    problem: Problem, at: TermContext, plan: Plan, tilts: Tilts | None, robots: int
-) -> Bound:
+def verified_sum(problem: Problem, at: StepContext, plan: Plan, tilts: Tilts | None) -> Bound:
     """Return the bound that a saved certificate proves for the first robot's sum of terms."""
     usable = tilts is not None and is_design(tilts)
     stages = stages_of(problem, at, plan, tilts if usable else None)
     if isinstance(stages, str):
         return Bound(None, problem.sense, plan.objective, reason=stages)
-    if tilts is None or not usable or not proves(stages, tilts):
-        return Bound(
-            None, problem.sense, plan.objective, reason="the certificate does not prove its bound"
+    if tilts is not None and usable and proves(stages, tilts):
+        alone, solo = (
+            replace(tilts, levels=tilts.alone_levels, value=tilts.alone_value),
+            stages.alone(),
         )
-    return bound_of_sum(problem, plan, tilts, robots)
+        is_same = len(solo.keep_outs) == len(stages.keep_outs) and alone.value == tilts.value
+        if is_same or proves(solo, alone):
+            return bound_of_sum(problem, at, plan, tilts)
+    return Bound(
+        None, problem.sense, plan.objective, reason="the certificate does not prove its bound"
+    )
 
 
 def metre_cost_of(

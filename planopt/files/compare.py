@@ -103,7 +103,7 @@ def differences(
         yield Difference(key, repr(value) if one == other else one, other)
 
 
-def in_words(file: str, found: Iterable[Difference], source: str = "found") -> list[str]:
+def in_words(file: str, found: Iterable[Difference], source: str = "recomputed") -> list[str]:
     """Return a line per difference, but only a few for differences in the same column."""
     by_kind: dict[str, list[Difference]] = {}
     for one in found:

@@ -314,7 +314,7 @@ def _in_words(result: TaskResult) -> Sequence[str]:
         if not guarantee["applies"]:
             words = "no guarantee, as it applies only to the planner drive"
         elif failing:
-            words = f"no guarantee: {failing[0]['text']}"
+            words = f"no guarantee, as a premise fails: {failing[0]['text']}"
         else:
             within = "" if lasts_s is None else f" within {lasts_s:.4g} s"
             reached = (

@@ -81,11 +81,11 @@ def test_few_of_many_alike_are_shown() -> None:
     said, found = {"x": [0.0] * 9, "y": 1}, {"x": [1.0] * 9, "y": 2}
     words = in_words("run.json", differences(said, found))
     assert words == [
-        "run.json, key x[0]: 0, found 1",
-        "run.json, key x[1]: 0, found 1",
-        "run.json, key x[2]: 0, found 1",
+        "run.json, key x[0]: 0, recomputed 1",
+        "run.json, key x[1]: 0, recomputed 1",
+        "run.json, key x[2]: 0, recomputed 1",
         "run.json, key x[]: 6 more like these",
-        "run.json, key y: 1, found 2",
+        "run.json, key y: 1, recomputed 2",
     ]
 
 
@@ -110,7 +110,7 @@ def test_the_digest_covers_what_planning_alone_determines() -> None:
 def test_rows_of_tables_are_named() -> None:
     """Counted from the header, as a text editor does."""
     words = in_words("steps.csv", differences({"x_m": [0.0, 1.0]}, {"x_m": [0.0, 2.0]}))
-    assert words == ["steps.csv, row 3, key x_m: 1, found 2"]
+    assert words == ["steps.csv, row 3, key x_m: 1, recomputed 2"]
 
 
 @pytest.mark.parametrize(("said", "found"), [("1.001", "1"), ("1.0", "1"), ("plan1", "plan")])

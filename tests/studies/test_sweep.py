@@ -201,7 +201,7 @@ def test_saved_and_read_back(comparison, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("file", "old", "new", "words"),
     [
-        ("comparison.json", '"count": 2', '"count": 3', "].count: 3, found 2"),
+        ("comparison.json", '"count": 2', '"count": 3', "].count: 3, recomputed 2"),
         ("comparison.json", '"connected_share": ', '"connected_share": 1', "connected_share"),
         ("comparison.json", '"path_m": ', '"path_m": 1', "key runs[0].metrics.path_m"),
         ("runs.jsonl", '"reason": "', '"reason": "not ', "comparison.json, key digest"),

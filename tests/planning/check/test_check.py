@@ -89,20 +89,26 @@ def move(x: int, y: int, *steps: int) -> Callable[[dict], None]:
         (move(30, 19, 3), ["step 3", "lies in obstacle wall"]),
         (move(40, 24, 4), ["step 5", "comes within", "of obstacle wall"]),
         (move(5, 90, 6), ["speed_max_m_s"]),
-        (move(31, 40, 0), ["robots[0].x_m[0]: 31, found 32"]),
-        (lambda d: d["certificate"].update(min_clearance_m=9.0), ["min_clearance_m: 9, found"]),
+        (move(31, 40, 0), ["robots[0].x_m[0]: 31, recomputed 32"]),
+        (
+            lambda d: d["certificate"].update(min_clearance_m=9.0),
+            ["min_clearance_m: 9, recomputed"],
+        ),
         (lambda d: d["certificate"].update(min_clearance_m=None), ["certificate.min_clearance_m"]),
         (lambda d: d["certificate"].update(min_connectivity=1.0), ["certificate.min_connectivity"]),
-        (lambda d: d.update(verdict="violated"), ["key verdict", "violated", "found", "verified"]),
-        (lambda d: d.update(bound=d["objective"]), ["plan.json, key bound", "found null"]),
-        (lambda d: d.update(optimal=True), ["key optimal: true, found no such key"]),
+        (
+            lambda d: d.update(verdict="violated"),
+            ["key verdict", "violated", "recomputed", "verified"],
+        ),
+        (lambda d: d.update(bound=d["objective"]), ["plan.json, key bound", "recomputed null"]),
+        (lambda d: d.update(optimal=True), ["key optimal: true, recomputed no such key"]),
         (lambda d: d.pop("gap"), ["key gap: is missing"]),
         (lambda d: d.update(seed=4), ["found with seed 4"]),
         (lambda d: d["problem_file"]["planner"].update(step_s=3.0), ["steps.csv", "t_s: 2"]),
         (lambda d: d["problem_file"]["constraints"].update(clearance_m=3.0), ["clearance_m is 3"]),
         (
             lambda d: d["problem_file"]["constraints"].update(p_min=0.9999),
-            ["certificate.relaxed_steps: 0 values, found 2 values"],
+            ["certificate.relaxed_steps: 0 values, recomputed 2 values"],
         ),
         (
             lambda d: d["problem_file"]["stations"][0].update(threshold_dbm=20.0),
@@ -116,7 +122,10 @@ def move(x: int, y: int, *steps: int) -> Callable[[dict], None]:
             lambda d: d["robots"][0]["connectivity"].__setitem__(2, 0.5),
             ["robots[0].connectivity[2]: 0.5"],
         ),
-        (lambda d: d["robots"][0]["t_s"].__setitem__(2, 0.5), ["robots[0].t_s[2]: 0.5, found 4"]),
+        (
+            lambda d: d["robots"][0]["t_s"].__setitem__(2, 0.5),
+            ["robots[0].t_s[2]: 0.5, recomputed 4"],
+        ),
     ],
 )
 def test_rejects_a_plan_that_does_not_hold(
@@ -199,13 +208,13 @@ def test_a_record_of_no_plan(tmp_path: Path, solution: Solution) -> None:
     assert result.verdict is Verdict.NONE and result.certificate is None
     assert result.reasons == ("there is no plan to verify: cut off",)
     NoPlan(solution.problem, (), {**data, "objective": 3.0}, "plan.json", dict).save(tmp_path)
-    assert "plan.json, key objective: 3, found null" in check(tmp_path).reasons
+    assert "plan.json, key objective: 3, recomputed null" in check(tmp_path).reasons
 
 
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda d: d.update(outcome="reached"), ['outcome: "reached", found "step_limit"']),
+        (lambda d: d.update(outcome="reached"), ['outcome: "reached", recomputed "step_limit"']),
         (
             lambda d: d["plans"][0]["released"][1].update(verdict="violated"),
             ["plans[0].released[1].verdict"],
@@ -222,7 +231,7 @@ def test_a_record_of_no_plan(tmp_path: Path, solution: Solution) -> None:
         ),
         (
             lambda d: d["problem_file"]["robots"][0].update(start_m=[31.0, 40.0]),
-            ["steps.csv, row 2, key x_m: 32, found 31"],
+            ["steps.csv, row 2, key x_m: 32, recomputed 31"],
         ),
         (
             lambda d: d["problem_file"]["planner"].update(max_steps=6),

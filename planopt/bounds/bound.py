@@ -127,7 +127,6 @@ def total_bound(bounds: Sequence[Bound], sense: Sense) -> Bound:
         return bounds[0]
     missing = [bound.reason or GIVEN_PLANS for bound in bounds if bound.alone is None]
     value = None if missing else sum(bound.alone or 0.0 for bound in bounds)
-    methods = dict.fromkeys(bound.method for bound in bounds if bound.method)
     relaxed = dict.fromkeys(words for bound in bounds for words in bound.relaxed)
     if any(bound.alone != bound.value for bound in bounds):
         relaxed[SEPARATION] = None
@@ -136,7 +135,7 @@ def total_bound(bounds: Sequence[Bound], sense: Sense) -> Bound:
         value,
         sense,
         cost,
-        None if missing else f"sum of the robots' {side} bounds: {'; '.join(methods)}",
+        None if missing else f"sum of the robots' {side} bounds",
         missing[0] if missing else "",
         tuple(relaxed),
         value,

@@ -94,7 +94,7 @@ def bound_of_sum(problem: Problem, at: StepContext, plan: Plan, tilts: Tilts) ->
         tilts.value,
         problem.sense,
         plan.objective,
-        f"branch and bound over cells of {tilts.levels} sizes{words}",
+        f"branch and bound, levels of cells: {tilts.levels}{words}",
         relaxed=ignored_constraints(problem),
         # The value of other robots' planned measurements depends on their plans.
         alone=None if len(at.aim.pending.planned_m) else tilts.alone_value,

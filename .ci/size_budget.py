@@ -13,8 +13,8 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 71_482,
-    "lines of code": 52_897,
+    "lines": 71_485,
+    "lines of code": 52_899,
     "files": 247,
     "functions": 3_809,
     "docstring lines": 7_565,

@@ -19,6 +19,7 @@ from planopt.bounds.enclosure import PowerEnclosure, PowerModel, VarianceDiffere
 from planopt.bounds.reach import MOVING, ignored_motion, longest_sag_m, why_not_enclosed
 from planopt.bounds.route import INNER_SHARE
 from planopt.bounds.tube import LARGEST, Chain, KeepOut, StageProblem
+from planopt.channel.gaussian_sites import MIN_NOISE_VARIANCE_DB2
 from planopt.channel.measurements import SAME_PLACE_M
 from planopt.channel.posterior import ChannelPosterior, with_repeated
 from planopt.objectives.terms.term import TermContext
@@ -106,22 +107,26 @@ class Relaxation:
     def of(cls, measured: Measured, design: Design, weight: float) -> Relaxation:
         """Return the bound of an information objective with a weight, for any design."""
         prior, places, form = measured.posterior, design.places_m, measured.map_form
-        own, (reference, assumed) = prior.theta_covariance, design.weights.T
-        noise = prior.parameters.multipath_std_db**2
+        own, noise = prior.theta_covariance, prior.parameters.multipath_std_db**2
+        # Posteriors have no smaller noise than this.
+        most = 0.5 * noise / MIN_NOISE_VARIANCE_DB2
+        reference, assumed = np.minimum(design.weights, most).T
+        values, vectors = np.linalg.eigh(design.path_loss)
+        path_loss = (vectors * np.maximum(values, 0.0)) @ vectors.T
         is_referred = measured.criterion != "map" or bool(reference.any())
         # Both posteriors of the difference have all positions.
         reference = np.maximum(reference, LEAST_WEIGHT) if is_referred else reference
         more, nats, information = repeated(prior, places, reference)
         chain, share = None, weight
         if measured.criterion == "map":
-            gain = np.eye(2) + own @ design.path_loss
+            gain = np.eye(2) + own @ path_loss
             left, given = np.linalg.solve(gain, own), float(np.linalg.slogdet(gain)[1])
             known = replace(prior, theta_covariance=0.5 * (left + left.T))
             assuming, base, _ = repeated(known, places, assumed)
             share, constant = 0.5 * weight, given + base
             chain = Chain(assuming, share, noise)
-            less, most, _ = repeated(known, places, reference + assumed)
-            constant -= given + most - nats if is_referred else 0.0
+            less, joint, _ = repeated(known, places, reference + assumed)
+            constant -= given + joint - nats if is_referred else 0.0
         else:
             left = more.theta_covariance
             changes = {
@@ -323,11 +328,9 @@ def ignored_constraints(problem: Problem) -> tuple[str, ...]:
 def is_design(design: Design) -> bool:
     """Return whether the numbers of a saved design may occur in a proof."""
     weights, known = design.weights, design.path_loss
-    sizes = np.abs(design.places_m).max(initial=0.0), weights.max(initial=0.0), np.abs(known).max()
     return (
         len(weights) == len(design.places_m)
-        and all(size < LARGEST for size in sizes)
-        and float(weights.min(initial=0.0)) >= 0.0
-        and np.array_equal(known, known.T)
-        and float(np.linalg.eigvalsh(known)[0]) >= 0.0
+        and float(np.abs(design.places_m).max(initial=0.0)) < LARGEST
+        and float(np.abs(known).max()) < LARGEST
+        and bool(((weights >= 0.0) & (weights < LARGEST)).all())
     )

@@ -166,6 +166,27 @@ def test_bounds_of_a_team_add_up() -> None:
     assert any("separation" in words for words in solution.bound.relaxed)
 
 
+def test_bounds_of_robots_that_keep_apart_are_saved(tmp_path: Path) -> None:
+    """Each bound holds given the others' plans; the team's bound does not, and both are checked."""
+    first = planopt.solve(planopt.load("outdoor_track"), horizon=5)
+    solution = planopt.solve(planopt.load("outdoor_track"), horizon=5, prove_s=6.0)
+    data, bound = saved(solution, tmp_path), solution.bound
+    assert bound is not None and bound.value is not None
+    for old, plan in zip(first.plans, solution.plans, strict=True):
+        own = plan.bound
+        assert plan.verdict is planopt.Verdict.VERIFIED and plan.objective >= old.objective - 1e-9
+        assert own is not None and own.value is not None and own.alone is not None
+        assert plan.objective <= own.value <= own.alone * (1.0 + 1e-9)
+        assert "given the other robots" in str(own.method)
+    assert bound.value == pytest.approx(sum(robot["bound_alone"] for robot in data["robots"]))
+    assert "given" not in str(bound.method) and "separation" in str(bound.relaxed)
+    assert planopt.check(tmp_path).verdict is planopt.Verdict.VERIFIED
+    data["robots"][2]["bound_alone"] *= 0.9
+    data["bound"] -= 0.1 * solution.plans[2].bound.alone
+    (tmp_path / "plan.json").write_text(json.dumps(data))
+    assert planopt.check(tmp_path).verdict is planopt.Verdict.VIOLATED
+
+
 def test_a_proven_plan_takes_a_passage_between_lattice_nodes() -> None:
     """The improved plan takes a gap of 1.2 m, is cheaper, and is close to its bound."""
     walls = [shapely.box(18.0, 0.0, 21.0, 12.3), shapely.box(18.0, 13.5, 21.0, 28.0)]

@@ -9,7 +9,7 @@ from refusals import refused
 
 import planopt
 from planopt import Run, Solution
-from planopt.short_repr import short_repr
+from planopt.short_repr import short_repr, shown_number
 
 
 @dataclass(frozen=True)
@@ -103,3 +103,9 @@ def test_one_robot_and_several_answer_to_the_same_names(results: dict[str, Any])
     with refused():
         _ = teams.run
     assert replace(teams, runs=teams.runs[:1]).run is teams.runs[0]
+
+
+def test_a_rounding_error_is_shown_as_zero() -> None:
+    """The effort of a plan that stands still is some 1e-24 s; a small probability is kept."""
+    shown = [shown_number(value, " s") for value in (2.9e-24, -1e-17, 4e-9)]
+    assert shown == ["0 s", "0 s", "4e-09 s"]

@@ -215,7 +215,7 @@ def _draw_planned_connectivity(panel: Panel, problem: Problem, plans: Sequence[P
         for plan in plans
         for step in plan.certificate.relaxed_steps
     ]
-    _draw_connectivity(panel, problem, curves, relaxed, "P(connected) along the plan")
+    _draw_connectivity(panel, problem, curves, relaxed, "planned P(connected)")
 
 
 def _draw_connectivity(

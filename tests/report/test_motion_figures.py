@@ -62,7 +62,7 @@ def test_curves_of_a_plan(solution, plan):
     """Power with its band and threshold, connectivity with its bound and relaxed step."""
     figure = draw_solution(solution)
     power = panel_of(figure, "predicted power")
-    chance = panel_of(figure, "along the plan")
+    chance = panel_of(figure, "planned P(connected)")
     np.testing.assert_array_equal(
         power.lines[0].get_xydata(), np.stack([plan.t_s, plan.mean_dbm], axis=1)
     )

@@ -190,12 +190,12 @@ def known_power(
         return NOTHING_KNOWN
     least, most = np.full(len(positions_m), -np.inf), np.full(len(positions_m), np.inf)
     if len(places):
-        rows, first = np.unique(places, return_index=True)
+        least[places], most[places] = np.inf, -np.inf
         lowest, highest = _power_bounds_dbm(station, read)
-        least[rows] = np.minimum.reduceat(lowest, first)
-        most[rows] = np.maximum.reduceat(highest, first)
+        np.minimum.at(least, places, lowest)
+        np.maximum.at(most, places, highest)
     least[arrived] = np.maximum(least[arrived], threshold_dbm)
-    rows = np.flatnonzero((least >= threshold_dbm) | (most < threshold_dbm))
+    rows = ((least >= threshold_dbm) | (most < threshold_dbm)).nonzero()[0]
     return KnownPower(rows, least[rows], np.maximum(most[rows], least[rows]))
 
 

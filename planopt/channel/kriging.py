@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -307,6 +307,16 @@ class LocalChannel:
         """Inverse covariance (..., m, m) of the measurements, age factors included."""
         aged = self._aged
         return self.inverse if aged is None else self.inverse * aged[..., None] * aged[..., None, :]
+
+    @cached_property
+    def single_precision(self) -> Any:
+        """Inverse covariance :attr:`precision` in single precision, for ranking."""
+        return self.precision.astype(np.float32)
+
+    @cached_property
+    def weights_and_trend(self) -> Floats:
+        """Columns (..., m, 3) of :attr:`weights` and :attr:`trend`."""
+        return np.concatenate([self.weights[..., None], self.trend], axis=-1)
 
     @cached_property
     def weights(self) -> Floats:

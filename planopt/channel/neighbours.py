@@ -7,6 +7,7 @@ the farthest from all earlier ones. Windows do not depend on the order of rows, 
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -28,6 +29,9 @@ BLOCK, BLOCK_NEIGHBOURS = 48, 128
 to 4,585 exact powers) the estimates of xi, omega and beta are then within 0.07 standard errors of
 the exact ones, and theta within 0.11. 32 and 64 give 0.46 and 0.24; 64 and 192 take twice the time
 without a gain."""
+NO_ROWS = np.zeros(0, dtype=np.intp)
+OBLIQUE = np.array([math.cos(1.0), math.sin(1.0)])
+"""Direction along which the nodes of a lattice differ."""
 PRESELECTED = 4
 """Number of candidates per required neighbour, preselected by distance from the block's box."""
 
@@ -37,20 +41,20 @@ class PlaceTree:
 
     def __init__(self, positions_m: Floats) -> None:
         self._positions_m = positions_m
-        self._x_m = np.sort(positions_m[:, 0])
 
     @cached_property
     def _tree(self) -> Any:
         return KDTree(self._positions_m, balanced_tree=False)
 
-    def __len__(self) -> int:
-        return len(self._x_m)
+    @cached_property
+    def _sorted(self) -> tuple[Indices, Floats]:
+        """Order of the positions along `OBLIQUE`, and their sorted coordinates."""
+        along_m = self._positions_m @ OBLIQUE
+        order = along_m.argsort(kind="stable")
+        return order, along_m[order]
 
-    def beside(self, centres_m: Floats, reach_m: float) -> Indices:
-        """Return indices of the centres (k, 2) that have a position within `reach_m` along x."""
-        x = centres_m[:, 0]
-        before = np.searchsorted(self._x_m, x - reach_m)
-        return np.flatnonzero(before < np.searchsorted(self._x_m, x + reach_m, side="right"))
+    def __len__(self) -> int:
+        return len(self._positions_m)
 
     def nearest(
         self, centres_m: Floats, count: int, within_m: float = np.inf
@@ -62,9 +66,19 @@ class PlaceTree:
         shape = len(centres_m), count
         return np.asarray(indices, dtype=np.intp).reshape(shape), distances.reshape(shape)
 
-    def within(self, centre_m: Floats, reach_m: float) -> list[int]:
-        """Return indices of the positions within `reach_m` of a position (2,)."""
-        return list(self._tree.query_ball_point(centre_m, reach_m))
+    def within(self, centres_m: Floats, reach_m: float) -> tuple[Indices, Indices]:
+        """Return index pairs (centre, position) within a short distance of centres (k, 2)."""
+        along_m, (order, sorted_m) = centres_m @ OBLIQUE, self._sorted
+        first = sorted_m.searchsorted(along_m - reach_m)
+        count = sorted_m.searchsorted(along_m + reach_m, side="right") - first
+        if not count.any():
+            return NO_ROWS, NO_ROWS
+        centres = np.arange(len(count)).repeat(count)
+        before = (count.cumsum() - count - first).repeat(count)
+        rows = order[np.arange(len(centres)) - before]
+        offset = self._positions_m[rows] - centres_m[centres]
+        near = np.hypot(offset[:, 0], offset[:, 1]) <= reach_m
+        return centres[near], rows[near]
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,24 +133,16 @@ class PlaceIndex:
 
     def within(self, centres_m: Floats, reach_m: float) -> tuple[Indices, Indices]:
         """Return sorted index pairs (centre, position) within `reach_m` for centres (k, 2)."""
-        none = np.zeros(0, dtype=np.intp)
-        pairs: list[Any] = []
-        for first, tree in (0, self.tree), (self._treed, self._late_tree):
-            if tree is None:
-                continue
-            beside = tree.beside(centres_m, reach_m)
-            if not len(beside):
-                continue
-            near, _ = tree.nearest(centres_m[beside], min(2, len(tree)), reach_m)
-            count = (near < len(tree)).sum(axis=1)
-            single, several = count == 1, count == 2
-            pairs.append(np.array([beside[single], first + near[single, 0]]))
-            for centre in beside[several].tolist():
-                rows = first + np.array(tree.within(centres_m[centre], reach_m))
-                pairs.append(np.array([np.full(len(rows), centre), rows]))
-        if not pairs:
-            return none, none
-        centres, rows = np.concatenate(pairs, axis=1)
+        found = [
+            (centres, first + rows)
+            for first, tree in ((0, self.tree), (self._treed, self._late_tree))
+            if tree is not None
+            for centres, rows in (tree.within(centres_m, reach_m),)
+            if len(centres)
+        ]
+        if not found:
+            return NO_ROWS, NO_ROWS
+        centres, rows = (np.concatenate(each) for each in zip(*found, strict=True))
         order = np.lexsort((rows, centres))
         return centres[order], rows[order]
 

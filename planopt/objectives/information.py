@@ -11,16 +11,16 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.arrays import Floats, rounded_length, rounded_positive_part
-from planopt.channel.cholesky import inverse, log_determinant, solve_lower
+from planopt.arrays import Derivatives, Floats, rounded_length, rounded_positive_part
 from planopt.channel.kriging import kriging_terms
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
-from planopt.objectives.moments import Moments, Pull, Region, covariance_factor, pull_of_lengths
+from planopt.objectives.moments import Moments, Region, covariance_factor
 from planopt.objectives.path_derivatives import (
     CovarianceDerivatives,
-    LocalPath,
+    LocalPaths,
     PathDerivatives,
+    Rows,
     add_own_blocks,
     by_lengths,
     length_jacobian,
@@ -35,11 +35,11 @@ class Gain(Protocol):
         """Return the gain of each path, ``(...)``."""
         ...
 
-    def pull(self, moments: Moments) -> Pull:
-        """Return the adjoints of :meth:`value` w.r.t. the gated moments of many paths."""
+    def slope(self, path: LocalPaths) -> Floats:
+        """Return the gradient of each path's gain, w.r.t. positions and gates."""
         ...
 
-    def derivatives(self, path: LocalPath) -> PathDerivatives:
+    def derivatives(self, path: LocalPaths) -> PathDerivatives:
         """Return the gain of one path with derivatives w.r.t. positions and gates."""
         ...
 
@@ -69,28 +69,29 @@ class Information:
             less = np.sqrt(moments.noise_db2)
         return self.factor * np.log(diagonal / less).sum(axis=-1)
 
-    def pull(self, moments: Moments) -> Pull:
-        """Return the information gain's adjoints w.r.t. the moments, from half the inverse of C."""
-        found = _by_universal(moments, 0.5 * self.factor * moments.inverse)
+    def slope(self, path: LocalPaths) -> Floats:
+        """Return the gradient of each path's information gain, from half the inverse of C."""
+        moments = path.moments
+        found = path.universal.slope(0.5 * self.factor * moments.inverse)
         if self.about == "path loss":
-            known = np.asarray(np.linalg.inv(moments.covariance), dtype=np.float64)
-            return found.plus(Pull(by_covariance=known), -0.5 * self.factor)
-        if moments.gate is None:
-            return found
-        noise = moments.parameters.multipath_std_db**2
-        fills = moments.gate * (noise - moments.blind_db2) / moments.noise_db2
-        return found.plus(Pull(by_gate=fills), -self.factor)
+            return found - path.covariance.slope(0.5 * self.factor * moments.known_inverse)
+        if moments.gate is not None:
+            part = moments.parameters.multipath_std_db**2 - moments.blind_db2
+            found[:, 2::3] -= self.factor * moments.gate * part / moments.noise_db2
+        return found
 
-    def derivatives(self, path: LocalPath) -> PathDerivatives:
+    def derivatives(self, path: LocalPaths) -> PathDerivatives:
         """Return the information gain of one path with derivatives."""
-        found = _half_log_determinant(path.universal)
+        moments = path.moments
+        hessian = _half_log_bend(path.universal, moments.inverse[0])
         if self.about == "path loss":
-            found = found.plus(_half_log_determinant(path.covariance), -1.0)
-        else:
-            found = found.plus(_half_log_noise(path), -1.0)
-        return PathDerivatives(
-            self.factor * found.value, self.factor * found.gradient, self.factor * found.hessian
-        )
+            hessian -= _half_log_bend(path.covariance, moments.known_inverse[0])
+        elif moments.gate is not None:
+            part = moments.parameters.multipath_std_db**2 - moments.blind_db2
+            share, every = part / moments.noise_db2[0], np.arange(2, len(hessian), 3)
+            hessian[every, every] -= share - 2.0 * (moments.gate[0] * share) ** 2
+        value = float(self.value(moments)[0])
+        return PathDerivatives(value, self.slope(path)[0], self.factor * hessian)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,45 +115,63 @@ class VarianceRemoved:
         covariance = moments.universal if self.universal else moments.covariance
         return covariance, moments.across if self.loading is None else moments.trend @ self.loading
 
-    def pull(self, moments: Moments) -> Pull:
-        """Return the trace's adjoints: -X X' w.r.t. C and 2 X w.r.t. Y, with X = C^-1 Y."""
-        covariance, rows = self._parts(moments)
-        precision = moments.inverse if self.universal else np.linalg.inv(covariance)
-        x = precision.astype(rows.dtype) @ rows
-        by_covariance = -(x @ x.swapaxes(-1, -2)).astype(np.float64)
-        found = _by_universal(moments, by_covariance)
-        if not self.universal:
-            found = Pull(by_covariance=by_covariance)
-        if self.loading is None:
-            return found.plus(Pull(by_across=x), 2.0)
-        return found.plus(Pull(by_trend=x @ self.loading.T), 2.0)
-
-    def derivatives(self, path: LocalPath) -> PathDerivatives:
-        """Return the trace of :meth:`value` for one path, with derivatives."""
-        # Let X = C^-1 Y. For coordinate p of position i, dY = e_i y_p', dC = e_i d_p' + d_p e_i'
-        # and u_p = y_p - X' d_p. With R_p = dY - dC X = e_i u_p' - d_p x_i':
-        #     gradient_p = 2 x_i' u_p,
-        #     Hessian_pq = 2 tr(R_p' C^-1 R_q) + 2 X . d^2 Y - X X' . d^2 C.
+    def _solved(self, path: LocalPaths) -> tuple[CovarianceDerivatives, Rows, Floats, Floats]:
+        """Return C and Y of :meth:`_parts` with derivatives, C^-1, and X = C^-1 Y."""
+        moments = path.moments
         batch = path.universal if self.universal else path.covariance
         rows = path.across if self.loading is None else path.trend.times(self.loading)
-        weight = inverse(covariance_factor(batch.value))
-        x = weight @ rows.value
-        own = batch.owner
-        u = rows.first - batch.first @ x
+        weight = moments.inverse if self.universal else moments.known_inverse
+        return batch, rows, weight, weight.astype(path.type) @ rows.value
+
+    # Let X = C^-1 Y. For coordinate p of position i, dY = e_i y_p', dC = e_i d_p' + d_p e_i'
+    # and u_p = y_p - X' d_p. With R_p = dY - dC X = e_i u_p' - d_p x_i':
+    #     gradient_p = 2 x_i' u_p,
+    #     Hessian_pq = 2 tr(R_p' C^-1 R_q) + 2 X . d^2 Y - X X' . d^2 C.
+
+    def slope(self, path: LocalPaths) -> Floats:
+        """Return the gradient of the trace of each path."""
+        batch, rows, _, x = self._solved(path)
+        u = rows.first - batch.first.astype(path.type) @ x
+        return 2.0 * np.einsum("cpr,cpr->cp", x[:, batch.owner], u).astype(np.float64)
+
+    def derivatives(self, path: LocalPaths) -> PathDerivatives:
+        """Return the trace of :meth:`value` for one path, with derivatives."""
+        batch, rows, (weight,), (x,) = self._solved(path)
+        own, first = batch.owner, batch.first[0]
+        u = rows.first[0] - first @ x
         xx = x @ x.T
-        pulled = batch.first @ weight
+        pulled = first @ weight
         crossed = pulled[:, own].T * (u @ x.T)[:, own]
         hessian = weight[np.ix_(own, own)] * (u @ u.T) - crossed - crossed.T
-        hessian += (pulled @ batch.first.T) * xx[np.ix_(own, own)]
+        hessian += (pulled @ first.T) * xx[np.ix_(own, own)]
         hessian *= 2.0
         hessian += batch.curvature(-xx)
-        add_own_blocks(hessian, 2.0 * (rows.second @ x[:, :, None])[:, :, 0])
-        value = float((rows.value * x).sum())
+        add_own_blocks(hessian, 2.0 * (rows.second[0] @ x[:, :, None])[:, :, 0])
+        value = float((rows.value[0] * x).sum())
         return PathDerivatives(value, 2.0 * (x[own] * u).sum(axis=1), hessian)
 
 
 THRESHOLD_ROUNDING = 0.01
 """Smoothing width of the variance threshold as a share of xi^2 + omega^2."""
+TINY_DB2, TINY_M = 1e-12, 1e-9
+"""Smoothing widths of threshold and step lengths for ranked paths."""
+
+
+@dataclass(frozen=True, eq=False)
+class _Excess:
+    """Parts of the uncertainty along c paths, with P coordinates each."""
+
+    excess: Floats  # (c, N) excess over the threshold, and two derivatives of its smoothing
+    slope: Floats
+    bend: Floats
+    near: Floats  # (c, N) weights by path length, and their gradients (c, N, P)
+    near_first: Floats
+    changes: Floats  # (c, N, P) gradients of the excess without smoothing
+    left: Floats  # (c, N, N) inverse Cholesky factors
+    along: Floats  # (c, N, P) inverse factors times derivatives of the covariance
+    diagonal: Floats  # (c, N) variances given earlier positions
+    legs: Derivatives  # (c, N) step lengths
+    by_place: Floats  # (c, N, 2 N) gradients of path lengths
 
 
 @dataclass(frozen=True)
@@ -182,62 +201,79 @@ class PathUncertainty:
         fall = self.threshold_db2 - moments.blind_db2
         return np.maximum(variance - moments.blind_db2 - gate**2 * fall, 0.0), near
 
-    def pull(self, moments: Moments) -> Pull:
-        """Return the adjoints of the sum w.r.t. the moments, from the inverse Cholesky factor."""
-        excess, near = self._parts(moments)
-        rows = np.asarray(np.linalg.inv(moments.factor), dtype=np.float64)
-        counts = np.where(excess > 0.0, near, 0.0)
-        weight = np.diagonal(moments.factor, axis1=1, axis2=2) ** 2 * counts
-        found = _by_universal(moments, rows.transpose(0, 2, 1) @ (weight[:, :, None] * rows))
-        if moments.gate is not None:
-            fall = 2.0 * moments.gate * (self.threshold_db2 - moments.blind_db2)
-            found = found.plus(Pull(by_gate=fall * counts), -1.0)
-        # A step length adds to the path length of its own position and of all later ones.
-        after = np.cumsum((excess * near)[:, ::-1], axis=1)[:, ::-1]
-        start = np.array(self.start_m)
-        return found.plus(pull_of_lengths(start, moments.positions_m, -self.decay_per_m * after))
-
-    def derivatives(self, path: LocalPath) -> PathDerivatives:
-        """Return the sum for one path with derivatives; threshold and lengths are smoothed."""
-        batch, gates, parameters = path.universal, path.gates, path.channel.parameters
-        lower = covariance_factor(batch.value)
-        left = solve_lower(lower, np.eye(len(lower)))
-        along = left @ batch.first.T
-        diagonal = np.diag(lower) ** 2
-        gate = np.ones(path.steps) if gates is None else gates.value[0]
-        fall = self.threshold_db2 - path.blind_db2
+    def _along(self, path: LocalPaths) -> _Excess:
+        """Return the sum's parts; threshold and lengths are smoothed unless paths are ranked."""
+        moments, batch, exact = path.moments, path.universal, path.order < 2
+        left = np.asarray(np.linalg.inv(moments.factor), dtype=np.float64)
+        along = left @ batch.first.swapaxes(1, 2)
+        diagonal = np.diagonal(moments.factor, axis1=1, axis2=2) ** 2
+        gate = np.ones(path.shape) if path.gate is None else path.gate
+        fall = self.threshold_db2 - moments.blind_db2
         excess, slope, bend = rounded_positive_part(
-            diagonal - path.blind_db2 - gate * gate * fall, THRESHOLD_ROUNDING * path.blind_db2
+            diagonal - moments.blind_db2 - gate * gate * fall,
+            TINY_DB2 if exact else THRESHOLD_ROUNDING * moments.blind_db2,
         )
         # Derivatives of the excess w.r.t. the coordinates; see _bent_variances.
-        changes = 2.0 * diagonal[:, None] * left[:, batch.owner] * along
-        gated = 3 * np.arange(path.steps) + 2
-        if gates is not None:
-            changes[:, gated] -= np.diag(2.0 * gate * fall)
-        offsets = np.diff(path.path_m, axis=0, prepend=np.array(self.start_m)[None])
-        legs = rounded_length(offsets, CUSP_ROUNDING * parameters.decorrelation_m)
-        near = np.exp(-self.decay_per_m * np.cumsum(legs.value))
-        # Derivatives of psi(l_i) w.r.t. the coordinates, and sum_i excess_i d^2 psi(l_i).
-        by_place = np.cumsum(length_jacobian(legs), axis=0)
-        near_first = -self.decay_per_m * near[:, None] * by_place
+        changes = 2.0 * diagonal[:, :, None] * left[:, :, batch.owner] * along
+        if path.gate is not None:
+            steps = np.arange(path.shape[1])
+            changes[:, steps, 3 * steps + 2] -= 2.0 * gate * fall
+        start = np.broadcast_to(self.start_m, (len(gate), 1, 2))
+        offsets = np.diff(np.concatenate([start, path.paths_m], axis=1), axis=1)
+        width = CUSP_ROUNDING * path.channel.parameters.decorrelation_m
+        legs = rounded_length(offsets, TINY_M if exact else width)
+        near = np.exp(-self.decay_per_m * np.cumsum(legs.value, axis=1))
+        # Derivatives of psi(l_i) w.r.t. the coordinates.
+        by_place = np.cumsum(length_jacobian(legs), axis=1)
+        near_first = -self.decay_per_m * near[:, :, None] * by_place
+        if path.gate is not None:
+            wide = np.zeros((*near_first.shape[:2], path.shape[1], 3))
+            wide[..., :2] = near_first.reshape(*near_first.shape[:2], -1, 2)
+            near_first = wide.reshape(*near_first.shape[:2], -1)
+        return _Excess(
+            excess, slope, bend, near, near_first, changes, left, along, diagonal, legs, by_place
+        )
+
+    def slope(self, path: LocalPaths) -> Floats:
+        """Return the gradient of the sum of each path."""
+        own = self._along(path)
+        found = np.einsum("ci,cip->cp", own.near * own.slope, own.changes)
+        return found + np.einsum("ci,cip->cp", own.excess, own.near_first)
+
+    def derivatives(self, path: LocalPaths) -> PathDerivatives:
+        """Return the sum for one path with derivatives; threshold and lengths are smoothed."""
+        own = self._along(path)
+        [excess], [slope], [bend], [near], [changes] = (
+            own.excess,
+            own.slope,
+            own.bend,
+            own.near,
+            own.changes,
+        )
+        [near_first], [by_place], [left], [along] = (
+            own.near_first,
+            own.by_place,
+            own.left,
+            own.along,
+        )
+        # sum_i excess_i d^2 psi(l_i)
         after = np.cumsum((excess * near)[::-1])[::-1]
         near_bent = by_place.T @ ((self.decay_per_m**2 * excess * near)[:, None] * by_place)
+        legs = Derivatives(own.legs.value[0], own.legs.gradient[0], own.legs.hessian[0])
         near_bent -= self.decay_per_m * by_lengths(legs, after)[1]
-        if gates is not None:
-            steps = len(near_first)
-            place = (3 * np.arange(steps)[:, None] + [0, 1]).ravel()
-            wide_first, wide_bent = np.zeros((steps, 3 * steps)), np.zeros((3 * steps, 3 * steps))
-            wide_first[:, place] = near_first
-            wide_bent[np.ix_(place, place)] = near_bent
-            near_first, near_bent = wide_first, wide_bent
-        hessian = _bent_variances(batch, left, along, diagonal * near * slope)
-        if gates is not None:
-            hessian[gated, gated] -= 2.0 * fall * near * slope
+        hessian = _bent_variances(path.universal, left, along, own.diagonal[0] * near * slope)
         hessian += changes.T @ ((near * bend)[:, None] * changes)
         crossed = changes.T @ (slope[:, None] * near_first)
-        hessian += crossed + crossed.T + near_bent
-        gradient = (near * slope) @ changes + excess @ near_first
-        return PathDerivatives(float(excess @ near), gradient, hessian)
+        hessian += crossed + crossed.T
+        if path.gate is None:
+            hessian += near_bent
+        else:
+            place = (3 * np.arange(len(near))[:, None] + [0, 1]).ravel()
+            hessian[np.ix_(place, place)] += near_bent
+            gated = 3 * np.arange(len(near)) + 2
+            fall = self.threshold_db2 - path.moments.blind_db2
+            hessian[gated, gated] -= 2.0 * fall * near * slope
+        return PathDerivatives(float(excess @ near), self.slope(path)[0], hessian)
 
 
 def map_criterion(posterior: ChannelPosterior, region: Region) -> Floats:
@@ -263,38 +299,14 @@ def square_root(matrix: Floats) -> Floats:
     return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
-def _by_universal(moments: Moments, by_universal: Floats) -> Pull:
-    """Return adjoints of S and B from adjoints of S + B M B' (M: path-loss covariance)."""
-    by_trend = 2.0 * (by_universal @ (moments.trend @ moments.theta_covariance))
-    return Pull(by_covariance=by_universal, by_trend=by_trend)
-
-
-def _half_log_determinant(batch: CovarianceDerivatives) -> PathDerivatives:
-    """Return 1/2 log det of a covariance C with derivatives w.r.t. the path's coordinates."""
-    factor = covariance_factor(batch.value)
-    weight, own = inverse(factor), batch.owner
-    pulled = batch.first @ weight
-    hessian = batch.curvature(0.5 * weight)
-    hessian -= pulled[:, own] * pulled[:, own].T
-    hessian -= weight[np.ix_(own, own)] * (pulled @ batch.first.T)
-    gradient = pulled[np.arange(len(own)), own]
-    return PathDerivatives(0.5 * log_determinant(factor), gradient, hessian)
-
-
-def _half_log_noise(path: LocalPath) -> PathDerivatives:
-    """Return half the log determinant of the noise of gated measurements, with derivatives."""
-    noise, gates = path.channel.parameters.multipath_std_db**2, path.gates
-    if gates is None:
-        count = 2 * path.steps
-        value = 0.5 * path.steps * float(np.log(noise))
-        return PathDerivatives(value, np.zeros(count), np.zeros((count, count)))
-    gate, part = gates.value[0], noise - path.blind_db2
-    fills = path.blind_db2 + gate * gate * part
-    gradient, hessian = np.zeros(3 * path.steps), np.zeros((3 * path.steps, 3 * path.steps))
-    every = 3 * np.arange(path.steps) + 2
-    gradient[every] = gate * part / fills
-    hessian[every, every] = part / fills - 2.0 * gradient[every] ** 2
-    return PathDerivatives(0.5 * float(np.log(fills).sum()), gradient, hessian)
+def _half_log_bend(batch: CovarianceDerivatives, weight: Floats) -> Floats:
+    """Return the Hessian of 1/2 log det C of one path, from C^-1 = `weight` (N, N)."""
+    own, first = batch.owner, batch.first[0]
+    pulled = first @ weight
+    found = batch.curvature(0.5 * weight)
+    found -= pulled[:, own] * pulled[:, own].T
+    found -= weight[np.ix_(own, own)] * (pulled @ first.T)
+    return found
 
 
 def _bent_variances(

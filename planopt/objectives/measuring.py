@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -25,8 +26,8 @@ MOST_BESIDE = 8
 """Maximum number of nearest earlier measurements that a gate depends on."""
 LONGEST_PATH = 512
 """Number of positions above which a list is treated as a log and compared block by block."""
-FEW_KNOWN = 64
-"""Number of measurements up to which all are compared, since a neighbour search costs more."""
+FEW_KNOWN = 1000
+"""Number of measurements up to which a rule has one search tree, built once, for all paths."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +47,11 @@ class MeasuringRule:
             if not any(np.array_equal(places, other) for other in known):
                 known.append(places)
         return MeasuringRule(max(spacing_m - SPACING_TOLERANCE_M, SAME_PLACE_M), tuple(known))
+
+    @cached_property
+    def _trees(self) -> tuple[PlaceTree, ...]:
+        """Search tree of each station's measurements."""
+        return tuple(PlaceTree(known) for known in self.known_m)
 
     @property
     def open_m(self) -> float:
@@ -67,8 +73,8 @@ class MeasuringRule:
     def is_open(self, places_m: Floats) -> Mask:
         """Return a mask (n,) of the positions (n, 2) that yield a measurement if visited alone."""
         found = np.zeros(len(places_m), dtype=np.bool_)
-        for known in self.near(places_m).known_m:
-            distance, _ = _nearest(places_m, known, 1, self.spacing_m)
+        for tree in self.near(places_m)._trees:
+            distance, _ = _nearest(places_m, tree, 1, self.spacing_m)
             # A position yields none only if every station was measured within the spacing.
             found |= ~(distance[:, 0] < self.spacing_m)
         return found
@@ -81,12 +87,16 @@ class MeasuringRule:
         if paths_m.ndim == 2 and len(paths_m) > LONGEST_PATH:
             return self._takes_of_log(paths_m)
         each_path = paths_m.reshape(-1, *paths_m.shape[-2:])
-        taken = self.is_open(each_path.reshape(-1, 2)).reshape(each_path.shape[:2])
-        close = _squared_between_m2(each_path) < self.spacing_m**2
+        is_open = self.is_open(each_path.reshape(-1, 2)).reshape(each_path.shape[:2])
+        return self._taken(is_open, _squared_between_m2(each_path)).reshape(paths_m.shape[:-1])
+
+    def _taken(self, is_open: Mask, squared_m2: Floats) -> Mask:
+        """Return :meth:`takes` for open positions (c, N) and squared distances (c, N, N)."""
+        taken, close = is_open, squared_m2 < self.spacing_m**2
         if close.any():
-            for k in range(1, each_path.shape[1]):
+            for k in range(1, taken.shape[1]):
                 taken[:, k] &= ~(close[:, k, :k] & taken[:, :k]).any(axis=1)
-        return taken.reshape(paths_m.shape[:-1])
+        return taken
 
     def _takes_of_log(self, places_m: Floats) -> Mask:
         """Return :meth:`takes` for a long list of positions (n, 2), in memory linear in n."""
@@ -107,7 +117,9 @@ class MeasuringRule:
         near = distance < self.open_m
         if not near.any() and not (squared < self.open_m**2).any():
             return None
-        taken = self.takes(paths_m)
+        # The nearest measurement of the station that is farthest away, as in `is_open`.
+        is_open = distance[:, 0] >= self.spacing_m
+        taken = self._taken(is_open.reshape(count, steps), squared)
         # Earlier measuring positions of the path act like earlier measurements.
         squared = np.where(taken[:, None], squared, np.inf)
         known_log = _log_gate((distance * distance).reshape(count, steps, -1), self)
@@ -119,8 +131,9 @@ class MeasuringRule:
         """Return distances (n, m) and offsets (n, m, 2) to measurements that may close a gate."""
         # For several stations, use the one whose nearest measurement is farthest away.
         found: tuple[Floats, Floats] | None = None
-        for known in self.near(places_m).known_m:
-            distance, index = _nearest(places_m, known, MOST_BESIDE, self.open_m)
+        near = self.near(places_m)
+        for tree, known in zip(near._trees, near.known_m, strict=True):
+            distance, index = _nearest(places_m, tree, MOST_BESIDE, self.open_m)
             offset = np.zeros((*distance.shape, 2))
             if len(known):
                 offset = places_m[:, None] - known[index]
@@ -209,20 +222,20 @@ def _log_gate(squared_m2: Floats, rule: MeasuringRule) -> Floats:
 def _squared_between_m2(paths_m: Floats) -> Floats:
     """Return squared distances ``(c, N, N)`` to earlier positions of a path; inf elsewhere."""
     steps = paths_m.shape[1]
-    x, y = paths_m[..., 0], paths_m[..., 1]
-    found = (x[:, :, None] - x[:, None]) ** 2
-    found += (y[:, :, None] - y[:, None]) ** 2
-    found[:, np.triu(np.ones((steps, steps), dtype=np.bool_))] = np.inf
+    offset = paths_m[:, :, None] - paths_m[:, None]
+    offset *= offset
+    found = offset[..., 0] + offset[..., 1]
+    found[:, np.arange(steps)[:, None] <= np.arange(steps)] = np.inf
     return found
 
 
 def _nearest(
-    places_m: Floats, known_m: Floats, count: int, within_m: float
+    places_m: Floats, tree: PlaceTree, count: int, within_m: float
 ) -> tuple[Floats, Indices]:
-    """Return distances to the `count` nearest `known_m`, inf beyond `within_m`, and indices."""
-    there = min(count, len(known_m))
+    """Return distances to the `count` nearest positions, inf beyond `within_m`, and indices."""
+    there = min(count, len(tree))
     if not there:
         nothing = np.full((len(places_m), 1), np.inf)
         return nothing, np.zeros(nothing.shape, dtype=np.intp)
-    index, distance = PlaceTree(known_m).nearest(places_m, there, within_m)
-    return distance, np.minimum(index, len(known_m) - 1)
+    index, distance = tree.nearest(places_m, there, within_m)
+    return distance, np.minimum(index, len(tree) - 1)

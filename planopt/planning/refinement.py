@@ -7,7 +7,7 @@ from time import perf_counter
 import numpy as np
 from numpy.typing import NDArray
 
-from planopt.arrays import Derivatives, Floats, Mask
+from planopt.arrays import Floats, Mask
 from planopt.channel.kriging import Prediction
 from planopt.objectives.stage_power import scores_of, stage_predictor
 from planopt.planning.candidates import Budget, Candidate, Scorer, solve_limit_s
@@ -15,10 +15,12 @@ from planopt.planning.certificate import RuleResult
 from planopt.planning.plan import Pivot, Rung, Termination
 from planopt.planning.programme.goal_value import (
     EvaluatePath,
+    Evaluation,
     GoalCharge,
-    GoalValue,
-    OutagePrice,
+    LocalModel,
+    PricedCharge,
     margins_of,
+    remembering,
 )
 from planopt.planning.programme.path_nlp import GOAL, METHODS, PathNlp, build_path_nlp, near_start
 from planopt.planning.programme.solver import (
@@ -107,7 +109,7 @@ class PathTask:
     slack_limit_db: Floats | None = None  # Upper bounds of the slack; 0 if hard
     slack_weight: float = 0.0  # Cost per dB of slack
     motion: MotionTask | None = None  # None for the single integrator
-    charge: GoalCharge | None = None  # Goal cost; None without a goal
+    charge: GoalCharge | PricedCharge | None = None  # Goal cost; None without a goal
     # Step (1..N) from which guess and refined path stay at their end, if any
     arrival: int | None = None
 
@@ -151,7 +153,7 @@ def polish_path(nlp: PathNlp, task: PathTask) -> RefinedPath:
     head = np.array([*task.start_m, task.scale, task.slack_weight, task.per_db])
     charge = np.zeros(0) if task.charge is None else task.charge.numbers
     parameters = np.concatenate([head, line, own, charge])
-    nlp.source.use(task.evaluate)
+    nlp.source.evaluate = task.evaluate
     missing = np.zeros(0)
     if shape.slacks:
         missing = np.maximum(bound - task.evaluate(task.path_m).rows, 0.0) / task.per_db
@@ -184,7 +186,7 @@ def _residual(
     return kkt_residual(
         gradient,
         jacobian,
-        nlp.functions.values(at, parameters)[1],
+        nlp.functions.rows(at, parameters),
         row_bounds,
         point.row_multipliers,
         at,
@@ -352,12 +354,12 @@ def lacks(
     return bool((rows.shortfall_db(power)[held] > most).any())
 
 
-def moved(task: PathTask, evaluate: EvaluatePath, path_m: Floats, drive: Drive | None) -> PathTask:
-    """Return the task for a new guess `path_m` (N, 2) and its local model `evaluate`."""
+def moved(task: PathTask, model: LocalModel, path_m: Floats, drive: Drive | None) -> PathTask:
+    """Return the task for a new guess `path_m` (N, 2) and its local model and goal cost."""
     motion = task.motion
     if motion is not None and drive is not None:
         motion = replace(motion, drive=drive)
-    return replace(task, path_m=path_m, evaluate=evaluate, motion=motion)
+    return replace(task, path_m=path_m, evaluate=model[0], charge=model[1], motion=motion)
 
 
 def goal_value(
@@ -366,26 +368,26 @@ def goal_value(
     context: StepContext,
     path_m: Floats,
     rows: RuleRows,
-) -> GoalValue:
-    """Return the local model of a goal's cost around the path (N, 2) of a single integrator."""
+) -> LocalModel:
+    """Return margins and scores near the path (N, 2) of a single integrator, and its goal cost."""
     pivot, effort = leading(path_m[-1]), cost.problem.reach.effort_weight_s2_m2
     before, charged = cost.outage_charges(path_m)
     # The rate must cover the most expensive metre of the path, or driving it would not pay.
     metre_cost = max(pivot.metre_cost, float(cost.metre_costs(path_m).max()))
     predict_stages = stage_predictor(context.law, path_m, cost.problem.planner.neighbours)
 
-    def margins(positions_m: Floats) -> tuple[Derivatives, Derivatives]:
+    def evaluate(positions_m: Floats) -> Evaluation:
         power = predict_stages(positions_m)
-        scores = scores_of(*power, cost.threshold_dbm)
-        return margins_of(*power, rows.threshold_dbm, rows.quantile), scores
+        margins = margins_of(*power, rows.threshold_dbm, rows.quantile)
+        return Evaluation(None, margins, scores=scores_of(*power, cost.threshold_dbm))
 
-    return GoalValue(
-        start_m=cost.position_m,
+    return remembering(evaluate), PricedCharge(
         pivot_m=pivot.position_m,
         effort_s_m2=effort / cost.problem.planner.step_s,
         rate_s_m=cost.rate_s_m * metre_cost,
-        outage=OutagePrice(cost.rate_s_m * cost.outage_price, before, charged),
-        margins=margins,
+        price_s_m=cost.rate_s_m * cost.outage_price,
+        share_before=before,
+        charged=charged,
     )
 
 
@@ -431,21 +433,20 @@ class Refinement:
         lines = max(self._moving, moving_count(discs)) + self._tail(discs)
         lines += GOAL_LINES if self._to_goal else LINES_PER_SEGMENT
         if lines not in self._built:
-            if self._to_goal:
-                shape = PathShape(settings.horizon, lines, "chain", bounded=True, slacked=False)
-            else:
-                motion = None
-                if not robot.moves_freely:
-                    motion = MotionShape(robot.dynamics, settings.step_s, settings.horizon, lines)
-                shape = PathShape(
-                    settings.horizon,
-                    lines,
-                    structure_of(problem),
-                    has_step_rows(problem),
-                    has_sum_row(problem),
-                    motion,
-                    charged=problem.has_goal,
-                )
+            motion = None
+            if not robot.moves_freely:
+                motion = MotionShape(robot.dynamics, settings.step_s, settings.horizon, lines)
+            shape = PathShape(
+                settings.horizon,
+                lines,
+                structure_of(problem),
+                self._to_goal or has_step_rows(problem),
+                has_sum_row(problem) and not self._to_goal,
+                motion,
+                charged=problem.has_goal,
+                valued=bool(problem.terms),
+                slacked=not self._to_goal,
+            )
             self._built[lines] = build_path_nlp(
                 shape,
                 METHODS[settings.name],
@@ -478,7 +479,13 @@ class Refinement:
         value = guess.value
         if guess.charge is not None:
             value = problem.planner.step_s * len(guess.path_m)
-        near = guess.near or local_value
+
+        def near(path_m: Floats, rows: RuleRows) -> LocalModel:
+            if guess.near is not None:
+                return guess.near(context, path_m, rows)
+            return local_value(context, path_m, rows), guess.charge
+
+        evaluate, charge = near(guess.path_m, rows)
         task = PathTask(
             start_m=context.position_m,
             path_m=guess.path_m,
@@ -486,10 +493,10 @@ class Refinement:
             clearance_m=problem.constraints.clearance_m,
             step_length_m=problem.step_length_m,
             bounds_m=problem.workspace.bounds_m,
-            evaluate=near(context, guess.path_m, rows),
+            evaluate=evaluate,
             scale=1.0 if to_goal else VALUE_IN_SOLVER / (abs(value) or VALUE_IN_SOLVER),
             motion=motion,
-            charge=guess.charge,
+            charge=charge,
             arrival=arrival_step(problem, guess.path_m) if to_goal else None,
         )
         if to_goal:
@@ -523,7 +530,7 @@ class Refinement:
                     if budget.spent or point.termination not in RETURNED:
                         return found
                     # The next solve corrects the local model by its error at the returned path.
-                    task = moved(task, near(context, point.path_m, rows), point.path_m, drive)
+                    task = moved(task, near(point.path_m, rows), point.path_m, drive)
                     again = tightened(task, rows, power, feasible=False)
                     task = replace(task, bound=np.where(np.isneginf(bound), -np.inf, again))
                     continue
@@ -549,8 +556,7 @@ class Refinement:
             if again is None:
                 return found
             rows, allocations = again, allocations - 1
-            evaluate = near(context, candidate.path_m, rows)
-            task = moved(task, evaluate, candidate.path_m, drive)
+            task = moved(task, near(candidate.path_m, rows), candidate.path_m, drive)
             task = with_bounds(task, context, rows)
         return found
 

@@ -81,7 +81,7 @@ def with_separations(problem: Problem, driven: int, plans: Sequence[Plan]) -> li
         moving = discs_to_avoid(problem, driven, others_of(motions, number))
         apart = verify_apart(moving, motions[number], len(plan.positions_m) - 1)
         certificate = replace(plan.certificate, min_separation_m=apart.min_separation_m)
-        if apart.reasons and plan.verdict is Verdict.VERIFIED:
+        if apart.reasons and plan.verdict in (Verdict.VERIFIED, Verdict.FEASIBLE_UNVERIFIED):
             certificate = replace(certificate, reasons=apart.reasons)
             message = plan_message(certificate, plan.positions_m)
             plan = replace(plan, verdict=Verdict.VIOLATED, message=message)

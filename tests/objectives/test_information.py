@@ -32,14 +32,13 @@ from planopt.objectives.information import (
 )
 from planopt.objectives.measuring import MeasuringRule
 from planopt.objectives.moments import (
-    LocalPaths,
     Region,
     covariance_factor,
     cross_covariance_db2,
     known_places,
     posterior_moments,
 )
-from planopt.objectives.path_derivatives import LocalPath, by_positions
+from planopt.objectives.path_derivatives import LocalPaths, by_positions
 from planopt.objectives.stage_power import CUSP_ROUNDING, rounded_kernel
 
 DATA = drawn(15)
@@ -237,24 +236,20 @@ def test_without_a_factor_the_near_measurements_serve():
 # Local channels: values of many paths, and derivatives of one.
 
 
-def local_path(path, posterior=POSTERIOR, count=15, rule=None):
-    """The moments of a path from the measurements near `PATH`."""
+def local(name, path, posterior=POSTERIOR, count=15, rule=None):
+    """Value and derivatives of one path from the measurements near `PATH`."""
     channel = LocalChannel.around(posterior, PATH, count)
     gates = None if rule is None else rule.gates(path[None])
-    return LocalPath(channel, path, gates, LocalGrid.of(channel, GRID, REGION.weight))
+    grid = LocalGrid.of(channel, GRID, REGION.weight)
+    near = LocalPaths(channel, path[None], None if gates is None else gates.value, grid)
+    return by_positions(gain_of(name, posterior).derivatives(near), gates)
 
 
-def local(name, path, posterior=POSTERIOR, count=15, rule=None):
-    near = local_path(path, posterior, count, rule)
-    return by_positions(gain_of(name, posterior).derivatives(near), near.gates)
-
-
-def of_many(name, paths, gate=None):
-    """The values of many paths by one local channel."""
+def of_many(paths, gate=None, order=0):
+    """Many paths by one local channel."""
     channel = LocalChannel.around(POSTERIOR, PATH, 15)
     grid = LocalGrid.of(channel, GRID, REGION.weight)
-    single = channel.precision.astype(np.float32)
-    return gain_of(name, POSTERIOR).value(LocalPaths(channel, single, paths, grid).moments(gate))
+    return LocalPaths(channel, paths, gate, grid, order)
 
 
 def require_derivatives(evaluate, path, rtol):
@@ -301,13 +296,23 @@ def test_roundings_cost_little_and_single_precision_less(name):
     # The threshold's rounding adds at most 3/16 of its width, 0.01 * 29 dB^2, a step.
     stated = 0.0 if name in (*LEARNING, "information", "average") else 5.0 * 3.0 / 16.0 * 0.29
     assert abs(local(name, PATH).value - value) < 0.012 * abs(value) + stated
-    paths = np.stack([PATH, PATH + 3.0])
-    assert of_many(name, paths)[0] == pytest.approx(value, rel=1e-4)
+    paths, gain = np.stack([PATH, PATH + 3.0]), gain_of(name, POSTERIOR)
+    assert gain.value(of_many(paths).moments)[0] == pytest.approx(value, rel=1e-4)
     taken = np.array([True, True, True, False, False])
-    some = gain_of(name, POSTERIOR).value(posterior_moments(POSTERIOR, PATH, taken, REGION))
-    assert float(some) == pytest.approx(exact(name, path=PATH[:3]), rel=1e-9)
+    some = float(gain.value(posterior_moments(POSTERIOR, PATH, taken, REGION)))
+    assert some == pytest.approx(exact(name, path=PATH[:3]), rel=1e-9)
     gate = np.stack([taken, taken]).astype(float)
-    assert of_many(name, paths, gate)[0] == pytest.approx(float(some), rel=1e-4)
+    found = gain.value(of_many(paths, gate).moments)[0]
+    assert found == pytest.approx(some, rel=1e-4)
+
+
+@pytest.mark.parametrize("name", ["T", "D", "A", *MAPPING])
+def test_gradients_of_ranked_paths_are_those_of_single_ones(name):
+    """In single precision, and without the roundings that solvers need."""
+    gate = np.array([[1.0, 0.7, 1.0, 0.3, 1.0]])
+    many, one = (of_many(PATH[None], gate, order) for order in (1, 2))
+    found, expected = (gain_of(name, POSTERIOR).slope(each) for each in (many, one))
+    np.testing.assert_allclose(found, expected, atol=0.03 * np.abs(expected).max())
 
 
 SPACING_M = 2.0

@@ -5,7 +5,7 @@ from dataclasses import fields, replace
 import numpy as np
 
 from planopt.arrays import Derivatives
-from planopt.planning.programme.goal_value import GoalValue, OutagePrice
+from planopt.planning.programme.goal_value import Evaluation, PricedCharge
 from planopt.planning.programme.path_nlp import GOAL, build_path_nlp
 from planopt.planning.programme.solver import PathShape
 from planopt.planning.refinement import PathTask
@@ -59,35 +59,35 @@ def slope_margins(gradient_db_m, offset_db):
 def scored(margins, scores=None):
     """Margins and scores of all stages; certain connection unless scores are given."""
     scores = constant_margins(40.0) if scores is None else scores
-    return lambda positions_m: (margins(positions_m), scores(positions_m))
+    return lambda positions_m: Evaluation(None, margins(positions_m), scores=scores(positions_m))
 
 
 def outage_of(horizon, price_s_m=0.0, share_before=0.0, charged=1.0):
     """A price of outage after every step, or after those that `charged` (N,) says."""
-    return OutagePrice(price_s_m, share_before, np.broadcast_to(charged, horizon).astype(float))
+    charged = np.broadcast_to(charged, horizon).astype(float)
+    return {"price_s_m": price_s_m, "share_before": share_before, "charged": charged}
 
 
-OF_VALUE = {field.name for field in fields(GoalValue)}
-OF_TASK = {field.name for field in fields(PathTask)}
+OF_CHARGE = {field.name for field in fields(PricedCharge)}
 
 
 def goal_nlp(horizon, lines, method="ipopt"):
     """The programme for the cost of a goal, as the planner builds it."""
-    shape = PathShape(horizon, lines, "chain", bounded=True, slacked=False)
+    shape = PathShape(
+        horizon, lines, "stagewise", bounded=True, slacked=False, charged=True, valued=False
+    )
     return build_path_nlp(shape, method, options=GOAL)
 
 
-def changed(task, **changes):
-    """The task with other fields, of its value as well."""
-    of_value = {name: value for name, value in changes.items() if name in OF_VALUE}
-    own = {name: value for name, value in changes.items() if name in OF_TASK}
-    return replace(task, **own, evaluate=replace(task.evaluate, **of_value))
+def changed(task, margins=None, outage=None, **changes):
+    """The task with other fields, of its goal cost as well."""
+    of_charge = {name: changes.pop(name) for name in OF_CHARGE & set(changes)}
+    charge = replace(task.charge, **of_charge, **(outage or {}))
+    return replace(task, evaluate=margins or task.evaluate, charge=charge, **changes)
 
 
 def reach_task(horizon, line_count, **changes):
     """From the origin along x in free space: effort 0.1 s/m^2, 1 s/m to a pivot 50 m away."""
-    margins = scored(constant_margins(10.0))
-    value = GoalValue(np.zeros(2), np.array([50.0, 0.0]), 0.1, 1.0, outage_of(horizon), margins)
     task = PathTask(
         start_m=np.zeros(2),
         path_m=np.outer(np.arange(1, horizon + 1), [1.0, 0.0]),
@@ -95,8 +95,9 @@ def reach_task(horizon, line_count, **changes):
         clearance_m=0.0,
         step_length_m=2.0,
         bounds_m=(-100.0, -100.0, 100.0, 100.0),
-        evaluate=value,
+        evaluate=scored(constant_margins(10.0)),
         scale=1.0,
         bound=np.zeros(horizon),
+        charge=PricedCharge(np.array([50.0, 0.0]), 0.1, 1.0, **outage_of(horizon)),
     )
     return changed(task, **changes)

@@ -1,5 +1,6 @@
 """Planners from outside plug in by name: registered, or by the entry points of a package."""
 
+from dataclasses import replace
 from time import perf_counter
 from types import SimpleNamespace
 
@@ -12,6 +13,7 @@ from planopt.planning.candidates import held
 from planopt.planning.loop.log import Outcome
 from planopt.planning.plan import Rung, Termination
 from planopt.planning.planners import LawnmowerPlanner
+from planopt.planning.reservations import with_separations
 from planopt.problems import problem_to_dict, settings
 from planopt.problems.load import with_changes
 from planopt.problems.problem import problem_from_tables
@@ -166,5 +168,8 @@ def test_robots_that_come_too_close_are_not_verified(own_parts, tmp_path) -> Non
     solution = solve(problem, planner="meeting", horizon=6)
     assert {plan.verdict for plan in solution.plans} == {Verdict.VIOLATED}
     assert all("separation_m" in plan.message for plan in solution.plans)
+    unproven = [replace(plan, verdict=Verdict.FEASIBLE_UNVERIFIED) for plan in solution.plans]
+    judged = with_separations(solution.problem, 0, unproven)
+    assert {plan.verdict for plan in judged} == {Verdict.VIOLATED}
     solution.save(tmp_path)
     assert check(tmp_path).verdict is solution.verdict

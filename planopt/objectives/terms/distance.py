@@ -7,8 +7,7 @@ import numpy as np
 from pydantic import Field
 
 from planopt.arrays import Derivatives, Floats, rounded_length
-from planopt.objectives.moments import TINY_M, Pull, pull_of_lengths
-from planopt.objectives.path_derivatives import PathDerivatives, by_lengths
+from planopt.objectives.path_derivatives import PathDerivatives, by_lengths, length_jacobian
 from planopt.objectives.terms.term import (
     NearPath,
     Nodes,
@@ -20,6 +19,9 @@ from planopt.objectives.terms.term import (
     TermContext,
 )
 from planopt.objectives.upper_bounds import StageBounds, no_reward
+
+TINY_M = 1e-9
+"""Distance in metres below which the direction between two positions is undefined."""
 
 
 @dataclass(frozen=True)
@@ -50,15 +52,15 @@ class SteeredTerm(Term):
         distance = rounded_length(places - steering.turns_m[path.ahead], path.rounding_m)
         return Derivatives(-distance.value, -distance.gradient, -distance.hessian)
 
-    def slope(self, paths: Paths, number: int) -> Pull:
-        """Return the adjoints of :meth:`values` w.r.t. the positions of paths."""
+    def slope(self, paths: Paths) -> Floats:
+        """Return the gradients of :meth:`values` w.r.t. the positions of paths."""
         steering, places = paths.at.steering, paths.paths_m
         if steering is None:
-            return Pull()
+            return np.zeros(places.shape)
         turns = steering.next_turns(places.reshape(-1, 2))
         offset = steering.turns_m[turns].reshape(places.shape) - places
         length = np.maximum(np.linalg.norm(offset, axis=2), TINY_M)
-        return Pull(by_position=offset / length[:, :, None])
+        return offset / length[:, :, None]
 
     def node_reward(self, at: TermContext, nodes: Nodes) -> Floats:
         """Return minus the remaining distance from each lattice node as an array ``(ny, nx)``."""
@@ -119,10 +121,12 @@ class MotionEnergyTerm(Term):
         each = np.full(len(offsets), -self.per_metre_j_m)
         return PathDerivatives(float(each @ lengths.value), *by_lengths(lengths, each))
 
-    def slope(self, paths: Paths, number: int) -> Pull:
-        """Return the adjoints of minus the length-dependent energy w.r.t. positions."""
-        by_length = np.full(paths.shape, -self.per_metre_j_m)
-        return pull_of_lengths(paths.at.position_m, paths.paths_m, by_length)
+    def slope(self, paths: Paths) -> Floats:
+        """Return the gradients of minus the length-dependent energy w.r.t. positions."""
+        ends = np.insert(paths.paths_m, 0, paths.at.position_m, axis=1)
+        lengths = rounded_length(np.diff(ends, axis=1), TINY_M)
+        by_place = length_jacobian(lengths).sum(axis=1).reshape(paths.paths_m.shape)
+        return -self.per_metre_j_m * by_place
 
     def stage_bounds(self, at: TermContext) -> StageBounds | str:
         """Return the costs of moves; no stage has a reward."""

@@ -19,8 +19,8 @@ from planopt.objectives.information import (
     require_estimated_path_loss,
     square_root,
 )
-from planopt.objectives.moments import Moments, Pull, known_places, posterior_moments
-from planopt.objectives.path_derivatives import PathDerivatives, by_positions
+from planopt.objectives.moments import known_places, posterior_moments
+from planopt.objectives.path_derivatives import PathDerivatives, by_positions, slope_by_positions
 from planopt.objectives.terms.distance import SteeredTerm
 from planopt.objectives.terms.term import (
     NearPath,
@@ -86,13 +86,13 @@ class MeasuredTerm(Term):
 
     def values(self, paths: Paths) -> Floats:
         """Return the gains by measurements along many paths, from local channel models."""
-        each = [self._gain(paths.at, k).value(moments) for k, moments in enumerate(paths.moments)]
+        each = [self._gain(paths.at, k).value(own.moments) for k, own in enumerate(paths.measured)]
         return np.sum(each, axis=0)
 
-    def slope(self, paths: Paths, number: int) -> Pull:
-        """Return the adjoints of :meth:`values` w.r.t. the moments of station `number`."""
-        moments: Moments = paths.moments[number]
-        return moments.without_gates(self._gain(paths.at, number).pull(moments))
+    def slope(self, paths: Paths) -> Floats:
+        """Return the gradients of :meth:`values` w.r.t. the positions of paths."""
+        each = [self._gain(paths.at, k).slope(own) for k, own in enumerate(paths.measured)]
+        return slope_by_positions(np.sum(each, axis=0), paths.gates)
 
     def derivatives(self, path: NearPath) -> Part:
         """Return the value and derivatives of one path, using the local channel."""

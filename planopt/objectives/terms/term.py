@@ -24,8 +24,8 @@ from planopt.channel.kriging import LocalChannel, LocalGrid, Prediction, connect
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError, listed
 from planopt.objectives.measuring import Gates, MeasuringRule
-from planopt.objectives.moments import LocalPaths, Moments, Pull, Region
-from planopt.objectives.path_derivatives import LocalPath, PathDerivatives
+from planopt.objectives.moments import Region
+from planopt.objectives.path_derivatives import LocalPaths, PathDerivatives
 from planopt.objectives.stage_power import StagePower
 from planopt.objectives.tracking import Held
 from planopt.parts import class_name, require_name
@@ -175,11 +175,8 @@ class Term:
         """Return the term's value for one path, with derivatives, for solvers."""
         raise self._without("derivatives")
 
-    def slope(self, paths: Paths, number: int) -> Pull:
-        """Return the adjoints of :meth:`values` w.r.t. the moments of station `number`.
-
-        Terms that are not sums over stations are called for the first station only.
-        """
+    def slope(self, paths: Paths) -> Floats:
+        """Return the gradients ``(c, N, 2)`` of :meth:`values` w.r.t. the positions of paths."""
         raise self._without("slope")
 
     def node_reward(self, at: TermContext, nodes: Nodes) -> Floats | None:
@@ -482,7 +479,8 @@ class Paths:
     at: TermContext
     paths_m: Floats  # (c, N, 2) positions after each step
     stations: Sequence[LocalPaths]  # Power prediction of each station along the paths
-    moments: Sequence[Moments]  # Moments of measurements of each anticipated channel
+    measured: Sequence[LocalPaths]  # Measurements of each anticipated channel
+    gates: Gates | None = None  # Gates of the measurements, for gradients
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -540,10 +538,11 @@ class NearPath:
         return self.predicted()
 
     @cached_property
-    def measured(self) -> list[LocalPath]:
-        """Moments of measurements along the path, for each station's anticipated channel."""
+    def measured(self) -> list[LocalPaths]:
+        """Measurements along the path, for each station's anticipated channel."""
+        gate = None if self.gates is None else self.gates.value
         return [
-            LocalPath(channel, self.places_m, self.gates, grid)
+            LocalPaths(channel, self.places_m[None], gate, grid)
             for channel, grid in self.anticipated
         ]
 

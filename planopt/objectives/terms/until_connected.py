@@ -20,7 +20,7 @@ from planopt.channel.kriging import LocalChannel, score_probability
 from planopt.channel.parameters import leg_lengths_m, require_places
 from planopt.channel.posterior import ChannelPosterior, factored_near
 from planopt.objectives.path_derivatives import (
-    LocalPath,
+    LocalPaths,
     PathDerivatives,
     add_own_blocks,
     by_lengths,
@@ -190,7 +190,7 @@ def charged_distance_derivatives(
     probed: Mask | None = None,  # (h,)
 ) -> PathDerivatives:
     """Return :func:`charged_distance_m` with derivatives, by local channels and filtering."""
-    stations = [LocalPath(channel, path_m) for channel in channels]
+    stations = [LocalPaths(channel, path_m[None]) for channel in channels]
     steps = len(path_m)
     legs = rounded_length(np.diff(np.vstack([settings.start_m, path_m]), axis=0), width_m)
     if settings.step_m is not None:
@@ -204,7 +204,7 @@ def charged_distance_derivatives(
     # Derivatives of z w.r.t. the coordinates.
     jacobian: list[Floats] = []
     for station, threshold in zip(stations, settings.thresholds_dbm, strict=True):
-        z += [station.power_mean.value - threshold - missing_db, station.universal.value.ravel()]
+        z += [station.power_mean.value - threshold - missing_db, station.universal.value[0].ravel()]
         jacobian += _jacobians(station)
     by_beyond = np.zeros((1, 2 * steps))
     by_beyond[0, -2:] = beyond.gradient[0]
@@ -228,14 +228,14 @@ def charged_distance_derivatives(
     )
 
 
-def _jacobians(station: LocalPath) -> list[Floats]:
+def _jacobians(station: LocalPaths) -> list[Floats]:
     """Return the Jacobians of the mean (h, 2 h) and covariance (h h, 2 h) of a station's power."""
-    steps = station.steps
+    steps = station.shape[1]
     k = np.arange(steps)
     by_mean = np.zeros((steps, steps, 2))
     by_mean[k, k] = station.power_mean.gradient
     by_covariance = np.zeros((steps, steps, steps, 2))
-    first = station.universal.first.reshape(steps, 2, steps)
+    first = station.universal.first[0].reshape(steps, 2, steps)
     by_covariance[k, :, k] += first.transpose(0, 2, 1)
     by_covariance[:, k, k] += first.transpose(2, 0, 1)
     return [by_mean.reshape(steps, -1), by_covariance.reshape(steps * steps, -1)]
@@ -314,10 +314,7 @@ class UntilConnectedTerm(Term):
         settings = self.search(paths.at)
         missing_db = np.where(paths.at.probing.takes(paths.paths_m), 0.0, NOT_PROBED_DB)
         powers = [
-            (
-                power.mean_db.reshape(paths.shape) - threshold - missing_db,
-                station.moments().universal,
-            )
+            (power.mean_db.reshape(paths.shape) - threshold - missing_db, station.moments.universal)
             for power, station, threshold in zip(
                 paths.each, paths.stations, settings.thresholds_dbm, strict=True
             )

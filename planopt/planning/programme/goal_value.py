@@ -1,3 +1,4 @@
+# pyright: basic
 """Objective values with exact derivatives, and the cost of reaching a goal over N steps.
 
 With step duration h, effort weight w, standard normal distribution Phi and smoothed step length
@@ -21,10 +22,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
+import casadi as ca
 import numpy as np
-from scipy.special import ndtr
 
-from planopt.arrays import Derivatives, Floats, add_products
+from planopt.arrays import Derivatives, Floats
 from planopt.planning.programme.solver import MotionShape
 from planopt.robots.dynamics import Components
 
@@ -53,9 +54,10 @@ class PathValue:
 class Evaluation:
     """Objective value of one path, and the margins or the sum to which constraints apply."""
 
-    value: PathValue
+    value: PathValue | None  # None for the cost of reaching a goal
     margins: Derivatives | None  # Margins of the N stages
     total: PathValue | None = None  # Sum over stages with Hessian (N, 3)
+    scores: Derivatives | None = None  # Normal scores of connection, if outage is priced
 
     @property
     def rows(self) -> Floats:
@@ -86,119 +88,55 @@ def remembering(evaluate: EvaluatePath) -> EvaluatePath:
     return remembered
 
 
+@dataclass
 class ValueSource:
-    """Evaluation function for a solver's callbacks; every solve sets a new function."""
+    """Evaluation function for a solver's callbacks, which every solve sets anew."""
 
-    def __init__(self) -> None:
-        self._evaluate: EvaluatePath | None = None
-
-    def use(self, evaluate: EvaluatePath) -> None:
-        """Set the evaluation function, with an empty cache."""
-        self._evaluate = remembering(evaluate)
+    evaluate: EvaluatePath | None = None  # Remembers its last path
 
     def __call__(self, flat: Floats) -> Evaluation:
         """Return the evaluation at positions flattened to (2 N,)."""
-        if self._evaluate is None:
+        if self.evaluate is None:
             raise AssertionError("a solver was called before its value was set")
-        return self._evaluate(flat.reshape(-1, 2))
+        return self.evaluate(flat.reshape(-1, 2))
 
 
 PIVOT_ROUNDING_M, STEP_ROUNDING_M = 1e-2, 1e-2
 """Smoothing widths of the distance to the pivot and of step lengths, which have cusps at zero."""
 
 
-DENSITY = 1.0 / math.sqrt(2.0 * math.pi)
-"""Standard normal density at zero."""
+@dataclass(frozen=True, eq=False)
+class PricedCharge:
+    """Parameters of the cost of reaching a goal, for a single integrator."""
 
-
-@dataclass(frozen=True)
-class OutagePrice:
-    """Price per metre out of contact, and fractions of the steps to which it applies."""
-
+    pivot_m: Floats  # (2,) terminal waypoint of the cost-to-go
+    effort_s_m2: float  # Cost per squared step length, and per metre beyond the horizon
+    rate_s_m: float
     price_s_m: float  # Cost of a metre out of contact
     share_before: float  # Penalised fraction of a metre at the start
     charged: Floats  # (N,) penalised fraction after each step if it is certainly out of contact
 
-
-@dataclass(frozen=True, eq=False)
-class GoalValue:
-    """Objective of a single integrator's path to a goal, with connectivity margins."""
-
-    start_m: Floats  # (2,) position of the robot
-    pivot_m: Floats  # (2,) terminal waypoint of the cost-to-go
-    effort_s_m2: float  # Cost per squared step length, and per metre beyond the horizon
-    rate_s_m: float
-    outage: OutagePrice
-    # Maps positions to each stage's connectivity margin and its normal score of connection
-    margins: Callable[[Floats], tuple[Derivatives, Derivatives]]
-
-    def __call__(self, places_m: Floats) -> Evaluation:
-        """Return the objective value and connectivity margins of a path (N, 2)."""
-        margins, scores = self.margins(places_m)
-        return Evaluation(self._value(places_m, scores), margins)
-
-    def _value(self, places_m: Floats, score: Derivatives) -> PathValue:
-        outage, half, effort = self.outage, 0.5 * self.outage.price_s_m, 2.0 * self.effort_s_m2
-        steps = places_m.copy()
-        steps[0] -= self.start_m
-        steps[1:] -= places_m[:-1]
-        step_squares = _square(steps)
-        squares = step_squares[:, 0] + step_squares[:, 2]
-        lengths = np.sqrt(squares + STEP_ROUNDING_M**2)
-        # Penalised fraction of a metre after each step, with derivatives by score and position.
-        z = score.value
-        share = outage.charged * ndtr(-z)
-        by_score = outage.charged * np.exp(-0.5 * z * z) * -DENSITY
-        share_slope = by_score[:, None] * score.gradient
-        by_length, by_share = half * share, half * lengths
-        by_length[0] += half * outage.share_before
-        by_length[1:] += half * share[:-1]
-        by_share[:-1] += half * lengths[1:]
-        to_pivot = places_m[-1] - self.pivot_m
-        away = math.sqrt(float(to_pivot @ to_pivot) + PIVOT_ROUNDING_M**2)
-        cost = 0.5 * effort * squares.sum() + self.rate_s_m * away + by_length @ lengths
-
-        bend = by_length / lengths
-        pull = effort + bend
-        by_step = pull[:, None] * steps
-        gradient = by_share[:, None] * share_slope
-        gradient += by_step
-        gradient[:-1] -= by_step[1:]
-        gradient[-1] += self.rate_s_m / away * to_pivot
-
-        # Blocks of each stage, and blocks that couple each stage with the next.
-        n = len(steps)
-        entries = np.empty(7 * n - 4)
-        own, across = entries[: 3 * n].reshape(n, 3), entries[3 * n :].reshape(n - 1, 2, 2)
-        step_bend = step_squares
-        step_bend *= (-bend / (lengths * lengths))[:, None]
-        step_bend[:, ::2] += pull[:, None]
-        np.multiply(_square(score.gradient), -z[:, None], out=own)
-        own += score.hessian
-        own *= (by_share * by_score)[:, None]
-        own += step_bend
-        own[:-1] += step_bend[1:]
-        turn = steps * (half / lengths)[:, None]
-        on = turn[1:].copy()
-        turn[:-1] -= on
-        add_products(own, turn, share_slope)
-        own[-1, ::2] += self.rate_s_m / away
-        own[-1] -= self.rate_s_m / away**3 * _square(to_pivot)
-        np.multiply(share_slope[:-1, :, None], on[:, None], out=across)
-        across -= on[:, :, None] * share_slope[1:, None]
-        across -= step_bend[1:].take(FULL, axis=1)
-        return PathValue(-float(cost), np.negative(gradient, out=gradient), -entries)
+    @property
+    def numbers(self) -> Floats:
+        """Return the parameters as an array (6 + N,) for :func:`priced_cost_s`."""
+        costs = (self.effort_s_m2, self.rate_s_m, self.price_s_m, self.share_before)
+        return np.array([*self.pivot_m, *costs, *self.charged])
 
 
-FULL = np.array([[0, 1], [1, 2]])
-"""Indices of a symmetric 2 x 2 matrix in its entries xx, xy, yy."""
-LEFT, RIGHT = np.array([0, 0, 1]), np.array([0, 1, 1])
-"""Components of a vector whose products are the entries xx, xy, yy of its outer product."""
-
-
-def _square(a: Floats) -> Floats:
-    """Return the entries xx, xy, yy of the outer products a a' of vectors a (..., 2)."""
-    return a.take(LEFT, axis=-1) * a.take(RIGHT, axis=-1)
+def priced_cost_s(n: int, q: Any, scores: Any, start: Any, charge: Any) -> Any:
+    """Return the symbolic goal cost in seconds of positions `q` (2 N,) and scores (N,)."""
+    effort, rate, price, share = (charge[i] for i in range(2, 6))
+    before, cost = start, 0.0
+    for k in range(n):
+        here = q[2 * k : 2 * k + 2]
+        step = here - before
+        square = step[0] ** 2 + step[1] ** 2
+        next_share = charge[6 + k] * 0.5 * (1.0 - ca.erf(scores[k] / math.sqrt(2.0)))
+        length = ca.sqrt(square + STEP_ROUNDING_M**2)
+        cost += effort * square + 0.5 * price * length * (share + next_share)
+        before, share = here, next_share
+    away = before - charge[0:2]
+    return cost + rate * ca.sqrt(away[0] ** 2 + away[1] ** 2 + PIVOT_ROUNDING_M**2)
 
 
 ROUNDING_STEPS = 0.01
@@ -225,6 +163,10 @@ class GoalCharge:
         """Return the parameters as an array (7,) for :func:`goal_cost_s`."""
         costs = (self.effort_s_m2, self.rate_s_m, self.braking_s_m)
         return np.array([*self.pivot_m, *costs, self.each_step, self.rounding_m])
+
+
+LocalModel = tuple[EvaluatePath, GoalCharge | PricedCharge | None]
+"""Evaluation of paths near a guess, and the cost of reaching a goal, if there is one."""
 
 
 def goal_cost_s(shape: MotionShape, q: Any, w: Any, start: Components, charge: Any) -> Any:

@@ -20,6 +20,7 @@ built once per structure and reused.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import Any, Literal
 
 import casadi as ca
@@ -27,7 +28,12 @@ import numpy as np
 
 from planopt.arrays import Floats
 from planopt.objectives.terms.term import Structure
-from planopt.planning.programme.goal_value import PARAMETERS, Evaluation, ValueSource, goal_cost_s
+from planopt.planning.programme.goal_value import (
+    PARAMETERS,
+    ValueSource,
+    goal_cost_s,
+    priced_cost_s,
+)
 from planopt.planning.programme.solver import (
     OPTIONS,
     NlpFunctions,
@@ -76,20 +82,19 @@ class PathCallback(ca.Callback):
 
     def eval_buffer(self, arguments: Any, results: Any) -> int:
         """Evaluate the NumPy function in the buffers; return 0 for success."""
-        np.frombuffer(results[0])[:] = np.ravel(self._evaluate(np.frombuffer(arguments[0])))
+        found = self._evaluate(np.frombuffer(arguments[0]))
+        np.frombuffer(results[0])[:] = found if isinstance(found, float) else found.ravel()
         return 0
 
 
 def path_callbacks(
-    name: str, stages: int, values: int, curved: int, evaluate: Callable[[Floats], Any]
+    source: ValueSource, quantity: str, stages: int, sizes: dict[str, int]
 ) -> list[PathCallback]:
-    """Return CasADi callbacks for value, gradient and Hessian of one quantity."""
-    sizes = {"value": values, "gradient": 2 * max(values, stages), "hessian": curved}
+    """Return CasADi callbacks for parts of one quantity of an evaluation."""
+    parts = {part: attrgetter(f"{quantity}.{part}") for part in sizes}
     return [
-        PathCallback(
-            f"{name}_{part}", stages, size, lambda at, part=part: getattr(evaluate(at), part)
-        )
-        for part, size in sizes.items()
+        PathCallback(f"{quantity}_{part}", stages, sizes[part], lambda at, of=of: of(source(at)))
+        for part, of in parts.items()
     ]
 
 
@@ -198,28 +203,37 @@ def build_path_nlp(
     """Return a solver of the nonlinear programme for one problem structure."""
     # `budget_s` and `options` are None for no limit and for the options of `near_start`.
     n, source = shape.horizon, ValueSource()
-    quantities: dict[str, tuple[int, int, Callable[[Evaluation], Any]]] = {
-        "value": (1, CURVATURE[shape.structure](n), lambda at: at.value)
+    value, rows = {"value": 1, "gradient": 2 * n}, {"rows": 6 * n}
+    sizes = {
+        "value": (shape.valued, value | {"hessian": CURVATURE[shape.structure](n)}),
+        "margins": (shape.bounded, rows),
+        "total": (shape.summed, value | {"hessian": 3 * n}),
+        "scores": (shape.priced, rows),
     }
-    if shape.bounded:
-        quantities["margin"] = (n, 3 * n, lambda at: at.margins)
-    if shape.summed:
-        quantities["total"] = (1, 3 * n, lambda at: at.total)
     callbacks = {
-        name: path_callbacks(name, n, values, curved, lambda at, of=of: of(source(at)))
-        for name, (values, curved, of) in quantities.items()
+        name: path_callbacks(source, name, n, parts)
+        for name, (is_used, parts) in sizes.items()
+        if is_used
     }
     own = near_start(shape) if options is None else options
     limit = {} if budget_s is None else {"ipopt.max_wall_time": budget_s}
     solver = _exact_solver(shape, callbacks, OPTIONS | own | limit)
     functions = nlp_functions(solver)
-    kept = tuple(each for three in callbacks.values() for each in three)
+    kept = tuple(each for parts in callbacks.values() for each in parts)
     if method == "scp":
         # Imported here because only this planner needs Clarabel.
         from planopt.planning.programme.scp import scp_solve
 
         return PathNlp(shape, source, functions, scp_solve(functions, shape, budget_s), kept)
     return PathNlp(shape, source, functions, lambda *given: call_nlp(solver, n, *given), kept)
+
+
+def _slopes(rows: Any, n: int, others: int) -> Any:
+    """Return the Jacobian of n stages by all variables, from their rows of derivatives."""
+    if not rows.numel():
+        return ca.SX(0, 2 * n + others)
+    each = [ca.horzcat(rows[6 * k + 1], rows[6 * k + 2]) for k in range(n)]
+    return ca.horzcat(ca.diagcat(*each), ca.SX(n, others))
 
 
 def _exact_solver(
@@ -231,7 +245,7 @@ def _exact_solver(
     driving = ca.SX.sym("driving", driven)
     head, line = ca.SX.sym("head", 5), ca.SX.sym("line", 4 * n * shape.lines)
     own = ca.SX.sym("own", 0 if motion is None else motion.parameters)
-    charge = ca.SX.sym("charge", PARAMETERS * int(shape.charged))
+    charge = ca.SX.sym("charge", (6 + n if motion is None else PARAMETERS) * int(shape.charged))
     x, p = ca.vertcat(q, s, driving), ca.vertcat(head, line, own, charge)
     plain, cost = path_rows(n, shape.lines, q, head[0:2], line), ca.SX(0)
     if motion is not None:
@@ -241,28 +255,37 @@ def _exact_solver(
         if shape.charged:
             cost = goal_cost_s(motion, q, driving, start, charge)
 
-    curved, count = CURVATURE[shape.structure](n), plain.numel()
-    v, dv, hv = ca.SX.sym("v"), ca.SX.sym("dv", 2 * n), ca.SX.sym("hv", curved)
-    m, dm, hm = (ca.SX.sym(f"m{width}", width * n * int(shape.bounded)) for width in (1, 2, 3))
+    curved, count = CURVATURE[shape.structure](n) * int(shape.valued), plain.numel()
+    v, dv, hv = (ca.SX.sym(f"v{size}", size * int(shape.valued)) for size in (1, 2 * n, curved))
+    m, z = ca.SX.sym("m", 6 * n * int(shape.bounded)), ca.SX.sym("z", 6 * n * int(shape.priced))
     w, dw, hw = (ca.SX.sym(f"w{size}", size * int(shape.summed)) for size in (1, 2 * n, 3 * n))
     lam_f, lam = ca.SX.sym("lam_f"), ca.SX.sym("lam", count + shape.bounds)
     others = ca.SX(slacks + driven, slacks + driven)
+    if shape.priced:
+        cost = priced_cost_s(n, q, z[::6], head[0:2], charge)
+    # By the chain rule, as the cost depends on the positions through the scores too.
+    both = ca.vertcat(x, z[::6])
+    through = ca.vertcat(ca.SX.eye(x.numel()), _slopes(z, n, slacks + driven))
+    slope = ca.gradient(cost, both)
+    bend = ca.hessian(lam_f * head[2] * cost + ca.dot(lam[:count], plain), both)[0]
     # The solver minimises.
-    objective = head[2] * (cost - v) + head[3] * ca.sum1(s)
-    gradient = ca.vertcat(-head[2] * dv, head[3] * ca.SX.ones(slacks), ca.SX.zeros(driven))
-    gradient += head[2] * ca.gradient(cost, x)
-    hessian = (
-        -lam_f * head[2] * ca.diagcat(curvature(hv, n, shape.structure), others)
-        + ca.hessian(lam_f * head[2] * cost + ca.dot(lam[:count], plain), x)[0]
-    )
+    objective = head[2] * cost + head[3] * ca.sum1(s)
+    gradient = ca.vertcat(ca.SX(2 * n, 1), head[3] * ca.SX.ones(slacks), ca.SX(driven, 1))
+    gradient += head[2] * (through.T @ slope)
+    gradient, hessian = ca.densify(gradient), through.T @ bend @ through
+    if shape.valued:
+        objective -= head[2] * v
+        gradient -= head[2] * ca.vertcat(dv, ca.SX(slacks + driven, 1))
+        hessian -= lam_f * head[2] * ca.diagcat(curvature(hv, n, shape.structure), others)
     rows, jacobian = plain, ca.jacobian(plain, x)
+    for each, by in (m, lam[count:]), (z, lam_f * head[2] * slope[x.numel() :]):
+        if each.numel():
+            weighted = [by[k] * each[6 * k + 3 + j] for k in range(n) for j in range(3)]
+            hessian += ca.diagcat(stage_blocks(ca.vertcat(*weighted), n), others)
     if shape.bounded:
-        weighted = [lam[count + k] * hm[3 * k + j] for k in range(n) for j in range(3)]
-        hessian += ca.diagcat(stage_blocks(ca.vertcat(*weighted), n), others)
-        rows = ca.vertcat(rows, m + s if shape.slacked else m)
-        by_place = ca.diagcat(*[dm[2 * k : 2 * k + 2].T for k in range(n)])
-        slopes = ca.horzcat(by_place, ca.SX.eye(n)[:, :slacks], ca.SX(n, driven))
-        jacobian = ca.vertcat(jacobian, slopes)
+        rows = ca.vertcat(rows, m[::6] + s if shape.slacked else m[::6])
+        slack = ca.vertcat(ca.SX(2 * n, n), ca.SX.eye(n)[:slacks, :], ca.SX(driven, n)).T
+        jacobian = ca.vertcat(jacobian, _slopes(m, n, slacks + driven) + slack)
     if shape.summed:
         hessian += ca.diagcat(stage_blocks(lam[count] * hw, n), others)
         rows = ca.vertcat(rows, w + head[4] * s)
@@ -270,17 +293,17 @@ def _exact_solver(
 
     X, P = ca.MX.sym("x", shape.variables), ca.MX.sym("p", p.numel())
     at, nothing = X[: 2 * n], (ca.MX(0, 1),) * 3
-    V, M, W = (
+    V, M, W, Z = (
         [each(at) for each in callbacks[name]] if name in callbacks else nothing
-        for name in ("value", "margin", "total")
+        for name in ("value", "margins", "total", "scores")
     )
-    f = ca.Function("f", [x, p, v], [objective])(X, P, V[0])
+    f = ca.Function("f", [x, p, v, z], [objective])(X, P, V[0], Z[0])
     g = ca.Function("g", [x, p, m, w], [rows])(X, P, M[0], W[0])
-    df = ca.Function("df", [x, p, dv], [gradient])(X, P, V[1])
-    dg = ca.Function("dg", [x, p, dm, dw], [jacobian])(X, P, M[1], W[1])
+    df = ca.Function("df", [x, p, dv, z], [gradient])(X, P, V[1], Z[0])
+    dg = ca.Function("dg", [x, p, m, dw], [jacobian])(X, P, M[0], W[1])
     by_f, by_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", lam.numel())
-    upper = ca.Function("h", [x, p, lam_f, lam, hv, hm, hw], [ca.triu(hessian)])
-    h = upper(X, P, by_f, by_g, V[2], M[2], W[2])
+    upper = ca.Function("h", [x, p, lam_f, lam, hv, m, hw, z], [ca.triu(hessian)])
+    h = upper(X, P, by_f, by_g, V[2], M[0], W[2], Z[0])
     # The solver uses only the derivatives of these two functions, so they return no values.
     no_f, no_g = ca.MX.nan(1), ca.MX.nan(g.numel())
     derivatives = {

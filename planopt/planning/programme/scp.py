@@ -377,7 +377,8 @@ class _Climb:
         return gained / predicted if np.isfinite(gained) else -np.inf
 
     def _at(self, x: Floats) -> tuple[float, Floats]:
-        return self._functions.values(x, self._parameters)
+        functions, parameters = self._functions, self._parameters
+        return functions.objective(x, parameters), functions.rows(x, parameters)
 
     def _excess(self, rows: Floats) -> Floats:
         """Return the amount by which each row violates its bounds; cones are left out."""

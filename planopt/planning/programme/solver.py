@@ -85,8 +85,8 @@ SolveNlp = Callable[[Point, Point, Bounds, Bounds], NlpPoint]
 class NlpFunctions:
     """Functions of a nonlinear programme with variables x and parameters p, and derivatives."""
 
-    # Maps (x, p) to the objective (minimised) and all rows
-    values: Callable[[Point, Point], tuple[float, Point]]
+    objective: Callable[[Point, Point], float]  # Maps (x, p) to the objective, minimised
+    rows: Callable[[Point, Point], Point]  # Maps (x, p) to all rows
     # Maps (x, p) to the objective's gradient and the rows' Jacobian
     slopes: Callable[[Point, Point], tuple[Point, Point]]
     # Maps (x, p, multipliers) to the Hessian of objective + multipliers . rows
@@ -96,29 +96,37 @@ class NlpFunctions:
 def nlp_functions(solver: Any) -> NlpFunctions:
     """Return the functions of the nonlinear programme from a built CasADi solver."""
     f, g, df, dg, h = (
-        solver.get_function(name)
-        for name in ("nlp_f", "nlp_g", "nlp_grad_f", "nlp_jac_g", "nlp_hess_l")
+        _fast(solver.get_function(name), result)
+        for name, result in (
+            ("nlp_f", 0),
+            ("nlp_g", 0),
+            ("nlp_grad_f", 1),
+            ("nlp_jac_g", 1),
+            ("nlp_hess_l", 0),
+        )
     )
 
-    def values(at: Point, parameters: Point) -> tuple[float, Point]:
-        return float(f(at, parameters)), _dense(g(at, parameters))[:, 0]
-
     def slopes(at: Point, parameters: Point) -> tuple[Point, Point]:
-        return _dense(df(at, parameters)[1])[:, 0], _dense(dg(at, parameters)[1])
+        return df(at, parameters)[:, 0], dg(at, parameters)
 
     def hessian(at: Point, parameters: Point, by: Point) -> Point:
-        upper = _dense(h(at, parameters, 1.0, by))
+        upper = h(at, parameters, 1.0, by)
         return upper + np.triu(upper, 1).T
 
-    return NlpFunctions(values, slopes, hessian)
+    return NlpFunctions(lambda *at: float(f(*at)[0, 0]), lambda *at: g(*at)[:, 0], slopes, hessian)
 
 
-def _dense(matrix: Any) -> Floats:
-    """Return a CasADi matrix as an array, faster than CasADi's own conversion."""
-    found = np.zeros(matrix.shape)
-    rows, columns = matrix.sparsity().get_triplet()
-    found[rows, columns] = matrix.nonzeros()
-    return found
+def _fast(function: Any, result: int) -> Callable[..., Floats]:
+    """Return one result of a CasADi function as an array, faster than CasADi's own conversion."""
+    shape, sparsity = function.size_out(result), function.sparsity_out(result)
+    places = tuple(np.array(each, dtype=np.intp) for each in sparsity.get_triplet())
+
+    def call(*arguments: Any) -> Floats:
+        found, results = np.zeros(shape), function.call(arguments)
+        found[places] = results[result].nonzeros()
+        return found
+
+    return call
 
 
 def kkt_residual(
@@ -269,8 +277,14 @@ class PathShape:
     bounded: bool = False  # Whether each stage's connectivity is bounded
     summed: bool = False  # Whether a sum over stages is bounded instead
     motion: MotionShape | None = None  # Rows of the dynamics; None for the single integrator
-    charged: bool = False  # Whether a goal cost is subtracted, for a robot with dynamics
+    charged: bool = False  # Whether the cost of reaching a goal is subtracted
+    valued: bool = True  # Whether there is a value besides
     slacked: bool = True  # Whether slacks may relax the connectivity bounds
+
+    @property
+    def priced(self) -> bool:
+        """Return whether a single integrator pays for reaching a goal, and for outage."""
+        return self.charged and self.motion is None
 
     @property
     def bounds(self) -> int:

@@ -10,7 +10,7 @@ import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
@@ -34,6 +34,12 @@ from planopt.problems.objective import RULES
 from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex
 from planopt.world.motion import NOTHING_MOVES, MovingDiscs, predicted_discs
+
+if TYPE_CHECKING:
+    # Type checkers reject a cached property for a protocol's property.
+    cached_property = property
+else:
+    from functools import cached_property
 
 SEARCH_EXACT_LIMIT = 1000
 """Maximum number of measurements for which searches use the full posterior."""
@@ -127,7 +133,7 @@ class VerifierContext:
         """Belief of the first station's channel."""
         return self.posteriors[0]
 
-    @property
+    @cached_property
     def law(self) -> ConnectivityLaw:
         """Probability model of connection."""
         law = self.uncertain or stations_law(self.problem, self.posteriors)

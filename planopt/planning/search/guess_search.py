@@ -12,7 +12,7 @@ from planopt.arrays import Floats, Indices
 from planopt.channel.kriging import bound_margin_db, connection_probability
 from planopt.parts import calling
 from planopt.planning.candidates import UNLIMITED, Budget
-from planopt.planning.programme.goal_value import EvaluatePath, GoalCharge
+from planopt.planning.programme.goal_value import GoalCharge, LocalModel
 from planopt.planning.scene import Ground, first_moves
 from planopt.planning.search.fan_guesses import FanGuesses
 from planopt.planning.search.lattice_search import (
@@ -156,7 +156,7 @@ class Guess:
     clear: bool = True  # Whether the unrefined path is feasible and collision-free
     charge: GoalCharge | None = None  # Goal cost in a refinement; None without a goal
     # Maps context, path (N, 2) and rows to a local model; None for a sum of terms
-    near: Callable[[StepContext, Floats, RuleRows], EvaluatePath] | None = None
+    near: Callable[[StepContext, Floats, RuleRows], LocalModel] | None = None
 
 
 def without_waiting(position_m: Floats, path_m: Floats) -> Floats:

@@ -217,6 +217,11 @@ class MoveValues:
         """Return whether every move that is not blocked has value and surcharge zero."""
         return not self.value.any() and self.charge is None
 
+    @cached_property
+    def _charges(self) -> Floats | None:
+        """Charge of every node of the padded lattice, flattened; None without charges."""
+        return None if self.charge is None else self.charge[self.table.number.reshape(-1)]
+
     def gain(self, rows: Indices, columns: Indices) -> Floats:
         """Return value minus surcharge (21, n) of the moves to nodes at padded indices (n,)."""
         width, places = self.table.number.shape[1], self.table.number.size
@@ -225,8 +230,8 @@ class MoveValues:
         of_move = source + places * np.arange(len(MOVES))[:, None]
         gain = self.table.closed.reshape(-1).take(of_move)
         gain += self.value[:, None]
-        if self.factor is not None and self.charge is not None:
-            charge = self.charge[self.table.number.reshape(-1)]
+        charge = self._charges
+        if self.factor is not None and charge is not None:
             both = charge.take(source)
             both += charge[end]
             both *= self.factor[:, None]

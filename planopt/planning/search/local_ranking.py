@@ -7,12 +7,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.kriging import LocalChannel, LocalGrid
 from planopt.channel.posterior import ChannelPosterior
-from planopt.objectives.moments import LocalPaths, Pull
+from planopt.objectives.path_derivatives import LocalPaths
 from planopt.objectives.terms.term import Paths, Term
 from planopt.parts import calling, returned
 from planopt.planning.candidates import UNLIMITED, Budget
@@ -42,7 +41,6 @@ class _Station:
     """Local channel model of one station, with map grids for gradient ascent and for ranking."""
 
     channel: LocalChannel
-    precision: NDArray[np.float32]
     fine: LocalGrid | None
     coarse: LocalGrid | None
 
@@ -62,7 +60,7 @@ class LocalRanking:
             channel = LocalChannel.around(posterior, anchors, count)
             fine = self._grid(channel, _anchors(about_m, REGION_ANCHORS))
             coarse = None if fine is None else _thinned(fine)
-            return _Station(channel, channel.precision.astype(np.float32), fine, coarse)
+            return _Station(channel, fine, coarse)
 
         self._expected = [near(posterior) for posterior in context.anticipated]
         # The predicted power excludes the other robots' future measurements.
@@ -84,49 +82,36 @@ class LocalRanking:
         if self._measures:
             taken = self._context.near_measuring.takes(paths_m)
             gate = None if taken.all() else taken.astype(np.float64)
-        measured = self._along(self._expected, paths_m, climbed=False)
-        return self._value(self._paths(measured, gate, climbed=False))
+        return self._value(self._paths(paths_m, gate, order=0))
 
     def slopes(self, paths_m: Floats) -> tuple[Floats, Floats]:
         """Return smoothed values of paths, and their gradients w.r.t. positions ``(c, N, 2)``."""
         at = self._context
         gates = at.near_measuring.gates(paths_m) if self._measures else None
-        measured = self._along(self._expected, paths_m, climbed=True)
-        paths = self._paths(measured, None if gates is None else gates.value, climbed=True)
-        value = self._value(paths)
-        slopes: list[Floats] = []
-        for number, along in enumerate(measured):
-            pull = Pull()
-            for term in at.problem.terms:
-                if number and not term.is_measured:
-                    continue  # The sum counts this term with the first station.
-                with calling(term, "slope", key="objective.terms"):
-                    pull = pull.plus(term.slope(paths, number), term.weight)
-            if self._missing_db_cost is not None and len(at.law.posteriors) == 1:
-                # With several stations, the gradient of the chance constraint is omitted.
-                own = paths.stations[0]
-                lacking = Pull().plus(missing_slope(at, own), -self._missing_db_cost)
-                if own is along:
-                    pull = pull.plus(lacking)
-                else:
-                    slopes.append(own.slopes(lacking))
-            slopes.append(along.slopes(pull, gates))
-        return value, slopes[0] if len(slopes) == 1 else np.sum(slopes, axis=0)
+        gate = None if gates is None else gates.value
+        paths = replace(self._paths(paths_m, gate, order=1), gates=gates)
+        value, slope = self._value(paths), np.zeros(paths_m.shape)
+        for term in at.problem.terms:
+            with calling(term, "slope", key="objective.terms"):
+                slope += term.weight * term.slope(paths)
+        if self._missing_db_cost is not None and len(at.law.posteriors) == 1:
+            # With several stations, the gradient of the chance constraint is omitted.
+            slope -= self._missing_db_cost * missing_slope(at, paths.stations[0])
+        return value, slope
 
-    def _along(
-        self, stations: Sequence[_Station], paths_m: Floats, *, climbed: bool
-    ) -> list[LocalPaths]:
-        """Return each station's predicted power along the paths."""
-        return [
-            LocalPaths(own.channel, own.precision, paths_m, own.fine if climbed else own.coarse)
-            for own in stations
-        ]
+    def _paths(self, paths_m: Floats, gate: Floats | None, order: int) -> Paths:
+        """Return the paths with each station's predictions, and their gradients for `order` 1."""
 
-    def _paths(self, measured: list[LocalPaths], gate: Floats | None, *, climbed: bool) -> Paths:
-        paths_m, stations = measured[0].paths_m, measured
+        def along(stations: Sequence[_Station]) -> list[LocalPaths]:
+            return [
+                LocalPaths(own.channel, paths_m, gate, own.fine if order else own.coarse, order)
+                for own in stations
+            ]
+
+        stations = measured = along(self._expected)
         if self._stations is not self._expected:
-            stations = self._along(self._stations, paths_m, climbed=climbed)
-        return Paths(self._context, paths_m, stations, [own.moments(gate) for own in measured])
+            stations = along(self._stations)
+        return Paths(self._context, paths_m, stations, measured)
 
     def _value(self, paths: Paths) -> Floats:
         at = self._context

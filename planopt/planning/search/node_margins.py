@@ -153,9 +153,10 @@ class NodeField(Nodes):
             self.correct(self._measured_nodes(context))
 
     def _measured_nodes(self, context: StepContext) -> Indices:
-        """Return the free nodes (n, 2) near the robot at which measurements exist, as (iy, ix)."""
-        lattice, (rows, columns) = self._lattice, self.window
-        places = np.vstack([own.measurements.positions_m for own in context.law.posteriors])
+        """Return the free nodes (n, 2) near the robot with readings or packets, as (iy, ix)."""
+        lattice, (rows, columns), law = self._lattice, self.window, context.law
+        read = [own.measurements.positions_m for own in law.posteriors]
+        places = np.vstack([*read, law.proven.positions_m])
         nodes = np.rint((places - lattice.origin_m) / lattice.spacing_m).astype(np.intp)[:, ::-1]
         first, last = (rows.start, columns.start), (rows.stop, columns.stop)
         inside = ((nodes >= first) & (nodes < np.minimum(last, lattice.shape))).all(axis=1)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, fields
-from typing import TYPE_CHECKING, Any, TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,12 @@ from planopt.channel.posterior import ChannelPosterior, with_expected
 from planopt.objectives.measuring import MeasuringRule
 from planopt.objectives.moments import Region
 from planopt.objectives.terms.term import Aim, Pending, SteeringPath, Structure, explores
-from planopt.planning.proof.rule import VerifierContext, search_power, search_prediction
+from planopt.planning.proof.rule import (
+    VerifierContext,
+    cached_property,
+    search_power,
+    search_prediction,
+)
 from planopt.planning.tolerances import (
     CLEARANCE_PAD_M,
     CLEARANCE_TOLERANCE_M,
@@ -256,12 +261,6 @@ def target_model(problem: Problem) -> TargetModel:
 
 Made = TypeVar("Made")
 
-if TYPE_CHECKING:
-    # Type checkers reject a cached property for a protocol's property.
-    cached_property = property
-else:
-    from functools import cached_property
-
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class StepContext(VerifierContext):
@@ -321,9 +320,12 @@ class StepContext(VerifierContext):
 
     def predicted(self, places_m: Floats) -> Prediction:
         """Return :meth:`power` as in solvers, which ignore known values at measured positions."""
-        if any(len(known.rows) for known in self.law.known(places_m)):
-            return self.law.predicted(places_m, search_power)
-        return self.power(places_m)
+        power = self.power(places_m)
+        # Only known power of one station has no deviation.
+        is_known = not power.deviation_db.all()
+        if len(self.posteriors) > 1:
+            is_known = any(len(known.rows) for known in self.law.known(places_m))
+        return self.law.predicted(places_m, search_power) if is_known else power
 
     def soon(self, places_m: Floats) -> None:
         """Queue `places_m` (n, 2) for the next batch of predictions."""

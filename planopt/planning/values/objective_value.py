@@ -19,7 +19,7 @@ from planopt.channel.kriging import (
     connection_probability,
 )
 from planopt.errors import InputError
-from planopt.objectives.moments import LocalPaths, Pull
+from planopt.objectives.path_derivatives import LocalPaths
 from planopt.objectives.terms.term import Term
 from planopt.parts import calling, returned
 from planopt.planning.certificate import RuleResult, required_margins_db
@@ -512,8 +512,8 @@ def _value_of_step(rule: Rule, at: StepContext, shape: tuple[int, ...]) -> Float
     return np.maximum(gained / shape[1], 1e-9)
 
 
-def missing_slope(at: StepContext, batch: LocalPaths) -> Pull:
-    """Return derivatives of the rule's shortfall w.r.t. powers; zero for a rule on outages."""
+def missing_slope(at: StepContext, batch: LocalPaths) -> Floats:
+    """Return gradients (c, N, 2) of the rule's shortfall; zero for a rule on outages."""
     problem, history, power = at.problem, at.history, batch.power
     rule, threshold = rule_of(problem), problem.stations[0].threshold_dbm
     if rule.by_step:
@@ -521,9 +521,9 @@ def missing_slope(at: StepContext, batch: LocalPaths) -> Pull:
         margin = power.mean_db - quantile * power.deviation_db - threshold
         held = rule.held(np.ones(batch.shape[1], dtype=np.bool_), history)
         missed = ((margin < 0.0).reshape(batch.shape) & held).astype(np.float64)
-        return batch.pull_of_power(-missed, quantile * missed)
+        return batch.power_slope(-missed, quantile * missed)
     if rule.holds_steps:
-        return Pull()
+        return np.zeros(batch.paths_m.shape)
     chance = connection_probability(power.mean_db, power.deviation_db, threshold)
     achieved, slope = rule.slopes(chance.reshape(batch.shape), history)
     missed = achieved < rule.required(problem.constraints.p_min, history, batch.shape[1])
@@ -531,4 +531,4 @@ def missing_slope(at: StepContext, batch: LocalPaths) -> Pull:
     density = np.exp(-0.5 * score**2) / (np.sqrt(2.0 * np.pi) * power.deviation_db)
     by_mean = -slope * (missed / _value_of_step(rule, at, batch.shape))[:, None]
     by_mean = by_mean * density.reshape(batch.shape)
-    return batch.pull_of_power(by_mean, -by_mean * score.reshape(batch.shape))
+    return batch.power_slope(by_mean, -by_mean * score.reshape(batch.shape))

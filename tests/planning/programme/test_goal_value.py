@@ -1,22 +1,18 @@
 """The value of a path to a goal: the documented cost, its derivatives, and who evaluates it."""
 
-from dataclasses import replace
-
-import casadi as ca
 import numpy as np
 import pytest
-from reach_tasks import constant_margins, scored
+from reach_tasks import constant_margins, goal_nlp, outage_of, scored
 from scipy.stats import norm
 
 from planopt.arrays import Derivatives
 from planopt.planning.programme.goal_value import (
     PIVOT_ROUNDING_M,
     STEP_ROUNDING_M,
-    GoalValue,
-    OutagePrice,
+    PricedCharge,
     ValueSource,
+    remembering,
 )
-from planopt.planning.programme.path_nlp import curvature
 
 N = 4
 START = np.array([0.3, -0.2])
@@ -34,22 +30,17 @@ def waves(positions_m):
     )
 
 
-VALUE = GoalValue(
-    START,
-    np.array([5.0, 4.0]),
-    0.7,
-    1.3,
-    OutagePrice(0.9, 0.6, np.array([1.0, 0.0, 0.8, 1.0])),
-    scored(constant_margins(1.0), waves),
+CHARGE = PricedCharge(
+    np.array([5.0, 4.0]), 0.7, 1.3, **outage_of(N, 0.9, 0.6, [1.0, 0.0, 0.8, 1.0])
 )
 
 
 def cost(flat):
     q = np.vstack([START, flat.reshape(N, 2)])
     steps = np.linalg.norm(np.diff(q, axis=0), axis=1)
-    share = np.append(0.6, VALUE.outage.charged * norm.sf(waves(q[1:]).value))
+    share = np.append(0.6, CHARGE.charged * norm.sf(waves(q[1:]).value))
     outage = (np.hypot(steps, STEP_ROUNDING_M) * (share[:-1] + share[1:]) / 2.0).sum()
-    to_pivot = np.hypot(np.linalg.norm(q[-1] - VALUE.pivot_m), PIVOT_ROUNDING_M)
+    to_pivot = np.hypot(np.linalg.norm(q[-1] - CHARGE.pivot_m), PIVOT_ROUNDING_M)
     return 0.7 * (steps**2).sum() + 1.3 * to_pivot + 0.9 * outage
 
 
@@ -59,42 +50,39 @@ def differences(function, x, h):
 
 
 @pytest.mark.parametrize("stands", [False, True])
-def test_value_gradient_and_hessian(stands):
+def test_cost_gradient_and_hessian(stands):
     """By differences; at a standstill the rounding keeps slope and curvature finite."""
     flat = np.tile(START, N) if stands else np.random.default_rng(4).standard_normal(2 * N)
-    found = VALUE(flat.reshape(N, 2)).value
-    assert found.value == pytest.approx(-cost(flat), rel=1e-12)
-    np.testing.assert_allclose(found.gradient.ravel(), -differences(cost, flat, 1e-6), atol=1e-6)
-    hessian = np.asarray(curvature(ca.DM(found.hessian), N, "chain"), dtype=float)
+    nlp = goal_nlp(N, 0)
+    nlp.source.evaluate = scored(constant_margins(1.0), waves)
+    parameters = np.concatenate([START, [1.0, 0.0, 1.0], CHARGE.numbers])
 
     def gradient(at):
-        return VALUE(at.reshape(N, 2)).value.gradient.ravel()
+        return nlp.functions.slopes(at, parameters)[0]
 
+    assert nlp.functions.objective(flat, parameters) == pytest.approx(cost(flat), rel=1e-12)
+    np.testing.assert_allclose(gradient(flat), differences(cost, flat, 1e-6), atol=1e-6)
+    hessian = nlp.functions.hessian(flat, parameters, np.zeros(2 * N))
     np.testing.assert_allclose(hessian, differences(gradient, flat, 1e-6), atol=1e-4)
 
 
-FLAT = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0])
+FLAT = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0]).reshape(N, 2)
 
 
-def test_a_point_is_computed_once_by_the_function_in_use():
-    """The last bit of a coordinate is another point, and another function forgets everything."""
+def test_a_point_is_computed_once():
+    """The last bit of a coordinate is another point."""
     evaluated = []
 
     def counting(places_m):
         evaluated.append(places_m.copy())
-        return VALUE(places_m)
+        return scored(constant_margins(1.0))(places_m)
 
-    source = ValueSource()
     with pytest.raises(AssertionError, match="before its value"):
-        source(FLAT)
-    source.use(counting)
-    place = FLAT.copy()
-    assert source(place).margins.value.tolist() == [1.0] * N
-    assert source(FLAT) is source(place)
+        ValueSource()(FLAT)
+    evaluate, place = remembering(counting), FLAT.copy()
+    assert evaluate(FLAT) is evaluate(place)
     assert len(evaluated) == 1
     # The solver writes its iterates into one array: contents count, not identity.
-    place[3] = np.nextafter(4.0, 5.0)
-    source(place)
+    place[1, 1] = np.nextafter(4.0, 5.0)
+    evaluate(place)
     assert len(evaluated) == 2
-    source.use(replace(VALUE, margins=scored(constant_margins(7.0), waves)))
-    assert source(place).margins.value.tolist() == [7.0] * N

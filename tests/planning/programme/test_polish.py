@@ -231,14 +231,14 @@ def outage_cost(task, flat):
     """The cost of a task in NumPy and SciPy, lengths rounded at a centimetre as the solver's."""
     n = len(task.path_m)
     q = np.vstack([task.start_m, flat.reshape(n, 2)])
-    score = task.evaluate.margins(q[1:])[1].value
-    outage = task.evaluate.outage
+    score = task.evaluate(q[1:]).scores.value
+    outage = task.charge
     share = np.append(outage.share_before, outage.charged * norm.sf(score))
     lengths = np.hypot(np.linalg.norm(np.diff(q, axis=0), axis=1), STEP_ROUNDING_M)
     charged_m = (lengths * 0.5 * (share[1:] + share[:-1])).sum()
-    effort = task.evaluate.effort_s_m2 * (np.diff(q, axis=0) ** 2).sum()
-    to_pivot = np.hypot(np.linalg.norm(q[-1] - task.evaluate.pivot_m), PIVOT_ROUNDING_M)
-    return effort + task.evaluate.rate_s_m * to_pivot + outage.price_s_m * charged_m
+    effort = task.charge.effort_s_m2 * (np.diff(q, axis=0) ** 2).sum()
+    to_pivot = np.hypot(np.linalg.norm(q[-1] - task.charge.pivot_m), PIVOT_ROUNDING_M)
+    return effort + task.charge.rate_s_m * to_pivot + outage.price_s_m * charged_m
 
 
 @pytest.mark.parametrize("chance", [1e-9, 0.3, 0.9])
@@ -295,7 +295,7 @@ def test_the_residual_of_a_priced_path_by_differences(nlp):
         lines = task.lines.normals[:, :, None] @ q[1:, None, :, None]
         starts = task.lines.normals[1:, :, None] @ q[1:-1, None, :, None]
         squares = (np.diff(q, axis=0) ** 2).sum(1)
-        margins = task.evaluate.margins(q[1:])[0].value
+        margins = task.evaluate(q[1:]).margins.value
         return np.concatenate([squares, lines.ravel(), starts.ravel(), margins])
 
     def slopes(function):

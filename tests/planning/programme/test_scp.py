@@ -37,7 +37,8 @@ def test_the_circle_and_the_line():
     The answer is (3, 2) / sqrt(13), with multiplier sqrt(13) - 1.
     """
     functions = NlpFunctions(
-        lambda x, _p: (float(((x - [3.0, 2.0]) ** 2).sum()), np.full(2, x @ x)),
+        lambda x, _p: float(((x - [3.0, 2.0]) ** 2).sum()),
+        lambda x, _p: np.full(2, x @ x),
         lambda x, _p: (2.0 * (x - [3.0, 2.0]), np.tile(2.0 * x, (2, 1))),
         lambda _x, _p, multipliers: 2.0 * np.eye(2) * (1.0 + multipliers.sum()),
     )

@@ -1,5 +1,7 @@
 """Margins at lattice nodes: the cached map, corrected by the exact posterior where asked."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import shapely
@@ -10,6 +12,7 @@ from planopt import Measurements
 from planopt.channel import ChannelParameters, Station, condition
 from planopt.channel.connectivity_law import ConnectivityLaw
 from planopt.channel.kriging import predict
+from planopt.channel.neighbours import PlaceIndex
 from planopt.planning.search.node_margins import NodeField, NodeMargins
 
 PARAMETERS = ChannelParameters(-35.0, 2.8, 5.0, 4.0, 2.0, Station((3.0, -4.0), 6.0))
@@ -79,3 +82,16 @@ def test_places_have_the_power_of_the_nearest_node_of_the_window():
     np.testing.assert_array_equal(found.deviation_db, field.deviation_db[*beside.T])
     free = lattice.free[*beside.T]
     assert 0 < np.isnan(found.mean_db).sum() == np.sum(~free)
+
+
+def test_nodes_from_which_packets_arrived_are_connected():
+    """Their power is above the threshold without a deviation, as where it was measured."""
+    context, belief = context_of(terms_problem(TRACKING, p_min=0.6))
+    field = NodeField(scorer_of(context, belief)[1].road_map.lattice)
+    field.refresh(context, 12.0)
+    near = np.argwhere(field.deviation_db[field.window] > 0.0)[:1]
+    node = near + [each.start for each in field.window]
+    arrived = replace(context.history, connected=PlaceIndex.of(field.places_m(node)))
+    field.refresh(replace(context, history=arrived), 12.0)
+    assert field.deviation_db[*node[0]] == 0.0
+    assert field.mean_db[*node[0]] >= context.law.thresholds_dbm[0]

@@ -17,7 +17,7 @@ BUDGET = {
     "lines of code": 52_899,
     "files": 247,
     "functions": 3_809,
-    "docstring lines": 7_565,
+    "docstring lines": 7_567,
     "lines of tests": 47_500,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""

@@ -112,6 +112,12 @@ class PowerModel:
         value, slope = self.variance_db2 + self.variance_high + bent, self.variance_slope
         return value, slope.T, value + np.hypot(*slope) * self.radius_m
 
+    def least_variances(self) -> Array:
+        """Return lower bounds (n,) of the variance."""
+        bent = _range_of_form(self.variance_form, self.radius_m)[0] + self.variance_low
+        steep = np.hypot(*self.variance_slope) * self.radius_m
+        return np.maximum(self.variance_db2 + bent - steep, self.least_variance)
+
     def precision_bounds(self) -> tuple[Array, Array, Array]:
         """Return an affine and a constant upper bound of 1 / variance (equation 9.5)."""
         variance, slope = self.variance_db2, self.variance_slope

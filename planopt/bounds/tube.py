@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from planopt.arrays import Floats, Indices, Mask
 from planopt.bounds.bound import Tilts
 from planopt.bounds.enclosure import PowerEnclosure, prior_covariances
+from planopt.channel.parameters import MIN_DISTANCE_M
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.upper_bounds import (
     Discs,
@@ -70,6 +71,20 @@ class Chain:
         share = np.where(room > self.noise_db2, np.clip(share, 0.0, 1.0 - ROUNDING), 0.0)
         return -self.share * np.log1p(-share)
 
+    def lost_at_least(self, far_m: float, nearest_m: Array, variance_db2: Array) -> Array:
+        """Return least losses of positions at most `far_m` apart (equation 9.17).
+
+        `nearest_m` are their least distances from the station, and `variance_db2` the least
+        geometric means of their variances.
+        """
+        parameters, spread = self.posterior.parameters, self.posterior.theta_covariance
+        shadow = -np.expm1(-far_m / parameters.decorrelation_m)
+        apart = np.sqrt(2.0 * shadow) * parameters.shadow_std_db
+        trend = np.sqrt(spread[1, 1]) * (10.0 / np.log(10.0)) * np.log1p(far_m / nearest_m)
+        apart = self.noise_db2 + 0.5 * (apart + trend) ** 2
+        share = np.maximum(1.0 - apart / variance_db2, 0.0) ** 2
+        return -self.share * np.log1p(-np.minimum(share, 1.0 - ROUNDING))
+
 
 @dataclass(frozen=True, eq=False)
 class PairedSteps:
@@ -94,7 +109,12 @@ class PairedSteps:
         number[tuple((cells - corner).T)] = np.arange(len(cells))
         field = level.field(cells)
         radius = field.discs.radius_m
-        whole = PowerEnclosure(chain.posterior).joint(field.discs.centre_m, radius).at(number)
+        enclosure, centres = PowerEnclosure(chain.posterior), field.discs.centre_m
+        whole = enclosure.joint(centres, radius).at(number)
+        least_db2 = enclosure.over(centres, np.full(len(cells), radius)).least_variances()[number]
+        station = chain.posterior.parameters.station
+        across = np.hypot(*(centres - np.asarray(station.position_m)).T) - radius
+        near = np.hypot(np.maximum(across, 0.0), station.height_m)[number]
         variance = field["variance_db2"].at(number)
         longest = problem.step_m * (1.0 + ROUNDING)
         count = int(np.ceil(longest / side)) + 1
@@ -112,6 +132,8 @@ class PairedSteps:
             far = min(float(np.hypot(*(np.abs(offset) + level.size * side))), longest)
             prior, bounds = prior_covariances(offset, radius, far, chain.posterior.parameters)
             centre, least, slopes = whole.at(one).covariances(whole.at(two))
+            nearest = np.maximum(np.minimum(near[one], near[two]), MIN_DISTANCE_M)
+            plain = chain.lost_at_least(far, nearest, np.sqrt(least_db2[one] * least_db2[two]))
             for before, after, sign in ((one, two, -1), (two, one, 1)):
                 # A bound of the shadowing for all distances, and another at distinct positions.
                 lost = [
@@ -124,7 +146,7 @@ class PairedSteps:
                     )
                     for value, slope in bounds
                 ]
-                pairs.append((before, after, -np.max(lost, axis=0) - cost))
+                pairs.append((before, after, -np.max([*lost, plain], axis=0) - cost))
         return cls(level.active, corner, (rows, columns), pairs)
 
     def best(self, stage: int, values: Array, *, ahead: bool) -> Array:

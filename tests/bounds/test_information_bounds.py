@@ -172,3 +172,27 @@ def test_bounds_of_information_are_saved_and_proven_again(tmp_path) -> None:
         assert planopt.check(tmp_path / name).verdict is planopt.Verdict.VERIFIED
         again = planopt.load_result(tmp_path / name).plan.bound
         assert again is not None and again.value == pytest.approx(bound.value, rel=1e-9)
+
+
+def test_losses_by_distance_are_lower_bounds() -> None:
+    """Two measurements share at least the information of equation 9.17, also near the station."""
+    generator, compared, tight = np.random.default_rng(1), 0, list[float]()
+    for seed in range(40):
+        context = sum_context(seed, 2, plain=True, measured="map")
+        chain = stages_in(context).chain
+        assert chain is not None
+        station = chain.posterior.parameters.station
+        for _ in range(20):
+            here = np.asarray(station.position_m) + generator.normal(0.0, 3.0, 2)
+            both = np.vstack([here, here + generator.normal(0.0, generator.choice([0.1, 1.0]), 2)])
+            covariance = posterior_moments(chain.posterior, both).universal
+            product_db4 = covariance[0, 0] * covariance[1, 1]
+            shared = -chain.share * np.log1p(-(covariance[0, 1] ** 2) / product_db4)
+            near = np.hypot(*(both - station.position_m).T).min(keepdims=True).clip(0.1)
+            away = float(np.hypot(*(both[1] - both[0])))
+            [lost] = chain.lost_at_least(away, near, np.array([np.sqrt(product_db4)]))
+            assert lost <= shared + 1e-9
+            tight.append(lost / shared)
+            compared += 1
+    print(f"{compared} comparisons, median share of the loss {np.median(tight):.2f}")
+    assert compared == 800 and max(tight) > 0.1

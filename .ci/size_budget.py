@@ -13,8 +13,8 @@ from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 BUDGET = {
-    "lines": 71_485,
-    "lines of code": 52_899,
+    "lines": 70_917,
+    "lines of code": 52_341,
     "files": 247,
     "functions": 3_809,
     "docstring lines": 7_567,

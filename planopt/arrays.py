@@ -13,8 +13,7 @@ Floats = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
-LARGEST = 1e12
-"""Maximum magnitude of numbers from a user's control loop."""
+LARGEST = 1e12  # Maximum magnitude of numbers from a user's control loop
 
 
 def finite_array(key: str, given: object, shape: tuple[int, ...], remedy: str) -> Floats:

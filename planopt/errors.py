@@ -7,14 +7,10 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
-A_FOLDER = 'give the name of a folder, such as "run"'
-"""Remedy for a missing folder name."""
-LONGEST_WORD = 300
-"""Maximum length of a word in a message; file paths are rarely longer."""
-LONGEST_MESSAGE = 1200
-"""Maximum length of a message; longer ones are shortened in the middle."""
-LISTED = 12
-"""Maximum number of names listed in a message."""
+A_FOLDER = 'give the name of a folder, such as "run"'  # Remedy for a missing folder name
+LONGEST_WORD = 300  # Maximum length of a word in a message; file paths are rarely longer
+LONGEST_MESSAGE = 1200  # Maximum length of a message; longer ones are shortened in the middle
+LISTED = 12  # Maximum number of names listed in a message
 
 
 class PlanoptError(Exception):

@@ -56,8 +56,7 @@ from planopt.parts import make_plain
 
 LIKE_WORDS = 0.9
 """Minimum similarity, ignoring word order, at which a known key is suggested for an unknown one."""
-LONGEST_KEY = 100
-"""Maximum length of a word that is compared with known keys and names."""
+LONGEST_KEY = 100  # Maximum length of a word that is compared with known keys and names
 
 KeyPath = tuple[str | int, ...]
 
@@ -209,8 +208,7 @@ def _bounds_of(field: FieldInfo) -> dict[str, float]:
     }
 
 
-_NAME = r"^[A-Za-z0-9_-]+$"
-"""Pattern of names."""
+_NAME = r"^[A-Za-z0-9_-]+$"  # Pattern of names
 _LIMITS = {"greater_than": "gt", "greater_than_equal": "ge", "less_than": "lt"}
 """Names of limits by pydantic's error type; other types are ``le``."""
 
@@ -282,8 +280,7 @@ def _tables(annotation: Any) -> list[type[BaseModel]]:
 
 LARGEST_COORDINATE_M = 1e9
 """Largest coordinate accepted, in metres; larger values are no positions on Earth."""
-SMALLEST = 1e-6
-"""Minimum of lengths, times, speeds and rates that must be positive, in SI units."""
+SMALLEST = 1e-6  # Minimum of lengths, times, speeds and rates that must be positive, in SI units
 
 # pydantic ignores a field's bound if its annotation already has one, hence a type for lengths.
 Metres = Annotated[float, Field(ge=-LARGEST_COORDINATE_M, le=LARGEST_COORDINATE_M)]

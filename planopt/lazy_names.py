@@ -7,8 +7,7 @@ from importlib import import_module
 from types import FrameType
 from typing import Any
 
-LIKE = 0.75
-"""Minimum similarity at which a known name is suggested for an unknown one."""
+LIKE = 0.75  # Minimum similarity at which a known name is suggested for an unknown one
 
 
 def lazy_names(

@@ -9,12 +9,9 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
-WIDTH, LINES = 100, 5
-"""Maximum width in characters and maximum number of lines."""
-MOST_SHOWN = 4
-"""Maximum number of array or tuple entries that are shown individually."""
-MOST_NESTED = 200
-"""Maximum length of nested data in characters; longer data are shown by type name."""
+WIDTH, LINES = 100, 5  # Maximum width in characters and maximum number of lines
+MOST_SHOWN = 4  # Maximum number of array or tuple entries that are shown individually
+MOST_NESTED = 200  # Maximum length of nested data in characters; longer data are shown by type name
 
 
 def short_repr(self: object) -> str:

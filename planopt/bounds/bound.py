@@ -15,8 +15,7 @@ GAP_TOLERANCE = 1e-6
 """Largest relative error of the cost that a bound is compared with; its outage is a quadrature."""
 
 
-SEPARATION = "the separation of robots"
-"""Words for a constraint that a bound ignores."""
+SEPARATION = "the separation of robots"  # Words for a constraint that a bound ignores
 GIVEN_PLANS = "the bound of a robot holds only given the other robots' plans"
 """Reason why the robots' bounds do not add up."""
 

@@ -29,8 +29,7 @@ MIXED = 2.0 / np.sqrt(3.0)
 """Three times the maximum of c (1 - c^2) for a cosine c, in third derivatives of distances."""
 NEGLIGIBLE = 1e-13
 """Eigenvalues that may be neglected, relative to the largest; their bound is added."""
-ROUNDING = 1e-9
-"""Relative widening of every range, far above the rounding errors of its sums."""
+ROUNDING = 1e-9  # Relative widening of every range, far above the rounding errors of its sums
 
 
 @dataclass(frozen=True)

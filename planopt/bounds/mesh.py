@@ -18,19 +18,16 @@ from planopt.arrays import Floats, Indices, Mask
 
 Array = Floats
 
-FIRST_NODES = 500
-"""Number of grid nodes of the first mesh, without the nodes on obstacles."""
+FIRST_NODES = 500  # Number of grid nodes of the first mesh, without the nodes on obstacles
 DEPTH_SHARE = 3e-4
 """Depth of mesh borders inside obstacles, as a share of the workspace diagonal. It leaves room to
 simplify the borders."""
 DEPTHS_M = (1e-3, 0.3)
 """Smallest and largest depth of mesh borders inside obstacles; thin obstacles get less."""
-SNAP_M = 1e-7
-"""Nodes within this distance of the workspace boundary are moved onto it."""
+SNAP_M = 1e-7  # Nodes within this distance of the workspace boundary are moved onto it
 MAX_SPLITS = 40
 """Maximum rounds of border splitting. Borders not on triangle sides by then loosen the bound."""
-AREA_TOLERANCE = 1e-9
-"""Relative rounding tolerance of the area of a mesh."""
+AREA_TOLERANCE = 1e-9  # Relative rounding tolerance of the area of a mesh
 
 
 @dataclass

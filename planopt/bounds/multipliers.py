@@ -35,21 +35,17 @@ FULL_STEP = 0.99
 """Step length, relative to the longest step, that counts as full; solvers stop short of it."""
 LEFT_OUT = 1e-3
 """Weight of stages whose gradient is not determined: at kinks, and next to obstacles."""
-MOST_ITERATIONS = 100
-"""Maximum number of iterations of a local search."""
-ROUNDED = 1e-3
-"""Smoothing width of step lengths in a local search, relative to the longest step."""
+MOST_ITERATIONS = 100  # Maximum number of iterations of a local search
+ROUNDED = 1e-3  # Smoothing width of step lengths in a local search, relative to the longest step
 APART_M = 5e-4
 """Distance that a local search adds to the radius of discs, as its steps are shortened later."""
 AT_KINK_M = 0.02
 """Distance from a position of a measurement at which the gradient is not determined."""
-AT_P_MIN = 0.02
-"""Surplus of the probability of connection up to which p_min may count as active."""
+AT_P_MIN = 0.02  # Surplus of the probability of connection up to which p_min may count as active
 
 COARSE_LEVELS, MOST_ROUNDS, ROUNDS_PER_TRIAL = 2, 25, 2
 """Levels of cells, rounds on each, and rounds between other shares, of the search for a design."""
-LEAST_SECONDS = 8.0
-"""Time below which the search uses coarse cells only."""
+LEAST_SECONDS = 8.0  # Time below which the search uses coarse cells only
 FIRST_SHARES = 0.01, 0.5
 """First assumed information, in units of the reference's: of the map, and of the path loss."""
 

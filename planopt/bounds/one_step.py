@@ -24,8 +24,7 @@ from planopt.objectives.upper_bounds import Discs, Field, Makers, constant_bound
 
 Array = Floats
 
-STARTS = 3
-"""Number of cells per level whose centres are evaluated."""
+STARTS = 3  # Number of cells per level whose centres are evaluated
 GAP, LEAST_VALUE = 1e-6, 0.02
 """Relative gap at which a position counts as optimal, and the minimum of its denominator."""
 

@@ -16,8 +16,7 @@ from planopt.robots.models import DoubleIntegrator, SingleIntegrator, Unicycle
 
 LEAST_FADING_DB = 0.05
 """Minimum standard deviation of multipath fading for which probabilities can be bounded."""
-MOVING = "moving obstacles"
-"""Words for a constraint that the bound of a route ignores."""
+MOVING = "moving obstacles"  # Words for a constraint that the bound of a route ignores
 SAG_SHARE = 1.001
 """Factor on the sag of a step (distance from its chord), for the verifier's input tolerance."""
 

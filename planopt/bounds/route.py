@@ -41,18 +41,14 @@ FIRST_TRIANGLES = 2_300, 200
 a number per second of available time."""
 FIRST_SOLVE_S = 2.0
 """Minimum time limit of the first solve in seconds; it usually takes less than half a second."""
-GROWTH = 1.8
-"""Largest ratio of the numbers of triangles in successive solves."""
-MAX_TRIANGLES = 60_000
-"""Maximum number of triangles; a solve then takes about a minute."""
+GROWTH = 1.8  # Largest ratio of the numbers of triangles in successive solves
+MAX_TRIANGLES = 60_000  # Maximum number of triangles; a solve then takes about a minute
 LOOSE_SHARE = 0.01
 """Relative gap between certified and actual cost above which corridor triangles are refined."""
 CORRIDORS = 0.15, 0.1, 0.04
 """Maximum relative excess cost of routes through the corridor, for each of its refinements."""
-MESH_SHARE = 3e-4
-"""Largest area of a triangle in the corridor, as a share of the workspace."""
-FLOW_WEIGHT = 0.005
-"""Expected relative gain of refining a triangle whose certified cost is exact."""
+MESH_SHARE = 3e-4  # Largest area of a triangle in the corridor, as a share of the workspace
+FLOW_WEIGHT = 0.005  # Expected relative gain of refining a triangle whose certified cost is exact
 SCORE_SHARE = 0.95
 """Share of the total expected gain that the triangles selected for refinement make up."""
 FRAME_SHARE = 0.02
@@ -61,8 +57,7 @@ CLEARANCE_TOLERANCE_M = 1e-5
 """Tolerance of the verifier, by which obstacles are grown less than the clearance."""
 SOLVER_TOLERANCE = 3e-4
 """Relative gap of the solver. It affects the tightness of the bound, never its validity."""
-EPSILON = 32.0 * np.finfo(float).eps
-"""Relative rounding error of a gradient."""
+EPSILON = 32.0 * np.finfo(float).eps  # Relative rounding error of a gradient
 
 
 @dataclass(frozen=True)

@@ -46,8 +46,7 @@ LESS_CHANCE = 1e-5
 """Probability by which a verified step may fall below p_min, for the verifier's tolerance."""
 CLOSER_M = 1e-6
 """Distance by which a verified path may fall below the clearance, for the verifier's tolerance."""
-LEAST_WEIGHT = 1e-9
-"""Least weight of a measurement in a reference."""
+LEAST_WEIGHT = 1e-9  # Least weight of a measurement in a reference
 MOST_MEASUREMENTS = 1000
 """Maximum number of measurements for which objectives are computed from all of them."""
 

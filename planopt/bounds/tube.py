@@ -174,32 +174,23 @@ Array = Floats
 Cells = Indices  # (n, 2) indices of cells along x and y
 Tilt = tuple[Array, Array]  # Multipliers of the steps (N, 2) and of p_min (N,)
 
-FIRST_SHARE = 0.5
-"""Side of the cells of the first level, in lengths of the longest step."""
-MOST_LEVELS = 30
-"""Maximum number of levels of cells."""
-MOST_CELLS = 200_000
-"""Maximum number of cells per level, over all stages."""
-MOST_TILTS = 3
-"""Maximum number of tilts that the search uses at a level."""
+FIRST_SHARE = 0.5  # Side of the cells of the first level, in lengths of the longest step
+MOST_LEVELS = 30  # Maximum number of levels of cells
+MOST_CELLS = 200_000  # Maximum number of cells per level, over all stages
+MOST_TILTS = 3  # Maximum number of tilts that the search uses at a level
 GAP = 1e-4
 """Cells are dropped unless they may beat the value of a feasible path by this share of it."""
 MOST_PAIRS = 2_000_000
 """Maximum number of pairs of cells of successive stages that are evaluated one by one."""
 PAIRS_PER_NODE, NODES_PER_OFFSET = 0.25, 2000
 """Cell pairs that take as long as one grid node, and grid nodes that take as long as one offset."""
-DISC_SIDES = 128
-"""Number of sides of the polygons inside discs."""
-WAY_PARTS = 8
-"""Number of equal parts into which moves are divided to test them for obstacles."""
-ROUNDING = 1e-10
-"""Relative widening of every bound, far above the rounding errors of its sums."""
+DISC_SIDES = 128  # Number of sides of the polygons inside discs
+WAY_PARTS = 8  # Number of equal parts into which moves are divided to test them for obstacles
+ROUNDING = 1e-10  # Relative widening of every bound, far above the rounding errors of its sums
 OUTSIDE_M = 3e-6
 """Distance by which a verified position may leave the workspace, for the verifier's tolerance."""
-LARGEST = 1e12
-"""Limit of the multipliers and the value of a saved certificate."""
-MARGIN = 1e-9
-"""Relative margin of a claimed bound; a proof on another processor rounds differently."""
+LARGEST = 1e12  # Limit of the multipliers and the value of a saved certificate
+MARGIN = 1e-9  # Relative margin of a claimed bound; a proof on another processor rounds differently
 
 
 @dataclass(frozen=True, eq=False)

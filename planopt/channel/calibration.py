@@ -81,8 +81,7 @@ def _ratio_error(numerators: Floats, denominators: Floats) -> float:
 
 EDGES = (0.0, 0.15, 0.35, 0.55, 0.75, 0.85, 0.925, 0.975, 0.995, 1.0)
 """Edges of the bins of predicted probability; the last bin includes 1."""
-FEWEST_GROUPS = 5
-"""Minimum number of groups for a confidence interval."""
+FEWEST_GROUPS = 5  # Minimum number of groups for a confidence interval
 
 
 @dataclass(frozen=True)

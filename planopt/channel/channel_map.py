@@ -41,8 +41,7 @@ from planopt.world.geodesy import Origin, require_origin
 from planopt.world.raster import Raster, cell_centres_m
 from planopt.world.raster_files import write_rasters
 
-TILES_AT_ONCE = 64
-"""Number of tiles solved together, such that their matrices fit into cache."""
+TILES_AT_ONCE = 64  # Number of tiles solved together, such that their matrices fit into cache
 REPLACEMENTS_BEFORE_REBUILD = 32
 """Maximum number of updates before a tile is recomputed, to limit rounding errors."""
 
@@ -264,13 +263,11 @@ Bounds = tuple[float, float, float, float]
 
 MAP_VARIABLES = ("mean_db", "deviation_db", "connectivity")
 """Variables of a map, as named in its files."""
-CELLS_ALONG = 200
-"""Default number of cells along the longer side of a map."""
+CELLS_ALONG = 200  # Default number of cells along the longer side of a map
 
 MAX_CELLS = 4_000_000
 
-EXACT_OPERATIONS = 2e11
-"""Maximum n^2 c for an exact map of c cells from n measurements."""
+EXACT_OPERATIONS = 2e11  # Maximum n^2 c for an exact map of c cells from n measurements
 NEIGHBOURS = 256
 """Minimum number of nearest measurements per cell of an approximate map. On the three campus logs
 (4,193 to 5,006 measurements, up to 869 censored) the mean's error is 0.003 dB on average and at

@@ -27,8 +27,7 @@ SYMMETRIC = get_blas_funcs("symm", dtype=np.float64)
 
 INVERTED_ROWS = 64
 """Maximum number of rows that LAPACK inverts directly; more are inverted faster by halves."""
-PUT_ROWS = 64
-"""Number of rows of a factor copied at once, which avoids copying the unused half."""
+PUT_ROWS = 64  # Number of rows of a factor copied at once, which avoids copying the unused half
 
 
 def lower_factor(matrix: Floats) -> Floats:
@@ -173,8 +172,7 @@ def _controller() -> ThreadpoolController:
     return ThreadpoolController()
 
 
-SOLVE_BLOCK = 136
-"""Number of rows solved at once; powers of two cause cache conflicts."""
+SOLVE_BLOCK = 136  # Number of rows solved at once; powers of two cause cache conflicts
 
 
 def unwhiten(lower: Floats, columns: Floats) -> Floats:

@@ -79,8 +79,7 @@ def _score(log_any: Floats, log_none: Floats) -> Floats:
 
 SECANT_FROM_DB = 1e-4
 """Minimum |margin| in dB at which the score's slope is a secant; below it is the derivative."""
-SETTLED_DB = 1e-10
-"""Tolerance of Newton's method on the margin, which typically takes six steps."""
+SETTLED_DB = 1e-10  # Tolerance of Newton's method on the margin, which typically takes six steps
 MOST_STEPS = 100
 
 
@@ -342,8 +341,7 @@ class UncertainParameters(ConnectivityLaw):
         return found
 
 
-MOST_ROUNDS = 60
-"""Maximum number of Newton or bisection steps for a quantile."""
+MOST_ROUNDS = 60  # Maximum number of Newton or bisection steps for a quantile
 NEWTON_STEP_DB = 1e-8
 """Tolerance of Newton steps; after such a short step the error is within rounding."""
 

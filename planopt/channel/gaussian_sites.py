@@ -82,8 +82,7 @@ def _half_line(upper: Floats) -> TruncatedNormal:
 
 MAX_SITE_VARIANCE_DB2 = 1e5
 """Maximum variance of a site; replaces the infinite variance of an uninformative limit."""
-TOLERANCE = 1e-7
-"""Default convergence tolerance of the sites."""
+TOLERANCE = 1e-7  # Default convergence tolerance of the sites
 
 MAX_SWEEPS = 300
 

@@ -28,10 +28,8 @@ DB_PER_NEPER = 10.0 / math.log(10.0)
 
 SERIES_DEVIATIONS = 12.0
 """Half-width of the Rician series in standard deviations of its Poisson variable."""
-MIN_M = 0.5
-"""Minimum m of the Nakagami distribution; 1 is Rayleigh fading."""
-STRONGEST = 1e8
-"""Upper end of the search for Nakagami m and Rician K; omega is then below 0.001 dB."""
+MIN_M = 0.5  # Minimum m of the Nakagami distribution; 1 is Rayleigh fading
+STRONGEST = 1e8  # Upper end of the search for Nakagami m and Rician K; omega is then below 0.001 dB
 
 BISECTIONS = 60
 

@@ -31,15 +31,13 @@ from planopt.channel.posterior import condition
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
 
-LEVELS = (0.5, 0.8, 0.9, 0.95, 0.99)
-"""Levels of the central prediction intervals."""
+LEVELS = (0.5, 0.8, 0.9, 0.95, 0.99)  # Levels of the central prediction intervals
 
 PIT_BINS = 20
 
 Predictor = Callable[[Measurements], Prediction]
 """Function that predicts the powers of measurements without using their measured powers."""
-PATH_LOSS = "path_loss"
-"""Name of the reference predictor."""
+PATH_LOSS = "path_loss"  # Name of the reference predictor
 MARGINAL_EXACT_LIMIT = 1000
 """Maximum number of measurements for factors of the marginalised channel, which needs one for each
 of its about 15 components. Beyond it the nearest measurements are used; on the campus logs, with

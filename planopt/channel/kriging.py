@@ -109,8 +109,7 @@ def score_probability(score: Floats) -> Floats:
     return np.asarray(ndtr(score), dtype=np.float64)
 
 
-CONFIDENCE = 0.95
-"""Level of all confidence intervals."""
+CONFIDENCE = 0.95  # Level of all confidence intervals
 
 
 def binomial_interval(successes: float, trials: float) -> tuple[float, float]:

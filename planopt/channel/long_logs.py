@@ -52,8 +52,7 @@ from planopt.channel.parameters import ChannelParameters, regressors
 if TYPE_CHECKING:
     from planopt.channel.posterior import ChannelPosterior
 
-EARLIER_NEIGHBOURS = 64
-"""Number of earlier measurements that each new one is conditioned on."""
+EARLIER_NEIGHBOURS = 64  # Number of earlier measurements that each new one is conditioned on
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,8 +183,7 @@ and by 0.1 at most."""
 
 MAX_SWEEPS = 60
 
-AT_REST = 0.25
-"""Share of the tolerance below which a block is skipped."""
+AT_REST = 0.25  # Share of the tolerance below which a block is skipped
 TOLERANCE = 1e-3
 """Tolerance in standard deviations of a site's posterior; it takes about ten sweeps."""
 

@@ -24,12 +24,9 @@ from planopt.channel.parameters import MAX_COORDINATE_M, ChannelParameters, Stat
 from planopt.errors import InputError, listed
 from planopt.short_repr import short_repr
 
-MAX_POWER_DB = 1e6
-"""Maximum magnitude of a power, so that squares do not overflow."""
-SAME_PLACE_M = 1e-6
-"""Distance in metres below which two positions count as one."""
-LEAST_POWER_DBM, LARGEST_POWER_DBM = -300.0, 100.0
-"""Range of powers that a receiver can report."""
+MAX_POWER_DB = 1e6  # Maximum magnitude of a power, so that squares do not overflow
+SAME_PLACE_M = 1e-6  # Distance in metres below which two positions count as one
+LEAST_POWER_DBM, LARGEST_POWER_DBM = -300.0, 100.0  # Range of powers that a receiver can report
 
 
 class Frame(Protocol):

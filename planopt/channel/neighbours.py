@@ -20,8 +20,7 @@ from planopt.arrays import Floats, Indices
 # SciPy ships no types.
 KDTree: Any = ScipyKDTree
 
-MOST_UNTREED = 256
-"""Maximum number of positions outside the search tree, unless the tree is large."""
+MOST_UNTREED = 256  # Maximum number of positions outside the search tree, unless the tree is large
 UNTREED_SHARE = 1.0 / 16.0
 """Maximum number of positions outside the search tree, as a share of those in it."""
 BLOCK, BLOCK_NEIGHBOURS = 48, 128
@@ -158,8 +157,7 @@ class PlaceIndex:
         return PlaceTree(late) if len(late) else None
 
 
-NOWHERE = PlaceIndex(np.zeros((0, 2)))
-"""Index of no positions."""
+NOWHERE = PlaceIndex(np.zeros((0, 2)))  # Index of no positions
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,10 +32,8 @@ from planopt.short_repr import short_repr
 
 STEPS = (-2.0, -1.0, 0.0, 1.0, 2.0)
 """Design points along each principal axis of the likelihood, in standard deviations."""
-MAX_DEVIATION = 1.5
-"""Maximum standard deviation of log beta or logit(xi^2 / alpha)."""
-MIN_WEIGHT = 0.01
-"""Minimum weight of a design point, as each costs a factor and a prediction."""
+MAX_DEVIATION = 1.5  # Maximum standard deviation of log beta or logit(xi^2 / alpha)
+MIN_WEIGHT = 0.01  # Minimum weight of a design point, as each costs a factor and a prediction
 DIFFERENCE = 0.1
 """Finite-difference step for the likelihood's curvature, in log beta and logit(xi^2 / alpha)."""
 
@@ -214,8 +212,7 @@ def _values(point: Floats) -> tuple[float, float]:
     return 1.0 / (1.0 + math.exp(-point[0])), math.exp(point[1])
 
 
-ELEMENTS = 2**17
-"""Target number of position-measurement pairs in a block."""
+ELEMENTS = 2**17  # Target number of position-measurement pairs in a block
 
 
 PERTURBED = ("k_pl_db", "n_pl", "shadow_variance_db2", "decorrelation_m", "multipath_std_db")

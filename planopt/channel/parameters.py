@@ -15,8 +15,7 @@ from planopt.errors import InputError
 
 MAX_COORDINATE_M = 1e12
 """Maximum magnitude of a coordinate, so that squared distances do not overflow."""
-MIN_DISTANCE_M = 0.1
-"""Minimum distance to the station, so that its logarithm is finite."""
+MIN_DISTANCE_M = 0.1  # Minimum distance to the station, so that its logarithm is finite
 PARAMETER_WORDS = {
     "k_pl_db": ("power at 1 m", "dBm"),
     "n_pl": ("path loss exponent", ""),
@@ -25,10 +24,8 @@ PARAMETER_WORDS = {
     "multipath_std_db": ("standard deviation of multipath", "dB"),
 }
 """Meaning and unit of each estimated parameter."""
-PRIOR_N_PL = 3.0
-"""Prior mean of n_PL, between free space and dense streets."""
-PRIOR_N_PL_STD = 1.0
-"""Prior standard deviation of n_PL."""
+PRIOR_N_PL = 3.0  # Prior mean of n_PL, between free space and dense streets
+PRIOR_N_PL_STD = 1.0  # Prior standard deviation of n_PL
 
 
 def require_places(positions_m: ArrayLike, at_least: int = 1) -> Floats:

@@ -15,18 +15,14 @@ from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
 from planopt.short_repr import short_repr
 
-FAR_SCORE = 40.0
-"""Limit of scores; the normal tail beyond is below the smallest float."""
-VANISHING = 1e-200
-"""Limit below which scores count as zero, because their products underflow."""
+FAR_SCORE = 40.0  # Limit of scores; the normal tail beyond is below the smallest float
+VANISHING = 1e-200  # Limit below which scores count as zero, because their products underflow
 SHIFTS = 12
 """Number of independent random shifts of the lattice; their scatter gives the error estimate."""
 FIRST_POINTS, LAST_POINTS = 2**9, 2**15
 """Initial and maximum number of lattice points, doubled until the tolerance is met."""
-FAR = 1e8
-"""Limit of scores, so that their squares do not overflow."""
-ERRORS = 3.0
-"""Number of standard errors over the shifts in the reported error."""
+FAR = 1e8  # Limit of scores, so that their squares do not overflow
+ERRORS = 3.0  # Number of standard errors over the shifts in the reported error
 
 
 def bivariate_normal_cdf(first: Floats, second: Floats, correlation: Floats) -> Floats:

@@ -55,14 +55,12 @@ from planopt.short_repr import short_repr
 
 FACTOR_BLOCK = 264
 """Number of rows appended to a Cholesky factor at once; powers of two cause cache conflicts."""
-AT_ONCE = 768
-"""Maximum number of rows of a Cholesky factor that is computed in one block."""
+AT_ONCE = 768  # Maximum number of rows of a Cholesky factor that is computed in one block
 WEAK_THETA_DEVIATION = (20.0, 1.0)
 """Prior standard deviation of K_PL (dB) and n_PL, used if measurements do not identify theta."""
 MAX_INFORMATION_CONDITION = 1e10
 """Maximum condition number of theta's information, in units of `WEAK_THETA_DEVIATION`."""
-MOST_JOINT_SITES = 300
-"""Maximum number of joint sites, whose sweep costs their number cubed."""
+MOST_JOINT_SITES = 300  # Maximum number of joint sites, whose sweep costs their number cubed
 EXACT_LIMIT = 5_000
 """Maximum number of measurements with a Cholesky factor (200 MB, or 450 MB with room to grow)."""
 SHARED_NEIGHBOURS = 512

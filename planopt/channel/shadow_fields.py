@@ -35,14 +35,11 @@ CLIPPED_SHARE_TOLERANCE = 1e-4
 GROWTH = 1.25
 MAX_TORUS_CELLS = 2**24
 
-MAX_PLACES = 8_000
-"""Maximum number of distinct positions; a larger factor may not fit into memory."""
+MAX_PLACES = 8_000  # Maximum number of distinct positions; a larger factor may not fit into memory
 NUGGET = 1e-8
 """Share of xi^2 added to variances, so that a factor exists if positions nearly coincide."""
-STENCIL = 4
-"""Side of the square of lattice nodes on which a value between them is conditioned."""
-EARLIER = 16
-"""Number of nearest earlier positions on which a value between nodes is conditioned."""
+STENCIL = 4  # Side of the square of lattice nodes on which a value between them is conditioned
+EARLIER = 16  # Number of nearest earlier positions on which a value between nodes is conditioned
 
 
 @dataclass(frozen=True)

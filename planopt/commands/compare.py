@@ -242,10 +242,8 @@ def listed(text: str | None, option: str, kind: Callable[[str], Value]) -> tuple
 
 REPORT_FILE, MARKDOWN_FILE, PAGE_FILE = "report.json", "report.md", "report.html"
 
-REPORT = (REPORT_FILE, MARKDOWN_FILE, PAGE_FILE)
-"""Files of a report, including the page."""
-SHOWN = 20
-"""Maximum number of cases of each kind that are printed; the JSON file lists all."""
+REPORT = (REPORT_FILE, MARKDOWN_FILE, PAGE_FILE)  # Files of a report, including the page
+SHOWN = 20  # Maximum number of cases of each kind that are printed; the JSON file lists all
 
 REGRESSED, NOT_ANSWERED = 1, 3
 

@@ -35,8 +35,7 @@ if TYPE_CHECKING:
     from planopt.channel.measurements import Measurements
     from planopt.channel.parameters import Station
 
-DEGENERATE = 3
-"""Exit code if the log does not determine the channel."""
+DEGENERATE = 3  # Exit code if the log does not determine the channel
 
 
 @dataclass(frozen=True)
@@ -226,12 +225,9 @@ ThresholdOption = Annotated[
     ),
 ]
 
-MOST_FOLDS = 10
-"""Maximum number of folds; each fold holds out one or more groups."""
-SEED = 0
-"""Random seed of the assignment of groups to folds."""
-NAME_WIDTH = 13
-"""Width of the column of predictor names."""
+MOST_FOLDS = 10  # Maximum number of folds; each fold holds out one or more groups
+SEED = 0  # Random seed of the assignment of groups to folds
+NAME_WIDTH = 13  # Width of the column of predictor names
 
 PREDICTOR_WORDS = {
     "channel": "the fitted channel, given the powers of the other groups",

@@ -204,8 +204,7 @@ def with_options(
     return decorated
 
 
-NO_PLAN = 4
-"""Exit code if no plan exists or a run failed its task."""
+NO_PLAN = 4  # Exit code if no plan exists or a run failed its task
 
 
 def show(as_json: bool, data: Mapping[str, Any], text: str) -> None:
@@ -237,8 +236,7 @@ def standard_output() -> Generator[None]:
         raise OutputError(f"cannot write to standard output: {error.strerror or error}") from error
 
 
-CLEAR = "\x1b[H\x1b[2J"
-"""Control code that clears a terminal."""
+CLEAR = "\x1b[H\x1b[2J"  # Control code that clears a terminal
 
 
 def say(text: str, *, clear: bool = False) -> None:

@@ -15,10 +15,8 @@ Demand = Callable[[int], int]
 """Function that maps the number of agents to the number that an event requires."""
 HEXAGON = 5.0 / (18.0 * math.sqrt(3.0))
 """Second moment of a regular hexagon of area 1 about its centre."""
-LEAST_ON_RING = 2
-"""Minimum number of agents on a ring; a single one measures the distance only."""
-NONE = -1
-"""Event number that marks a covering agent."""
+LEAST_ON_RING = 2  # Minimum number of agents on a ring; a single one measures the distance only
+NONE = -1  # Event number that marks a covering agent
 
 
 def demanded(demand: Demand, agents: int) -> int:

@@ -39,8 +39,7 @@ from planopt.coverage.voronoi import ConvexRegion
 
 GRID_READINGS = 150
 """Number of readings above which the last estimate replaces the grid of initial guesses."""
-NEVER = -(10**9)
-"""Value of the last detection's step for an agent that knows of no detection."""
+NEVER = -(10**9)  # Value of the last detection's step for an agent that knows of no detection
 
 
 @dataclass(frozen=True, eq=False)
@@ -444,14 +443,12 @@ def _shares(known: Mask, demands: Sequence[Demand], counts: Floats) -> tuple[Ind
     return wants, shares
 
 
-GLOBAL_LEVEL = 1e-3
-"""Level of the test whether all readings of a step fit one event, or none."""
+GLOBAL_LEVEL = 1e-3  # Level of the test whether all readings of a step fit one event, or none
 OUTLIER_LEVEL = 1e-6
 """Level at which a single reading is an outlier, and at which readings refute an estimate."""
 OUTLIER = float(chdtri(1, OUTLIER_LEVEL))
 """Decrease of the misfit above which a single reading is an outlier."""
-CONTRADICTIONS = 3
-"""Number of contradictions after which a sensor is excluded."""
+CONTRADICTIONS = 3  # Number of contradictions after which a sensor is excluded
 
 
 def taken(readings: Readings, rows: Mask) -> Readings:

@@ -20,32 +20,21 @@ from planopt.coverage.assignment import HEXAGON
 from planopt.coverage.density import CallableDensity, UniformDensity
 from planopt.coverage.geodesic import GeodesicGround, Ground, polygon_boundaries
 
-EFFORT_S = 1.0
-"""Processor time in seconds of a bound on a common core, by default."""
+EFFORT_S = 1.0  # Processor time in seconds of a bound on a common core, by default
 PAIRS_PER_S = 2.0e7, 1.5e6
 """Number of box-cell pairs processed per second in a price step, and in the certificate."""
-COARSE = 5.0
-"""Maximum number of coarse cells along the radius of an agent's cell."""
-STEPS = 100
-"""Number of price steps assumed for the choice of the coarse cells' size."""
+COARSE = 5.0  # Maximum number of coarse cells along the radius of an agent's cell
+STEPS = 100  # Number of price steps assumed for the choice of the coarse cells' size
 SMOOTHINGS = (0.05, 0.02, 0.01, 0.004, 0.002, 0.001)
 """Relative temperatures of the soft maximum over positions, in sequence."""
-MOST_STEPS = 80
-"""Maximum number of price steps at each temperature."""
-GROWTH = 1.7
-"""Maximum factor by which a price grows at each temperature."""
-NEAREST = 4
-"""Number of positions between which prices are interpolated."""
-FINEST = 14
-"""Number of halvings from the region's extent to the smallest cell."""
-CHUNK = 10_000
-"""Number of boxes whose pairs with cells are in memory at a time."""
-SPLITS = 3
-"""Number of times that the boxes with the largest bounds are split."""
-SPLIT_SHARE = 0.03
-"""Share of the boxes that are split."""
-ROUNDING = 1e-9
-"""Share by which the bound is reduced for rounding and quadrature errors."""
+MOST_STEPS = 80  # Maximum number of price steps at each temperature
+GROWTH = 1.7  # Maximum factor by which a price grows at each temperature
+NEAREST = 4  # Number of positions between which prices are interpolated
+FINEST = 14  # Number of halvings from the region's extent to the smallest cell
+CHUNK = 10_000  # Number of boxes whose pairs with cells are in memory at a time
+SPLITS = 3  # Number of times that the boxes with the largest bounds are split
+SPLIT_SHARE = 0.03  # Share of the boxes that are split
+ROUNDING = 1e-9  # Share by which the bound is reduced for rounding and quadrature errors
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,12 +17,10 @@ from planopt.coverage.voronoi import Boundary, ConvexRegion, Moments, region_bou
 from planopt.errors import InputError
 from planopt.world.raster import Raster
 
-NODES = 6
-"""Number of Gauss points along each side of a quadrature patch."""
+NODES = 6  # Number of Gauss points along each side of a quadrature patch
 BUMP_NODES = 8
 """Number of Gauss points along a boundary part as long as a Gaussian's standard deviation."""
-MAX_PATCHES = 2_000_000
-"""Largest number of quadrature patches; more take minutes and gigabytes."""
+MAX_PATCHES = 2_000_000  # Largest number of quadrature patches; more take minutes and gigabytes
 
 
 @dataclass(frozen=True)
@@ -221,8 +219,7 @@ def _summed(boundary: Boundary, *values: Floats) -> list[Floats]:
 
 STRAIGHT_NODES = 2
 """Number of Gauss points along a straight part; exact, because F dy is a cubic there."""
-ARC_NODES = 8
-"""Number of Gauss points along a part of an arc that turns by at most `ARC_TURN`."""
+ARC_NODES = 8  # Number of Gauss points along a part of an arc that turns by at most `ARC_TURN`
 ARC_TURN = 0.5
 """Maximum angle of a part of an arc in rad; the error of eight points is then below 1e-15."""
 

@@ -11,12 +11,9 @@ from planopt.arrays import Floats, Indices
 from planopt.coverage.geodesic import Ground
 from planopt.coverage.localisation import SINGULAR, EventSensor, measure
 
-BEARINGS = 72
-"""Number of candidate bearings on a partly blocked ring."""
-EXCHANGES = 20
-"""Maximum number of rounds in which every bearing is exchanged."""
-LOOSE = 0.02
-"""Extra separation of bodies packed around an event, as a share of the minimum."""
+BEARINGS = 72  # Number of candidate bearings on a partly blocked ring
+EXCHANGES = 20  # Maximum number of rounds in which every bearing is exchanged
+LOOSE = 0.02  # Extra separation of bodies packed around an event, as a share of the minimum
 
 
 def ring_angles(count: int) -> Floats:

@@ -19,12 +19,9 @@ from planopt.coverage.voronoi import Boundary, ConvexRegion, checked_polygon, co
 from planopt.errors import InputError
 from planopt.world.shortest_paths import FreeArea, free_area, nearest_places
 
-SLIVER = 1e-6
-"""Minimum area of a free part of a grid square, as a share of the square."""
-LINE = 1
-"""Type number of line strings in Shapely."""
-MAX_NODES = 200_000
-"""Largest number of nodes; visibility from more nodes takes minutes."""
+SLIVER = 1e-6  # Minimum area of a free part of a grid square, as a share of the square
+LINE = 1  # Type number of line strings in Shapely
+MAX_NODES = 200_000  # Largest number of nodes; visibility from more nodes takes minutes
 HALVINGS = 8
 """Maximum number of halvings of a step until it lowers the cost of the agent's own cell."""
 NEAREST = 8

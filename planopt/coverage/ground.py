@@ -21,8 +21,7 @@ from planopt.coverage.voronoi import (
 )
 from planopt.world.shortest_paths import nearest_places
 
-SAMPLES = 100
-"""Number of sample points along each side of the bounding box."""
+SAMPLES = 100  # Number of sample points along each side of the bounding box
 EMPTY = 1e-12
 """Share of the mass below which a cell counts as empty, since its centroid is inaccurate."""
 

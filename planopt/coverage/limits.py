@@ -14,8 +14,7 @@ from planopt.arrays import Floats
 from planopt.channel.posterior import ChannelPosterior
 from planopt.errors import InputError
 
-NODES = 120
-"""Number of map nodes along the longer side of the bounds."""
+NODES = 120  # Number of map nodes along the longer side of the bounds
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,18 +10,12 @@ from planopt.arrays import Floats, Mask
 from planopt.coverage.voronoi import ConvexRegion
 from planopt.errors import InputError
 
-GRID = 48
-"""Number of grid positions along the longer side of the region."""
-STARTS = 6
-"""Number of grid positions used as initial guesses."""
-STEPS = 60
-"""Maximum number of Levenberg-Marquardt steps."""
-SETTLED = 1e-10
-"""Step length, as a share of the region's radius, below which the iteration stops."""
-RIVAL = 8.0
-"""Maximum excess of -2 log L of other maxima that are reported."""
-SINGULAR = 1e-12
-"""Eigenvalue ratio below which an information matrix counts as singular."""
+GRID = 48  # Number of grid positions along the longer side of the region
+STARTS = 6  # Number of grid positions used as initial guesses
+STEPS = 60  # Maximum number of Levenberg-Marquardt steps
+SETTLED = 1e-10  # Step length, as a share of the region's radius, below which the iteration stops
+RIVAL = 8.0  # Maximum excess of -2 log L of other maxima that are reported
+SINGULAR = 1e-12  # Eigenvalue ratio below which an information matrix counts as singular
 
 
 @dataclass(frozen=True)

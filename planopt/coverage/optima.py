@@ -9,16 +9,11 @@ from scipy.optimize import linear_sum_assignment
 from planopt.arrays import Floats, Indices
 from planopt.coverage.geodesic import GeodesicGround, Ground
 
-LEAP = 1.7
-"""Over-relaxation factor of the first trial in every step toward the targets."""
-SETTLED = 1e-6
-"""Relative decrease of the cost in a step below which a deployment is settled."""
-STARTS = 10
-"""Number of initial deployments; the first is the problem's own."""
-MAX_STEPS = 500
-"""Maximum number of steps from one initial deployment."""
-CANDIDATES = 20
-"""Number of candidate positions per agent for random initial deployments."""
+LEAP = 1.7  # Over-relaxation factor of the first trial in every step toward the targets
+SETTLED = 1e-6  # Relative decrease of the cost in a step below which a deployment is settled
+STARTS = 10  # Number of initial deployments; the first is the problem's own
+MAX_STEPS = 500  # Maximum number of steps from one initial deployment
+CANDIDATES = 20  # Number of candidate positions per agent for random initial deployments
 SINGLES = 3
 """Number of agents, and of destination cells, for the final trials of single relocations."""
 

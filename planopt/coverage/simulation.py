@@ -39,8 +39,7 @@ from planopt.coverage.network import Counting, LinkModel, Network, Tally, tally_
 from planopt.coverage.optima import Deployer
 from planopt.errors import InputError
 
-ABSENT = -2
-"""State of an agent that has not joined yet or has left; `NONE` marks a covering agent."""
+ABSENT = -2  # State of an agent that has not joined yet or has left; `NONE` marks a covering agent
 FOLLOWED_M = 1e-6
 """Maximum difference (m, m/s, rad) to a saved motion for which the simulation adopts it."""
 Signals = Callable[[int, Indices], Floats]

@@ -15,14 +15,11 @@ from planopt.arrays import Floats
 from planopt.channel.kriging import Prediction
 from planopt.coverage.limits import LinkLaw, Motion, MoveLimits, RadioLimits
 
-SLACK = 1e-6
-"""Relative tolerance of motion limits; tolerance in metres of distances to boundaries."""
+SLACK = 1e-6  # Relative tolerance of motion limits; tolerance in metres of distances to boundaries
 SAMPLES = 512
 """Number of additional, shorter lengths at which a link's failure probability is evaluated."""
-LOOKS = 9
-"""Number of positions along a move at which estimated base-station channels are evaluated."""
-SHORTEST_M = 0.01
-"""Minimum length in metres at which a link is evaluated."""
+LOOKS = 9  # Number of positions along a move at which estimated base-station channels are evaluated
+SHORTEST_M = 0.01  # Minimum length in metres at which a link is evaluated
 
 
 @dataclass(frozen=True)
@@ -194,12 +191,10 @@ def _fails(law: LinkLaw, lengths_m: Floats, threshold_dbm: float) -> Floats:
 
 WORSE = 0.1
 """Largest permitted excess of -2 log L of an estimate over that of the best position nearby."""
-TOO_SMALL = 0.97
-"""Smallest permitted ratio of a standard deviation to the recomputed one."""
+TOO_SMALL = 0.97  # Smallest permitted ratio of a standard deviation to the recomputed one
 HEADINGS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 """Initial guesses of an event's velocity, in prior standard deviations."""
-FINE = 1e-12
-"""Relative tolerances of the least-squares solver."""
+FINE = 1e-12  # Relative tolerances of the least-squares solver
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,8 @@ from scipy.spatial import KDTree
 from planopt.arrays import Floats, Indices, Mask
 from planopt.errors import InputError
 
-ON_BORDER = 1e-9
-"""Tolerance of the boundary as a share of the region's radius."""
-FLAT = 1e-12
-"""Sine of the turning angle up to which a vertex counts as collinear."""
+ON_BORDER = 1e-9  # Tolerance of the boundary as a share of the region's radius
+FLAT = 1e-12  # Sine of the turning angle up to which a vertex counts as collinear
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,8 +99,7 @@ def _corners(ring: Floats) -> Floats:
     return ring[turn > FLAT * np.hypot(*before.T) * np.hypot(*after.T)]
 
 
-COINCIDENT = 1e-12
-"""Distance, as a share of the region's radius, below which agents share one cell."""
+COINCIDENT = 1e-12  # Distance, as a share of the region's radius, below which agents share one cell
 FAR = 4.0
 """Distance of the four extra points in radii of the region; bisectors stay outside from 3 on."""
 

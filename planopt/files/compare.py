@@ -52,8 +52,7 @@ TAKEN = frozenset(
 
 DIGEST = "digest"
 
-SHOWN_ALIKE = 3
-"""Maximum number of reported differences whose keys differ only in an index."""
+SHOWN_ALIKE = 3  # Maximum number of reported differences whose keys differ only in an index
 
 _NUMBER = re.compile(r"(-?\d+(?:\.\d+)?(?:e[+-]?\d+)?)")
 _INDEX = re.compile(r"\[\d+\]")

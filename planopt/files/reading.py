@@ -32,8 +32,7 @@ LARGEST_ARRAY_VALUES = 25_000_000
 """Maximum number of values in one array of a file, such as a map of 5000 x 5000 cells."""
 DATA_FOLDER = "PLANOPT_DATA"
 """Environment variable with the folder of measurements that planopt may not distribute."""
-PRIVATE = f"${DATA_FOLDER}/"
-"""Beginning of the names of files in that folder."""
+PRIVATE = f"${DATA_FOLDER}/"  # Beginning of the names of files in that folder
 
 
 def read_bytes(path: Path, largest: int = LARGEST_BINARY_BYTES) -> bytes:
@@ -129,8 +128,7 @@ def require_array_size(path: Path, key: str, *lengths: int) -> None:
         raise InputError(fault, file=path, key=key, remedy="give a smaller map")
 
 
-MOST_ENTRIES = 10_000
-"""Maximum number of arrays in one file: each entry becomes an object."""
+MOST_ENTRIES = 10_000  # Maximum number of arrays in one file: each entry becomes an object
 
 
 def npz_names(path: Path) -> tuple[str, ...]:

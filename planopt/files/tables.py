@@ -21,13 +21,11 @@ from numpy.typing import NDArray
 from planopt.errors import InputError
 from planopt.files.reading import read_text
 
-LARGEST = 1e9
-"""Maximum magnitude of positions, times, powers and parameters in a saved file."""
+LARGEST = 1e9  # Maximum magnitude of positions, times, powers and parameters in a saved file
 
 REMEDY = "save the result again"
 
-LARGEST_BYTES = 512 * 2**20
-"""Size limit of a table in bytes."""
+LARGEST_BYTES = 512 * 2**20  # Size limit of a table in bytes
 Data = Mapping[str, NDArray[Any]]
 """Columns of equal length by name; NaN and empty text represent missing values."""
 
@@ -178,8 +176,7 @@ def documented(columns: Iterable[Column]) -> str:
 
 Value = TypeVar("Value")
 
-NOT_FINITE = ("nan", "inf", "-inf")
-"""Non-finite numbers as written by earlier versions."""
+NOT_FINITE = ("nan", "inf", "-inf")  # Non-finite numbers as written by earlier versions
 
 
 def encoded(value: object) -> Any:

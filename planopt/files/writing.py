@@ -20,8 +20,7 @@ from typing import Any, cast
 
 from planopt.errors import OutputError
 
-STAGING = ".planopt-new-"
-"""Prefix of hidden files and folders that are still being written."""
+STAGING = ".planopt-new-"  # Prefix of hidden files and folders that are still being written
 Patterns = tuple[str, ...]
 """Names of all files that one kind of result may have, with * as wildcard."""
 

@@ -151,10 +151,8 @@ class VarianceRemoved:
         return PathDerivatives(value, 2.0 * (x[own] * u).sum(axis=1), hessian)
 
 
-THRESHOLD_ROUNDING = 0.01
-"""Smoothing width of the variance threshold as a share of xi^2 + omega^2."""
-TINY_DB2, TINY_M = 1e-12, 1e-9
-"""Smoothing widths of threshold and step lengths for ranked paths."""
+THRESHOLD_ROUNDING = 0.01  # Smoothing width of the variance threshold as a share of xi^2 + omega^2
+TINY_DB2, TINY_M = 1e-12, 1e-9  # Smoothing widths of threshold and step lengths for ranked paths
 
 
 @dataclass(frozen=True, eq=False)

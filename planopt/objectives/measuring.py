@@ -22,8 +22,7 @@ SPACING_TOLERANCE_M = 1e-5
 """Tolerance of the spacing: planned steps are slightly shorter than the step length."""
 CLOSED_SPACINGS, OPEN_SPACINGS = 0.9, 1.02
 """Distances, in spacings, up to which a gate is closed and from which it is fully open."""
-MOST_BESIDE = 8
-"""Maximum number of nearest earlier measurements that a gate depends on."""
+MOST_BESIDE = 8  # Maximum number of nearest earlier measurements that a gate depends on
 LONGEST_PATH = 512
 """Number of positions above which a list is treated as a log and compared block by block."""
 FEW_KNOWN = 1000

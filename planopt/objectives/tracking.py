@@ -152,12 +152,9 @@ STAYED_STEPS = 10
 """Maximum number of steps that a plan assumes a stationary robot or a successful probe to stay."""
 MOST_CONNECTED = 80
 """Maximum number of known connected positions that are alternatives to a path's end."""
-WHOLE_STEPS = 1e-9
-"""Tolerance, as a share of a step, when distances are rounded up to whole steps."""
-DISCOUNT = 0.8
-"""Discount factor per step if packets contain estimates."""
-STEPS_OF_ESTIMATES = 10
-"""Number of such steps if packets contain estimates."""
+WHOLE_STEPS = 1e-9  # Tolerance, as a share of a step, when distances are rounded up to whole steps
+DISCOUNT = 0.8  # Discount factor per step if packets contain estimates
+STEPS_OF_ESTIMATES = 10  # Number of such steps if packets contain estimates
 
 
 @dataclass(frozen=True, eq=False)

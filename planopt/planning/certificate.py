@@ -15,10 +15,8 @@ from planopt.planning.tolerances import RULE_TOLERANCE, STANDSTILL_M
 from planopt.problems.objective import RULES
 from planopt.problems.problem import Problem
 
-MOST_IN_WORDS = 4
-"""Maximum number of coverage holes in a description, longest first."""
-SHORTEST_IN_WORDS_M = 0.5
-"""Minimum length of a coverage hole in a description, in metres."""
+MOST_IN_WORDS = 4  # Maximum number of coverage holes in a description, longest first
+SHORTEST_IN_WORDS_M = 0.5  # Minimum length of a coverage hole in a description, in metres
 
 
 @dataclass(frozen=True)
@@ -343,8 +341,7 @@ def excused_steps(proofs: Sequence[Certificate]) -> list[Excused]:
     ]
 
 
-MOST_EXCUSED = 3
-"""Maximum number of excused steps in a description."""
+MOST_EXCUSED = 3  # Maximum number of excused steps in a description
 
 
 def excused_in_words(steps: Sequence[Excused]) -> list[str]:

@@ -85,8 +85,7 @@ def obstacles_met(problem: Problem, index: ObstacleIndex, path_m: Floats) -> lis
 
 DIRECTIONS, LENGTHS = 48, 8
 """Numbers of directions and lengths of the candidate moves out of a violation."""
-NEARER_M = 1e-9
-"""Tolerance within which a move may reduce a distance, in metres."""
+NEARER_M = 1e-9  # Tolerance within which a move may reduce a distance, in metres
 
 
 def leaving_path(
@@ -156,10 +155,8 @@ def _too_near_m(moving: MovingDiscs, paths_m: Floats) -> Floats:
     return np.maximum(apart - away, 0.0).max(axis=(1, 2))
 
 
-DRAWN_STREAM = 3
-"""Number of the random stream for start positions."""
-MOST_DRAWS = 10_000
-"""Maximum number of draws until a position or path is free."""
+DRAWN_STREAM = 3  # Number of the random stream for start positions
+MOST_DRAWS = 10_000  # Maximum number of draws until a position or path is free
 
 
 def with_drawn_starts(problem: Problem, seed: int) -> Problem:

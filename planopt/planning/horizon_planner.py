@@ -75,8 +75,7 @@ def driven_start(scorer: Scorer, context: StepContext, drive: Drive) -> Guess:
 
 DRIVEN_ROUNDS = 12
 """Maximum number of further refinements of the best drive, each with new separating lines."""
-SETTLED_SHARE = 3e-3
-"""Relative gain below which refinement ends."""
+SETTLED_SHARE = 3e-3  # Relative gain below which refinement ends
 
 
 class FallbackCascade:

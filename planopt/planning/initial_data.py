@@ -72,10 +72,8 @@ def team_seeds(problem: Problem, seed: int) -> TeamSeeds:
 
 UserMeasurements = Measurements | Table | Sequence[Measurements | Table]
 """User-supplied measurements: one table for a single station, or one per station."""
-LARGEST_GAIN_DB = 500.0
-"""Maximum magnitude of path gains in maps and problem files, in dB."""
-FURTHER_STREAMS = 2
-"""Number of the random stream for the fading of further stations."""
+LARGEST_GAIN_DB = 500.0  # Maximum magnitude of path gains in maps and problem files, in dB
+FURTHER_STREAMS = 2  # Number of the random stream for the fading of further stations
 
 
 @dataclass(frozen=True, eq=False)

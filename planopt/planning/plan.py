@@ -232,8 +232,7 @@ class History:
 
 CIRCLING_STEPS = 15
 """Number of consecutive steps within one step length of a position that count as circling."""
-BEGINNING = History()
-"""History at the start of a run."""
+BEGINNING = History()  # History at the start of a run
 
 
 def history_of(

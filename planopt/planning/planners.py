@@ -99,8 +99,7 @@ def plan_of(
     return plan
 
 
-RINGS, HEADINGS = 10, 48
-"""Number of radii and directions of the grid of positions within a step."""
+RINGS, HEADINGS = 10, 48  # Number of radii and directions of the grid of positions within a step
 Score = Callable[[StepContext, Floats], Floats]
 """Function that maps paths (c, N, 2) to their scores (c,)."""
 
@@ -175,10 +174,8 @@ class OneStepPlanner:
 
 largest_deviation_planner = partial(OneStepPlanner, score=end_deviation)
 
-DRAWS = 64
-"""Number of candidate steps drawn at once; the robot waits if none is collision-free."""
-TURN_STD_RAD = 0.4
-"""Standard deviation of the turn between consecutive steps of a persistent walk."""
+DRAWS = 64  # Number of candidate steps drawn at once; the robot waits if none is collision-free
+TURN_STD_RAD = 0.4  # Standard deviation of the turn between consecutive steps of a persistent walk
 Walk = Literal["full", "disk", "persistent"]
 """Kind of random walk: full steps, uniform positions in the disc, or small turns."""
 
@@ -319,8 +316,7 @@ def _route(road_map: RoadMap, here: int, there: int) -> list[int]:
 
 EDGE_STD_DB = 0.1
 """Standard deviation of power in the disc model, for a gradient at the disc's edge."""
-CERTAIN_DB = 300.0
-"""Path gain at which no packet is lost."""
+CERTAIN_DB = 300.0  # Path gain at which no packet is lost
 Assumed = Callable[[ChannelParameters], ChannelParameters]
 """Function that maps the fitted channel to the channel that a strategy assumes."""
 
@@ -406,8 +402,7 @@ disk_planner = partial(StrategyPlanner, assumed=informed_disk)
 unaware_planner = partial(StrategyPlanner, assumed=unaware)
 
 
-ROUNDS = 5
-"""Maximum number of rounds in which several robots plan in turn."""
+ROUNDS = 5  # Maximum number of rounds in which several robots plan in turn
 
 
 class FollowingPlanner:

@@ -48,12 +48,9 @@ from planopt.problems.problem import Problem, problem_of_robot
 from planopt.world.clearance import index_obstacles
 from planopt.world.motion import MovingDiscs
 
-LEAST_SHARE = 0.3
-"""Minimum share of the time that is reserved for the bound."""
-DESIGN_SHARE = 0.3
-"""Share of the time for the design of a bound on information."""
-ALONE_SHARE = 0.2
-"""Share of the time for the bound that holds whatever the other robots do."""
+LEAST_SHARE = 0.3  # Minimum share of the time that is reserved for the bound
+DESIGN_SHARE = 0.3  # Share of the time for the design of a bound on information
+ALONE_SHARE = 0.2  # Share of the time for the bound that holds whatever the other robots do
 SWEEPS, IMPROVING_SHARE = 2, 0.2
 """Searches for better plans of robots that keep apart, before their bounds; time of each."""
 SURPLUS = 2e-5

@@ -306,8 +306,7 @@ def candidate_of(
 LOCAL_PAD_DB = 0.04
 """Pad in dB for errors of the local channel model, exceeded by one in ten returned paths (48
 neighbours, 1,000 measurements, xi 4 dB, beta 20 m)."""
-GIVEN_UP_DB = 1e-3
-"""Slack in dB that counts as solver tolerance."""
+GIVEN_UP_DB = 1e-3  # Slack in dB that counts as solver tolerance
 MISSING_DB_COST = 100.0
 """Cost per dB of slack in the solver if the guess violates the constraint beyond the slack."""
 

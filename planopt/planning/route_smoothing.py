@@ -34,16 +34,13 @@ MetreCost = Callable[[Floats], Floats]
 """Function that maps positions (n, 2) to the cost per metre there as an array (n,)."""
 OFFSETS = np.array([-1.0, 0.0, 1.0])
 """Sideways displacements of a point in each pass, in units of the pass."""
-WIDEST = 0.25
-"""First unit of smoothing, in lengths of the pieces."""
-FINEST = 2.0
-"""Minimum length of a piece, in spacings of the cost raster."""
+WIDEST = 0.25  # First unit of smoothing, in lengths of the pieces
+FINEST = 2.0  # Minimum length of a piece, in spacings of the cost raster
 CLEARINGS, MOVES_OUT, CLEARING_M = 8, 20, 0.01
 """Maximum numbers of added points and of moves; distance in addition to the clearance."""
 RASTER_SHARE = 3e-3
 """Spacing of the cost raster, as a share of the workspace diagonal; values are interpolated."""
-RASTER_M = (0.2, 3.0)
-"""Minimum and maximum spacing of the cost raster."""
+RASTER_M = (0.2, 3.0)  # Minimum and maximum spacing of the cost raster
 
 
 class Effort(NamedTuple):
@@ -226,8 +223,7 @@ ROUND = np.stack(np.meshgrid([-1.0, 0.0, 1.0], [-1.0, 0.0, 1.0]), axis=-1).resha
 """Displacements of a plan's position in each pass, in units of the pass; the middle one is zero."""
 STEP_UNITS = 0.25 * 0.5 ** np.arange(7)
 """Units of the passes over a plan's positions, in longest steps."""
-STEP_PASSES = 6
-"""Maximum number of passes with the same unit."""
+STEP_PASSES = 6  # Maximum number of passes with the same unit
 
 
 def smooth_steps(
@@ -259,12 +255,10 @@ def smooth_steps(
     return places
 
 
-STEP_PARTS = 8
-"""Number of stops on a route within the longest step."""
+STEP_PARTS = 8  # Number of stops on a route within the longest step
 ASIDE = np.array([-0.42, -0.25, -0.12, -0.04, 0.0, 0.04, 0.12, 0.25, 0.42])
 """Distances of positions from the route, in longest steps."""
-WINDOW = 4
-"""Number of legs of the route that are moved together with the steps."""
+WINDOW = 4  # Number of legs of the route that are moved together with the steps
 LEAST_GAIN = 2e-3
 """Minimum relative gain of a suggested route over the current one before it is smoothed."""
 INSIDE_GOAL = 0.999

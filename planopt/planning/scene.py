@@ -152,8 +152,7 @@ def free_ends(problem: Problem, ground: Ground, position_m: Floats, ends_m: Floa
     return inside_bounds(problem.workspace, ends_m) & clear
 
 
-STRAIGHT_SHARE = 1e-9
-"""Minimum difference of two legs' directions that counts as a turn."""
+STRAIGHT_SHARE = 1e-9  # Minimum difference of two legs' directions that counts as a turn
 
 
 class PathsFrom:

@@ -42,8 +42,7 @@ from planopt.short_repr import wrapped
 from planopt.world.clearance import containing_obstacle, index_obstacles
 from planopt.world.workspace import Obstacle
 
-LONGEST_PROOF_S = 1e6
-"""Largest time limit of a proof, in seconds."""
+LONGEST_PROOF_S = 1e6  # Largest time limit of a proof, in seconds
 
 
 @one_blas_thread()

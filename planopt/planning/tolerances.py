@@ -12,7 +12,6 @@ STEP_PAD_M = 1e-6
 """Length by which planners shorten steps, so that the solver's tolerance causes no violation."""
 MARGIN_PAD_DB = 0.02
 """Connectivity margin that planners add, so that the solver's tolerance causes no violation."""
-STANDSTILL_M = 1e-3
-"""Minimum length of a step that counts as motion."""
+STANDSTILL_M = 1e-3  # Minimum length of a step that counts as motion
 RULE_TOLERANCE = 1e-7
 """Verifier's tolerance: :data:`MARGIN_TOLERANCE_DB` as a probability, or relative to a bound."""

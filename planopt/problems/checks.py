@@ -115,8 +115,7 @@ def _check_stopping_apart(problem: Problem, number: int, other: int) -> None:
         )
 
 
-MAX_TRUTH_CELLS = 4_000_000
-"""Maximum number of cells of a simulated ground truth, to limit memory."""
+MAX_TRUTH_CELLS = 4_000_000  # Maximum number of cells of a simulated ground truth, to limit memory
 
 
 def check_channel(problem: Problem) -> None:
@@ -209,8 +208,7 @@ def check_place(
 
 NODE_BYTES, STAGE_BYTES = 1700, 8
 """Measured memory in bytes per lattice node, and per node and stage of the horizon."""
-LARGEST_LATTICE_BYTES = 4 * 10**9
-"""Memory limit in bytes for the lattices of all robots together."""
+LARGEST_LATTICE_BYTES = 4 * 10**9  # Memory limit in bytes for the lattices of all robots together
 
 
 def check_size(problem: Problem) -> None:
@@ -231,8 +229,7 @@ def check_size(problem: Problem) -> None:
         )
 
 
-LEAST_STEP_M = 1e-3
-"""Minimum step length in metres, above the tolerances of planning."""
+LEAST_STEP_M = 1e-3  # Minimum step length in metres, above the tolerances of planning
 
 
 def check(problem: Problem) -> None:
@@ -369,10 +366,8 @@ def check_rule(problem: Problem) -> None:
         )
 
 
-REST_TOLERANCE_M = 1e-6
-"""Maximum change of state, in metres per step, of a robot at rest."""
-MOST_CORNERS = 64
-"""Maximum number of corners of the input set at which dynamics are checked."""
+REST_TOLERANCE_M = 1e-6  # Maximum change of state, in metres per step, of a robot at rest
+MOST_CORNERS = 64  # Maximum number of corners of the input set at which dynamics are checked
 
 
 def check_own_map(problem: Problem, number: int) -> None:

@@ -40,16 +40,12 @@ from planopt.world.workspace import Workspace
 
 ABOVE_FLOOR_DB = 10.0
 """Assumed margin of the connection threshold above the weakest power of the log."""
-STEP_SHARE = 0.02
-"""Step length as a share of the world's diagonal."""
-ROUND_STEPS = (1.0, 2.0, 5.0)
-"""Leading digits to which the step length is rounded."""
-ROUTE_DIAGONALS = 6.0
-"""Maximum path length of a run in diagonals of the world."""
+STEP_SHARE = 0.02  # Step length as a share of the world's diagonal
+ROUND_STEPS = (1.0, 2.0, 5.0)  # Leading digits to which the step length is rounded
+ROUTE_DIAGONALS = 6.0  # Maximum path length of a run in diagonals of the world
 MARGIN_SHARE = 0.1
 """Margin of the world around log, start and goal as a share of their extent, without a map."""
-SMALL_LOG = 0.03
-"""Smallest plausible extent of a log as a share of the map's."""
+SMALL_LOG = 0.03  # Smallest plausible extent of a log as a share of the map's
 TRANSMIT_POWER_DBM = 20.0
 """Assumed transmit power; plans do not depend on it, since the log has received powers."""
 SEARCHED_CELLS = 200
@@ -518,8 +514,7 @@ def _workspace(
     return Workspace(bounds, obstacles)
 
 
-GPS_SHARE = 0.02
-"""Maximum share of measurements on obstacles that position errors explain."""
+GPS_SHARE = 0.02  # Maximum share of measurements on obstacles that position errors explain
 
 
 def _check_alignment(

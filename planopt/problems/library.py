@@ -15,8 +15,7 @@ from planopt.files.reading import DATA_FOLDER, PRIVATE, read_text
 
 LARGEST_TOML_BYTES = 2 * 2**20
 """Size limit of problem files in bytes; obstacles and maps have their own files."""
-FILE_KEYS = ("file", "gain_file", "log_file")
-"""Keys of a problem file that refer to other files."""
+FILE_KEYS = ("file", "gain_file", "log_file")  # Keys of a problem file that refer to other files
 DEEP_KEY = re.compile(r"(?<![\w\"'-])(?:[\w\"'-]+[ \t]*\.[ \t]*){20}")
 """Pattern of dotted keys with 20 or more parts, for which the parser takes quadratic time."""
 
@@ -75,8 +74,7 @@ def _parse_error(message: str, text: str, path: Path) -> InputError:
 
 SUFFIX = ".toml"
 
-FAMILIES = "families.json"
-"""File of the library that classifies its problems, one per line."""
+FAMILIES = "families.json"  # File of the library that classifies its problems, one per line
 
 
 @dataclass(frozen=True)

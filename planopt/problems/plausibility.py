@@ -14,26 +14,18 @@ from planopt.problems.library import read_toml
 from planopt.problems.problem import Problem
 from planopt.world.occupancy import OccupancyGrid, is_grid, read_grid
 
-DEGREE_NAMES = ("lat", "lon", "lng")
-"""Parts of column names that indicate degrees."""
+DEGREE_NAMES = ("lat", "lon", "lng")  # Parts of column names that indicate degrees
 DEGREES_SPAN = 0.5
 """Extent of a log's coordinates below which they may be degrees instead of metres."""
-THRESHOLDS_DBM = (-150.0, -10.0)
-"""Plausible range of connection thresholds."""
-STRONGEST_DBM = 30.0
-"""Largest plausible received power (1 W), next to an antenna."""
-LARGEST_STEP_SHARE = 0.5
-"""Largest plausible step length as a share of the diagonal of the world."""
-LONGEST_STEP_M = 100.0
-"""Largest plausible step length; steps must resolve obstacles and shadows."""
+THRESHOLDS_DBM = (-150.0, -10.0)  # Plausible range of connection thresholds
+STRONGEST_DBM = 30.0  # Largest plausible received power (1 W), next to an antenna
+LARGEST_STEP_SHARE = 0.5  # Largest plausible step length as a share of the diagonal of the world
+LONGEST_STEP_M = 100.0  # Largest plausible step length; steps must resolve obstacles and shadows
 FARTHEST_STATION = 10.0
 """Largest plausible distance of a station in diagonals of the world (within `FARTHEST_M`)."""
-FARTHEST_M = (2_000.0, 50_000.0)
-"""Bounds of the largest plausible distance of a station."""
-COARSEST_CELL_M = 5.0
-"""Largest plausible cell side of an occupancy grid; robots map at centimetres."""
-JUMP_STEPS = 10.0
-"""Largest plausible distance between a robot and its plan, in step lengths."""
+FARTHEST_M = (2_000.0, 50_000.0)  # Bounds of the largest plausible distance of a station
+COARSEST_CELL_M = 5.0  # Largest plausible cell side of an occupancy grid; robots map at centimetres
+JUMP_STEPS = 10.0  # Largest plausible distance between a robot and its plan, in step lengths
 
 
 def log_warnings(log: PowerLog) -> list[str]:

@@ -374,8 +374,7 @@ def charged_length_m(lengths_m: Floats, share: Floats) -> float:
     return float(0.5 * lengths_m @ (share[:-1] + share[1:]))
 
 
-PIECE_M = 1.0
-"""Maximum interval of the quadrature of a route's cost, in metres."""
+PIECE_M = 1.0  # Maximum interval of the quadrature of a route's cost, in metres
 
 GAUSS = np.polynomial.legendre.leggauss(3)
 

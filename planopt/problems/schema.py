@@ -193,8 +193,7 @@ def _ring(ring: shapely.LinearRing) -> list[list[float]]:
 
 Task = Literal["reach", "track", "learn", "map", "connect", "custom"]
 
-MOST_TURN_RAD = 2.0 * math.pi
-"""Largest turn of a robot in a step: a full circle."""
+MOST_TURN_RAD = 2.0 * math.pi  # Largest turn of a robot in a step: a full circle
 
 
 def _reach_fault(tables: ProblemFile) -> str | None:
@@ -328,8 +327,7 @@ def _same_name(table: str, entries: Sequence[Robot] | Sequence[MovingObstacle]) 
 
 SCHEMA_VERSION = 1
 
-MAX_STATIONS = 20
-"""Maximum number of stations, since each has its own channel fit and posterior."""
+MAX_STATIONS = 20  # Maximum number of stations, since each has its own channel fit and posterior
 
 
 class HeadTable(Table):

@@ -13,8 +13,7 @@ from planopt.errors import InputError
 from planopt.keys import Name, Pair, Part
 from planopt.parts import Registry, part_of, parts_of
 
-GROUP = "planopt.planners"
-"""Entry-point group of external planners."""
+GROUP = "planopt.planners"  # Entry-point group of external planners
 
 _HOME = "planopt.planning.planners"
 _BOUNDS = "planopt.planning.planners"
@@ -273,8 +272,7 @@ class Target(Part):
     """Delay of packets to the station in steps."""
 
 
-DEFAULT_SEEDS, MOST_SEEDS = 30, 1_000_000
-"""Default and maximum number of seeds."""
+DEFAULT_SEEDS, MOST_SEEDS = 30, 1_000_000  # Default and maximum number of seeds
 OF_NO_RUN = ("compare", "problem", "report")
 """Tables of a problem file that cannot be swept, because they do not affect a run."""
 

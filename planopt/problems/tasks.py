@@ -25,8 +25,7 @@ from planopt.world.workspace import Obstacle
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-GROUP = "planopt.tasks"
-"""Entry-point group of external tasks."""
+GROUP = "planopt.tasks"  # Entry-point group of external tasks
 MOTION = ("reach", "track", "learn", "map", "connect", "custom")
 """Tasks of motion planning, which share their tables; the first one is the default."""
 OWN = {

@@ -60,18 +60,13 @@ class Inequality:
         return f"{self.words}: {self.left:.6g}{unit} is {relation} {self.right:.6g}{unit}"
 
 
-ROUNDING = 1e-9
-"""Relative rounding tolerance of requirements that are met with equality."""
-SLACK = 1e-6
-"""Relative tolerance of claimed numbers."""
-INTERVALS = 1000
-"""Number of intervals of the integral that bounds the capture time from above."""
+ROUNDING = 1e-9  # Relative rounding tolerance of requirements that are met with equality
+SLACK = 1e-6  # Relative tolerance of claimed numbers
+INTERVALS = 1000  # Number of intervals of the integral that bounds the capture time from above
 REPORT_SHARE = 2.0
 """Factor on report errors among obstacles: moving a report to free space may double its error."""
-TURN_SEGMENTS = 2
-"""Straight segments per quarter turn of a path around an obstacle vertex."""
-RING_SAMPLES = 100
-"""Number of boundary points between which detours are compared with chords."""
+TURN_SEGMENTS = 2  # Straight segments per quarter turn of a path around an obstacle vertex
+RING_SAMPLES = 100  # Number of boundary points between which detours are compared with chords
 
 
 @dataclass(frozen=True)

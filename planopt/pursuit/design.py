@@ -29,24 +29,18 @@ from planopt.pursuit.service import (
     relative_error,
 )
 
-MAX_SLOT_BLOCKS = 10_000
-"""Maximum number of blocks in a slot."""
-ROUNDING = 1e-9
-"""Relative rounding tolerance of a slot that carries its blocks exactly."""
-MAX_BITS = 16
-"""Maximum number of bits per axis; errors are then 0.001 % of the distance."""
-SLOT_SHARE = 1e-10
-"""Relative tolerance of the bisection for the widest slot."""
+MAX_SLOT_BLOCKS = 10_000  # Maximum number of blocks in a slot
+ROUNDING = 1e-9  # Relative rounding tolerance of a slot that carries its blocks exactly
+MAX_BITS = 16  # Maximum number of bits per axis; errors are then 0.001 % of the distance
+SLOT_SHARE = 1e-10  # Relative tolerance of the bisection for the widest slot
 
 PAYLOAD_FITS = "slot of the payload below the longest admissible slot"
 IN_TIME = "time to capture below the deadline"
 
 SHARP_ORDER = {"capture_radius": 1, "deadline": 2, "payload": 3}
 """Order in which requirements are checked; a later failure is closer to a feasible design."""
-ELASTICITY_STEP = 1e-5
-"""Relative step of the finite differences for sensitivities."""
-TOLERANCE = 1e-10
-"""Tolerance of the solver; scaled costs agree with closed forms to 1e-6."""
+ELASTICITY_STEP = 1e-5  # Relative step of the finite differences for sensitivities
+TOLERANCE = 1e-10  # Tolerance of the solver; scaled costs agree with closed forms to 1e-6
 
 
 class NoDesignError(NoPlanError):

@@ -23,11 +23,9 @@ from planopt.pursuit.service import Pair, Record, SnapshotService, Track
 LEAST_RATE = 1e-6
 """Rate assumed if there are no misses or false alarms, so that logarithms are finite."""
 
-SAMPLES = 4096
-"""Number of sample times for which errors are drawn; the pattern is repeated."""
+SAMPLES = 4096  # Number of sample times for which errors are drawn; the pattern is repeated
 
-MAX_REPORTS = 40
-"""Number of the latest reports of a pursuer whose association may still change."""
+MAX_REPORTS = 40  # Number of the latest reports of a pursuer whose association may still change
 
 
 @dataclass(frozen=True, eq=False)

@@ -16,8 +16,7 @@ from planopt.arrays import Floats
 from planopt.keys import SMALLEST, Table
 from planopt.pursuit.arena import Arena
 
-HEADINGS = 32
-"""Number of candidate directions; the first points straight away from a pursuer."""
+HEADINGS = 32  # Number of candidate directions; the first points straight away from a pursuer
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,10 +13,8 @@ import numpy as np
 
 from planopt.arrays import Floats, Indices
 
-SIZES = np.exp2(np.arange(60.0))
-"""Sides of the cells of all levels, in units of the finest cell."""
-MAX_STAGES = 100_000
-"""Number of stages after which a capture time counts as unbounded."""
+SIZES = np.exp2(np.arange(60.0))  # Sides of the cells of all levels, in units of the finest cell
+MAX_STAGES = 100_000  # Number of stages after which a capture time counts as unbounded
 
 
 @dataclass(frozen=True)

@@ -125,8 +125,7 @@ def _capture_s(
     return np.where(over <= 0.0, 0.0, root)
 
 
-ARRIVED_M = 1e-9
-"""Distance below which a point counts as reached, since its bearing is undefined."""
+ARRIVED_M = 1e-9  # Distance below which a point counts as reached, since its bearing is undefined
 ARRIVED_SHARE = 1e-6
 """Distance below which a waypoint counts as reached, relative to the step length."""
 

@@ -28,8 +28,7 @@ HOPS_PER_ROUND = 3
 """Frames of a level-0 round: 2^j hops to the head and 2 * 2^j hops from it fit into 3 * 2^j."""
 SLOTS_PER_FRAME = 9
 """Minimum number of slots per frame: any 3 by 3 motes need distinct ones (distance-2 colouring)."""
-ROUNDING = 1e-9
-"""Rounding tolerance of a round's end time, as a share of the round."""
+ROUNDING = 1e-9  # Rounding tolerance of a round's end time, as a share of the round
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,7 @@ from planopt.pursuit.service import (
     record_floods,
 )
 
-STEP_PIECES = 4
-"""Number of straight segments of a pursuer's step on which captures are detected."""
+STEP_PIECES = 4  # Number of straight segments of a pursuer's step on which captures are detected
 STATE = "give x and y in metres, and the heading in rad of a unicycle"
 """Remedy for an invalid state of a pursuer."""
 UNKNOWN_M = 1e12

@@ -14,12 +14,10 @@ import shapely
 
 from planopt.arrays import Floats, Indices, Mask
 
-PLACE_M, TIME_S = 1e-6, 1e-6
-"""Rounding tolerances of positions and times."""
+PLACE_M, TIME_S = 1e-6, 1e-6  # Rounding tolerances of positions and times
 ARC_PIECES = 16
 """Number of chords that approximate an arc, which turns by less than half a turn per step."""
-CAPTURE_PIECES = 4
-"""Number of equal parts of a step on which captures are detected."""
+CAPTURE_PIECES = 4  # Number of equal parts of a step on which captures are detected
 
 
 @dataclass(frozen=True)

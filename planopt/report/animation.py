@@ -30,22 +30,16 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from PIL.Image import Image
 
-WIDTH_PX = 900
-"""Width of every frame."""
-SAMPLED_STEPS = 9
-"""Number of evenly spaced steps whose artists appear in the legend."""
+WIDTH_PX = 900  # Width of every frame
+SAMPLED_STEPS = 9  # Number of evenly spaced steps whose artists appear in the legend
 MOST_FRAMES = 90
 """Maximum number of frames; longer runs skip steps, so that files stay below about 2 MB."""
-COLOURS = 64
-"""Number of palette entries for the background."""
+COLOURS = 64  # Number of palette entries for the background
 MARKS = (*SERIES, YELLOW, FRAME, OBSTACLE, BLACK, WHITE)
 """Colours of marks with fixed palette entries; marks are too small to affect a frame's palette."""
-SCALE_COLOURS = 48
-"""Number of palette entries for the colour bar."""
-UNCHANGED = 255
-"""Palette entry for pixels that are unchanged from the previous frame."""
-FRAME_MS, LAST_MS = 120, 2500
-"""Durations of each frame and of the last one in ms."""
+SCALE_COLOURS = 48  # Number of palette entries for the colour bar
+UNCHANGED = 255  # Palette entry for pixels that are unchanged from the previous frame
+FRAME_MS, LAST_MS = 120, 2500  # Durations of each frame and of the last one in ms
 
 LEGEND_COLUMNS = 4
 

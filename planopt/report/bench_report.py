@@ -24,8 +24,7 @@ from planopt.studies.bench_references import (
     time_profile,
 )
 
-LEAST_EXCESS = 1e-6
-"""Smallest relative excess over the best known objective that is plotted."""
+LEAST_EXCESS = 1e-6  # Smallest relative excess over the best known objective that is plotted
 
 KINDS = {PLAN: "plans from the start (cold starts)", RUN: "closed loops (warm starts)"}
 

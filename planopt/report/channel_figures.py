@@ -77,8 +77,7 @@ SHOWN_DISTANCES_M = (1.0, 1000.0)
 """Distances to the station for which a fit without measurements is drawn."""
 LINE_DEVIATIONS, LINE_POINTS = 2.0, 200
 """Half width of a fitted line's band in standard deviations, and number of points per curve."""
-SERIES_WIDTH = 0.6
-"""Total width of all series within a bin of the reliability diagram."""
+SERIES_WIDTH = 0.6  # Total width of all series within a bin of the reliability diagram
 
 MEASURED = "#dcdcdc"
 
@@ -460,12 +459,9 @@ def draw_stations(true_m: Floats, estimates_m: Mapping[str, Floats], measured_m:
     return figure
 
 
-DRAFT_PANEL_IN, DRAFT_SLENDER = 6.0, 1.6
-"""Width of a panel in inches, and its maximum aspect ratio."""
-MOST_COLUMNS = 3
-"""Maximum number of panels in a row."""
-MARGIN = 0.05
-"""Margin around log, map and stations, as a share of their extent."""
+DRAFT_PANEL_IN, DRAFT_SLENDER = 6.0, 1.6  # Width of a panel in inches, and its maximum aspect ratio
+MOST_COLUMNS = 3  # Maximum number of panels in a row
+MARGIN = 0.05  # Margin around log, map and stations, as a share of their extent
 
 
 def draw_draft(draft: Draft) -> Figure:

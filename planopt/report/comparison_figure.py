@@ -46,24 +46,17 @@ if TYPE_CHECKING:
 
 COLUMNS = 4
 
-SPREAD = 0.6
-"""Total width of all settings at one tick, relative to the tick spacing."""
-RUN_SHIFT = 0.35
-"""Offset of single runs from the mean, relative to the width of a setting."""
-ROOM = 0.35
-"""Margin above and below the single runs, relative to their range."""
-EDGE = 0.05
-"""Margin beyond zero and the largest possible value, relative to the range of the runs."""
+SPREAD = 0.6  # Total width of all settings at one tick, relative to the tick spacing
+RUN_SHIFT = 0.35  # Offset of single runs from the mean, relative to the width of a setting
+ROOM = 0.35  # Margin above and below the single runs, relative to their range
+EDGE = 0.05  # Margin beyond zero and the largest possible value, relative to the range of the runs
 WHOLE_RUN = "whole run"
 """Tick label of planners that optimise the whole run regardless of the horizon."""
 NORMALISED = {"trace_p": "normalised_trace_p"}
 """Traces that get a second axis with their ratio to the initial value."""
-LEGEND_WIDTH = 75
-"""Maximum line length of a setting in the legend, in characters."""
-LOG_RATIO = 30.0
-"""Minimum ratio of largest to smallest mean for a logarithmic axis."""
-LEAST_CHANGE = 0.01
-"""Minimum relative change of means for a trace to be drawn."""
+LEGEND_WIDTH = 75  # Maximum line length of a setting in the legend, in characters
+LOG_RATIO = 30.0  # Minimum ratio of largest to smallest mean for a logarithmic axis
+LEAST_CHANGE = 0.01  # Minimum relative change of means for a trace to be drawn
 
 
 @dataclass(frozen=True)

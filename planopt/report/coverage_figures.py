@@ -45,8 +45,7 @@ if TYPE_CHECKING:
 
 CELL = "#9a9a9a"
 """Colour of boundaries between cells."""
-EVENT_SHADE = 0.12
-"""Opacity of the shading of events."""
+EVENT_SHADE = 0.12  # Opacity of the shading of events
 
 TIME, COST = "time [s]", "H [m$^4$ x density]"
 

@@ -45,8 +45,7 @@ if TYPE_CHECKING:
 
 Bounds = tuple[float, float, float, float]
 
-NODES = 150
-"""Number of grid cells along the longer side of a map, each about four pixels wide."""
+NODES = 150  # Number of grid cells along the longer side of a map, each about four pixels wide
 LAYER_Z, CONTOUR_Z, OBSTACLE_Z, MARGIN_Z, PATH_Z, PLACE_Z = 1.0, 1.5, 2.0, 2.5, 3.0, 4.0
 """Drawing order of layers, contours, obstacles, margins, paths and positions."""
 
@@ -54,22 +53,15 @@ X_LABEL, Y_LABEL = "x [m]", "y [m]"
 
 DISCS = 6
 """Maximum number of discs per moving obstacle, evenly spaced in time; later ones are paler."""
-DARKEST, PALEST = 0.9, 0.3
-"""Opacity of the first and of the last disc."""
+DARKEST, PALEST = 0.9, 0.3  # Opacity of the first and of the last disc
 MANY, DOT_AREA, SMALLEST_DOT_AREA = 300, 13.0, 1.5
 """Number of measurements above which dots shrink, and normal and minimum dot area."""
-WINDOW_MARGIN = 0.3
-"""Margin around the positions to show, as a share of their extent."""
-BORDER = 0.05
-"""Margin around positions and workspace bounds, as a share of the window's side."""
-EDGE_MARGIN = 0.02
-"""Margin around the whole workspace, as a share of its longer side."""
-MIN_WINDOW_STEPS = 10.0
-"""Minimum side of a window, in maximum step lengths of a robot."""
-INSET = 0.3
-"""Side of the inset, as a share of the map's."""
-INSET_BELOW = 0.6
-"""Minimum side of a window without inset, as a share of the workspace's side."""
+WINDOW_MARGIN = 0.3  # Margin around the positions to show, as a share of their extent
+BORDER = 0.05  # Margin around positions and workspace bounds, as a share of the window's side
+EDGE_MARGIN = 0.02  # Margin around the whole workspace, as a share of its longer side
+MIN_WINDOW_STEPS = 10.0  # Minimum side of a window, in maximum step lengths of a robot
+INSET = 0.3  # Side of the inset, as a share of the map's
+INSET_BELOW = 0.6  # Minimum side of a window without inset, as a share of the workspace's side
 
 
 def cell_centres(bounds_m: Bounds) -> tuple[Floats, Floats]:

@@ -80,8 +80,7 @@ if TYPE_CHECKING:
 
 TIME = "time [s]"
 
-LEAST_SPAN_DB = 1.0
-"""Minimum span of an error axis in dB, so that small changes do not look large."""
+LEAST_SPAN_DB = 1.0  # Minimum span of an error axis in dB, so that small changes do not look large
 
 RUNG_LOOKS = {
     Rung.PLAN: ("o", PREDICTED),
@@ -392,10 +391,8 @@ def _draw_target_distance(
     legend_above(panel)
 
 
-COLUMNS = 5
-"""Number of columns of a legend."""
-MESSAGE_WIDTH = 100
-"""Maximum line length of a message above a map, in characters."""
+COLUMNS = 5  # Number of columns of a legend
+MESSAGE_WIDTH = 100  # Maximum line length of a message above a map, in characters
 WORDS_WIDTH, WORDS_LINES = 70, 15
 """Line length in characters and number of lines per robot of the certificates."""
 

@@ -66,8 +66,7 @@ if TYPE_CHECKING:
     from matplotlib.artist import Artist
     from matplotlib.figure import Figure
 
-CURVE_POINTS = 16
-"""Number of points per step on the path of a robot with dynamics."""
+CURVE_POINTS = 16  # Number of points per step on the path of a robot with dynamics
 LAYERS = {"map": ("power", "deviation"), "learn": ("power",)}
 """Channel layers by task; other tasks show the probability of connection."""
 

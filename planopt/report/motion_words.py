@@ -29,8 +29,7 @@ if TYPE_CHECKING:
     from planopt.bounds.bound import Bound
     from planopt.planning.loop.results import Run, Solution
 
-COLUMNS = 2
-"""Number of metrics per line."""
+COLUMNS = 2  # Number of metrics per line
 
 ORIGINS = {
     "plan": "refined path",
@@ -345,8 +344,7 @@ def in_columns(cells: Sequence[tuple[str, str]]) -> list[str]:
     return lines
 
 
-ALMOST_SURE = 0.9999
-"""Probability above which no further digits are shown."""
+ALMOST_SURE = 0.9999  # Probability above which no further digits are shown
 
 
 def planned_in_words(clearance_m: float | None, connectivity: float | None) -> str:
@@ -374,8 +372,7 @@ def apart_in_words(separation_m: float | None, moving_clearance_m: float | None)
 
 FREE, OBSTACLE, DRIVEN, PLANNED, GOAL, STATION = " ", "#", ".", "o", "G", "^"
 """Characters of the map; robots have the digits from 1."""
-ASPECT = 2.0
-"""Height over width of a character."""
+ASPECT = 2.0  # Height over width of a character
 
 DIGITS = "123456789"
 

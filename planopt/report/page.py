@@ -33,12 +33,9 @@ SYMBOLS = ("circle", "square", "diamond", "triangle-down", "cross", "x", "hexago
 """Symbols of robots; their number differs from that of colours, so that pairs repeat late."""
 MOST_NAMED = 8
 """Maximum number of robots with individual colours and legend entries; more are grouped by role."""
-MOST_ROWS = 400
-"""Maximum number of rows of a table on the page."""
-METRE_DIGITS, POWER_DIGITS, PROBABILITY_DIGITS = 3, 2, 4
-"""Decimal places of values in the page."""
-EDGE_MARGIN = 0.05
-"""Margin around paths and obstacles, as a share of the longer side."""
+MOST_ROWS = 400  # Maximum number of rows of a table on the page
+METRE_DIGITS, POWER_DIGITS, PROBABILITY_DIGITS = 3, 2, 4  # Decimal places of values in the page
+EDGE_MARGIN = 0.05  # Margin around paths and obstacles, as a share of the longer side
 
 _SLOT = re.compile(r"@@(\w+)@@")
 

@@ -518,8 +518,7 @@ def _flat(table: Mapping[str, Any], head: str = "") -> Iterator[tuple[str, objec
             yield f"{head}{key}", value
 
 
-MOST_FIGURES = 5
-"""Number of key figures next to the picture."""
+MOST_FIGURES = 5  # Number of key figures next to the picture
 
 
 def fit_html(fit: ChannelFit) -> str:

@@ -49,8 +49,7 @@ ROBOT_MARKERS = ("o", "s", "D", "v", "P", "X", "h")
 """Markers of robots; their number differs from that of colours, so that pairs repeat late."""
 LETTER_IN, HANDLE_IN, LINE_IN = 0.068, 0.6, 0.19
 """Widths of a legend's character and handle and height of a line, in inches."""
-DPI = 110
-"""Resolution of pixel formats in dpi."""
+DPI = 110  # Resolution of pixel formats in dpi
 UNDATED: dict[str, dict[str, None]] = {
     ".png": {},
     ".svg": {"Date": None},

@@ -53,8 +53,7 @@ QUANTITIES = {
 }
 """Labels of the quantities in the sensitivities of a design."""
 
-CURVES = 5
-"""Number of power curves, one for each of the numbers of bits with the cheapest designs."""
+CURVES = 5  # Number of power curves, one for each of the numbers of bits with the cheapest designs
 
 
 def draw_pursuit(name: str, pursuit: Pursuit) -> Figure:

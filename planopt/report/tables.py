@@ -155,12 +155,9 @@ def symbols_in_words(metrics: Iterable[str]) -> list[str]:
 
 MISSING = "-"
 
-WIDTH = 100
-"""Maximum line length of a comparison table in characters."""
-OWN = "own"
-"""Text for a swept key that a setting leaves unchanged."""
-SETTING_WIDTH = 80
-"""Maximum length in characters of a description, if settings are numbered."""
+WIDTH = 100  # Maximum line length of a comparison table in characters
+OWN = "own"  # Text for a swept key that a setting leaves unchanged
+SETTING_WIDTH = 80  # Maximum length in characters of a description, if settings are numbered
 VERIFIED, POLISH = ("plans verified [%]", ""), ("objective gain by refinement [%]", "polish_gain")
 """Columns of every task, as heading and metric; the share of verified plans has no metric."""
 

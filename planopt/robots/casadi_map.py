@@ -71,12 +71,9 @@ def _moved(state: Components, slope: Components, duration_s: float) -> Component
     return tuple(x + duration_s * dx for x, dx in zip(state, slope, strict=True))
 
 
-DENSER = 8
-"""Ratio of the verifier's samples per step to the planner's."""
-INPUT_VALUES = 5
-"""Number of values per input compared by :meth:`CasadiMap.following`."""
-HELD_STEPS = 2
-"""Number of steps for which path following holds an input to compare it with others."""
+DENSER = 8  # Ratio of the verifier's samples per step to the planner's
+INPUT_VALUES = 5  # Number of values per input compared by :meth:`CasadiMap.following`
+HELD_STEPS = 2  # Number of steps for which path following holds an input to compare it with others
 REST_SEARCH = 1e-15
 """Tolerance of the search for a rest state, near rounding error because maps may be steep."""
 

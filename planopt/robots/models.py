@@ -13,18 +13,14 @@ from planopt.arrays import Floats, Mask
 from planopt.robots.dynamics import Components, Disc, Dynamics, PurePursuit
 from planopt.world.motion import Arc, Parabola, PointCurve, StepCurve
 
-STOPPED_M_S = 1e-9
-"""Speed in m/s up to which a robot counts as stationary."""
+STOPPED_M_S = 1e-9  # Speed in m/s up to which a robot counts as stationary
 BRAKING_SHARE = 0.8
 """Share of the maximum acceleration that slows a robot down for turns and the end of a path."""
-ROUNDED_SHARE = 1e-3
-"""Smoothing width relative to the largest speed, and to the turning radius."""
-SWING_SHARE = 0.25
-"""Maximum tracking error at the turns of a path, as a share of the longest step."""
+ROUNDED_SHARE = 1e-3  # Smoothing width relative to the largest speed, and to the turning radius
+SWING_SHARE = 0.25  # Maximum tracking error at the turns of a path, as a share of the longest step
 PIECE_TURN_RAD = math.pi / 4.0
 """Maximum turn per arc; steps are divided into arcs with narrow convex hulls."""
-HALVINGS = 3
-"""Number of halvings of z in sin(z)/z, down to z / 8, at which the series is evaluated."""
+HALVINGS = 3  # Number of halvings of z in sin(z)/z, down to z / 8, at which the series is evaluated
 
 
 @dataclass(frozen=True)

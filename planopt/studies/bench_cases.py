@@ -40,14 +40,11 @@ from planopt.studies.study import (
     shared_data,
 )
 
-PLAN, RUN = "plan", "run"
-"""Kinds of cases: one plan from the start, or a closed loop."""
+PLAN, RUN = "plan", "run"  # Kinds of cases: one plan from the start, or a closed loop
 States = tuple[tuple[tuple[float, ...], ...], ...]
 """States of the robots at each step."""
-HORIZONS = (5, 20)
-"""Planning horizons in steps, used in addition to the problem's own."""
-OBJECTIVE_SHARE = 0.01
-"""Relative difference above which an objective counts as worse than another."""
+HORIZONS = (5, 20)  # Planning horizons in steps, used in addition to the problem's own
+OBJECTIVE_SHARE = 0.01  # Relative difference above which an objective counts as worse than another
 PLANNED, NO_PLAN, ERROR = "planned", "no_plan", "error"
 """Outcomes of cases: a plan, a proof that no plan exists, or an error."""
 

@@ -31,14 +31,10 @@ from planopt.studies.bench_cases import (
     library_names,
 )
 
-DIGITS = 9
-"""Significant digits of stored objectives."""
-FAST_SEED = 0
-"""Random seed of the cases in the fast subset."""
-FAST_PLANNERS = ("auto", "scp", "lattice")
-"""Planners whose plans are in the fast subset."""
-FAST_CPU_S = 3.0
-"""Maximum stored CPU time, in seconds, of other cases in the fast subset."""
+DIGITS = 9  # Significant digits of stored objectives
+FAST_SEED = 0  # Random seed of the cases in the fast subset
+FAST_PLANNERS = ("auto", "scp", "lattice")  # Planners whose plans are in the fast subset
+FAST_CPU_S = 3.0  # Maximum stored CPU time, in seconds, of other cases in the fast subset
 
 _ABOUT = (
     "Best known results of the solver regression suite, one a line: planopt bench report DIR "
@@ -258,8 +254,7 @@ def assessed(
 
 SHIFT_S = 0.01
 """Shift of the geometric mean of times in seconds; differences far below it are negligible."""
-LIMIT_S = 10.0
-"""Time in seconds per step that is assigned to unsolved cases."""
+LIMIT_S = 10.0  # Time in seconds per step that is assigned to unsolved cases
 CONVERGED = (Termination.CONVERGED.value, Termination.ACCEPTABLE.value)
 """Solver terminations that claim an optimum."""
 

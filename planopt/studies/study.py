@@ -36,8 +36,7 @@ from planopt.problems.problem import Problem
 from planopt.problems.settings import PLANNERS, PlannerKind, register_planner
 from planopt.problems.tasks import TaskProblem, task_of
 
-UNDECIDING = ("report", "compare")
-"""Tables of a problem file that do not affect a run."""
+UNDECIDING = ("report", "compare")  # Tables of a problem file that do not affect a run
 LIBRARIES = ("casadi", "clarabel", "numpy", "scipy", "shapely")
 """Packages whose version may affect a result."""
 
@@ -154,8 +153,7 @@ def _digest(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-CHECK_EVERY_S = 1.0
-"""Interval in seconds at which a worker checks that its parent is alive."""
+CHECK_EVERY_S = 1.0  # Interval in seconds at which a worker checks that its parent is alive
 
 Item = TypeVar("Item")
 Shared = TypeVar("Shared")

@@ -86,10 +86,8 @@ READING_COLUMNS = (
     Column("y_m", "position of the agent", "m", required=True),
     Column("signal", "reading of the sensor, in the unit of its strength", required=True),
 )
-COVERS, AWAY = "covers", "absent"
-"""Names of the states of agents that respond to no event."""
-ON_TARGET_M = 1e-9
-"""Rounding tolerance of the settling distance."""
+COVERS, AWAY = "covers", "absent"  # Names of the states of agents that respond to no event
+ON_TARGET_M = 1e-9  # Rounding tolerance of the settling distance
 CHECKED = 10
 """Number of estimates of each event, evenly spaced over its steps, that the verifier recomputes."""
 BOUND_METHOD = "Lagrangian relaxation with a price of each position"

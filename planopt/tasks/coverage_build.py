@@ -49,20 +49,13 @@ from planopt.tasks.coverage_tables import (
 )
 from planopt.world.raster import Raster
 
-NODES = 1600
-"""Approximate number of nodes of a geodesic ground without an explicit spacing."""
-SETTLED_SHARE = 0.01
-"""Default settling distance as a share of the mean distance between agents."""
-CELLS = 8
-"""Number of cells of a simulated channel per decorrelation distance."""
-MOST_CELLS = 1_000_000
-"""Maximum number of cells of a simulated channel."""
-DRAWN = 400
-"""Number of candidates drawn for random starts, in addition to four per agent."""
-START_SPARE = 0.1
-"""Minimum gap between bodies at random starts, as a share of their radius."""
-MEMORY_STEPS = 10
-"""Default memory of readings, in steps, if events move."""
+NODES = 1600  # Approximate number of nodes of a geodesic ground without an explicit spacing
+SETTLED_SHARE = 0.01  # Default settling distance as a share of the mean distance between agents
+CELLS = 8  # Number of cells of a simulated channel per decorrelation distance
+MOST_CELLS = 1_000_000  # Maximum number of cells of a simulated channel
+DRAWN = 400  # Number of candidates drawn for random starts, in addition to four per agent
+START_SPARE = 0.1  # Minimum gap between bodies at random starts, as a share of their radius
+MEMORY_STEPS = 10  # Default memory of readings, in steps, if events move
 
 
 @dataclass(frozen=True, eq=False, repr=False)

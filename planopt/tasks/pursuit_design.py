@@ -42,8 +42,7 @@ from planopt.tasks.task import Task, TaskResult
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-FRONT_DESIGNS = 25
-"""A quarter of the number of deadlines tried for the Pareto front."""
+FRONT_DESIGNS = 25  # A quarter of the number of deadlines tried for the Pareto front
 
 PICTURE = "design.png"
 
@@ -74,10 +73,8 @@ SYMBOLS = {
     "y": "movement of the evader between rounds, divided by its distance",
 }
 """Meanings of the symbols in descriptions of requirements."""
-ACTIVE = 1e-6
-"""Margin, as a share of the limit, below which a requirement is shown as active."""
-LEAST_EFFECT = 0.005
-"""Minimum effect of a listed parameter, in per cent."""
+ACTIVE = 1e-6  # Margin, as a share of the limit, below which a requirement is shown as active
+LEAST_EFFECT = 0.005  # Minimum effect of a listed parameter, in per cent
 
 MethodName = Literal["least_power", "least_power_rated", "least_energy", "capture_in_time"]
 TheoremName = Literal["lemma", "any_instant", "sampled_distance", "snapshots"]

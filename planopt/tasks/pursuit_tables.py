@@ -47,10 +47,8 @@ from planopt.pursuit.simulation import Evader, Pursuer, Scene
 from planopt.robots.models import Unicycle
 from planopt.world.workspace import Workspace
 
-LOST_ROUNDS = 4096
-"""Number of rounds per level for which losses are drawn; the pattern is repeated."""
-START_DRAWS = 1000
-"""Maximum number of positions drawn for a start in free space."""
+LOST_ROUNDS = 4096  # Number of rounds per level for which losses are drawn; the pattern is repeated
+START_DRAWS = 1000  # Maximum number of positions drawn for a start in free space
 
 PlannerName = Literal["drive", "retarget", "receding"]
 

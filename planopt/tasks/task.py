@@ -33,12 +33,9 @@ if TYPE_CHECKING:
 
 ANIMATION = "run.gif"
 
-NO_PLAN, NOT_VERIFIED = 4, 3
-"""Exit codes of the command line."""
-MOST_REASONS = 3
-"""Maximum number of faults in a row of the regression suite."""
-EFFORT_KEYS = ("prove_s",)
-"""Keys of a saved result that a check passes to the action again."""
+NO_PLAN, NOT_VERIFIED = 4, 3  # Exit codes of the command line
+MOST_REASONS = 3  # Maximum number of faults in a row of the regression suite
+EFFORT_KEYS = ("prove_s",)  # Keys of a saved result that a check passes to the action again
 
 Action = Literal["solve", "simulate"]
 

@@ -16,8 +16,7 @@ LARGEST_LATITUDE_DEG, LARGEST_LONGITUDE_DEG, LARGEST_TURN_DEG = 90.0, 180.0, 360
 EQUATOR_RADIUS_M = 6_378_137.0
 FLATTENING = 1.0 / 298.257223563
 
-FARTHEST_M = 100_000.0
-"""Maximum distance from the origin, in metres."""
+FARTHEST_M = 100_000.0  # Maximum distance from the origin, in metres
 INVERSE_STEPS = 6
 """Newton steps of the inverse projection; four suffice for rounding accuracy at `FARTHEST_M`."""
 Origin = tuple[float, float] | tuple[float, float, float]

@@ -37,14 +37,12 @@ from planopt.world.workspace import LONGEST_MOVE, Workspace
 DISC_RADIUS = 0.5
 """Radius of the disc, in lattice spacings. A strip as wide as the spacing contains nodes."""
 
-DISC_SLACK = 1.01
-"""Growth of the opened space, so that polygonal arcs leave no slivers."""
+DISC_SLACK = 1.01  # Growth of the opened space, so that polygonal arcs leave no slivers
 
 CROSSED = 0.3
 """Least diagonal of the part of a passage in a cell for which its node is moved, in spacings."""
 
-SAME_M = 1e-6
-"""Distance within which two positions are the same, in metres."""
+SAME_M = 1e-6  # Distance within which two positions are the same, in metres
 
 TOUCHING = 0.05
 """Distance from the obstacles' clearance, in disc radii, up to which a boundary belongs to it."""
@@ -150,17 +148,14 @@ MOVES: NDArray[np.int64] = np.array([(0, 0), *_FORWARD, *((-dx, -dy) for dx, dy 
 """(21, 2) moves (dx, dy) with dx^2 + dy^2 <= 5; move k + 10 reverses move k, k = 1 to 10."""
 MOVES.flags.writeable = False
 
-REVERSE: Indices = np.r_[0, 11:21, 1:11]
-"""(21,) index of the move that reverses each move."""
+REVERSE: Indices = np.r_[0, 11:21, 1:11]  # (21,) index of the move that reverses each move
 
 
 MAX_NODES = 10_000_000
 """Maximum number of nodes, whose moves take 210 MB. More nodes suggest a wrong step or bounds."""
-REACH_TOLERANCE_M = 1e-9
-"""Tolerance in metres for nodes at exactly `reach_m`."""
+REACH_TOLERANCE_M = 1e-9  # Tolerance in metres for nodes at exactly `reach_m`
 
-ROUNDING_M = 1e-6
-"""Difference between lengths of moves that is due to rounding, in metres."""
+ROUNDING_M = 1e-6  # Difference between lengths of moves that is due to rounding, in metres
 
 
 @dataclass(frozen=True)

@@ -19,12 +19,10 @@ from planopt.arrays import Floats, Mask
 from planopt.world.clearance import ObstacleIndex, clearance_m, containing_obstacle
 from planopt.world.workspace import MovingObstacle
 
-WHOLE_STEP = np.array([0.0, 1.0])
-"""Start and end time of a curve."""
+WHOLE_STEP = np.array([0.0, 1.0])  # Start and end time of a curve
 
 
-SAG_M = 5e-7
-"""Maximum distance in metres between a curve and the polyline that approximates it."""
+SAG_M = 5e-7  # Maximum distance in metres between a curve and the polyline that approximates it
 
 
 class StepCurve(Protocol):
@@ -330,8 +328,7 @@ def nearest_to_origin_m(starts_m: Floats, ends_m: Floats) -> Floats:
     )
 
 
-CLOSE_M = 1e-7
-"""Tolerance of computed minimum distances in metres, a tenth of the verifier's."""
+CLOSE_M = 1e-7  # Tolerance of computed minimum distances in metres, a tenth of the verifier's
 CLOSE_SHARE = 1e-9
 """Tolerance of minimum distances as a share of the curvature bound, for curves of kilometres."""
 

@@ -25,14 +25,10 @@ NAV2_FILES = (
     LAUNCH,
 )
 """Names of all files that belong to the masks."""
-FREE, OCCUPIED = 254, 0
-"""Grey values of free and of occupied cells."""
-HEAVIEST = 99
-"""Largest value of the mask ``weighted``."""
-KEEPOUT, BINARY = 0, 3
-"""Filter types in CostmapFilterInfo messages."""
-UNEQUAL_SIDES = 1e-6
-"""Relative difference of the sides of a cell above which it is not square."""
+FREE, OCCUPIED = 254, 0  # Grey values of free and of occupied cells
+HEAVIEST = 99  # Largest value of the mask ``weighted``
+KEEPOUT, BINARY = 0, 3  # Filter types in CostmapFilterInfo messages
+UNEQUAL_SIDES = 1e-6  # Relative difference of the sides of a cell above which it is not square
 
 
 @dataclass(frozen=True)

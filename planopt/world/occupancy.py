@@ -30,14 +30,12 @@ from planopt.world.workspace import Obstacle
 
 UnknownCells = Literal["occupied", "free"]
 """Treatment of unknown cells: like occupied or like free ones."""
-MOST_CELLS = 16_000_000
-"""Maximum number of cells in a grid: 200 x 200 m at 5 cm."""
+MOST_CELLS = 16_000_000  # Maximum number of cells in a grid: 200 x 200 m at 5 cm
 MOST_EDGES = 2_000_000
 """Maximum number of outline edges. The map of a building has some tens of thousands."""
 
 
-TILE_CELLS = 32
-"""Number of cells per side of the tiles into which obstacles are cut."""
+TILE_CELLS = 32  # Number of cells per side of the tiles into which obstacles are cut
 SMALLEST_CORNER = 1e-6
 """Area, in cells, below which an uncovered corner beside a rotated grid is a rounding error."""
 
@@ -270,16 +268,14 @@ FEWER_CELLS = "crop the map to the area of interest, or use larger cells"
 
 CSV_HEADER = ("resolution_m", "origin_x_m", "origin_y_m", "occupied_from")
 
-IMAGES = {".pgm": "PPM", ".png": "PNG"}
-"""Pillow's names of image formats, by file extension."""
+IMAGES = {".pgm": "PPM", ".png": "PNG"}  # Pillow's names of image formats, by file extension
 
 BYTE_MODES = ("1", "L", "LA", "P", "PA", "RGB", "RGBA")
 DEEP_MODES = ("I", "I;16", "I;16B", "I;16L")
 """Pillow modes of 16-bit pixels; `BYTE_MODES` have 8-bit pixels."""
 NO_TURN_RAD, LARGEST_YAW_RAD = 1e-9, 2.0 * math.pi
 """Yaw below which a map counts as not rotated, and above which it is probably in degrees."""
-UNKNOWN_GREY = 205
-"""Grey value that ROS mapping packages write for unknown cells."""
+UNKNOWN_GREY = 205  # Grey value that ROS mapping packages write for unknown cells
 
 
 def is_grid(path: Path | str | None) -> bool:

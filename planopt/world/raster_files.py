@@ -408,8 +408,7 @@ def _band(descriptions: tuple[str | None, ...], variable: str) -> int:
 
 AXES = ("x_m", "y_m")
 
-DIGITS = "%.12g"
-"""Number format: 12 digits resolve a millimetre in any coordinate."""
+DIGITS = "%.12g"  # Number format: 12 digits resolve a millimetre in any coordinate
 
 
 def write_csv(path: Path, rasters: Mapping[str, Raster], origin_deg: Origin | None) -> None:

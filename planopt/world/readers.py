@@ -19,8 +19,7 @@ from planopt.world.workspace import Obstacle, footprint
 
 WKT_EXAMPLE = "write POLYGON ((0 0, 4 0, 4 3, 0 0)), repeating the first corner at the end"
 
-DEEPEST = 32
-"""Maximum nesting depth of geometries, which protects the stack of recursive parsers."""
+DEEPEST = 32  # Maximum nesting depth of geometries, which protects the stack of recursive parsers
 NEAR_DEG = 1.0
 """Distance in degrees from the origin up to which GeoJSON without a system counts as degrees."""
 EPSG = re.compile(r"EPSG:+(?:[\d.]*:)?(\d{4,6})\b", re.IGNORECASE)

@@ -27,8 +27,7 @@ from planopt.world.workspace import Workspace
 Vertex = tuple[float, float]
 Edge = tuple[Vertex, Vertex]
 
-FLAT_M = 1e-9
-"""Convexity tolerance in metres: depth of a vertex inside the chord of its neighbours."""
+FLAT_M = 1e-9  # Convexity tolerance in metres: depth of a vertex inside the chord of its neighbours
 
 
 def convex_pieces(polygon: shapely.Polygon) -> tuple[Floats, ...]:
@@ -307,8 +306,7 @@ def _row_of(table: Floats, column: NDArray[np.int64]) -> Floats:
     return table[np.arange(len(table)), column]
 
 
-TOUCHING_M = 1e-9
-"""Distance in metres below which the line for a disc is parallel to the segment."""
+TOUCHING_M = 1e-9  # Distance in metres below which the line for a disc is parallel to the segment
 
 
 def moving_lines(
@@ -349,8 +347,7 @@ def moving_lines(
     return lines
 
 
-FAR_M = 1e4
-"""Offset in metres that makes a line ineffective at the start of a step."""
+FAR_M = 1e4  # Offset in metres that makes a line ineffective at the start of a step
 
 
 def tail_lines(

@@ -12,10 +12,8 @@ from scipy.sparse.csgraph import dijkstra
 from planopt.arrays import Floats, Indices, Mask
 from planopt.world.clearance import ObstacleIndex, clearance_m, segment_lines
 
-INNER_SHARE = 0.98
-"""Share of the clearance by which obstacles are inflated for lower bounds."""
-QUARTER_SEGMENTS = 2
-"""Number of segments per quarter circle around a corner, for drivable paths."""
+INNER_SHARE = 0.98  # Share of the clearance by which obstacles are inflated for lower bounds
+QUARTER_SEGMENTS = 2  # Number of segments per quarter circle around a corner, for drivable paths
 ROUND_SHARE = 1.0 / math.cos(0.25 * math.pi / QUARTER_SEGMENTS)
 """Ratio of the radii of segment ends and midpoints. The midpoints are at the clearance."""
 MAX_CORNERS = 600
@@ -197,8 +195,7 @@ def _away(places_m: Floats, place_m: Floats) -> Floats:
     return np.linalg.norm(places_m - place_m, axis=1)
 
 
-SLACK = 1e-9
-"""Rounding tolerance of positions outside an area, as a share of its extent."""
+SLACK = 1e-9  # Rounding tolerance of positions outside an area, as a share of its extent
 
 
 @dataclass(frozen=True, eq=False)

@@ -238,8 +238,7 @@ MEETING_SEGMENTS = 50
 
 SAMPLED_SEGMENTS = 200
 
-SAME_AREA = 1e-9
-"""Relative tolerance within which a repair must preserve the area."""
+SAME_AREA = 1e-9  # Relative tolerance within which a repair must preserve the area
 
 _Ring = list[tuple[float, float]]
 
@@ -342,8 +341,7 @@ def _corner(name: str, corner: object) -> tuple[float, float]:
     return float(np.float64(x)), float(np.float64(y))
 
 
-LONGEST_MOVE = math.sqrt(5.0)
-"""Length of the longest lattice move, in spacings."""
+LONGEST_MOVE = math.sqrt(5.0)  # Length of the longest lattice move, in spacings
 
 
 def node_estimate(workspace: Workspace, step_m: float) -> float:

@@ -15,10 +15,8 @@ from planopt.short_repr import short_repr
 
 FALLBACK_TOTAL_VARIANCE_DB2 = 45.0
 """Assumed alpha = xi^2 + omega^2 if it cannot be estimated: xi = 6 dB, omega = 3 dB."""
-FALLBACK_CORRELATED_SHARE = 0.8
-"""Assumed xi^2 / alpha if the two cannot be separated."""
-MIN_VARIANCE_DB2 = 0.01
-"""Lower bound of xi^2 and omega^2."""
+FALLBACK_CORRELATED_SHARE = 0.8  # Assumed xi^2 / alpha if the two cannot be separated
+MIN_VARIANCE_DB2 = 0.01  # Lower bound of xi^2 and omega^2
 MIN_NUGGET_SHARE = 0.01
 """Lower bound of omega^2 / alpha: with omega = 0, kriging would interpolate noise."""
 MAX_SHADOW_RATIO = 25.0

@@ -23,18 +23,15 @@ from planopt.channel.estimation.channel_fit import (
 )
 from planopt.channel.measurements import pairwise_distance_m
 
-BINS = 100
-"""Number of bins over the extent."""
-ROWS = 512
-"""Number of rows of the pair matrix in memory at once."""
+BINS = 100  # Number of bins over the extent
+ROWS = 512  # Number of rows of the pair matrix in memory at once
 LAG_CAP_SHARE = 0.25
 """Maximum lag of ``capped`` as a share of the extent, unless the correlation vanishes earlier."""
 HUBER_DEVIATIONS = 1.345
 """Transition of Huber's loss in robust standard deviations, for an efficiency of 95 %."""
 EFFICIENCY = {"huber": 0.95, "absolute": 2.0 / math.pi}
 """Efficiency of each loss relative to squares for normal residuals: the ratio of variances."""
-NORMAL_MEDIAN = 0.6745
-"""Median absolute value of a standard normal variable."""
+NORMAL_MEDIAN = 0.6745  # Median absolute value of a standard normal variable
 SCAN = 60
 """Number of values of beta, spaced geometrically, in the scan for the initial guess of ``nls``."""
 

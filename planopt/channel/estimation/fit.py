@@ -42,8 +42,7 @@ from planopt.channel.parameters import (
 from planopt.channel.posterior import condition
 from planopt.errors import InputError
 
-PRIOR_K_PL_STD_DB = 20.0
-"""Standard deviation of K_PL if every measurement is censored."""
+PRIOR_K_PL_STD_DB = 20.0  # Standard deviation of K_PL if every measurement is censored
 
 
 @dataclass(frozen=True)
@@ -84,12 +83,9 @@ class _Estimate:
     reml: RemlFit | None = None
 
 
-MAP_N_PL = (2.0, 1.0)
-"""Prior mean and standard deviation of n_PL for ``map``."""
-MAP_EXTENT_SHARE = 1.0 / 6.0
-"""Prior median of beta for ``map``, as a share of the log's extent."""
-MAP_LOG_BETA_STD = 0.7
-"""Prior standard deviation of the logarithm of beta for ``map``."""
+MAP_N_PL = (2.0, 1.0)  # Prior mean and standard deviation of n_PL for ``map``
+MAP_EXTENT_SHARE = 1.0 / 6.0  # Prior median of beta for ``map``, as a share of the log's extent
+MAP_LOG_BETA_STD = 0.7  # Prior standard deviation of the logarithm of beta for ``map``
 
 
 def _by_likelihood(data: _FitInput, *, has_prior: bool) -> _Estimate:
@@ -153,8 +149,7 @@ def _with_line(
     return _Estimate(covariance, coefficients, spread, notes)
 
 
-WEAK_SHARE = 0.5
-"""Relative standard error above which a parameter is poorly determined."""
+WEAK_SHARE = 0.5  # Relative standard error above which a parameter is poorly determined
 WORDS: dict[str, tuple[str, str]] = {
     "n_pl": ("path loss exponent n_PL", ""),
     "shadow_std_db": ("deviation of shadowing", "dB"),
@@ -193,20 +188,15 @@ def _mode_words(parameters: ChannelParameters, below: float) -> str:
     )
 
 
-REVERSED_ERRORS = 2.0
-"""Standard errors below zero from which on n_PL contradicts the model."""
+REVERSED_ERRORS = 2.0  # Standard errors below zero from which on n_PL contradicts the model
 PLAUSIBLE_N_PL = (1.0, 6.0)
 """Plausible range of n_PL, from waveguides to the densest buildings; free space is 2."""
-LARGEST_MULTIPATH_DB = 6.0
-"""Maximum plausible omega; Rayleigh fading has 5.6 dB."""
-EXTENT_SHARE = 1.0 / 3.0
-"""Maximum plausible decorrelation distance as a share of the log's extent."""
+LARGEST_MULTIPATH_DB = 6.0  # Maximum plausible omega; Rayleigh fading has 5.6 dB
+EXTENT_SHARE = 1.0 / 3.0  # Maximum plausible decorrelation distance as a share of the log's extent
 PLAUSIBLE_POWER_DBM = (-200.0, 100.0)
 """Plausible range of powers; thermal noise in 1 Hz is -174 dBm, and 100 dBm are ten megawatts."""
-LEAST_PILE = 5
-"""Minimum number of readings at the lowest power for a suspected receiver floor."""
-PILE_RATIO = 2.0
-"""A floor is suspected if the lowest power's count exceeds any other by this ratio."""
+LEAST_PILE = 5  # Minimum number of readings at the lowest power for a suspected receiver floor
+PILE_RATIO = 2.0  # A floor is suspected if the lowest power's count exceeds any other by this ratio
 
 PILE_NEIGHBOURS = 3
 PILE_CHANCE = 1e-3

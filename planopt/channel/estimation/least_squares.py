@@ -29,10 +29,8 @@ MIN_MEASUREMENTS_COVARIANCE = 6
 """Minimum number of measurements for xi, beta and omega, one more than there are parameters."""
 MIN_REGRESSOR_SPREAD_DB = 0.2
 """Minimum range of 10 log10 d for n_PL to be identifiable (distances vary by 5 %)."""
-LEAST_EXTENT_M = 1e-6
-"""Extent below which positions count as one, because of rounding."""
-FALLBACK_DECORRELATION_M = 10.0
-"""Assumed beta with fewer than two distinct positions."""
+LEAST_EXTENT_M = 1e-6  # Extent below which positions count as one, because of rounding
+FALLBACK_DECORRELATION_M = 10.0  # Assumed beta with fewer than two distinct positions
 
 
 @dataclass(frozen=True)
@@ -133,12 +131,9 @@ def nearest_distance_m(positions_m: Floats) -> Floats:
 
 
 MAX_SWEEPS = 500
-OFFSET_RIDGE = 1e-6
-"""Ridge weight of receiver offsets, which fixes unidentifiable combinations."""
-TOLERANCE_DB = 1e-6
-"""Maximum change of a fitted value at convergence."""
-ROWS = 512
-"""Number of rows of the covariance in memory at once."""
+OFFSET_RIDGE = 1e-6  # Ridge weight of receiver offsets, which fixes unidentifiable combinations
+TOLERANCE_DB = 1e-6  # Maximum change of a fitted value at convergence
+ROWS = 512  # Number of rows of the covariance in memory at once
 
 
 @dataclass(frozen=True)

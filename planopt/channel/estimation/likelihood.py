@@ -66,8 +66,7 @@ Covariance = tuple[float, float, float]
 """Covariance parameters xi^2 (dB^2), omega^2 (dB^2) and beta (m)."""
 LEAST_FREEDOM = 3
 """Minimum residual degrees of freedom with receivers' offsets in a profiled likelihood."""
-RANK_TOLERANCE = 1e-9
-"""Singular values below this share of the largest count as zero."""
+RANK_TOLERANCE = 1e-9  # Singular values below this share of the largest count as zero
 
 
 @dataclass(frozen=True, eq=False)

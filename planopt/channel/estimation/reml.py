@@ -37,30 +37,22 @@ Objective = Callable[[Floats], tuple[float, Floats, Floats]]
 EXACT_ROWS = 2_000
 """Maximum number of measurements with an exact likelihood. A fit of 1,900 takes 2 s of CPU time,
 8 s if 60 % are censored, and 0.8 s by blocks."""
-MOST_DENSE = 800
-"""Maximum sample size if a dense likelihood is evaluated many times."""
+MOST_DENSE = 800  # Maximum sample size if a dense likelihood is evaluated many times
 FINE, BLOCK_FINE = 1e-5, 2e-3
 """Predicted gain in log-likelihood below which a search ends, exact and by blocks."""
 SAMPLED_ROWS, SAMPLED_BLOCKS = 250, 12
 """Maximum number of exact measurements in the sample, or of blocks that form it."""
-START_SHARES = (0.3, 0.7, 0.95)
-"""Correlated shares xi^2 / alpha of the initial guesses."""
+START_SHARES = (0.3, 0.7, 0.95)  # Correlated shares xi^2 / alpha of the initial guesses
 START_DECORRELATIONS = 5
 """Number of values of beta of the initial guesses, spaced geometrically within its bounds."""
-STARTS_FOLLOWED = 2
-"""Minimum number of initial guesses that are optimised, the most likely first."""
-ROUGH = 3e-2
-"""Predicted gain in log-likelihood at which a search on the sample ends, as `FINE`."""
-SAME_LOGS = 0.05
-"""Optima that differ by less than this in every logarithm are the same."""
-NO_DIP = 0.1
-"""Maximum dip of log L halfway between two optima that belong to one ridge."""
-FLAT = 1e-6
-"""Regularisation of the information matrix (in logarithms) for a flat likelihood."""
+STARTS_FOLLOWED = 2  # Minimum number of initial guesses that are optimised, the most likely first
+ROUGH = 3e-2  # Predicted gain in log-likelihood at which a search on the sample ends, as `FINE`
+SAME_LOGS = 0.05  # Optima that differ by less than this in every logarithm are the same
+NO_DIP = 0.1  # Maximum dip of log L halfway between two optima that belong to one ridge
+FLAT = 1e-6  # Regularisation of the information matrix (in logarithms) for a flat likelihood
 NEARLY_AS_LIKELY = 2.0
 """Maximum difference in log L of other optima that are reported with the best."""
-LITTLE_MULTIPATH = 0.03
-"""Share omega^2 / alpha below which multipath counts as negligible."""
+LITTLE_MULTIPATH = 0.03  # Share omega^2 / alpha below which multipath counts as negligible
 MAX_CONDITION = 1e12
 """Maximum condition number of the information; above, the parameters are not identified."""
 
@@ -262,12 +254,10 @@ def _covariance_fit(likelihood: RestrictedLikelihood, mode: Mode, box: Floats) -
 
 MAX_EVALUATIONS = 60
 
-MAX_STEP = 1.5
-"""Maximum change of a variable in one step, a trust region for the quadratic model."""
+MAX_STEP = 1.5  # Maximum change of a variable in one step, a trust region for the quadratic model
 CURVATURE_FLOOR = 1e-3
 """Addition to the damping's diagonal, for directions in which the objective is flat."""
-LEAST_SHARE = 1e-8
-"""Minimum curvature along a step for a BFGS update."""
+LEAST_SHARE = 1e-8  # Minimum curvature along a step for a BFGS update
 
 FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-2, 1e-8, 1e8
 

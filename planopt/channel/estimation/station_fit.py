@@ -44,42 +44,33 @@ from planopt.errors import InputError
 
 StationMethod = Literal["line", "joint"]
 
-DB_PER_NEPER = 10.0 / math.log(10.0)
-"""Derivative of 10 log10 d with respect to ln d."""
-MIN_N_PL = 1e-3
-"""Minimum n_PL of a candidate position: power must fall with the distance from it."""
+DB_PER_NEPER = 10.0 / math.log(10.0)  # Derivative of 10 log10 d with respect to ln d
+MIN_N_PL = 1e-3  # Minimum n_PL of a candidate position: power must fall with the distance from it
 MIN_UNCENSORED = 8
 """Minimum number of uncensored measurements: two coordinates and five parameters are estimated."""
-GRID = 41
-"""Number of positions along each side of the search grid."""
-GRID_MARGIN = 0.5
-"""Margin of the grid around the measurements, as a share of their extent."""
+GRID = 41  # Number of positions along each side of the search grid
+GRID_MARGIN = 0.5  # Margin of the grid around the measurements, as a share of their extent
 MARGIN = 2.0
 """Margin of the refinement in extents; at its edge all distances agree within a factor of 2."""
-STARTS = 4
-"""Number of grid minima used as initial guesses."""
+STARTS = 4  # Number of grid minima used as initial guesses
 TOLERANCE = 1e-6
 """A refinement ends when the predicted gain in log-likelihood of a step is below this."""
 SEARCH_MEASUREMENTS = 300
 """Maximum number of measurements in the search; the last step uses up to `MOST_DENSE`."""
-JOINT_ROUNDS, LINE_ROUNDS = 4, 40
-"""Maximum numbers of alternations for ``joint`` and for ``line``."""
+JOINT_ROUNDS, LINE_ROUNDS = 4, 40  # Maximum numbers of alternations for ``joint`` and for ``line``
 STILL = 0.1
 """The position has converged when its step is below this share of its standard deviation."""
 REJECTED = 6.9
 """Positions whose log-likelihood is lower than the best by more than this are left out: half the
 99.9 % quantile of chi-squared with two degrees of freedom. Otherwise the many distant, unlikely
 positions would dominate the moments."""
-LATTICE = 41
-"""Number of positions along each side of the lattice for the moments; odd."""
+LATTICE = 41  # Number of positions along each side of the lattice for the moments; odd
 EDGE_SHARE = 0.05
 """Maximum weight at the edge of the lattice; with more, the position is not determined."""
 OTHER_HEIGHTS_M = (4.0, 8.0, 16.0)
 """Heights that are as probable as 0 for a station of unknown height."""
-QUANTILE = 5.99
-"""95 % quantile of chi-squared with two degrees of freedom."""
-SINGULAR = 1e12
-"""Condition number above which an information matrix counts as singular."""
+QUANTILE = 5.99  # 95 % quantile of chi-squared with two degrees of freedom
+SINGULAR = 1e12  # Condition number above which an information matrix counts as singular
 
 
 @one_blas_thread()

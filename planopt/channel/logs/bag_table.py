@@ -25,8 +25,7 @@ from planopt.files.reading import LARGEST_BINARY_BYTES, foreign_reader, read_byt
 
 NANOSECONDS = 1e9
 
-ENDINGS = (".mcap", ".db3")
-"""Extensions of recordings."""
+ENDINGS = (".mcap", ".db3")  # Extensions of recordings
 
 _HEADER = """std_msgs/Header header
 """
@@ -190,16 +189,13 @@ def _kind(name: str) -> str:
 
 LONGEST_GAP_S, STANDING_M = 5.0, 1.0
 """Positions are not interpolated over longer gaps (s) in which the robot moved farther (m)."""
-IN_MAP = "map"
-"""Conventional name of the map frame (REP 105)."""
-BASES = ("base_footprint", "base_link", "base")
-"""Conventional names of a robot's base frame."""
+IN_MAP = "map"  # Conventional name of the map frame (REP 105)
+BASES = ("base_footprint", "base_link", "base")  # Conventional names of a robot's base frame
 
 TRANSFORMS = "TFMessage"
 POSES = ("PoseWithCovarianceStamped", "PoseStamped", "PoseInFrame", "Odometry")
 FIXES = ("NavSatFix", "LocationFix")
-PREFERRED = (TRANSFORMS, *POSES, *FIXES)
-"""Kinds of positions in order of preference."""
+PREFERRED = (TRANSFORMS, *POSES, *FIXES)  # Kinds of positions in order of preference
 NOT_DRIVEN = re.compile("goal|initialpose|target|waypoint")
 """Topics with poses that are not the robot's."""
 

@@ -16,10 +16,8 @@ from planopt.files.reading import read_text
 
 DELIMITERS = (",", ";", "\t", "|")
 """Delimiters in order of preference; blanks count if none of these occurs."""
-BLANKS = " "
-"""Delimiter of columns that are separated by any number of blanks."""
-SAMPLED_LINES = 20
-"""Number of lines used to detect the delimiter."""
+BLANKS = " "  # Delimiter of columns that are separated by any number of blanks
+SAMPLED_LINES = 20  # Number of lines used to detect the delimiter
 EXCEL_DELIMITER = re.compile(r"sep=(.)", re.IGNORECASE)
 """First line that Excel writes to declare the delimiter."""
 

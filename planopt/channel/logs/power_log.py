@@ -319,8 +319,7 @@ def _no_rows(table: LogTable, log_format: LogFormat) -> InputError:
     )
 
 
-FEWEST_READINGS = 20
-"""Minimum number of readings of a transmitter, unless the user names it."""
+FEWEST_READINGS = 20  # Minimum number of readings of a transmitter, unless the user names it
 
 
 def transmitters_of(

@@ -24,10 +24,8 @@ from planopt.errors import InputError
 
 BLENDS = (1.0, 0.999, 0.99, 0.9, 0.5)
 """Blending factors of planned move and braking, tried in turn before pure braking."""
-HEAVY = 1e3
-"""Maximum ratio between the masses of an agent's cell at two steps of a plan."""
-ROUNDING = 1e-12
-"""Tolerance of positions outside their sets, as a share of the ground's radius."""
+HEAVY = 1e3  # Maximum ratio between the masses of an agent's cell at two steps of a plan
+ROUNDING = 1e-12  # Tolerance of positions outside their sets, as a share of the ground's radius
 SPLIT = 1e-9
 """Distance, as a share of the region's radius, by which coincident agents are moved apart."""
 Partition = Literal["all", "coverage_only"]

@@ -12,14 +12,10 @@ from planopt.coverage.control.safe_sets import SafeSets
 
 BLOCK = 50
 """Number of agents solved together; a block needs the iterations of its hardest programme."""
-VIOLATION = 1e-8
-"""Violation above which a constraint is added to the programme."""
-WITHIN = 1e-6
-"""Relative margin of speed and acceleration limits for the tolerance of the solver."""
-LEAST_UNIT = 1e-3
-"""Minimum length unit of an agent as a share of the largest one."""
-NO_LIMIT = 1e3
-"""Radius, in scaled lengths, of inactive discs that pad the constraint tables."""
+VIOLATION = 1e-8  # Violation above which a constraint is added to the programme
+WITHIN = 1e-6  # Relative margin of speed and acceleration limits for the tolerance of the solver
+LEAST_UNIT = 1e-3  # Minimum length unit of an agent as a share of the largest one
+NO_LIMIT = 1e3  # Radius, in scaled lengths, of inactive discs that pad the constraint tables
 
 
 @dataclass(frozen=True, eq=False)

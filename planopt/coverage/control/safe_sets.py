@@ -17,12 +17,10 @@ from planopt.coverage.ground import ConvexGround
 from planopt.coverage.voronoi import FAR, ON_BORDER
 from planopt.errors import InputError
 
-SPARE = 1e-3
-"""Extra margin, as a share of the body radius, for rounding and solver tolerances."""
+SPARE = 1e-3  # Extra margin, as a share of the body radius, for rounding and solver tolerances
 TOUCHES = 1e-9
 """Distance, relative to the region's radius, up to which a boundary counts as touching a seed."""
-LOOKS = 36
-"""Number of directions in which `SafeSets.thinned` keeps the nearest half-planes."""
+LOOKS = 36  # Number of directions in which `SafeSets.thinned` keeps the nearest half-planes
 NEARLY = 1.05
 """Half-planes up to this multiple of the nearest one's distance in a direction are kept."""
 
@@ -118,8 +116,7 @@ def half_planes(agent: Indices, normals: Floats, offsets_m: Floats) -> SafeSets:
 
 
 NOBODY = np.zeros(0, dtype=np.intp)
-UNBOUNDED = half_planes(NOBODY, np.zeros((0, 2)), np.zeros(0))
-"""Sets without constraints."""
+UNBOUNDED = half_planes(NOBODY, np.zeros((0, 2)), np.zeros(0))  # Sets without constraints
 
 
 def separate_cells(

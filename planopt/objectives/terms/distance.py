@@ -20,8 +20,7 @@ from planopt.objectives.terms.term import (
 )
 from planopt.objectives.upper_bounds import StageBounds, no_reward
 
-TINY_M = 1e-9
-"""Distance in metres below which the direction between two positions is undefined."""
+TINY_M = 1e-9  # Distance in metres below which the direction between two positions is undefined
 
 
 @dataclass(frozen=True)

@@ -29,12 +29,9 @@ from planopt.parts import calling, make_plain
 
 WIDTHS = {"positions_m": 2, "mean_db": 1, "deviation_db": 1, "connectivity": 1, "target_m": 2}
 """Number of columns of each input that has one row per step."""
-START = "start_m"
-"""Name of the input (1, 2) with the robot's position."""
-LONGEST_LINE = 200
-"""Maximum number of characters in a line of a program; it bounds the nesting."""
-MOST_LINES = 100_000
-"""Maximum of program lines times steps, which limits the cost of derivatives."""
+START = "start_m"  # Name of the input (1, 2) with the robot's position
+LONGEST_LINE = 200  # Maximum number of characters in a line of a program; it bounds the nesting
+MOST_LINES = 100_000  # Maximum of program lines times steps, which limits the cost of derivatives
 CHANNELS: tuple[str, ...] = ("positions_m", "mean_db", "deviation_db", "connectivity")
 """Inputs that depend on the position at a step."""
 

@@ -207,8 +207,7 @@ MappingForm = Literal["two_layer", "path", "information", "average"]
 
 FORMS_WITH_KEYS: tuple[MappingForm, ...] = ("path", "two_layer")
 """Forms that weight the variance above a threshold by distance (J_CH)."""
-FORM_KEYS = ("variance_threshold_db2", "closeness_per_m")
-"""Keys that only `FORMS_WITH_KEYS` accept."""
+FORM_KEYS = ("variance_threshold_db2", "closeness_per_m")  # Keys that only `FORMS_WITH_KEYS` accept
 
 Nonnegative = Annotated[float, Field(ge=0, le=1e6)]
 

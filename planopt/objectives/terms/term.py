@@ -263,8 +263,7 @@ Made = TypeVar("Made")
 
 Part = Derivatives | PathDerivatives
 """Value of a term with derivatives: per stage for sums over stages, else of the whole path."""
-LENGTH_ROUNDING_SHARE = 0.01
-"""Smoothing width of lengths near zero, as a share of the longest step."""
+LENGTH_ROUNDING_SHARE = 0.01  # Smoothing width of lengths near zero, as a share of the longest step
 
 
 @dataclass(frozen=True, eq=False)

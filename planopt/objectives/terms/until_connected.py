@@ -32,15 +32,12 @@ WAITING = 0.1
 """Cost per metre by which a step is shorter than the longest; otherwise waiting is free."""
 NOT_PROBED_DB = 1e3
 """Offset in dB by which positions without a probe are assumed below the threshold."""
-LEAST_CHANCE = 1e-12
-"""Minimum probability of connection of a probed position."""
+LEAST_CHANCE = 1e-12  # Minimum probability of connection of a probed position
 PROBE_SHARE = 1.0 / 3.0
 """Expected distance between probes as a share of the decorrelation distance. For 1/6 to 2/3,
 searches from 40 start positions on one map were within a tenth of the best."""
-LEAST_VARIANCE_DB2 = 1e-12
-"""Minimum variance, in case the power at a position is known exactly."""
-LEAST_SCORE = -5.0
-"""Minimum score: the outage probability of a position is at least Q(5) = 3e-7."""
+LEAST_VARIANCE_DB2 = 1e-12  # Minimum variance, in case the power at a position is known exactly
+LEAST_SCORE = -5.0  # Minimum score: the outage probability of a position is at least Q(5) = 3e-7
 
 
 @dataclass(frozen=True)

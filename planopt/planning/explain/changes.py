@@ -42,22 +42,16 @@ from planopt.world.workspace import MovingObstacle, Obstacle
 
 Missed = Literal["connection", "separation", "moving"]
 """Violated requirement: connection, separation of robots, or clearance from moving obstacles."""
-DIGITS = 5
-"""Significant digits of a proposed value."""
-EXPLAINED_S = 6.0
-"""Time in seconds after which an explanation starts no further solve."""
+DIGITS = 5  # Significant digits of a proposed value
+EXPLAINED_S = 6.0  # Time in seconds after which an explanation starts no further solve
 EXTRA = (1.01, 1.03, 1.1, 1.5)
 """Factors on the estimated amount, tried in turn because planners keep small margins."""
 SETTLING_HALVINGS, SETTLED, BISECTED_DIGITS = 40, 1e-3, 12
 """Maximum number of bisections of an amount, its relative tolerance; digits of bisected values."""
-LEAST_P_MIN = 0.01
-"""Smallest value proposed for p_min."""
-MOST_DB = 200.0
-"""Maximum reduction of a threshold and maximum increase of slack, in dB."""
-MOST_FACTOR = 1e3
-"""Maximum factor by which required data are reduced."""
-MOST_OUTAGE = 1e6
-"""Maximum outage that is considered, in metres or seconds."""
+LEAST_P_MIN = 0.01  # Smallest value proposed for p_min
+MOST_DB = 200.0  # Maximum reduction of a threshold and maximum increase of slack, in dB
+MOST_FACTOR = 1e3  # Maximum factor by which required data are reduced
+MOST_OUTAGE = 1e6  # Maximum outage that is considered, in metres or seconds
 
 
 @dataclass(frozen=True)
@@ -215,10 +209,8 @@ def violated_keys(problem: Problem, missed: Missed) -> list[Key]:
     return [*keys, *thresholds, *([slack] if has_slack else [])]
 
 
-MOST_MOVING = 3
-"""Number of moving obstacles up to which the removal of each is tried."""
-SLACK_PRICE = 1e5
-"""Price per dB of slack that dominates the objective."""
+MOST_MOVING = 3  # Number of moving obstacles up to which the removal of each is tried
+SLACK_PRICE = 1e5  # Price per dB of slack that dominates the objective
 
 
 @dataclass(frozen=True, eq=False)

@@ -209,8 +209,7 @@ def _cheapest_path(
 
 BISECTIONS, CLEARANCES = 16, 8
 """Numbers of bisections of the clearance in free space, and on the lattice."""
-MOST_OBSTACLES = 60
-"""Number of obstacles up to which the removal of each is tried."""
+MOST_OBSTACLES = 60  # Number of obstacles up to which the removal of each is tried
 SHORTER, STEPS_TESTED = 0.9, 20
 """Factor on the time step, and thus the lattice spacing, per refinement; number of refinements."""
 

@@ -28,8 +28,7 @@ BELIEF_FILE = "belief.npz"
 
 PARAMETER_NAMES = ("k_pl_db", "n_pl", "shadow_std_db", "decorrelation_m", "multipath_std_db")
 """Order of the parameters in the arrays ``parameters`` and ``standard_errors``."""
-TINY = float(np.finfo(float).tiny)
-"""Smallest positive normal float."""
+TINY = float(np.finfo(float).tiny)  # Smallest positive normal float
 
 
 @dataclass(frozen=True)

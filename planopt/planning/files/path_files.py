@@ -24,13 +24,11 @@ from planopt.problems.problem import Problem
 from planopt.world.geodesy import Origin, longitude_latitude_deg, require_origin
 from planopt.world.nav2_masks import MaskLimits, write_masks
 
-STILL_M = 1e-9
-"""Length of a step below which a robot keeps its heading."""
+STILL_M = 1e-9  # Length of a step below which a robot keeps its heading
 
 NANOSECONDS = 1_000_000_000
 
-ROVER, COPTER = 10, 2
-"""MAVLink codes of the vehicle types."""
+ROVER, COPTER = 10, 2  # MAVLink codes of the vehicle types
 WAYPOINT, RELATIVE_ALTITUDE, PX4 = 16, 3, 12
 """MAVLink codes of the waypoint command, its coordinate frame and the autopilot."""
 
@@ -259,10 +257,8 @@ def save_masks(
 FRAME = "map"
 
 
-FLOAT32 = 7
-"""Code of the numeric type in Foxglove's grids."""
-LINE_LOOP = 1
-"""Code of a closed line in Foxglove's scenes."""
+FLOAT32 = 7  # Code of the numeric type in Foxglove's grids
+LINE_LOOP = 1  # Code of a closed line in Foxglove's scenes
 
 OBSTACLE_COLOUR = {"r": 0.35, "g": 0.35, "b": 0.35, "a": 1.0}
 

@@ -47,8 +47,7 @@ class Source:
     value: Callable[[Any], object]
 
 
-OMITTED = object()
-"""Value of a key that is left out of the JSON object."""
+OMITTED = object()  # Value of a key that is left out of the JSON object
 
 Number = Annotated[float, Field(ge=-LARGEST, le=LARGEST)]
 NotNegative = Annotated[float, Field(ge=0)]

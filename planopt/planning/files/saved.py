@@ -64,8 +64,7 @@ PLAN_OR_RUN = (
     "report.html",
 )
 """Files of a plan or run, including figures; a folder contains either a plan or a run."""
-FORMAT = 3
-"""Version of ``plan.json`` and ``run.json``."""
+FORMAT = 3  # Version of ``plan.json`` and ``run.json``
 HALF_PAIR = re.compile(r"\\u[dD][89a-fA-F]")
 """Pattern of JSON escapes of surrogates, which must occur in pairs."""
 

@@ -45,8 +45,7 @@ _NOT_NEGATIVE = (
 )
 POSSIBLE = dict.fromkeys(_SHARES, (0.0, 1.0)) | dict.fromkeys(_NOT_NEGATIVE, (0.0, np.inf))
 """Valid range of each metric; other metrics have the range `ANY`."""
-LOST_RATIO = 3.0
-"""Ratio of tr P to its initial value above which a target counts as lost."""
+LOST_RATIO = 3.0  # Ratio of tr P to its initial value above which a target counts as lost
 
 ANY = (-np.inf, np.inf)
 
@@ -237,8 +236,7 @@ def robot_run(
 
 SHORTCUT_NODES = 40
 """Maximum number of lattice nodes that a straight segment of the clairvoyant path may skip."""
-COST_CELLS = 0.1
-"""Sampling interval of path costs, in cells of the true map."""
+COST_CELLS = 0.1  # Sampling interval of path costs, in cells of the true map
 SEARCHED_CELLS = 0.5
 """Sampling interval of costs in the clairvoyant search, in cells of the true map."""
 IsOut = Callable[[Floats], Mask]

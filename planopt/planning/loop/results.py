@@ -29,8 +29,7 @@ from planopt.world.geodesy import Origin
 
 _Entry = TypeVar("_Entry")
 
-ARRIVED = (Outcome.REACHED, Outcome.COMPLETED)
-"""Outcomes of runs that completed their task."""
+ARRIVED = (Outcome.REACHED, Outcome.COMPLETED)  # Outcomes of runs that completed their task
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -394,8 +393,7 @@ class RunSummary:
         return hash((self.problem, self.horizon, self.planner, self.seed))
 
 
-NOT_DONE = 4
-"""Exit code of runs that did not complete their task."""
+NOT_DONE = 4  # Exit code of runs that did not complete their task
 
 CHANNEL_TRACES = ("rms_db", "rms_without_multipath_db", "path_loss_variance_db2")
 

@@ -141,8 +141,7 @@ def priced_cost_s(n: int, q: Any, scores: Any, start: Any, charge: Any) -> Any:
 
 ROUNDING_STEPS = 0.01
 """Smoothing width of the distance to the pivot for robots with dynamics, in longest steps."""
-PARAMETERS = 7
-"""Number of parameters of `GoalCharge`."""
+PARAMETERS = 7  # Number of parameters of `GoalCharge`
 
 
 @dataclass(frozen=True)

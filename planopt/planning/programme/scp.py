@@ -32,8 +32,7 @@ from planopt.planning.programme.solver import (
     nlp_point,
 )
 
-NO_VARIABLE = -1
-"""Column index of a missing variable."""
+NO_VARIABLE = -1  # Column index of a missing variable
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +103,7 @@ def _rows(
     )
 
 
-CLARABEL: Any = clarabel
-"""Clarabel module, untyped because it has no type stubs."""
+CLARABEL: Any = clarabel  # Clarabel module, untyped because it has no type stubs
 
 TERMINATIONS: dict[str, Termination] = {
     "Solved": Termination.CONVERGED,
@@ -123,8 +121,7 @@ TERMINATIONS: dict[str, Termination] = {
 }
 """Termination for every status of Clarabel."""
 
-BIG = 1e12
-"""Finite replacement of infinite limits."""
+BIG = 1e12  # Finite replacement of infinite limits
 USABLE = (Termination.CONVERGED, Termination.ACCEPTABLE)
 """Terminations of the convex solver whose step the merit function tests."""
 
@@ -248,22 +245,15 @@ def _cone_block(model: Model, missing: int) -> tuple[Floats, Floats, Floats]:
     )
 
 
-MAX_ITERATIONS = 60
-"""Maximum number of convex steps of a solve, rejected ones included."""
-FIRST_PENALTY, LARGEST_PENALTY = 1e2, 1e6
-"""Initial and maximum penalty of a violated row."""
-PENALTY_FACTOR = 10.0
-"""Growth factor of the penalty while rows are violated."""
+MAX_ITERATIONS = 60  # Maximum number of convex steps of a solve, rejected ones included
+FIRST_PENALTY, LARGEST_PENALTY = 1e2, 1e6  # Initial and maximum penalty of a violated row
+PENALTY_FACTOR = 10.0  # Growth factor of the penalty while rows are violated
 TAKEN_SHARE, GOOD_SHARE = 0.1, 0.75
 """Shares of the predicted decrease from which a step is accepted, and the trust region grows."""
-SHRINK, GROW = 0.25, 2.0
-"""Factors on the trust-region radius after poor and after good steps."""
-PROMISE_TOLERANCE = 1e-6
-"""Relative predicted decrease below which a solve has converged."""
-ROW_TOLERANCE = 1e-6
-"""Tolerance of the rows, equal to IPOPT's."""
-SMALLEST_REGION = 1e-7
-"""Trust-region radius below which a solve has converged, in longest steps."""
+SHRINK, GROW = 0.25, 2.0  # Factors on the trust-region radius after poor and after good steps
+PROMISE_TOLERANCE = 1e-6  # Relative predicted decrease below which a solve has converged
+ROW_TOLERANCE = 1e-6  # Tolerance of the rows, equal to IPOPT's
+SMALLEST_REGION = 1e-7  # Trust-region radius below which a solve has converged, in longest steps
 
 
 def scp_solve(functions: NlpFunctions, shape: PathShape, budget_s: float | None = None) -> SolveNlp:

@@ -19,8 +19,7 @@ from planopt.planning.proof.rule import ROUNDING, BySlack, PathCase, Rule
 from planopt.planning.tolerances import RULE_TOLERANCE
 from planopt.problems.problem import Problem
 
-WHOLE_STEPS = 1e-6
-"""Relative tolerance for a time to be a multiple of the step duration."""
+WHOLE_STEPS = 1e-6  # Relative tolerance for a time to be a multiple of the step duration
 
 
 def _fault(problem: Problem, key: str, words: str, remedy: str) -> InputError:
@@ -107,12 +106,10 @@ class Average(Rule):
 
 DRAWS, SEED = 10_000, 0
 """Number of sampled channels, and seed of the samples and of the integral's random shifts."""
-DOUBT = 0.01
-"""One-sided error probability of the confidence interval (Clopper, Pearson 1934)."""
+DOUBT = 0.01  # One-sided error probability of the confidence interval (Clopper, Pearson 1934)
 DRAWN = f"{DRAWS} drawn channels, lower end of the {100.0 * (1.0 - DOUBT):.0f} % interval"
 """Name of the sampling method."""
-MOST_PROBABLE = 0.9995
-"""Largest p_min that the sampled channels can demonstrate."""
+MOST_PROBABLE = 0.9995  # Largest p_min that the sampled channels can demonstrate
 
 
 def _require_shown(problem: Problem, words: str, remedy: str) -> None:
@@ -144,8 +141,7 @@ def drawn_by_slack(rule: Rule, case: PathCase, least: float) -> BySlack:
     return result
 
 
-ACCURACY = 4e-3
-"""Target accuracy of the integral (three standard errors)."""
+ACCURACY = 4e-3  # Target accuracy of the integral (three standard errors)
 INTEGRATED_STEPS = 60
 """Maximum number of steps for the integral; beyond it, an analytic lower bound is used."""
 

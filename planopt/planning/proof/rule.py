@@ -45,8 +45,7 @@ SEARCH_EXACT_LIMIT = 1000
 """Maximum number of measurements for which searches use the full posterior."""
 SEARCH_NEIGHBOURS = 128
 """Number of nearest measurements per position for larger logs, within 0.01 dB."""
-SEARCH_ERROR_DB = 2e-3
-"""Margin that a search requires if it uses nearest measurements only."""
+SEARCH_ERROR_DB = 2e-3  # Margin that a search requires if it uses nearest measurements only
 
 
 def is_search_exact(posterior: ChannelPosterior) -> bool:
@@ -209,12 +208,9 @@ def obstacles_ahead(problem: Problem, driven: int) -> MovingDiscs:
 
 BySlack = Callable[[float], RuleResult]
 """Function that maps slack in dB, which lowers the threshold, to the result of a path."""
-PROBE = 1e-4
-"""Probability increment of the finite differences."""
-ROUNDING = 1e-9
-"""Tolerance of range and monotonicity checks."""
-HALVINGS = 22
-"""Number of bisections of the slack, from 500 dB to about a ten-thousandth of a dB."""
+PROBE = 1e-4  # Probability increment of the finite differences
+ROUNDING = 1e-9  # Tolerance of range and monotonicity checks
+HALVINGS = 22  # Number of bisections of the slack, from 500 dB to about a ten-thousandth of a dB
 
 
 @dataclass(frozen=True, eq=False)

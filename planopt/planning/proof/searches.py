@@ -157,12 +157,9 @@ def _best_reached(
 FINE_NODES, COARSE_NODES = 12, 4
 """Number of grid nodes per step length, within `FINE_STEPS` steps and beyond."""
 FINE_STEPS = 4
-REFINED_STEPS = 12
-"""Number of initial steps with a refined grid."""
-REFINED_NODES = 24
-"""Number of best nodes around which each refinement searches."""
-REFINEMENTS = 2
-"""Number of refinements, each with a quarter of the previous spacing."""
+REFINED_STEPS = 12  # Number of initial steps with a refined grid
+REFINED_NODES = 24  # Number of best nodes around which each refinement searches
+REFINEMENTS = 2  # Number of refinements, each with a quarter of the previous spacing
 MayReach = Callable[[Floats, int, float], Mask]
 """Function that returns a mask of positions (n, 2): whether a robot may be within a distance (m) of
 each after a number of steps. It is conservative: never False for a reachable position."""
@@ -257,14 +254,12 @@ def _refined(
     return found
 
 
-SPACING_STEPS = 0.5
-"""Spacing of the goal grid, in longest steps."""
+SPACING_STEPS = 0.5  # Spacing of the goal grid, in longest steps
 MOVES = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1))
 """Row and column offsets to a node's neighbours, one of each opposite pair: sixteen headings."""
 JOINING_SPACINGS = 1.5
 """Distance, in spacings, within which an off-grid position is linked to nodes."""
-COARSE = 2
-"""Stride of rows and columns with predictions; values in between are interpolated."""
+COARSE = 2  # Stride of rows and columns with predictions; values in between are interpolated
 ContactAt = Callable[[Floats], tuple[Floats, Floats]]
 """Function that maps positions (n, 2) to the fraction (n,) of a metre that costs the outage price
 and the connectivity margin (n,) in dB."""

@@ -29,10 +29,8 @@ from planopt.problems.problem import Problem
 from planopt.world.clearance import ObstacleIndex, clearance_m, inside_bounds, segments_clear
 from planopt.world.motion import paths_gap_m
 
-CELLS_PER_STEP = 4.0
-"""Number of raster cells per longest step."""
-MAX_CELLS = 250_000
-"""Maximum number of cells; a larger workspace gets a coarser raster."""
+CELLS_PER_STEP = 4.0  # Number of raster cells per longest step
+MAX_CELLS = 250_000  # Maximum number of cells; a larger workspace gets a coarser raster
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,16 +72,14 @@ def rough_clearance(problem: Problem, index: ObstacleIndex) -> RoughClearance:
     return RoughClearance(np.array([x_min, y_min]), cell, distance, problem.workspace.bounds_m)
 
 
-HEADINGS = 16
-"""Number of directions of the fan."""
+HEADINGS = 16  # Number of directions of the fan
 TURNS_RAD = (0.0, 0.5, -0.5, 1.0, -1.0)
 """Total turns of the fan's paths as multiples of pi, spread evenly over the steps."""
 ASIDE_RAD = tuple(
     side * turn for turn in (0.0, 0.4, 0.8, 1.2, 1.6, 2.2, 2.8) for side in (1.0, -1.0)
 )[1:]
 """Turns to try at a blocked step, smallest first."""
-SAMPLES = (0.5, 1.0)
-"""Positions along a step at which the raster is read, as fractions of the step."""
+SAMPLES = (0.5, 1.0)  # Positions along a step at which the raster is read, as fractions of the step
 
 
 def fan_paths(
@@ -197,12 +193,9 @@ def _direction(angle: Floats) -> Floats:
     return np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
 
-ONWARD = 8
-"""Number of directions in which paths continue from the station."""
-DETOURS = 2
-"""Maximum number of steps by which arcs to the station exceed the straight path."""
-HALVINGS = 40
-"""Number of bisections for the curvature of an arc."""
+ONWARD = 8  # Number of directions in which paths continue from the station
+DETOURS = 2  # Maximum number of steps by which arcs to the station exceed the straight path
+HALVINGS = 40  # Number of bisections for the curvature of an arc
 Commands = tuple[Floats, Floats]
 """Commands of c paths: turns and relative speeds ``(N, c)`` of the steps."""
 
@@ -325,8 +318,7 @@ def _bends(horizon: int, count: int, width_rad: float, generator: np.random.Gene
     return turn
 
 
-CLIMBING = 12
-"""Number of paths that enter gradient ascent."""
+CLIMBING = 12  # Number of paths that enter gradient ascent
 ROUNDS, FOLLOWED = (3, 3, 4), (6, 3, 3)
 """Number of ascent steps in each round, and number of paths kept after each round."""
 

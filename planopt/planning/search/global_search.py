@@ -30,8 +30,7 @@ from planopt.world.clearance import is_clear, swept_clearance_m
 from planopt.world.lattice import CostToGo, lattice_paths, node_at, route_from
 from planopt.world.motion import MovingDiscs
 
-FORBIDDEN = 1e6
-"""Cost of a metre that violates a hard constraint; it exceeds the cost of any path."""
+FORBIDDEN = 1e6  # Cost of a metre that violates a hard constraint; it exceeds the cost of any path
 STAGNANT_STEPS = 0.75
 """Minimum distance from the robot, in longest steps, for a path to count as progress."""
 LEAST_PROGRESS = 0.5
@@ -40,8 +39,7 @@ OUT_OF_BOUND_STEP_S = 1e5
 """Penalty in seconds of a step below a guide's level; it exceeds any time that can be saved."""
 MISSING_DB_S = 1e3
 """Penalty in seconds per missing dB, which ranks paths with equally many steps below the level."""
-BACK_STEPS = 10
-"""Number of longest steps by which a plan may usually increase the cost-to-go."""
+BACK_STEPS = 10  # Number of longest steps by which a plan may usually increase the cost-to-go
 CORRECTION_ROUNDS = 8
 """Maximum number of searches, each with corrected predictions along the last path."""
 
@@ -362,10 +360,8 @@ class GlobalSearch:
         )
 
 
-LOOKAHEAD_STEPS = 5.0
-"""Length of the route that is searched for a pivot, in longest steps."""
-LATTICE_DETOUR = 0.03
-"""Largest relative detour of a lattice path (16 headings: 2.7 %)."""
+LOOKAHEAD_STEPS = 5.0  # Length of the route that is searched for a pivot, in longest steps
+LATTICE_DETOUR = 0.03  # Largest relative detour of a lattice path (16 headings: 2.7 %)
 
 
 class Ahead:

@@ -45,8 +45,7 @@ from planopt.world.motion import paths_gap_m
 
 Nodes = tuple[Indices, Indices]
 """Rows and columns of individual nodes."""
-MISSING_DB_SHARE = 10.0
-"""Cost of a missing dB relative to the largest reward of a step."""
+MISSING_DB_SHARE = 10.0  # Cost of a missing dB relative to the largest reward of a step
 
 
 class StageRewards:
@@ -133,16 +132,12 @@ def move_values(problem: Problem, lengths_m: Floats) -> Floats:
     return value
 
 
-GUESSES = 2
-"""Maximum number of returned guesses."""
+GUESSES = 2  # Maximum number of returned guesses
 COUPLED_GUESSES = 3
 """Maximum number of returned guesses if terms couple positions and thus have more maxima."""
-CORRECTIONS = 6
-"""Maximum number of repeated searches with corrected predictions along the path."""
-SETTLED_SHARE = 1e-3
-"""Minimum relative loss of a path's value that triggers another search."""
-EQUAL_M = 1e-6
-"""Distance within which corresponding positions of two paths count as equal."""
+CORRECTIONS = 6  # Maximum number of repeated searches with corrected predictions along the path
+SETTLED_SHARE = 1e-3  # Minimum relative loss of a path's value that triggers another search
+EQUAL_M = 1e-6  # Distance within which corresponding positions of two paths count as equal
 
 
 @dataclass(frozen=True, eq=False)

@@ -84,8 +84,7 @@ def window_shape(window: Window) -> tuple[int, int]:
     return window[0].stop - window[0].start, window[1].stop - window[1].start
 
 
-TINY_M2 = 1e-30
-"""Squared length below which a relative motion counts as standstill."""
+TINY_M2 = 1e-30  # Squared length below which a relative motion counts as standstill
 
 
 def first_steps_apart(discs: MovingDiscs, position_m: Floats, ends_m: Floats) -> Mask:
@@ -196,8 +195,7 @@ Node = tuple[int, int]
 """Node indices (iy, ix)."""
 MOVES_BY_NUMBER = tuple((int(dx), int(dy)) for dx, dy in MOVES)
 """Offsets (dx, dy) of the moves, by number."""
-STANDING = 0
-"""Index of the move that stays at its node."""
+STANDING = 0  # Index of the move that stays at its node
 
 
 @dataclass(frozen=True, eq=False)

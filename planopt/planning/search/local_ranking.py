@@ -157,8 +157,7 @@ Drive = Callable[[Floats, Floats], Floats]
 """Function that maps turns and relative speeds (N, c) to paths (c, N, 2)."""
 FIRST_STEP, LONGEST_STEP = 0.3, 0.8
 """Largest change of a heading (rad) or relative speed, in the first and in later ascent steps."""
-SHORTER = 0.35
-"""Factor on the step length after an ascent step without gain."""
+SHORTER = 0.35  # Factor on the step length after an ascent step without gain
 CURVED_SHARE = 1e-8
 """Minimum cosine between a step and the change of the gradient for a Hessian update."""
 Slope = Callable[[Floats], tuple[Floats, Floats]]

@@ -31,14 +31,10 @@ CIRCLES = (0.35, 0.7, 1.0, 1.5, 2.0, 2.5, 3.25, 4.0, 5.0, 6.0, 7.5, 9.0)
 """Radii of circles of positions, in longest steps."""
 FEWEST_ON_CIRCLE, APART_SHARE, LEAST_APART = 8, 1.0 / 6.0, 0.5
 """Minimum number of positions on a circle, and their spacing in radii and in longest steps."""
-MOST_KNOWN = 60
-"""Maximum number of known connected positions, nearest to the expected target first."""
-MOST_HIDDEN = 12
-"""Maximum number of positions behind obstacles, nearest to the target first."""
-COMPARED = 12
-"""Number of paths whose ends are predicted individually."""
-PROBED = 4
-"""Number of returned paths."""
+MOST_KNOWN = 60  # Maximum number of known connected positions, nearest to the expected target first
+MOST_HIDDEN = 12  # Maximum number of positions behind obstacles, nearest to the target first
+COMPARED = 12  # Number of paths whose ends are predicted individually
+PROBED = 4  # Number of returned paths
 
 
 class ProbedPlaces:
@@ -154,8 +150,7 @@ class ProbedPlaces:
         return found
 
 
-STEPS_MORE = 2
-"""Number of steps by which compared positions may be farther than the nearest one."""
+STEPS_MORE = 2  # Number of steps by which compared positions may be farther than the nearest one
 
 
 def path_to_unmeasured(context: StepContext, ground: Ground) -> Floats | None:
@@ -197,14 +192,10 @@ def _steps(
 FINE_NODES, COARSE_NODES = 12, 4
 """Number of grid positions per longest step, within `FINE_STEPS` steps and beyond."""
 FINE_STEPS = 4
-MEASURED = 400
-"""Number of best positions for which path lengths are computed."""
-KEPT = 24
-"""Number of best reachable positions that are refined."""
-STEP_PLACES = 12
-"""Number of candidate step ends per step length along a path."""
-REFINEMENTS = 3
-"""Number of grid refinements, each with a quarter of the previous spacing."""
+MEASURED = 400  # Number of best positions for which path lengths are computed
+KEPT = 24  # Number of best reachable positions that are refined
+STEP_PLACES = 12  # Number of candidate step ends per step length along a path
+REFINEMENTS = 3  # Number of grid refinements, each with a quarter of the previous spacing
 
 
 def paths_to_good_place(scorer: Scorer, probed: Sequence[Candidate]) -> list[Floats]:

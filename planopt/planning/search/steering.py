@@ -27,10 +27,8 @@ from planopt.problems.problem import Problem
 from planopt.world.clearance import segments_clear
 from planopt.world.lattice import lattice_paths, route_from
 
-TILE = 1
-"""Tile size in cells; cells are far apart, so each has its own neighbours."""
-NEIGHBOURS = 48
-"""Number of measurements for the prediction of each cell."""
+TILE = 1  # Tile size in cells; cells are far apart, so each has its own neighbours
+NEIGHBOURS = 48  # Number of measurements for the prediction of each cell
 
 
 class Steering:

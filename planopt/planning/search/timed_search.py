@@ -16,12 +16,9 @@ from planopt.problems.problem import step_cost_s
 from planopt.world.lattice import CostToGo, RoadMap, lattice_paths, route_from
 from planopt.world.motion import MovingDiscs, closest_approach_m
 
-DELAYS_STEPS = (16, 64, 200)
-"""Allowed delays in waiting steps, tried in this order."""
-MOST_PLACES = 12_000
-"""Maximum number of nodes per stage, lowest cost first."""
-ROUTES_TESTED = 4
-"""Number of routes tested in each stage, from the nodes of lowest cost."""
+DELAYS_STEPS = (16, 64, 200)  # Allowed delays in waiting steps, tried in this order
+MOST_PLACES = 12_000  # Maximum number of nodes per stage, lowest cost first
+ROUTES_TESTED = 4  # Number of routes tested in each stage, from the nodes of lowest cost
 
 
 @dataclass(frozen=True, eq=False)

@@ -278,8 +278,7 @@ def _verified(plans: Sequence[Plan]) -> int:
 
 STAYING = (Rung.SHIFTED, Rung.STOP, Rung.RESERVED, Rung.LEAVE)
 """Fallbacks that make no progress to a goal: the previous plan, waiting, leaving an obstacle."""
-NO_LIMIT_M = -1e9
-"""Radius of a moving obstacle after its predicted steps, negative to disable it."""
+NO_LIMIT_M = -1e9  # Radius of a moving obstacle after its predicted steps, negative to disable it
 
 
 class Couriers:

@@ -61,12 +61,9 @@ def steering_path(
     return SteeringPath(turns_m, index, apart_m, lattice_m, in_order)
 
 
-PLACES = 200
-"""Approximate number of grid cells that represent the workspace."""
-NEAR_PLACES = 900
-"""Approximate number of grid cells where a plan can change the channel map."""
-ROOM_STEPS = 5.0
-"""Margin around the reachable positions in longest steps."""
+PLACES = 200  # Approximate number of grid cells that represent the workspace
+NEAR_PLACES = 900  # Approximate number of grid cells where a plan can change the channel map
+ROOM_STEPS = 5.0  # Margin around the reachable positions in longest steps
 
 
 def workspace_region(problem: Problem) -> Region:

@@ -103,8 +103,7 @@ def _named(at: StepContext, number: int) -> Generator[None]:
         raise error.under(f"objective.terms[{number}]").located(at.problem.file) from error
 
 
-SHARE_IN_DB = 100.0
-"""Cost in dB of a relative shortfall of one, for a rule over a whole plan."""
+SHARE_IN_DB = 100.0  # Cost in dB of a relative shortfall of one, for a rule over a whole plan
 
 
 def slack_cost(at: StepContext, path_m: Floats) -> float:
@@ -151,8 +150,7 @@ def rule_result(at: StepContext, path_m: Floats) -> RuleResult:
 
 LeadingPivot = Callable[[Floats], Pivot]
 """Function from a path's end (2,) to the pivot of the remaining route."""
-BRAKING_PLACES = 9
-"""Number of positions on the braking path at which outage is evaluated."""
+BRAKING_PLACES = 9  # Number of positions on the braking path at which outage is evaluated
 
 
 @dataclass(frozen=True)
@@ -248,12 +246,9 @@ def resting_places_m(drive: Drive) -> Floats:
     return np.column_stack(drive.dynamics.resting_place(tuple(drive.states.T)))
 
 
-UNCONSTRAINED = 0.5
-"""Probability level that stands for an unconstrained step."""
-LEAST_LEVEL = 1e-3
-"""Minimum distance of a step's probability level from 0 and 1."""
-LEVEL_HALVINGS = 20
-"""Number of bisections for the common probability level of all steps."""
+UNCONSTRAINED = 0.5  # Probability level that stands for an unconstrained step
+LEAST_LEVEL = 1e-3  # Minimum distance of a step's probability level from 0 and 1
+LEVEL_HALVINGS = 20  # Number of bisections for the common probability level of all steps
 
 
 @dataclass(frozen=True, eq=False)
@@ -349,12 +344,10 @@ def scaled_value(
     return most - (most - achieved) * float(np.clip(factor, 1.0 / LARGEST_FACTOR, LARGEST_FACTOR))
 
 
-AIMED_SHARE = 0.98
-"""Fraction of the distance to the allowed risk that the secant step covers."""
+AIMED_SHARE = 0.98  # Fraction of the distance to the allowed risk that the secant step covers
 USED_SHARE = 0.9
 """Fraction of its allowed shortfall from which a row counts as active in the solver."""
-USED_UP_SHARE = 0.97
-"""Fraction of the allowed risk from which risk is not reallocated."""
+USED_UP_SHARE = 0.97  # Fraction of the allowed risk from which risk is not reallocated
 
 
 def rows_again(
@@ -422,10 +415,8 @@ IsKept = Callable[[Floats], bool]
 """Function that returns whether a path (N, 2) satisfies the rule."""
 HIGHEST_CREDIT, LOWEST_CREDIT = 10.0, 1e-3
 """Largest and smallest credit of a connected step, relative to the largest reward of a step."""
-CREDIT_HALVINGS = 5
-"""Number of bisections of the credit on a logarithmic scale."""
-PATTERNS = 4
-"""Maximum number of patterns of constrained steps that are searched."""
+CREDIT_HALVINGS = 5  # Number of bisections of the credit on a logarithmic scale
+PATTERNS = 4  # Maximum number of patterns of constrained steps that are searched
 
 
 def find_guided(context: StepContext, search: GuidedSearch, is_kept: IsKept) -> list[Floats]:

@@ -138,5 +138,5 @@ def test_what_is_wrong_is_said():
     with pytest.raises(InputError, match=r"robots\[0\]\.goal_m has no effect"):
         to_goal(LEARNING)
     steering = {"kind": "mapping", "form": "two_layer"}
-    with pytest.raises(InputError, match=r"two entries of objective\.terms steer"):
+    with pytest.raises(InputError, match=r"only one may steer it"):
         to_goal(GOAL, steering)

@@ -79,4 +79,4 @@ def _short_array(values: NDArray[Any]) -> str:
 
 def shown_number(value: float | None, unit: str = "", digits: int = 4) -> str:
     """Return a number with its unit as text, 0 for rounding errors; a dash for None."""
-    return "-" if value is None else f"{value if abs(value) >= 1e-15 else 0.0:.{digits}g}{unit}"
+    return "-" if value is None else f"{0.0 if abs(value) < 1e-15 else value:.{digits}g}{unit}"

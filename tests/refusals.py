@@ -32,7 +32,7 @@ VARIABLE = (
     (r"(?<=,) '(corridor|doubled_for_bounds|sending)',| or (corridor|sending)", ""),
     (r"(?<=each_step, average, joint, outage, data)(, \w+)+(?= \()", ""),
     (r"line \d+ column \d+ \(char \d+\)", "line N"),
-    (r"(?<=\d\.\d{3})\d{6,}", ""),
+    (r"(?<=\d\.\d{3})\d{5,}", ""),
     (r"\(Possible options?: [^)]*\) ", ""),
 )
 """Parts of messages that depend on the run, versions, registered terms and rules."""

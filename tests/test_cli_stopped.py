@@ -1,5 +1,6 @@
 """Commands that are interrupted, terminated or killed: what is left, and what goes on."""
 
+import importlib
 import json
 import os
 import random
@@ -159,6 +160,18 @@ def test_signals_in_blocks() -> None:
             assert received == [signal.SIGTERM] * 2
             signal.raise_signal(signal.SIGINT)
     assert before == [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+
+
+def test_a_signal_waits_for_an_import(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A module that is being imported is complete before the interrupt is raised."""
+    text = "import signal\nsignal.raise_signal(signal.SIGTERM)\nCOMPLETE = True\n"
+    (tmp_path / "interrupted_import.py").write_text(text)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(KeyboardInterrupt), stopping() as received:
+        module = importlib.import_module("interrupted_import")
+        assert module.COMPLETE and received == []
+        time.sleep(30.0)
+    assert received == [signal.SIGTERM]
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux")

@@ -107,5 +107,5 @@ def test_one_robot_and_several_answer_to_the_same_names(results: dict[str, Any])
 
 def test_a_rounding_error_is_shown_as_zero() -> None:
     """The effort of a plan that stands still is some 1e-24 s; a small probability is kept."""
-    shown = [shown_number(value, " s") for value in (2.9e-24, -1e-17, 4e-9)]
-    assert shown == ["0 s", "0 s", "4e-09 s"]
+    shown = [shown_number(value, " s") for value in (2.9e-24, -1e-17, 4e-9, float("nan"))]
+    assert shown == ["0 s", "0 s", "4e-09 s", "nan s"]

@@ -120,7 +120,7 @@ def map_log(
     box = None if bounds is None else parse_bounds(bounds)
     with _writable(out, picture), results_folder(nav2):
         with progress("mapping"), one_blas_thread():
-            named = not options.log.suffix and not options.log.exists()
+            named = not options.log.suffix and (options.log.is_dir() or not options.log.exists())
             is_problem = named or options.log.suffix == ".toml"
             make = _problem_map if is_problem else _log_map
             found = make(options, box, cell, threshold)

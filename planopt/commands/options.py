@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable, Generator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import FrameType
 from typing import Annotated, Any, Concatenate, ParamSpec, TypeVar, cast, get_type_hints
 
 import typer
@@ -249,7 +250,19 @@ _active: list[list[int]] = []
 """Signals received by each active block of :func:`stopping`, the outermost first."""
 
 
-def _stop(number: int, _: object) -> None:
+IMPORTER = "<frozen importlib._bootstrap>"
+DEFERRED_S = 0.05  # Time after which a signal that arrives during an import is raised again
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    while frame is not None:
+        if frame.f_code.co_filename == IMPORTER:
+            # An interrupted import ends in an ImportError, or in SIGINT when Python exits.
+            later = threading.Timer(DEFERRED_S, signal.raise_signal, (number,))
+            later.daemon = True
+            later.start()
+            return
+        frame = frame.f_back
     # A second SIGTERM must not interrupt the cleanup after the first.
     again = number == signal.SIGTERM and number in _active[-1]
     for received in _active:

@@ -121,7 +121,7 @@ class VarianceRemoved:
         batch = path.universal if self.universal else path.covariance
         rows = path.across if self.loading is None else path.trend.times(self.loading)
         weight = moments.inverse if self.universal else moments.known_inverse
-        return batch, rows, weight, weight.astype(path.type) @ rows.value
+        return batch, rows, weight, weight.astype(rows.value.dtype) @ rows.value
 
     # Let X = C^-1 Y. For coordinate p of position i, dY = e_i y_p', dC = e_i d_p' + d_p e_i'
     # and u_p = y_p - X' d_p. With R_p = dY - dC X = e_i u_p' - d_p x_i':
@@ -131,7 +131,7 @@ class VarianceRemoved:
     def slope(self, path: LocalPaths) -> Floats:
         """Return the gradient of the trace of each path."""
         batch, rows, _, x = self._solved(path)
-        u = rows.first - batch.first.astype(path.type) @ x
+        u = rows.first - batch.first.astype(rows.first.dtype) @ x
         return 2.0 * np.einsum("cpr,cpr->cp", x[:, batch.owner], u).astype(np.float64)
 
     def derivatives(self, path: LocalPaths) -> PathDerivatives:
@@ -152,7 +152,7 @@ class VarianceRemoved:
 
 
 THRESHOLD_ROUNDING = 0.01  # Smoothing width of the variance threshold as a share of xi^2 + omega^2
-TINY_DB2, TINY_M = 1e-12, 1e-9  # Smoothing widths of threshold and step lengths for ranked paths
+TINY_DB2, SHARP_M = 1e-12, 1e-9  # Smoothing widths of threshold and step lengths in ranking
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +219,7 @@ class PathUncertainty:
         start = np.broadcast_to(self.start_m, (len(gate), 1, 2))
         offsets = np.diff(np.concatenate([start, path.paths_m], axis=1), axis=1)
         width = CUSP_ROUNDING * path.channel.parameters.decorrelation_m
-        legs = rounded_length(offsets, TINY_M if exact else width)
+        legs = rounded_length(offsets, SHARP_M if exact else width)
         near = np.exp(-self.decay_per_m * np.cumsum(legs.value, axis=1))
         # Derivatives of psi(l_i) w.r.t. the coordinates.
         by_place = np.cumsum(length_jacobian(legs), axis=1)

@@ -25,19 +25,6 @@ CUSP_ROUNDING = 0.01
 """Smoothing width of the kernel's cusp as a share of the decorrelation distance."""
 
 
-def rounded_kernel(
-    offset_m: Floats,  # (..., 2)
-    parameters: ChannelParameters,
-    added_m2: Floats | float = 0.0,  # (...) added to the squared distances
-) -> Derivatives:
-    """Return the shadowing covariance at offsets, smoothed near zero, with derivatives."""
-    rows = np.empty((6, *offset_m.shape[:-1]))
-    soft_m2 = softened_m2(added_m2, parameters)
-    fill_rounded_kernel(rows, offset_m[..., 0], offset_m[..., 1], parameters, soft_m2)
-    inner = tuple(range(1, rows.ndim))
-    return Derivatives(rows[0], rows[1:3].transpose(*inner, 0), rows[3:].transpose(*inner, 0))
-
-
 def softened_m2(added_m2: Floats | float, parameters: ChannelParameters) -> Floats | float:
     """Return the term in m^2 that the smoothed kernel adds to squared distances."""
     return added_m2 + (CUSP_ROUNDING * parameters.decorrelation_m) ** 2

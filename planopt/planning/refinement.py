@@ -415,7 +415,6 @@ class Refinement:
     def __init__(self, problem: Problem, ground: Ground, others: int = 0) -> None:
         self._problem = problem
         self._ground = ground
-        # The programme of a robot with dynamics contains the goal cost itself.
         self._to_goal = problem.has_goal and problem.robots[0].moves_freely
         self._moving = min(len(problem.workspace.moving) + others, MOVING_LINES)
         self._built: dict[int, PathNlp] = {}

@@ -452,13 +452,13 @@ def in_words(result: TaskResult) -> Sequence[str]:
         bound = "no lower bound is proven"
         if data["bound"] is not None:
             bound = (
-                f"proven bound: no deployment costs less than {data['bound']:.6g} m⁴; gap "
+                f"proven bound: no deployment costs less than {data['bound']:.6g} m²; gap "
                 f"{100.0 * data['gap']:.2f} % (method: Lagrangian relaxation)"
             )
         radio = cast("CoverageProblem", result.problem).radio is not None
         worst = max(data["start_costs"]) / data["objective"]
         return (
-            f"{name}: {data['verdict']}, coverage cost {data['objective']:.6g} m⁴ (integral of "
+            f"{name}: {data['verdict']}, coverage cost {data['objective']:.6g} m² (integral of "
             "density times squared distance to the nearest agent)",
             f"  {bound}",
             f"  best of {STARTS} initial deployments; the worst of them leads to {worst:.4f} times "
@@ -471,7 +471,7 @@ def in_words(result: TaskResult) -> Sequence[str]:
         f"random seed {data['seed']}",
         f"  {found['steps']} steps; {len(data['robots'])} agents drove {found['path_m']:.1f} m in "
         "total",
-        f"  coverage cost {found['cost_first']:.5g} m⁴ at the start, {found['cost_last']:.5g} m⁴ "
+        f"  coverage cost {found['cost_first']:.5g} m² at the start, {found['cost_last']:.5g} m² "
         "at the end (integral of density times squared distance to the nearest agent)",
     ]
     if found["messages"]["all"]:

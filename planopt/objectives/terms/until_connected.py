@@ -311,7 +311,10 @@ class UntilConnectedTerm(Term):
         settings = self.search(paths.at)
         missing_db = np.where(paths.at.probing.takes(paths.paths_m), 0.0, NOT_PROBED_DB)
         powers = [
-            (power.mean_db.reshape(paths.shape) - threshold - missing_db, station.moments.universal)
+            (
+                power.mean_db.reshape(paths.shape) - threshold - missing_db,
+                station.plain_universal.value,
+            )
             for power, station, threshold in zip(
                 paths.each, paths.stations, settings.thresholds_dbm, strict=True
             )

@@ -54,7 +54,7 @@ class PathValue:
 class Evaluation:
     """Objective value of one path, and the margins or the sum to which constraints apply."""
 
-    value: PathValue | None  # None for the cost of reaching a goal
+    value: PathValue | None  # None if CasADi differentiates the cost of reaching a goal
     margins: Derivatives | None  # Margins of the N stages
     total: PathValue | None = None  # Sum over stages with Hessian (N, 3)
     scores: Derivatives | None = None  # Normal scores of connection, if outage is priced

@@ -12,10 +12,10 @@ slack t of a total::
           total(q_1, ..., q_N) + c t >= bound                             "connectivity"
 
 L is the longest step. The separating lines (n, b, a) apply to both ends of a segment, so that the
-whole segment is clear. A cost exists only for a robot with dynamics and a goal. Value v, margins m
-and total w are callbacks with exact gradients (dv, dm, dw) and the nonzero entries of their
-Hessians (hv, hm, hw); margin callbacks take a fifth of the time of their symbolic form. A solver is
-built once per structure and reused.
+whole segment is clear. A cost exists only for a robot with a goal. Value v, margins m, total w and
+scores z are callbacks with exact gradients and the nonzero entries of their Hessians; margin
+callbacks take a fifth of the time of their symbolic form. A solver is built once per structure and
+reused.
 """
 
 from collections.abc import Callable

@@ -93,7 +93,10 @@ class LocalRanking:
         value, slope = self._value(paths), np.zeros(paths_m.shape)
         for term in at.problem.terms:
             with calling(term, "slope", key="objective.terms"):
-                slope += term.weight * term.slope(paths)
+                found = term.slope(paths)
+            slope += term.weight * returned(
+                term, "slope", found, slope.shape, words="the gradient of each path", unbounded=True
+            )
         if self._missing_db_cost is not None and len(at.law.posteriors) == 1:
             # With several stations, the gradient of the chance constraint is omitted.
             slope -= self._missing_db_cost * missing_slope(at, paths.stations[0])

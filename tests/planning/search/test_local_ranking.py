@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from terms_scene import ENERGY, LEARNING, TRACKING, context_of, mapping, terms_problem
+from terms_scene import CONNECT, ENERGY, LEARNING, TRACKING, context_of, mapping, terms_problem
 
 from planopt.objectives.stage_power import CUSP_ROUNDING
 from planopt.planning.search.local_ranking import LocalRanking
@@ -39,6 +39,14 @@ def test_values_are_the_exact_worths(terms, horizon, stations):
     exact = [worth(way) for way in ways]
     near = 3e-2 if terms[0].get("form") == "average" else 2e-4
     np.testing.assert_allclose(LocalRanking(context, ways)(ways), exact, rtol=near, atol=2e-4)
+
+
+def test_probes_are_predicted_without_gates() -> None:
+    """Near old readings a measured term's gates close, but powers there stay correlated."""
+    context, _ = context_of(terms_problem(CONNECT, {**mapping("information"), "weight": 0.0}))
+    paths_m = context.posterior.measurements.positions_m[:30].reshape(6, 5, 2)
+    exact = [ObjectiveValue(context)(path_m) for path_m in paths_m]
+    np.testing.assert_allclose(LocalRanking(context, paths_m)(paths_m), exact, atol=2e-3)
 
 
 def chances(context, ways, threshold_dbm):

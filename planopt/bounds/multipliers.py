@@ -39,8 +39,7 @@ MOST_ITERATIONS = 100  # Maximum number of iterations of a local search
 ROUNDED = 1e-3  # Smoothing width of step lengths in a local search, relative to the longest step
 APART_M = 5e-4
 """Distance that a local search adds to the radius of discs, as its steps are shortened later."""
-AT_KINK_M = 0.02
-"""Distance from a position of a measurement at which the gradient is not determined."""
+AT_KINK_M = 0.02  # Distance from a measurement's position at which the gradient is not determined
 AT_P_MIN = 0.02  # Surplus of the probability of connection up to which p_min may count as active
 
 COARSE_LEVELS, MOST_ROUNDS, ROUNDS_PER_TRIAL = 2, 25, 2

@@ -36,6 +36,8 @@ def why_not_enclosed(problem: Problem, posteriors: Sequence[ChannelPosterior]) -
         return "no bound is implemented for several receivers"
     if any(not posterior.has_factor for posterior in posteriors):
         return f"no bound is implemented beyond {posteriors[0].exact_limit:,} measurements"
+    if any(posterior.theta_rule == "least_squares" for posterior in posteriors):
+        return "no bound is implemented for path loss by least squares"
     if any(posterior.parameters.multipath_std_db < LEAST_FADING_DB for posterior in posteriors):
         return f"no bound is implemented for multipath fading below {LEAST_FADING_DB:g} dB"
     if longest_sag_m(problem) is None:

@@ -40,12 +40,12 @@ from planopt.world.motion import NOTHING_MOVES, MovingDiscs
 
 Array = Floats
 
-LONGER_M = 3e-5
-"""Length by which a verified step may exceed the longest step, for the verifier's tolerance."""
+LONGER_M = 8e-5
+"""Length by which a verified step may exceed the longest step, for the verifier's tolerances."""
 LESS_CHANCE = 1e-5
 """Probability by which a verified step may fall below p_min, for the verifier's tolerance."""
-CLOSER_M = 1e-6
-"""Distance by which a verified path may fall below the clearance, for the verifier's tolerance."""
+CLOSER_M = 5e-5
+"""Distance by which a verified path may fall below the clearance, for the verifier's tolerances."""
 LEAST_WEIGHT = 1e-9  # Least weight of a measurement in a reference
 MOST_MEASUREMENTS = 1000
 """Maximum number of measurements for which objectives are computed from all of them."""
@@ -219,7 +219,7 @@ def stage_problem(
         chain=None if relaxation is None else relaxation.chain,
         p_min=np.where(kept, problem.constraints.p_min - LESS_CHANCE, 0.0) if kept.any() else None,
         keep_outs=keep_outs(problem, moving, len(kept)),
-        sag_m=longest_sag_m(problem) or 0.0,
+        sag_m=(longest_sag_m(problem) or 0.0) + CLOSER_M,
     )
 
 

@@ -178,8 +178,7 @@ FIRST_SHARE = 0.5  # Side of the cells of the first level, in lengths of the lon
 MOST_LEVELS = 30  # Maximum number of levels of cells
 MOST_CELLS = 200_000  # Maximum number of cells per level, over all stages
 MOST_TILTS = 3  # Maximum number of tilts that the search uses at a level
-GAP = 1e-4
-"""Cells are dropped unless they may beat the value of a feasible path by this share of it."""
+GAP = 1e-4  # Cells are dropped unless they may beat a feasible path's value by this share of it
 MOST_PAIRS = 2_000_000
 """Maximum number of pairs of cells of successive stages that are evaluated one by one."""
 PAIRS_PER_NODE, NODES_PER_OFFSET = 0.25, 2000

@@ -344,9 +344,9 @@ def with_repeated(
     """Return the posterior's covariance after measurements with given noise; the mean is kept."""
     count, times = len(posterior.measurements), np.full(len(positions_m), posterior.now_s)
     more = Measurements(positions_m, np.zeros(len(times)), time_s=times)
-    grown = _append(
-        replace(posterior, theta_rule="known"), more, Sites(more.power_dbm, noise_variance_db2)
-    )
+    limit = max(posterior.exact_limit, count + len(times))
+    known = replace(posterior, theta_rule="known", exact_limit=limit)
+    grown = _append(known, more, Sites(more.power_dbm, noise_variance_db2))
     rows = grown.whitened_regressors[count:]
     gain = np.eye(2) + posterior.theta_covariance @ (rows.T @ rows)
     left = np.linalg.solve(gain, posterior.theta_covariance)

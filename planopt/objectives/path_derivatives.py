@@ -24,8 +24,7 @@ from planopt.objectives.stage_power import fill_rounded_kernel, rounded_log_dist
 
 SINGLE = np.float32
 """Type for covariances of many paths, which are only ranked; it saves up to 40 % of the time."""
-NUGGET_SHARE = 1e-4
-"""Minimum multipath variance of ranked paths as a share of the shadowing variance."""
+NUGGET_SHARE = 1e-4  # Minimum multipath variance in ranking as a share of the shadowing variance
 TINY_M2 = 1e-12
 """Squared distance added for ranked paths, so that directions are defined at measured places."""
 

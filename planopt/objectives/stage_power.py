@@ -21,8 +21,7 @@ from planopt.channel.kriging import LocalChannel, Prediction, score_probability
 from planopt.channel.parameters import MIN_DISTANCE_M, ChannelParameters, Station
 from planopt.channel.posterior import ChannelPosterior
 
-CUSP_ROUNDING = 0.01
-"""Smoothing width of the kernel's cusp as a share of the decorrelation distance."""
+CUSP_ROUNDING = 0.01  # Smoothing width of the kernel's cusp in decorrelation distances
 
 
 def softened_m2(added_m2: Floats | float, parameters: ChannelParameters) -> Floats | float:

@@ -38,8 +38,7 @@ from planopt.world.occupancy import OccupancyGrid, grid_obstacles, is_grid, read
 from planopt.world.readers import NEAR_DEG, read_obstacles
 from planopt.world.workspace import Workspace
 
-ABOVE_FLOOR_DB = 10.0
-"""Assumed margin of the connection threshold above the weakest power of the log."""
+ABOVE_FLOOR_DB = 10.0  # Assumed margin of the connection threshold above the log's weakest power
 STEP_SHARE = 0.02  # Step length as a share of the world's diagonal
 ROUND_STEPS = (1.0, 2.0, 5.0)  # Leading digits to which the step length is rounded
 ROUTE_DIAGONALS = 6.0  # Maximum path length of a run in diagonals of the world

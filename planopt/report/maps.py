@@ -51,8 +51,7 @@ LAYER_Z, CONTOUR_Z, OBSTACLE_Z, MARGIN_Z, PATH_Z, PLACE_Z = 1.0, 1.5, 2.0, 2.5, 
 
 X_LABEL, Y_LABEL = "x [m]", "y [m]"
 
-DISCS = 6
-"""Maximum number of discs per moving obstacle, evenly spaced in time; later ones are paler."""
+DISCS = 6  # Maximum number of discs per moving obstacle, evenly spaced in time; later ones paler
 DARKEST, PALEST = 0.9, 0.3  # Opacity of the first and of the last disc
 MANY, DOT_AREA, SMALLEST_DOT_AREA = 300, 13.0, 1.5
 """Number of measurements above which dots shrink, and normal and minimum dot area."""

@@ -92,8 +92,7 @@ CHECKED = 10
 """Number of estimates of each event, evenly spaced over its steps, that the verifier recomputes."""
 BOUND_METHOD = "Lagrangian relaxation with a price of each position"
 """Method of the lower bound on the coverage cost."""
-COST_SHARE = 1e-6
-"""Relative rounding tolerance by which the lower bound may exceed the coverage cost."""
+COST_SHARE = 1e-6  # Relative tolerance by which the lower bound may exceed the coverage cost
 
 
 def agent_name(number: int) -> str:

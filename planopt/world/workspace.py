@@ -231,8 +231,7 @@ class Workspace:
         return (*self.lasting, *there)
 
 
-LONGEST_NAME = 200
-"""Maximum length of an obstacle's name, which messages, tables and figures repeat."""
+LONGEST_NAME = 200  # Maximum length of an obstacle's name, repeated in messages, tables and figures
 MEETING_SEGMENTS = 50
 """Maximum mean number of intersecting segments; repairs are quadratic beyond it."""
 

@@ -50,8 +50,7 @@ ROUGH = 3e-2  # Predicted gain in log-likelihood at which a search on the sample
 SAME_LOGS = 0.05  # Optima that differ by less than this in every logarithm are the same
 NO_DIP = 0.1  # Maximum dip of log L halfway between two optima that belong to one ridge
 FLAT = 1e-6  # Regularisation of the information matrix (in logarithms) for a flat likelihood
-NEARLY_AS_LIKELY = 2.0
-"""Maximum difference in log L of other optima that are reported with the best."""
+NEARLY_AS_LIKELY = 2.0  # Maximum difference in log L of other optima reported with the best
 LITTLE_MULTIPATH = 0.03  # Share omega^2 / alpha below which multipath counts as negligible
 MAX_CONDITION = 1e12
 """Maximum condition number of the information; above, the parameters are not identified."""

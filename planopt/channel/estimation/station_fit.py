@@ -53,13 +53,11 @@ GRID_MARGIN = 0.5  # Margin of the grid around the measurements, as a share of t
 MARGIN = 2.0
 """Margin of the refinement in extents; at its edge all distances agree within a factor of 2."""
 STARTS = 4  # Number of grid minima used as initial guesses
-TOLERANCE = 1e-6
-"""A refinement ends when the predicted gain in log-likelihood of a step is below this."""
+TOLERANCE = 1e-6  # Refinement ends when a step's predicted gain in log-likelihood is below this
 SEARCH_MEASUREMENTS = 300
 """Maximum number of measurements in the search; the last step uses up to `MOST_DENSE`."""
 JOINT_ROUNDS, LINE_ROUNDS = 4, 40  # Maximum numbers of alternations for ``joint`` and for ``line``
-STILL = 0.1
-"""The position has converged when its step is below this share of its standard deviation."""
+STILL = 0.1  # Converged when a step is below this share of the position's standard deviation
 REJECTED = 6.9
 """Positions whose log-likelihood is lower than the best by more than this are left out: half the
 99.9 % quantile of chi-squared with two degrees of freedom. Otherwise the many distant, unlikely
@@ -67,8 +65,7 @@ positions would dominate the moments."""
 LATTICE = 41  # Number of positions along each side of the lattice for the moments; odd
 EDGE_SHARE = 0.05
 """Maximum weight at the edge of the lattice; with more, the position is not determined."""
-OTHER_HEIGHTS_M = (4.0, 8.0, 16.0)
-"""Heights that are as probable as 0 for a station of unknown height."""
+OTHER_HEIGHTS_M = (4.0, 8.0, 16.0)  # Heights as probable as 0 for a station of unknown height
 QUANTILE = 5.99  # 95 % quantile of chi-squared with two degrees of freedom
 SINGULAR = 1e12  # Condition number above which an information matrix counts as singular
 

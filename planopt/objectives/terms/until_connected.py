@@ -30,8 +30,7 @@ from planopt.objectives.terms.term import NearPath, Paths, Steers, Term, TermCon
 
 WAITING = 0.1
 """Cost per metre by which a step is shorter than the longest; otherwise waiting is free."""
-NOT_PROBED_DB = 1e3
-"""Offset in dB by which positions without a probe are assumed below the threshold."""
+NOT_PROBED_DB = 1e3  # Offset in dB that puts positions without a probe below the threshold
 LEAST_CHANCE = 1e-12  # Minimum probability of connection of a probed position
 PROBE_SHARE = 1.0 / 3.0
 """Expected distance between probes as a share of the decorrelation distance. For 1/6 to 2/3,

@@ -257,8 +257,7 @@ def _refined(
 SPACING_STEPS = 0.5  # Spacing of the goal grid, in longest steps
 MOVES = ((0, 1), (1, 0), (1, 1), (1, -1), (1, 2), (2, 1), (1, -2), (2, -1))
 """Row and column offsets to a node's neighbours, one of each opposite pair: sixteen headings."""
-JOINING_SPACINGS = 1.5
-"""Distance, in spacings, within which an off-grid position is linked to nodes."""
+JOINING_SPACINGS = 1.5  # Distance in spacings within which an off-grid position is linked to nodes
 COARSE = 2  # Stride of rows and columns with predictions; values in between are interpolated
 ContactAt = Callable[[Floats], tuple[Floats, Floats]]
 """Function that maps positions (n, 2) to the fraction (n,) of a metre that costs the outage price

@@ -388,7 +388,7 @@ class PowerEnclosure:
     def _square_of_change(
         self, slope: Array, form: Array, rest: Array, radius: Array
     ) -> tuple[Array, Array]:
-        """Return the squared, whitened change of covariances: forms (3, n), remainders (n,)."""
+        """Return squared norms of whitened covariance changes: forms (3, n), remainders (n,)."""
         (x, y), form = self._inverse @ slope, self._inverse @ form
         pairs = (x, x), (x, y), (y, y)
         found = np.array([np.einsum("kn,kn->n", one, other) for one, other in pairs])

@@ -264,7 +264,7 @@ ProblemsOption = Annotated[
 
 @bench.command("run")
 def run(
-    out: Annotated[Path, option("--out", "DIR", "Folder of the rows.")],
+    out: Annotated[Path, option("--out", "DIR", "Folder for the results.")],
     problems: ProblemsOption = None,
     planners: Annotated[
         str | None, option("--planners", "A,B", "Names; else all that a problem allows.")
@@ -272,10 +272,10 @@ def run(
     horizons: Annotated[
         str | None, option("--horizons", "N,N", "Horizons; default: the problem's, 5 and 20.")
     ] = None,
-    seeds: Annotated[int, option("--seeds", "N", "Number of seeds of plans.", min=0)] = 3,
-    run_seeds: Annotated[int, option("--run-seeds", "N", "Seeds of closed loops.", min=0)] = 1,
+    seeds: Annotated[int, option("--seeds", "N", "Number of seeds for plans.", min=0)] = 3,
+    run_seeds: Annotated[int, option("--run-seeds", "N", "Number of seeds for runs.", min=0)] = 1,
     prove: Annotated[
-        float, option("--prove", "SECONDS", "Time for a bound of each plan; 0: none.", min=0)
+        float, option("--prove", "SECONDS", "Time to prove a bound on each plan.", min=0)
     ] = 0.0,
     first_seed: Annotated[int, FirstSeedOption] = 0,
     workers: WorkersOption = 1,

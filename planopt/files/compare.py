@@ -124,7 +124,7 @@ def _at(file: str, key: str) -> str:
 
 
 def digest(data: Mapping[str, object]) -> str:
-    """Return a digest of all values under the keys in `TAKEN`, except in the problem's tables."""
+    """Return a digest of the values of all keys in `TAKEN` outside the problem's tables."""
     taken = list(_taken({key: part for key, part in data.items() if key != "problem_file"}))
     return digest_of(json.dumps(taken))
 

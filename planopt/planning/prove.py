@@ -126,7 +126,7 @@ def with_sum_bound(
     start = plan.positions_m[0] if plan.drive is None else plan.drive.states[0]
     base = verifier_context(problem, index, belief.posteriors, start, moving=moving)
     at = step_context(base, workspace_region(problem), aim)
-    stages = stages_of(problem, at, plan)
+    stages = stages_of(problem, at, plan, moving)
     if isinstance(stages, str):
         return replace(plan, bound=Bound(None, problem.sense, plan.objective, reason=stages))
     design = Design()
@@ -134,7 +134,7 @@ def with_sum_bound(
         optimum = plan.positions_m[1:]
 
         def problem_of(design: Design) -> StageProblem:
-            found = stages_of(problem, at, plan, design)
+            found = stages_of(problem, at, plan, moving, design)
             if isinstance(found, str):
                 raise AssertionError(found)
             return found
@@ -181,7 +181,7 @@ def with_sum_bound(
     of_steps, of_p_min = (np.array(each) for each in zip(*tilts, strict=True))
     of_both = (best.levels, best.value), (free.levels, free.value)
     tilted = Tilts(of_steps, of_p_min, *of_both[0], *of_both[1], **vars(design))
-    bound = bound_of_sum(problem, at, plan, tilted)
+    bound = bound_of_sum(problem, at, plan, moving, tilted)
     return replace(plan, bound=replace(bound, wall_s=monotonic() - begun))
 
 

@@ -59,7 +59,7 @@ def check_files(problem: Problem) -> None:
 
 
 def _check_file(problem: Problem, path: Path, key: str, *, is_map: bool = False) -> None:
-    """Raise an `InputError` if a file is missing or a map has an unknown ending."""
+    """Raise an `InputError` if a file is missing or a map file has an unknown extension."""
     try:
         there = path.is_file()
     except OSError:  # Name not allowed by the file system

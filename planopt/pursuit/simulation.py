@@ -251,9 +251,9 @@ class PursuitController:
         sampled_s, error_m = finite_array(key, numbers, (2,), "give sampled_s and error_m")
         if sampled_s > now_s + 1e-6 or error_m < 0.0:
             raise InputError(
-                f"has the sample time {sampled_s:g} s and the maximum error {error_m:g} m",
+                f"has the sample time {sampled_s:g} s at {now_s:g} s, and the error {error_m:g} m",
                 key=key,
-                remedy=f"give a time up to now, {now_s:g} s, and an error of at least 0",
+                remedy="give a sample time that is not in the future, and an error of at least 0",
             )
         return record if place_m is record.reported_m else replace(record, reported_m=place_m)
 

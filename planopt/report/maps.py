@@ -90,7 +90,7 @@ def drawn_cells(workspace: Workspace, x_m: Floats, y_m: Floats) -> Mask:
 def believed_rasters(
     problem: Problem, belief: Belief, bounds_m: Bounds
 ) -> tuple[Raster, Raster, Raster]:
-    """Return the best station's power and deviation, and P(connected) to any; NaN in obstacles."""
+    """Return the best station's power, its deviation and P(any connection); NaN in obstacles."""
     x, y = cell_centres(bounds_m)
     drawn = drawn_cells(problem.workspace, x, y)
     places = np.stack(np.meshgrid(x, y), axis=-1)[drawn]

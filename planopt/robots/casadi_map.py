@@ -318,7 +318,7 @@ def check_casadi_map(dynamics: CasadiMap) -> None:
 
 
 def _are_numbers(given: Any, shape: tuple[int, ...]) -> bool:
-    """Return whether values are numbers of `shape`: finite, or ordered pairs of bounds."""
+    """Return whether values have `shape`, and are finite or ordered pairs of bounds."""
     try:
         found = np.array(given)
     except ValueError:

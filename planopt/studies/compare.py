@@ -225,7 +225,7 @@ def swept_values(sweep: object) -> Mapping[str, Sequence[Any]] | None:
 
 
 def chosen_seeds(seeds: object) -> list[int]:
-    """Return the seeds, from a list of seeds or from their number."""
+    """Return the given list of seeds, or the seeds 0 to n - 1 for a number n."""
 
     def is_whole(value: object) -> bool:
         return isinstance(value, int | np.integer) and not isinstance(value, bool)

@@ -357,7 +357,7 @@ def curve_distance_m(first: StepCurve, second: StepCurve, at_most_m: float = mat
 
 
 def step_distances_m(first: TimedMotion, second: TimedMotion, steps: int) -> Floats:
-    """Return tight lower bounds (steps,) of the distance of two motions during each step."""
+    """Return tight lower bounds (steps,) on the distance between two motions in each step."""
     # Each motion is at rest after its own last step.
     one, other = first.lasting(steps), second.lasting(steps)
     if not one.curves and not other.curves:

@@ -50,7 +50,7 @@ def empirical_correlation(
     residual_db: Floats,  # (n,)
     extent_m: float,
 ) -> EmpiricalCorrelation:
-    """Return mean products of residuals over pairs of measurements, in bins of their distance."""
+    """Return mean products of the residuals of pairs of measurements, binned by pair distance."""
     width = extent_m / BINS
     count = len(residual_db)
     totals = np.zeros((3, BINS + 1))

@@ -314,7 +314,7 @@ def _verified_again(
     certificate = saved.certificate
     if step is not None:
         tilts = certificate if isinstance(certificate, Tilts) else None
-        return replace(plan, bound=verified_sum(problem, step, plan, tilts))
+        return replace(plan, bound=verified_sum(problem, step, plan, step.moving, tilts))
     potential = certificate if isinstance(certificate, Potential) else None
     bound = verified_bound(problem, context.posteriors, plan, potential, robots)
     return replace(plan, bound=bound)

@@ -15,10 +15,10 @@ from planopt.bounds.route import route_bounds, verified_value
 from planopt.bounds.stages import ignored_constraints, is_design, stage_problem, summed_terms
 from planopt.bounds.tube import StageProblem, proves
 from planopt.channel.posterior import ChannelPosterior
+from planopt.objectives.terms.term import TermContext
 from planopt.planning.certificate import required_margins_db
 from planopt.planning.plan import Plan
 from planopt.planning.proof.rule import connectivity_law
-from planopt.planning.values.context import StepContext
 from planopt.problems.problem import (
     Problem,
     integrated_cost_m,
@@ -26,6 +26,7 @@ from planopt.problems.problem import (
     rate_s_m,
     steps_cost_s,
 )
+from planopt.world.motion import MovingDiscs
 
 
 def bound_of(
@@ -70,7 +71,7 @@ def verified_bound(
 
 
 def stages_of(
-    problem: Problem, at: StepContext, plan: Plan, design: Design | None = None
+    problem: Problem, at: TermContext, plan: Plan, moving: MovingDiscs, design: Design | None = None
 ) -> StageProblem | str:
     """Return the first robot's stage problem for a design, or the reason why there is no bound.
 
@@ -83,12 +84,14 @@ def stages_of(
     kept = np.zeros(len(path), dtype=np.bool_)
     if problem.constraints.p_min > 0.0 and problem.constraints.rule.is_plain:
         kept = np.asarray(required_margins_db(problem, at.predicted(path)) >= 0.0)
-    return stage_problem(problem, at, terms, kept, design, at.moving)
+    return stage_problem(problem, at, terms, kept, design, moving)
 
 
-def bound_of_sum(problem: Problem, at: StepContext, plan: Plan, tilts: Tilts) -> Bound:
+def bound_of_sum(
+    problem: Problem, at: TermContext, plan: Plan, moving: MovingDiscs, tilts: Tilts
+) -> Bound:
     """Return the bound that a certificate proves for the first robot's sum of terms."""
-    given = at.moving.is_robot.any() or len(at.aim.pending.planned_m) > 0
+    given = moving.is_robot.any() or len(at.aim.pending.planned_m) > 0
     words = ", given the other robots' plans" if given else ""
     return Bound(
         tilts.value,
@@ -102,20 +105,20 @@ def bound_of_sum(problem: Problem, at: StepContext, plan: Plan, tilts: Tilts) ->
     )
 
 
-def verified_sum(problem: Problem, at: StepContext, plan: Plan, tilts: Tilts | None) -> Bound:
+def verified_sum(
+    problem: Problem, at: TermContext, plan: Plan, moving: MovingDiscs, tilts: Tilts | None
+) -> Bound:
     """Return the bound that a saved certificate proves for the first robot's sum of terms."""
     usable = tilts is not None and is_design(tilts)
-    stages = stages_of(problem, at, plan, tilts if usable else None)
+    stages = stages_of(problem, at, plan, moving, tilts if usable else None)
     if isinstance(stages, str):
         return Bound(None, problem.sense, plan.objective, reason=stages)
     if tilts is not None and usable and proves(stages, tilts):
-        alone, solo = (
-            replace(tilts, levels=tilts.alone_levels, value=tilts.alone_value),
-            stages.alone(),
-        )
+        alone = replace(tilts, levels=tilts.alone_levels, value=tilts.alone_value)
+        solo = stages.alone()
         is_same = len(solo.keep_outs) == len(stages.keep_outs) and alone.value == tilts.value
         if is_same or proves(solo, alone):
-            return bound_of_sum(problem, at, plan, tilts)
+            return bound_of_sum(problem, at, plan, moving, tilts)
     return Bound(
         None, problem.sense, plan.objective, reason="the certificate does not prove its bound"
     )

@@ -168,12 +168,6 @@ def dataframe(columns: Sequence[Column], data: Data) -> Any:
     return pandas.DataFrame(frame)
 
 
-def documented(columns: Iterable[Column]) -> str:
-    """Return the columns as a Markdown table."""
-    rows = [f"| `{column.name}` | {column.unit} | {column.meaning} |" for column in columns]
-    return "\n".join(["| column | unit | meaning |", "|---|---|---|", *rows])
-
-
 Value = TypeVar("Value")
 
 NOT_FINITE = ("nan", "inf", "-inf")  # Non-finite numbers as written by earlier versions

@@ -7,7 +7,7 @@ import pytest
 from refusals import refused
 
 from planopt.extend import Column
-from planopt.files.tables import documented, read_table, table_text
+from planopt.files.tables import read_table, table_text
 
 COLUMNS = (
     Column("robot", "its name", kind="text"),
@@ -55,7 +55,3 @@ def test_what_cannot_be_read(tmp_path: Path, text: str) -> None:
         read_table(path, COLUMNS)
     with refused():
         read_table(tmp_path / "missing.csv", COLUMNS)
-
-
-def test_columns_are_documented() -> None:
-    assert "| `t_s` | s | time |" in documented(COLUMNS)

@@ -19,12 +19,13 @@ from planopt.studies.bench_references import (
     best_known,
     bounds_known,
     excess,
+    gap_to_bound,
     is_solved,
     scores,
     time_profile,
 )
 
-LEAST_EXCESS = 1e-6  # Smallest relative excess over the best known objective that is plotted
+LEAST_EXCESS = 1e-6  # Smallest relative excess over the best known or the bound that is plotted
 
 KINDS = {PLAN: "plans from the start (cold starts)", RUN: "closed loops (warm starts)"}
 
@@ -38,7 +39,7 @@ SCORE_HEAD = (
 
 QUESTION_HEAD = (
     *("problem", "family", "difficulty", "kind", "horizon", "seed", "planners", "solved by"),
-    *("best known", "bound", "gap [%]", "verdicts", "provenance"),
+    *("best known", "bound", "gap [%]", "smoothed gap [%]", "verdicts", "provenance"),
 )
 
 LEGEND = (
@@ -47,7 +48,8 @@ LEGEND = (
     "correct: share of the planner's claims (verified, converged, no plan) that the suite confirms",
     "fallback: share of plans released by a fallback, after the planner's own path failed",
     "excess: relative distance of the objective from the best known",
-    "gap: relative distance of the smoothed plan and its remaining route from the proven bound",
+    "gap: relative distance of the objective from the proven bound; smoothed gap: the same of the "
+    "cost of plan and route after the improvement by the bound, with outage integrated",
     f"time: processor time per plan; mean: geometric, shifted by {SHIFT_S:g} s, unsolved cases "
     f"count as {LIMIT_S:g} s; median: solved cases only",
     "deadlines met: plans within planner.budget_s, or within a step without a budget, by wall time",
@@ -56,11 +58,10 @@ LEGEND = (
 LIMITATIONS = (
     "The best known objective is that of the best row or reference; only a bound says how far from "
     "optimal it may be.",
-    "Bounds drop moving obstacles, inertia and the separation of robots, and exist for routes to a "
-    "goal and deployments; other cells are empty.",
+    "Bounds of routes drop moving obstacles, inertia and the separation of robots; bounds of teams "
+    "that keep apart hold given the other robots' plans. Objectives without a bound have none.",
     "Verdicts are about the model of each problem; whether its channel is right is not tested.",
     "Closed loops of robots stop after 20 steps.",
-    "The lattice misses passages that are hardly wider than twice the clearance (gap_two_doors).",
     "The cost-to-go of robots with inertia begins at rest after braking; it may miss the bound.",
     "Times are comparable within one run only; other processes of the machine delay deadlines.",
 )
@@ -165,12 +166,14 @@ def _question_cells(
     own = [row for row in rows if row.question == question]
     test = _test(question.problem, tests)
     solvers = [row.planner for row in own if is_solved(row, best)]
-    gaps = [row.gap for row in own if row.gap is not None]
+    gaps = [gap for gap in map(gap_to_bound, own) if gap is not None]
+    smoothed = [row.gap for row in own if row.gap is not None]
     cost = f", {question.cost_to_go}" if question.cost_to_go else ""
     return [
         *(question.problem, test.family, test.difficulty, f"{question.kind}{cost}"),
         *(question.horizon, question.seed, len(own), ", ".join(solvers) or "none"),
         *(best.get(question), bounds.get(question), _percent(min(gaps, default=None), 2)),
+        _percent(min(smoothed, default=None), 2),
         *(", ".join(dict.fromkeys(row.verdict for row in own)), test.provenance),
     ]
 
@@ -210,8 +213,9 @@ def _gap_chart(rows: Sequence[Row], tests: Mapping[str, Classification]) -> Char
     planners = list(dict.fromkeys(row.planner for row in rows))
     points: list[dict[str, Any]] = []
     for number, planner in enumerate(planners):
-        mine = [row for row in rows if row.planner == planner and row.gap is not None]
-        mine.sort(key=lambda row: (_test(row.problem, tests).family, row.problem))
+        mine = [(row, gap_to_bound(row)) for row in rows if row.planner == planner]
+        mine = [(row.problem, gap) for row, gap in mine if gap is not None]
+        mine.sort(key=lambda point: (_test(point[0], tests).family, point[0]))
         look = {"color": _colour(number), "symbol": number, "size": 8}
         points.append(
             {
@@ -219,11 +223,13 @@ def _gap_chart(rows: Sequence[Row], tests: Mapping[str, Classification]) -> Char
                 "mode": "markers",
                 "name": plain(planner),
                 "marker": look,
-                "x": [plain(row.problem) for row in mine],
-                "y": [100.0 * (row.gap or 0.0) for row in mine],
+                "x": [plain(problem) for problem, _ in mine],
+                "y": [100.0 * max(gap, LEAST_EXCESS) for _, gap in mine],
             }
         )
-    return Chart("Gap to the proven bound", [p for p in points if p["x"]], "problem", "gap [%]")
+    points = [each for each in points if each["x"]]
+    layout = {"yaxis": {"type": "log", "tickformat": "~g"}}
+    return Chart("Gap to the proven bound", points, "problem", "gap [%]", layout=layout)
 
 
 def _rate_chart(rows: Sequence[Row], best: Mapping[Question, float], kind: str) -> Chart:
@@ -264,11 +270,11 @@ def _bars(
         }
         for number, (name, shares) in enumerate(values.items())
     ]
-    layout = {"barmode": mode, "yaxis": {"range": [0.0, 103.0]}}
+    layout = {"barmode": mode, "yaxis": {"range": [0.0, 103.0]}, "xaxis": {"automargin": True}}
     return Chart(title, bars, "planner", "share [%]", layout=layout)
 
 
-LOG_X = {"xaxis": {"type": "log"}, "yaxis": {"range": [0.0, 103.0]}}
+LOG_X = {"xaxis": {"type": "log", "tickformat": "~g"}, "yaxis": {"range": [0.0, 103.0]}}
 
 
 def _steps(number: int, planner: str, x: Floats, shares: Floats) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from planopt.arrays import Floats
+from planopt.bounds.bound import relative_gap
 from planopt.errors import InputError
 from planopt.files.reading import read_text
 from planopt.files.tables import decoded, encoded
@@ -275,7 +276,7 @@ class Score:
     # Relative excess of objectives over the best known; None if none is known
     median_excess: float | None
     largest_excess: float | None
-    # Number of proven bounds, and relative gaps to them
+    # Number of proven bounds, and relative gaps between the objectives and them
     bounds: int
     median_gap: float | None
     largest_gap: float | None
@@ -294,6 +295,13 @@ def excess(row: Row, best: Mapping[Question, float]) -> float | None:
     if known is None or row.objective is None:
         return None
     return worse_share(row.objective, known, row.sense)
+
+
+def gap_to_bound(row: Row) -> float | None:
+    """Return the relative gap between a row's objective and its proven bound; None without one."""
+    if row.objective is None or row.bound is None:
+        return None
+    return relative_gap(row.objective, row.bound, "min" if row.sense == "min" else "max")
 
 
 def is_solved(row: Row, best: Mapping[Question, float]) -> bool:
@@ -334,7 +342,7 @@ def _score(planner: str, rows: Sequence[Row], best: Mapping[Question, float]) ->
     wrong = sum(is_wrong(row, best) for row in claimed)
     verified = [row for row in rows if row.verdict == Verdict.VERIFIED.value]
     worse = [share for share in (excess(row, best) for row in rows) if share is not None]
-    gaps = [row.gap for row in rows if row.gap is not None]
+    gaps = [gap for gap in map(gap_to_bound, rows) if gap is not None]
     steps = sum(row.steps for row in rows)
     direct = sum(row.rungs.get(Rung.PLAN.value, 0) for row in rows)
     times_s = np.array([step_s(row) for row in rows])

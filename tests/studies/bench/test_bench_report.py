@@ -24,7 +24,7 @@ MANIFEST = Manifest(
     problems={"open_field": "0"},
 )
 ROWS = [
-    row(planner="a", problem="open_field", bound=90.0, gap=0.1, late=0),
+    row(planner="a", problem="open_field", bound=90.0, gap=0.08, late=0),
     row(planner="a", problem="open_field", seed=1, cpu_s=0.3, rungs={"lattice": 1}, late=1),
     row(planner=HOSTILE, problem="open_field", objective=110.0, bound=95.0, gap=0.15),
     row(planner=HOSTILE, problem="open_field", seed=1, accepted=False, reasons=("forged",)),
@@ -43,7 +43,8 @@ def test_scores_by_start() -> None:
     own, other = table("Scores, plans")
     assert (own["solved [%]"], other["solved [%]"]) == ("100.0", "0.0")
     assert (own["largest excess [%]"], other["largest excess [%]"]) == ("0.000", "10.000")
-    assert (own["median gap [%]"], other["median gap [%]"]) == ("10.00", "15.00")
+    # (100 - 90) / 100 and (110 - 95) / 110
+    assert (own["median gap [%]"], other["median gap [%]"]) == ("10.00", "13.64")
     assert own["deadlines met"] == "1 of 2" and other["deadlines met"] == "-"
     assert other["rejected"] == 1 and own["proven bounds"] == 1
     # Mean of log(0.1 + 0.01) and log(0.3 + 0.01)
@@ -58,6 +59,7 @@ def test_families_and_questions() -> None:
     assert (family["family"], family["a"], family[HOSTILE]) == ("thin walls", "3 of 3", "0 of 2")
     first, second, _ = table("Questions")
     assert (first["bound"], first["gap [%]"], first["best known"]) == (95.0, "10.00", 100.0)
+    assert first["smoothed gap [%]"] == "8.00"
     assert (first["solved by"], first["difficulty"]) == ("a", "easy")
     assert (second["seed"], second["bound"]) == (1, None)
 
@@ -69,7 +71,8 @@ def test_charts_have_the_numbers() -> None:
     assert list(profile.values()) == [100.0, 0.0]
     excess = charts["Objective against the best known"].traces
     assert [round(each["x"][-1], 6) for each in excess] == [1e-4, 10.0]
-    assert [each["y"] for each in charts["Gap to the proven bound"].traces] == [[10.0], [15.0]]
+    gaps = [each["y"][0] for each in charts["Gap to the proven bound"].traces]
+    assert [round(gap, 2) for gap in gaps] == [10.0, 13.64]
     fallbacks = {
         each["name"]: each["y"] for each in charts["Fallbacks that released the plans"].traces
     }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from time import perf_counter
 
 import numpy as np
@@ -31,7 +32,10 @@ from planopt.pursuit import (
 
 STEPS = 1000
 SERVICE = SnapshotService(levels=8, mote_spacing_m=1.0, frame_s=0.05, bits_per_axis=5)
-POLICIES = {"drive": DriveToReport(), "receding 10": RecedingHorizon(10, 2.0, 60.0)}
+POLICIES = {
+    "drive": DriveToReport,
+    "receding 10": partial(RecedingHorizon, horizon=10, plan_step_s=2.0, manoeuvre_s=60.0),
+}
 
 
 @pytest.mark.parametrize("name", POLICIES)

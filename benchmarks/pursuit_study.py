@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from functools import partial
 
 import numpy as np
 from scipy.stats import t
@@ -103,9 +104,9 @@ def varied(
 
 
 TEAM_POLICIES = {
-    "drive": DriveToReport(),
-    "retarget": DriveToReport(retarget=True),
-    "receding": RecedingHorizon(10, 2.0, 60.0),
+    "drive": DriveToReport,
+    "retarget": partial(DriveToReport, retarget=True),
+    "receding": partial(RecedingHorizon, horizon=10, plan_step_s=2.0, manoeuvre_s=60.0),
 }
 TEAM_EVADERS = {
     "wandering": Wandering(),
@@ -252,7 +253,7 @@ def captures(first_seed: int, runs: int) -> None:
         turn = generator.uniform(0.0, 2.0 * np.pi)
         away = generator.uniform(1.5, 8.0) * radius_m * np.array([np.cos(turn), np.sin(turn)])
         scene = Scene(
-            (Pursuer(start, StraightMotion(chase.pursuer_speed_m_s), DriveToReport()),),
+            (Pursuer(start, StraightMotion(chase.pursuer_speed_m_s), DriveToReport),),
             (Evader(start + away, chase.evader_speed_m_s, behaviour),),
             SnapshotRecords(service),
             radius_m,

@@ -53,7 +53,6 @@ from planopt.pursuit.service import SnapshotRecords as SnapshotRecords
 from planopt.pursuit.service import SnapshotService as SnapshotService
 from planopt.pursuit.service import Track as Track
 from planopt.pursuit.service import late_shares as late_shares
-from planopt.pursuit.service import mote_centres_m as mote_centres_m
 from planopt.pursuit.service import peak_blocks_per_frame as peak_blocks_per_frame
 from planopt.pursuit.service import record_floods as record_floods
 from planopt.pursuit.service import relative_error as relative_error

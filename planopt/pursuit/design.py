@@ -46,8 +46,10 @@ TOLERANCE = 1e-10  # Tolerance of the solver; scaled costs agree with closed for
 class NoDesignError(NoPlanError):
     """Error raised if no network meets the requirements."""
 
-    def __init__(self, inequality: Inequality, bits_per_axis: int) -> None:
+    def __init__(self, inequality: Inequality, bits_per_axis: int, held: int) -> None:
         self.inequality, self.bits_per_axis = inequality, bits_per_axis
+        # A failure after more inequalities that hold is closer to a feasible design.
+        self.order = held, inequality.margin / inequality.right
         super().__init__(
             "no design meets the requirements; with "
             f"{bits_per_axis} bit{'' if bits_per_axis == 1 else 's'} per coordinate, {inequality}"
@@ -146,11 +148,6 @@ class MoteNetwork(Table):
             rate_divisor=rate_divisor,
         )
 
-    def staleness_per_slot(self, evader_speed_m_s: float) -> float:
-        """Return the staleness per second of slot width (1/s), for rate divisor 1."""
-        frames = 4.0 * HOPS_PER_ROUND * self.slots_per_frame
-        return frames * evader_speed_m_s / self.mote_spacing_m
-
 
 @dataclass(frozen=True)
 class DesignTask:
@@ -172,7 +169,8 @@ class DesignTask:
     @property
     def staleness_per_slot(self) -> float:
         """Return the staleness per second of slot width (1/s), for rate divisor 1."""
-        return self.network.staleness_per_slot(self.chase.evader_speed_m_s)
+        frames = 4.0 * HOPS_PER_ROUND * self.network.slots_per_frame
+        return frames * self.chase.evader_speed_m_s / self.network.mote_spacing_m
 
     def room(self, bits_per_axis: float) -> float:
         """Return the upper limit of the staleness, given contraction and margin."""
@@ -211,7 +209,7 @@ def cheapest_design(task: DesignTask) -> Design:
     """Return the minimum-power design that satisfies Lemma III.3 with the required margin."""
     # For each c the widest slot is ``(1 - a - delta) / (12 eta_s v_e)``, and power decreases with
     # the slot width.
-    return _scan(task, partial(_lemma_candidate, task))
+    return _scan(task, lambda bits: _Found(_widest_s(task, bits), 1, ("lemma",)))
 
 
 def cheapest_rated_design(task: DesignTask) -> Design:
@@ -283,14 +281,6 @@ class _Found:
     binding: tuple[str, ...]
 
 
-class _FailedError(Exception):
-    """Error for a violated inequality, with the number of preceding inequalities that hold."""
-
-    def __init__(self, inequality: Inequality, held: int) -> None:
-        self.inequality = inequality
-        self.order = held, inequality.margin / inequality.right
-
-
 def _scan(
     task: DesignTask,
     candidate: Callable[[int], _Found],
@@ -298,12 +288,12 @@ def _scan(
 ) -> Design:
     """Return the best design over all numbers of bits; if all fail, raise the closest failure."""
     designs: list[Design] = []
-    failures: list[tuple[_FailedError, int]] = []
+    failures: list[NoDesignError] = []
     for c in task.bits:
         try:
             found = candidate(c)
-        except _FailedError as error:
-            failures.append((error, c))
+        except NoDesignError as error:
+            failures.append(error)
             continue
         slot_s, divisor = found.slot_width_s, found.rate_divisor
         bounds = task.network.service(slot_s, c, divisor).bounds
@@ -312,12 +302,7 @@ def _scan(
         designs.append(Design(task, slot_s, divisor, c, power_w, found.binding, each))
     if designs:
         return min(designs, key=objective)
-    nearest, c = max(failures, key=lambda failure: failure[0].order)
-    raise NoDesignError(nearest.inequality, c)
-
-
-def _lemma_candidate(task: DesignTask, bits: int) -> _Found:
-    return _Found(_widest_s(task, bits), 1, ("lemma",))
+    raise max(failures, key=lambda failure: failure.order)
 
 
 def _rated_candidate(task: DesignTask, bits: int) -> _Found:
@@ -342,7 +327,7 @@ def _energy_candidate(task: DesignTask, bits: int) -> _Found:
         soonest_s = driving_s / (left - least_s * per_slot)
         in_time = Inequality(IN_TIME, soonest_s, task.deadline_s, "s")
         if not in_time.holds:
-            raise _FailedError(in_time, 2)
+            raise NoDesignError(in_time, bits, 2)
     binding = min(limits, key=lambda name: limits[name])
     if limits[binding] < least_s:
         return _Found(least_s, 1, ("payload",))
@@ -356,11 +341,11 @@ def _sharp_candidate(task: DesignTask, theorem: Theorem, bits: int) -> _Found:
     fails, narrow_s = failing(least_s), SLOT_SHARE * least_s
     if fails is not None:
         if failing(narrow_s) is not None:
-            raise _FailedError(fails[1], SHARP_ORDER.get(fails[0], 0))
+            raise NoDesignError(fails[1], bits, SHARP_ORDER.get(fails[0], 0))
         # Narrower slots satisfy the requirements, but they cannot carry the payload.
         widest_s, _ = _bisected(failing, narrow_s, least_s)
         fits = Inequality(PAYLOAD_FITS, least_s, widest_s, "s")
-        raise _FailedError(fits, SHARP_ORDER["payload"])
+        raise NoDesignError(fits, bits, SHARP_ORDER["payload"])
     low, high = least_s, 2.0 * least_s
     while failing(high) is None:
         low, high = high, 2.0 * high
@@ -402,11 +387,11 @@ def _widest_s(task: DesignTask, bits: int) -> float:
     room = task.room(bits)
     shrinks = Inequality("a + margin below 1", 1.0 - room, 1.0)
     if not shrinks.holds:
-        raise _FailedError(shrinks, 0)
+        raise NoDesignError(shrinks, bits, 0)
     widest_s = room / task.staleness_per_slot
     fits = Inequality(PAYLOAD_FITS, task.network.least_slot_s(bits), widest_s, "s")
     if not fits.holds:
-        raise _FailedError(fits, 1)
+        raise NoDesignError(fits, bits, 1)
     return widest_s
 
 

@@ -18,7 +18,7 @@ from scipy.sparse import coo_array
 
 from planopt.arrays import Floats, Indices, Mask
 from planopt.errors import PlanoptError
-from planopt.pursuit.service import Pair, Record, SnapshotService, Track
+from planopt.pursuit.service import Pair, Record, SnapshotRecords, SnapshotService, Track
 
 LEAST_RATE = 1e-6
 """Rate assumed if there are no misses or false alarms, so that logarithms are finite."""
@@ -188,3 +188,7 @@ def _best_chains(
     if share is None:
         raise PlanoptError(f"the association of {reports} reports was not solved")
     return np.flatnonzero(share > 0.5)
+
+
+RecordSource = SnapshotRecords | AssociatedRecords
+"""Source of the pursuers' records."""

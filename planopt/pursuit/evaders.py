@@ -7,7 +7,7 @@ than real ones.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
@@ -34,14 +34,6 @@ class EvaderView:
 
 Decide = Callable[[EvaderView], Floats]
 """Function that returns the position (2,) after one step."""
-
-
-class Behaviour(Protocol):
-    """Behaviour of an evader."""
-
-    def begin(self, generator: np.random.Generator) -> Decide:
-        """Return the decision function for one pursuit, with its own memory."""
-        ...
 
 
 class Static(Table):
@@ -169,6 +161,10 @@ class Foresighted(Table):
             # Small weights on earlier distances make late capture preferable to early capture.
             total_m += left_m * (1.0 if number + 1 == self.horizon else 0.1)
         return total_m
+
+
+Behaviour = Static | Wandering | Fleeing | Zigzag | Foresighted
+"""Behaviour of an evader; `begin` returns its decisions for one pursuit, with their own memory."""
 
 
 def _fan() -> Floats:

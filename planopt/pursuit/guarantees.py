@@ -157,26 +157,19 @@ def capture_guarantees(chase: Chase, bounds: ServiceBounds) -> dict[Theorem, Gua
         sampled_m = np.maximum(0.0, bound_m - np.maximum(x * bound_m, moved_m))
         return _driven(chase, bound_m, sampled_m, _error_m(bounds, bound_m))
 
-    def found(
-        theorem: Theorem, ratio: float, stages: tuple[Stage, ...], *needs: Inequality
-    ) -> Guarantee:
-        return Guarantee(theorem, chase, bounds, needs, ratio, stages)
+    def follow(bound_m: Floats) -> tuple[Floats, Floats]:
+        """Return the bound after a drive, and its duration; the sampled distance bounds both."""
+        sampled_m = _least_distance_m(chase, bounds, bound_m)
+        return _driven(chase, bound_m, sampled_m, _error_m(bounds, sampled_m))
 
     ratio = a + (1.0 - 1.0 / chase.speed_ratio) * x
+    lemma = Inequality("a + x below 1", a + x, 1.0)
+    instant = Inequality("a + (1 - 1/alpha) x below 1", ratio, 1.0)
+    sampled, rest = Inequality("a below 1", a, 1.0), (a + x) / (1.0 + x)
     each = [
-        found(Theorem.LEMMA, a + x, (shrink, wait), Inequality("a + x below 1", a + x, 1.0)),
-        found(
-            Theorem.ANY_INSTANT,
-            ratio,
-            (drive, wait),
-            Inequality("a + (1 - 1/alpha) x below 1", ratio, 1.0),
-        ),
-        found(
-            Theorem.SAMPLED_DISTANCE,
-            (a + x) / (1.0 + x),
-            (_follow(chase, bounds),),
-            Inequality("a below 1", a, 1.0),
-        ),
+        Guarantee(Theorem.LEMMA, chase, bounds, (lemma,), a + x, (shrink, wait)),
+        Guarantee(Theorem.ANY_INSTANT, chase, bounds, (instant,), ratio, (drive, wait)),
+        Guarantee(Theorem.SAMPLED_DISTANCE, chase, bounds, (sampled,), rest, (follow,)),
     ]
     if bounds.period_s_m is not None and bounds.spacing_m is not None:
         each.append(_by_snapshots(chase, bounds, bounds.period_s_m, bounds.spacing_m))
@@ -254,16 +247,6 @@ def contraction(speed_ratio: float, relative_error: float) -> float:
 def staleness(chase: Chase, bounds: ServiceBounds) -> float:
     """Return the evader displacement during a record's age, per metre of distance."""
     return bounds.age_s_m * chase.evader_speed_m_s
-
-
-def _follow(chase: Chase, bounds: ServiceBounds) -> Stage:
-    """Return the stage of a drive to a record; the sampled distance bounds its age and error."""
-
-    def drive(bound_m: Floats) -> tuple[Floats, Floats]:
-        sampled_m = _least_distance_m(chase, bounds, bound_m)
-        return _driven(chase, bound_m, sampled_m, _error_m(bounds, sampled_m))
-
-    return drive
 
 
 def _driven(

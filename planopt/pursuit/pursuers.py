@@ -14,7 +14,6 @@ straight flights from these positions, given the aims of the others (equation 8.
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -130,34 +129,12 @@ ARRIVED_SHARE = 1e-6
 """Distance below which a waypoint counts as reached, relative to the step length."""
 
 
-class Motion(Protocol):
-    """Motion model of a pursuer; its states (..., s) begin with x and y."""
-
-    @property
-    def speed_max_m_s(self) -> float:
-        """Return the maximum speed."""
-        ...
-
-    @property
-    def turning_s(self) -> float:
-        """Return the maximum delay due to turning, compared with a straight drive."""
-        ...
-
-    def start(self, place_m: Floats) -> Floats:
-        """Return the state at rest at a position (2,)."""
-        ...
-
-    def towards(self, states: Floats, aims_m: Floats, step_s: float) -> Floats:
-        """Return the states (..., s) after a step towards points (..., 2)."""
-        ...
-
-
 @dataclass(frozen=True)
 class StraightMotion:
     """Motion model of a single integrator."""
 
     speed_max_m_s: float
-    turning_s: float = 0.0
+    turning_s: float = 0.0  # Maximum delay due to turning, compared with a straight drive
 
     def start(self, place_m: Floats) -> Floats:
         """Return the position as the initial state."""
@@ -227,6 +204,10 @@ class UnicycleMotion:
         return np.stack(moved, axis=-1)
 
 
+Motion = StraightMotion | UnicycleMotion
+"""Motion model of a pursuer; its states (..., s) begin with x and y."""
+
+
 @dataclass(frozen=True, eq=False)
 class PursuerView:
     """Information available to a pursuer's decision."""
@@ -243,19 +224,6 @@ class PursuerView:
         return self.state[:2]
 
 
-class Driver(Protocol):
-    """Decision maker of a pursuer that chases one evader."""
-
-    @property
-    def record(self) -> Record | None:
-        """Return the record of the evader's position that the pursuer currently follows."""
-        ...
-
-    def aim_m(self, view: PursuerView) -> Floats:
-        """Return the pursuer's current target point (2,)."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class Quest:
     """Data that a driver receives at the start of a pursuit."""
@@ -266,14 +234,6 @@ class Quest:
     capture_radius_m: float = 0.0
 
 
-class Policy(Protocol):
-    """Behaviour of a pursuer."""
-
-    def begin(self, quest: Quest) -> Driver:
-        """Return the driver for one pursuit of one evader."""
-        ...
-
-
 def fresher(found: Record, held: Record | None) -> bool:
     """Return whether the record `found` replaces the record `held` by rule R."""
     # A record never replaces one with a later sample time; of equal ones the more exact is used.
@@ -282,30 +242,21 @@ def fresher(found: Record, held: Record | None) -> bool:
     return found.sampled_s == held.sampled_s and found.error_m < held.error_m
 
 
-@dataclass(frozen=True)
 class DriveToReport:
-    """Policy that drives to the reported position, around obstacles."""
-
-    # Whether a fresher record is used at once; otherwise the next one is taken on arrival, in
-    # stages, as the guarantees require
-    retarget: bool = False
-
-    def begin(self, quest: Quest) -> Driver:
-        """Return a driver that has no record yet."""
-        return _ReportDriver(self, quest)
-
-
-class _ReportDriver:
     """Driver that follows one record along the shortest path to the reported position."""
 
-    def __init__(self, policy: DriveToReport, quest: Quest) -> None:
-        self._policy, self._quest = policy, quest
+    # With `retarget` a fresher record is used at once; otherwise the next one is taken on arrival,
+    # in stages, as the guarantees require.
+
+    def __init__(self, quest: Quest, *, retarget: bool = False) -> None:
+        self._quest, self._retarget = quest, retarget
         self._route = np.zeros((0, 2))
-        self.record: Record | None = None
+        self.record: Record | None = None  # The record that the pursuer follows
 
     def aim_m(self, view: PursuerView) -> Floats:
+        """Return the pursuer's current target point (2,)."""
         self._route = _remaining(self._route, view, self._quest)
-        if self._policy.retarget or not len(self._route):
+        if self._retarget or not len(self._route):
             found = view.ask(self.record)
             if found is not None and fresher(found, self.record):
                 self.record = found
@@ -319,22 +270,6 @@ def _remaining(route_m: Floats, view: PursuerView, quest: Quest) -> Floats:
     while len(route_m) and np.linalg.norm(route_m[0] - view.place_m) <= near_m:
         route_m = route_m[1:]
     return route_m
-
-
-@dataclass(frozen=True)
-class RecedingHorizon:
-    """Policy that predicts the evader N plan steps ahead and drives to the first meeting point."""
-
-    # A plan is made for every fresher record, and once per plan step. Several pursuers of one
-    # evader cooperate instead.
-
-    horizon: int  # N, in plan steps
-    plan_step_s: float  # Duration of a plan step
-    manoeuvre_s: float  # Correlation time of the evader's velocity
-
-    def begin(self, quest: Quest) -> Driver:
-        """Return a driver that has no estimate yet."""
-        return _PlanningDriver(self, quest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -374,17 +309,29 @@ def updated(estimate: Estimate, record: Record) -> Estimate:
     return Estimate(estimate.time_s, mean, covariance)
 
 
-class _PlanningDriver:
-    """Driver that keeps an estimate and the route to the predicted meeting point."""
+class RecedingHorizon:
+    """Driver that predicts the evader N plan steps ahead and drives to the first meeting point."""
 
-    def __init__(self, policy: RecedingHorizon, quest: Quest) -> None:
-        self._policy, self._quest = policy, quest
+    # A plan is made for every fresher record, and once per plan step. Several pursuers of one
+    # evader cooperate instead.
+
+    def __init__(
+        self,
+        quest: Quest,
+        *,
+        horizon: int,  # N, in plan steps
+        plan_step_s: float,  # Duration of a plan step
+        manoeuvre_s: float,  # Correlation time of the evader's velocity
+    ) -> None:
+        self._quest, self._manoeuvre_s = quest, manoeuvre_s
+        self._horizon, self._plan_step_s = horizon, plan_step_s
         self._estimate: Estimate | None = None
         self._route = np.zeros((0, 2))
         self._planned_s = -math.inf
-        self.record: Record | None = None
+        self.record: Record | None = None  # The record that the pursuer follows
 
     def aim_m(self, view: PursuerView) -> Floats:
+        """Return the pursuer's current target point (2,)."""
         found = view.ask(self.record)
         fresh = found is not None and fresher(found, self.record)
         if found is not None and fresh:
@@ -392,7 +339,7 @@ class _PlanningDriver:
         if self._estimate is None:
             return view.place_m
         self._route = _remaining(self._route, view, self._quest)
-        stale = view.time_s - self._planned_s >= self._policy.plan_step_s
+        stale = view.time_s - self._planned_s >= self._plan_step_s
         if fresh or stale or not len(self._route):
             goal_m = self._goal_m(view, self._estimate)
             self._route = self._quest.arena.route_m(view.place_m, goal_m)
@@ -406,41 +353,44 @@ class _PlanningDriver:
             spread = np.diag([record.error_m**2 / 6.0, 0.5 * speed**2])
             self._estimate = Estimate(record.sampled_s, mean, spread)
         else:
-            manoeuvre_s = self._policy.manoeuvre_s
-            ahead = predicted(self._estimate, record.sampled_s, speed, manoeuvre_s)
+            ahead = predicted(self._estimate, record.sampled_s, speed, self._manoeuvre_s)
             self._estimate = updated(ahead, record)
         self.record = record
 
     def _goal_m(self, view: PursuerView, estimate: Estimate) -> Floats:
         if not view.mates:
             return self._meeting_m(view, estimate)
-        quest, policy = self._quest, self._policy
-        speed_m_s = quest.motion.speed_max_m_s
+        quest = self._quest
         held = [each.record for each in view.mates if each.record is not None]
         records = held if self.record is None else [self.record, *held]
         centre_m, places_m = consistent_m(records, view.time_s, quest.evader_speed_m_s, quest.arena)
         hunt = Hunt(
             view.place_m,
-            speed_m_s,
+            quest.motion.speed_max_m_s,
             view.mates,
             quest.evader_speed_m_s,
             quest.capture_radius_m,
             quest.arena,
         )
-        return blocking_aim_m(hunt, centre_m, places_m, policy.horizon * policy.plan_step_s)
+        return blocking_aim_m(hunt, centre_m, places_m, self._horizon * self._plan_step_s)
 
     def _meeting_m(self, view: PursuerView, estimate: Estimate) -> Floats:
         """Return the first predicted position that the pursuer reaches in time, else the last."""
-        policy, arena = self._policy, self._quest.arena
-        speed = self._quest.evader_speed_m_s
-        ahead_s = policy.plan_step_s * np.arange(1, policy.horizon + 1)
+        arena, speed = self._quest.arena, self._quest.evader_speed_m_s
+        ahead_s = self._plan_step_s * np.arange(1, self._horizon + 1)
         velocity = estimate.mean[1] * min(
             1.0, speed / max(float(np.linalg.norm(estimate.mean[1])), 1e-12)
         )
         since_s = view.time_s - estimate.time_s + ahead_s
-        moved_s = policy.manoeuvre_s * -np.expm1(-since_s / policy.manoeuvre_s)
+        moved_s = self._manoeuvre_s * -np.expm1(-since_s / self._manoeuvre_s)
         places_m = estimate.mean[0] + moved_s[:, None] * velocity
         places_m = np.array([arena.free_m(place) for place in places_m])
         away_m = arena.distances_m(view.place_m, places_m)
         met = away_m <= self._quest.motion.speed_max_m_s * ahead_s
         return places_m[int(met.argmax()) if met.any() else -1]
+
+
+Driver = DriveToReport | RecedingHorizon
+"""Decision maker of a pursuer that chases one evader."""
+Policy = Callable[[Quest], Driver]
+"""Function that returns the driver for one pursuit of one evader, without a record."""

@@ -14,7 +14,7 @@ blocks; further blocks wait, longest at coarse levels.
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -211,12 +211,6 @@ def snapshot(service: SnapshotService, track: Track, time_s: float) -> Snapshot:
     )
 
 
-def mote_centres_m(service: SnapshotService) -> Floats:
-    """Return the position (n, n, 2) of every mote; the first axis is y."""
-    along = (np.arange(service.motes_per_side) + 0.5) * service.mote_spacing_m
-    return np.asarray(np.stack(np.meshgrid(along, along), axis=-1), dtype=np.float64)
-
-
 @dataclass(frozen=True, eq=False)
 class Record:
     """Reported position of an evader with sample time and maximum error."""
@@ -228,22 +222,6 @@ class Record:
 
 Pair = tuple[int, int]
 """Indices of a pursuer and an evader."""
-
-
-class RecordSource(Protocol):
-    """Source of a pursuer's records."""
-
-    def record(
-        self,
-        tracks: Sequence[Track],
-        pair: Pair,
-        place_m: Floats,
-        time_s: float,
-        last: Record | None,
-    ) -> Record | None:
-        """Return the record of a pair (pursuer, evader) for the pursuer's position, or None."""
-        # `last` is the record in use. The tracks of all evaders end at the current time.
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -264,6 +242,7 @@ class SnapshotRecords:
         last: Record | None,
     ) -> Record | None:
         """Return the report of the finest level that shows the evader to the local mote."""
+        # `last` is the record in use. The tracks of all evaders end at the current time.
         now = snapshot(self.service, tracks[pair[1]], time_s)
         shown = now.shown_at(self.service.cells(place_m, 0))
         if self.lost is not None:

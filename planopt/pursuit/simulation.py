@@ -12,6 +12,7 @@ from planopt.arrays import Floats, Indices, finite_array
 from planopt.errors import InputError
 from planopt.pursuit.arena import Arena
 from planopt.pursuit.certificate import Distances
+from planopt.pursuit.detection import RecordSource
 from planopt.pursuit.evaders import Behaviour, EvaderView
 from planopt.pursuit.pursuers import (
     Driver,
@@ -22,14 +23,7 @@ from planopt.pursuit.pursuers import (
     Quest,
     StraightMotion,
 )
-from planopt.pursuit.service import (
-    Record,
-    RecordSource,
-    SnapshotService,
-    Track,
-    UpdateRule,
-    record_floods,
-)
+from planopt.pursuit.service import Record, SnapshotService, Track, UpdateRule, record_floods
 
 STEP_PIECES = 4  # Number of straight segments of a pursuer's step on which captures are detected
 STATE = "give x and y in metres, and the heading in rad of a unicycle"
@@ -320,7 +314,7 @@ class PursuitController:
         for number in free:
             each = self.scene.pursuers[number]
             quest = Quest(each.motion, fastest, self.scene.arena, self.scene.capture_radius_m)
-            self._drivers[number] = each.policy.begin(quest)
+            self._drivers[number] = each.policy(quest)
 
 
 def simulate_pursuit(

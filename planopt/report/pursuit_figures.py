@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from planopt.arrays import Floats
 from planopt.pursuit.design import DesignTask
-from planopt.pursuit.service import Snapshot, SnapshotService, Track, mote_centres_m, snapshot
+from planopt.pursuit.service import Snapshot, SnapshotService, Track, snapshot
 from planopt.pursuit.simulation import Pursuit, Use
 from planopt.report.animation import animate
 from planopt.report.maps import X_LABEL, Y_LABEL, draw_layer, draw_polygons, rectangle, show_bounds
@@ -133,7 +133,7 @@ def draw_view(
     time_s: float,
 ) -> Figure:
     """Draw age and resolution of one mote's records, for objects at every position."""
-    here_m = mote_centres_m(service)[mote[1], mote[0]]
+    here_m = np.asarray((mote + 0.5) * service.mote_spacing_m, dtype=np.float64)
     # Visibility is mutual: a level that shows one mote to another also shows the reverse.
     seen = snapshot(service, Track(np.zeros(1), here_m[None]), time_s)
     ages_s = np.asarray(seen.ages_s[seen.level_map()], dtype=np.float64)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -18,8 +19,8 @@ from planopt.problems.tasks import TaskProblem
 from planopt.pursuit.arena import EVADER_SHARE, Arena, arena_of
 from planopt.pursuit.certificate import Distances, Theorem, flaws_of
 from planopt.pursuit.design import MAX_BITS
-from planopt.pursuit.detection import AssociatedRecords
-from planopt.pursuit.evaders import Fleeing, Foresighted, Static, Wandering, Zigzag
+from planopt.pursuit.detection import AssociatedRecords, RecordSource
+from planopt.pursuit.evaders import Behaviour
 from planopt.pursuit.guarantees import (
     Chase,
     Guarantee,
@@ -38,7 +39,6 @@ from planopt.pursuit.service import (
     HOPS_PER_ROUND,
     MAX_LEVELS,
     Record,
-    RecordSource,
     SnapshotRecords,
     SnapshotService,
     UpdateRule,
@@ -117,7 +117,7 @@ class EvaderTable(Table):
     """Radius in metres around start_m within which the start is drawn."""
     speed_max_m_s: float = Field(ge=0, le=1e4)
     """Largest speed in m/s."""
-    behaviour: Static | Wandering | Fleeing | Zigzag | Foresighted = Field(discriminator="kind")
+    behaviour: Behaviour = Field(discriminator="kind")
     """Behaviour of the evader: a table with kind."""
 
 
@@ -161,8 +161,13 @@ class PlannerTable(Table):
     def policy(self) -> Policy:
         """Return the policy of the pursuers."""
         if self.name == "receding":
-            return RecedingHorizon(self.horizon, self.plan_step_s, self.manoeuvre_s)
-        return DriveToReport(retarget=self.name == "retarget")
+            return partial(
+                RecedingHorizon,
+                horizon=self.horizon,
+                plan_step_s=self.plan_step_s,
+                manoeuvre_s=self.manoeuvre_s,
+            )
+        return partial(DriveToReport, retarget=self.name == "retarget")
 
 
 class PursuitFile(TaskFile):

@@ -34,7 +34,7 @@ def pursue(source, behaviour, seed, *, speeds=(1.0, 2.0), distance_m=60.0, radiu
             Pursuer(
                 start,
                 options.pop("motion", StraightMotion(speeds[1])),
-                options.pop("policy", DriveToReport()),
+                options.pop("policy", DriveToReport),
             ),
         ),
         (Evader(start + away, speeds[0], behaviour),),

@@ -108,7 +108,7 @@ def test_capture_among_obstacles(behaviour):
     for seed in range(1 if behaviour == Fleeing() else 3):
         generator = np.random.default_rng(seed)
         scene = Scene(
-            (Pursuer(start(generator), StraightMotion(4.0), DriveToReport()),),
+            (Pursuer(start(generator), StraightMotion(4.0), DriveToReport),),
             (Evader(start(generator), 1.0, behaviour),),
             SnapshotRecords(SERVICE),
             radius_m,
@@ -144,7 +144,7 @@ def test_a_wall_breaks_the_bounds_of_open_space():
     radius_m = 4.0
     assert open_space.holds and open_space.captures(radius_m).holds
     scene = Scene(
-        (Pursuer(np.array([150.0, 30.5]), StraightMotion(3.0), DriveToReport()),),
+        (Pursuer(np.array([150.0, 30.5]), StraightMotion(3.0), DriveToReport),),
         (Evader(np.array([210.0, 30.2]), 0.5, Static()),),
         SnapshotRecords(service),
         radius_m,

@@ -1,5 +1,7 @@
 """The predicting pursuer: its filter against dense algebra, its plan against closed forms."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from pursuit_scene import ExactRecords, pursue
@@ -47,14 +49,15 @@ def test_crossing_evader_is_met_ahead():
     straight = Wandering(turn_std_rad=0.0)
     times = {}
     for horizon in (1, 40):
-        policy = RecedingHorizon(horizon, 1.0, 1e5)
+        policy = partial(RecedingHorizon, horizon=horizon, plan_step_s=1.0, manoeuvre_s=1e5)
         runs = [pursue(ExactRecords(), straight, seed, policy=policy) for seed in range(8)]
         assert all(each.outcome == "captured" for each in runs)
         times[horizon] = [each.capture_time_s for each in runs]
     assert np.mean(times[40]) < np.mean(times[1])
     for seed, caught_s in enumerate(times[40]):
         # The soonest capture possible: the evader's path within reach plus the radius.
-        run = pursue(ExactRecords(), straight, seed, policy=RecedingHorizon(1, 1.0, 1e5))
+        policy = partial(RecedingHorizon, horizon=1, plan_step_s=1.0, manoeuvre_s=1e5)
+        run = pursue(ExactRecords(), straight, seed, policy=policy)
         start, track = run.pursuers[0][0], run.evaders_m[0]
         velocity = (track[1] - track[0]) / run.times_s[1]
         dense_s = np.linspace(0.0, 120.0, 120_001)

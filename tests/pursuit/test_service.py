@@ -8,14 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from refusals import refused
 
-from planopt.pursuit import (
-    ServiceBounds,
-    SnapshotService,
-    Track,
-    mote_centres_m,
-    relative_error,
-    snapshot,
-)
+from planopt.pursuit import ServiceBounds, SnapshotService, Track, relative_error, snapshot
 
 
 @given(frames=st.integers(-500, 5000), hops=st.integers(3, 6), divisor=st.integers(1, 4))
@@ -130,7 +123,8 @@ def test_bounds_hold_for_all_motes(service, share):
     bounds = service.bounds
     speed = share / 12.0 * service.mote_spacing_m / service.frame_s
     track = walk(service, speed, 600, 3)
-    centres = mote_centres_m(service)
+    along = (np.arange(service.motes_per_side) + 0.5) * service.mote_spacing_m
+    centres = np.stack(np.meshgrid(along, along), axis=-1)
     closest = np.zeros(2)
     lag = 1.0 - bounds.period_s_m * speed
     for time_s in np.random.default_rng(4).uniform(0.0, track.times_s[-1], 60):

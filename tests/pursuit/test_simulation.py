@@ -1,5 +1,6 @@
 """The loop: closed forms of capture, several pursuers and evaders, unicycles, obstacles."""
 
+from functools import partial
 from itertools import combinations
 
 import networkx as nx
@@ -59,7 +60,7 @@ def test_static_evader(step_s):
 
 def test_fleeing_evader():
     """A straight chase closes at the difference of speeds."""
-    policy = DriveToReport(retarget=True)
+    policy = partial(DriveToReport, retarget=True)
     pursuit = pursue(ExactRecords(), Fleeing(), 0, step_s=0.05, policy=policy)
     assert pursuit.capture_time_s == pytest.approx(57.0, rel=1e-3)
     steps = np.linalg.norm(np.diff(pursuit.evaders_m[0], axis=0), axis=1)
@@ -69,7 +70,7 @@ def test_fleeing_evader():
 def test_rule_r():
     """Sample times of records in use never fall, and of equal ones the more exact is taken."""
     service = SnapshotService(8, 1.0, 0.15, 2, rate_divisor=3, endless=True)
-    for policy in (DriveToReport(), DriveToReport(retarget=True)):
+    for policy in (DriveToReport, partial(DriveToReport, retarget=True)):
         pursuit = pursue(SnapshotRecords(service), Wandering(), 1, policy=policy)
         sampled = [use.record.sampled_s for use in pursuit.uses]
         assert len(sampled) > 3 and (np.diff(sampled) >= 0.0).all()
@@ -100,7 +101,7 @@ def many(pursuers, evaders, behaviour, **options):
     return simulate_pursuit(
         Scene(
             tuple(
-                Pursuer(np.array(place), StraightMotion(2.0), DriveToReport(retarget=True))
+                Pursuer(np.array(place), StraightMotion(2.0), partial(DriveToReport, retarget=True))
                 for place in pursuers
             ),
             tuple(Evader(np.array(place), 1.0, behaviour) for place in evaders),
@@ -177,7 +178,11 @@ ROOM = arena_of(
 def room(behaviour, evader_m=(45.0, 8.0), **options):
     """A pursuer left of the wall, an evader right of it."""
     scene = Scene(
-        (Pursuer(np.array([5.0, 5.0]), StraightMotion(2.0), DriveToReport(retarget=True)),),
+        (
+            Pursuer(
+                np.array([5.0, 5.0]), StraightMotion(2.0), partial(DriveToReport, retarget=True)
+            ),
+        ),
         (Evader(np.array(evader_m), 1.0, behaviour),),
         ExactRecords(),
         1.0,

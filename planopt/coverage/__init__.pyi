@@ -69,10 +69,10 @@ from planopt.coverage.localisation import pooled as pooled
 from planopt.coverage.localisation import single_readings as single_readings
 from planopt.coverage.network import Counting as Counting
 from planopt.coverage.network import LinkModel as LinkModel
+from planopt.coverage.network import Medium as Medium
 from planopt.coverage.network import Network as Network
 from planopt.coverage.network import average_round as average_round
 from planopt.coverage.network import elect_leader as elect_leader
-from planopt.coverage.network import flood as flood
 from planopt.coverage.network import inverted as inverted
 from planopt.coverage.network import minima_estimates as minima_estimates
 from planopt.coverage.network import minima_round as minima_round

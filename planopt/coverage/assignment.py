@@ -8,7 +8,7 @@ import numpy as np
 
 from planopt.arrays import Floats, Indices, Mask
 from planopt.coverage.localisation import EventSensor
-from planopt.coverage.network import Loss, Network, flood
+from planopt.coverage.network import Medium
 from planopt.errors import InputError
 
 Demand = Callable[[int], int]
@@ -88,27 +88,24 @@ class Flags:
 
 
 def propagate_flags(
-    network: Network,
+    medium: Medium,
     distances_m: Floats,  # (n,); infinite for agents that do not know the event
     wanted: int | Indices,  # Required number of agents; (n,) if agents disagree on it
-    *,
-    rounds: int | None = None,
-    loss: Loss = 0.0,
-    generator: np.random.Generator | None = None,
 ) -> Flags:
     """Find the agents nearest to an event by exchanging lists of the nearest known agents."""
     # Without losses all lists are correct after at most as many rounds as the network's diameter.
-    # With losses there are at most `rounds` rounds. The nearest agents are flagged from the start;
-    # other agents may be flagged temporarily.
-    n, most = network.count, np.broadcast_to(np.asarray(wanted, dtype=np.intp), (network.count,))
+    # With losses there are at most `medium.rounds` rounds. The nearest agents are flagged from the
+    # start; other agents may be flagged temporarily.
+    n = medium.network.count
+    most = np.broadcast_to(np.asarray(wanted, dtype=np.intp), (n,))
     if distances_m.shape != (n,) or (most < 0).any():
         raise InputError(
             f"has {len(distances_m)} distances, should have one for each of {n} agents",
             key="distances_m",
         )
-    if np.any(loss) and rounds is None:
+    if np.any(medium.loss) and medium.rounds is None:
         raise InputError(
-            f"is {loss!r}, but the number of rounds is missing",
+            f"is {medium.loss!r}, but the number of rounds is missing",
             key="loss",
             remedy="give rounds if messages can be lost",
         )
@@ -138,12 +135,7 @@ def propagate_flags(
             history.append(np.isin(own, lists, assume_unique=True))
         return changed
 
-    sender, receiver = network.directed
-    losses = np.tile(np.asarray(loss), 2) if np.ndim(loss) else loss
-    begins = history[0]
-    messages = flood(
-        sender, receiver, begins, merge, rounds=rounds, loss=losses, generator=generator
-    )
+    messages = medium.flood(history[0], merge)
     ends = np.cumsum(np.bincount(lists // n, minlength=n))[:-1]
     return Flags(history[-1], messages, np.array(history), tuple(np.split(order[lists % n], ends)))
 

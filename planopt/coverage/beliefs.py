@@ -34,38 +34,12 @@ from planopt.coverage.localisation import (
     pooled,
     single_readings,
 )
-from planopt.coverage.network import Loss, Merge, Network, flood
+from planopt.coverage.network import Medium
 from planopt.coverage.voronoi import ConvexRegion
 
 GRID_READINGS = 150
 """Number of readings above which the last estimate replaces the grid of initial guesses."""
 NEVER = -(10**9)  # Value of the last detection's step for an agent that knows of no detection
-
-
-@dataclass(frozen=True, eq=False)
-class Medium:
-    """Links between agents in one step."""
-
-    network: Network
-    loss: Loss  # Probability of losing a message: one value, or (e,) values by link
-    rounds: int | None  # Largest number of rounds of a flood; None without losses
-    generator: np.random.Generator
-
-    def flood(self, begins: Mask, merge: Merge, ends: Mask | None = None) -> int:
-        """Flood content from agents `begins`; return the number of messages.
-
-        Only links with an end in the mask `ends` (n,) are used.
-        """
-        sender, receiver = self.network.directed
-        loss = np.broadcast_to(np.asarray(self.loss, dtype=np.float64), len(self.network.links))
-        loss = np.tile(loss, 2)
-        if ends is not None:
-            used = ends[sender] | ends[receiver]
-            sender, receiver, loss = sender[used], receiver[used], loss[used]
-        return flood(
-            sender, receiver, begins, merge, rounds=self.rounds, loss=loss,
-            generator=self.generator,
-        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -402,10 +376,7 @@ def choose_teams(
     lists: list[tuple[Indices, ...]] = []
     flagged, messages = np.zeros((agents, events), dtype=np.bool_), 0
     for number in range(events):
-        found = propagate_flags(
-            medium.network, distances[:, number], shares.sum(axis=1), rounds=medium.rounds,
-            loss=medium.loss, generator=medium.generator,
-        )  # fmt: skip
+        found = propagate_flags(medium, distances[:, number], shares.sum(axis=1))
         lists.append(found.lists)
         flagged[:, number], messages = found.flagged, messages + found.messages
     views: dict[bytes, list[int]] = {}  # Agents with equal lists decide equally

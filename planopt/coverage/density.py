@@ -50,7 +50,7 @@ class UniformDensity:
             first[arcs] = (range2 / 3.0)[:, None] * np.stack((chord[:, 1], -chord[:, 0]), axis=1)
             second[arcs] = 0.25 * range2**2 * angle[arcs]
         w = self.weight_per_m2
-        sums = _summed(boundary, mass, first[:, 0], first[:, 1], second)
+        sums = _summed(boundary.cell, len(boundary.centres_m), mass, *first.T, second)
         return Moments(w * sums[0], w * np.stack(sums[1:3], axis=1), w * sums[3])
 
 
@@ -137,7 +137,7 @@ class GaussianMixture:
             square = std * std * (below - at * bell) - 2.0 * std * dx * bell + dx * dx * below
             values = (below, first, y * below, square + y * y * below)
             sums += [np.einsum("pk,pk->p", row, value) for value in values]
-        found = _summed(Boundary(boundary.centres_m, cell, u, v, angle), *sums)
+        found = _summed(cell, len(boundary.centres_m), *sums)
         flat = UniformDensity(self.floor_per_m2).moments(boundary)
         first = np.stack(found[1:3], axis=1)
         return Moments(flat.mass + found[0], flat.first + first, flat.second + found[3])
@@ -189,11 +189,12 @@ def fan_moments(density: Callable[[Floats], Floats], boundary: Boundary, patch_m
     cell = boundary.cell[piece]
     places = offsets + boundary.centres_m[cell][:, None, None]
     mass *= density(places.reshape(-1, 2)).reshape(mass.shape)
-    patch = Boundary(boundary.centres_m, cell, u[piece], v[piece], angle[piece])
     first = (mass[..., None] * offsets).sum(axis=(1, 2))
     square = (offsets * offsets).sum(axis=3)
     sums = _summed(
-        patch, mass.sum(axis=(1, 2)), first[:, 0], first[:, 1], (mass * square).sum(axis=(1, 2))
+        cell,
+        len(boundary.centres_m),
+        *(mass.sum(axis=(1, 2)), *first.T, (mass * square).sum(axis=(1, 2))),
     )
     return Moments(sums[0], np.stack(sums[1:3], axis=1), sums[3])
 
@@ -210,10 +211,9 @@ def _rays(u: Floats, v: Floats, angle: Floats, t: Floats) -> tuple[Floats, Float
     return rays, stretch
 
 
-def _summed(boundary: Boundary, *values: Floats) -> list[Floats]:
+def _summed(cell: Indices, count: int, *values: Floats) -> list[Floats]:
     """Sum each of `values` (e,) over the boundary pieces of each cell; return arrays (g,)."""
-    count = len(boundary.centres_m)
-    sums = (np.bincount(boundary.cell, value, minlength=count) for value in values)
+    sums = (np.bincount(cell, value, minlength=count) for value in values)
     return [np.asarray(one, dtype=np.float64) for one in sums]
 
 
@@ -351,11 +351,8 @@ class RasterDensity:
             for k in range(3)
         ]
         flux = (powers[0], powers[1], y * powers[0], powers[2], y * y * powers[0])
-        sums = np.zeros((len(flux), count))
-        for row_of_sums, f in zip(sums, flux, strict=True):
-            along = np.where(held, (f * rise).sum(axis=1), 0.0)
-            row_of_sums += np.bincount(piece, along, minlength=count)
-        return sums
+        along = (np.where(held, (each * rise).sum(axis=1), 0.0) for each in flux)
+        return np.array(_summed(piece, count, *along))
 
     def _cells(self, places: Floats) -> tuple[Indices, Indices]:
         """Return columns and rows of positions (m, 2), out of range for positions off the grid."""

@@ -106,22 +106,6 @@ def packed_places(agents_m: Floats, event_m: Floats, body_radius_m: float) -> Fl
     return _nearest_slots(agents_m, places)
 
 
-def event_places(
-    agents_m: Floats,
-    event_m: Floats,
-    stand_off_m: float | None,
-    body_radius_m: float,
-    ground: Ground,
-    strength_known: bool,
-) -> Floats:
-    """Return target positions (k, 2) of the agents that respond to an event."""
-    if stand_off_m is not None:
-        return free_ring_places(agents_m, event_m, stand_off_m, ground, strength_known)
-    if body_radius_m > 0.0:
-        return packed_places(agents_m, event_m, body_radius_m)
-    return np.repeat(event_m[None], len(agents_m), axis=0)
-
-
 @dataclass(frozen=True)
 class Event:
     """Event in the region, static or moving at a constant velocity."""

@@ -99,11 +99,6 @@ class MoveLimits:
             )
 
     @property
-    def keep_m(self) -> float:
-        """Return the distance that agents keep from obstacles and the outer boundary."""
-        return max(self.body_radius_m, self.clearance_m)
-
-    @property
     def longest_stop_m(self) -> float:
         """Return the braking distance from full speed, over a whole number of steps."""
         if self.acceleration_m_s2 is None:

@@ -42,43 +42,48 @@ class Network:
         return np.bincount(self.links.ravel(), minlength=self.count)
 
 
-def gets_through(messages: int, loss: Loss, generator: np.random.Generator | None) -> Mask:
-    """Draw a mask (messages,) of the messages that arrive."""
-    if not np.any(loss):
-        return np.ones(messages, dtype=np.bool_)
-    assert generator is not None  # Losses are random
-    losses = np.asarray(loss, dtype=np.float64)
-    each = np.tile(losses, messages // len(losses)) if losses.ndim else losses
-    return generator.random(messages) >= each
-
-
 Merge = Callable[[Indices, Indices], Mask]
 """Function that delivers the content of senders (m,) to receivers (m,), all in one round; it
 returns the agents (n,) whose content changed."""
 
 
-def flood(
-    sender: Indices,  # (m,) ends of the directed links
-    receiver: Indices,
-    begins: Mask,  # (n,) mask of the agents with content to send
-    merge: Merge,
-    *,
-    rounds: int | None = None,  # Largest number of rounds; no limit if None
-    loss: Loss = 0.0,  # One value, or (m,) values by directed link
-    generator: np.random.Generator | None = None,
-) -> int:
-    """Flood content over directed links; return the number of sent messages."""
-    # An agent sends to a neighbour until the neighbour has acknowledged its present content.
-    losses = np.broadcast_to(np.asarray(loss, dtype=np.float64), sender.shape)
-    pending, messages, done = begins[sender], 0, 0
-    while pending.any() and done != rounds:
-        sent = np.flatnonzero(pending)
-        messages += len(sent)
-        done += 1
-        arrived = sent[gets_through(len(sent), losses[sent], generator)]
-        pending[arrived] = False
-        pending |= merge(sender[arrived], receiver[arrived])[sender]
-    return messages
+@dataclass(frozen=True, eq=False)
+class Medium:
+    """Links between agents in one step, over which messages may be lost."""
+
+    network: Network
+    loss: Loss = 0.0
+    rounds: int | None = None  # Largest number of rounds of a flood; None without losses
+    generator: np.random.Generator | None = None  # None without losses
+
+    def arrives(self, links: Indices) -> Mask:
+        """Draw a mask (m,) of the messages over links (m,) that arrive."""
+        losses = np.broadcast_to(self.loss, len(self.network.links))[links]
+        if not losses.any():
+            return np.ones(len(links), dtype=np.bool_)
+        assert self.generator is not None  # Losses are random
+        return self.generator.random(len(links)) >= losses
+
+    def flood(self, begins: Mask, merge: Merge, ends: Mask | None = None) -> int:
+        """Flood content from agents `begins` (n,); return the number of sent messages.
+
+        Only links with an end in the mask `ends` (n,) are used.
+        """
+        # An agent sends to a neighbour until the neighbour has acknowledged its present content.
+        sender, receiver = self.network.directed
+        link = np.tile(np.arange(len(self.network.links)), 2)
+        if ends is not None:
+            used = ends[sender] | ends[receiver]
+            sender, receiver, link = sender[used], receiver[used], link[used]
+        pending, messages, done = begins[sender], 0, 0
+        while pending.any() and done != self.rounds:
+            sent = np.flatnonzero(pending)
+            messages += len(sent)
+            done += 1
+            arrived = sent[self.arrives(link[sent])]
+            pending[arrived] = False
+            pending |= merge(sender[arrived], receiver[arrived])[sender]
+        return messages
 
 
 @dataclass(frozen=True)
@@ -141,22 +146,15 @@ def elect_leader(network: Network, identities: Indices) -> tuple[int, int]:
     return leader, messages
 
 
-def link_weights(network: Network) -> Floats:
-    """Return the Metropolis weight (e,) ``1 / (1 + max(deg_i, deg_j))`` of each link (i, j)."""
-    return 1.0 / (1.0 + network.degrees[network.links].max(axis=1, initial=0))
-
-
-def average_round(
-    values: Floats,  # (n,) or (n, k) values of the agents
-    network: Network,
-    loss: Loss = 0.0,
-    generator: np.random.Generator | None = None,
-) -> Floats:
-    """Return the agents' values after one round of consensus averaging."""
+def average_round(values: Floats, medium: Medium) -> Floats:
+    """Return the agents' values (n,) or (n, k) after one round of consensus averaging."""
+    links = medium.network.links
+    # Metropolis weights 1 / (1 + max(deg_i, deg_j)) of the links (i, j).
+    weights = 1.0 / (1.0 + medium.network.degrees[links].max(axis=1, initial=0))
     # A lossy link is omitted in both directions (acknowledgements), so the sum is preserved.
-    kept = gets_through(len(network.links), loss, generator)
-    first, second = network.links[kept].T
-    flow = (link_weights(network)[kept] * (values[second] - values[first]).T).T
+    kept = medium.arrives(np.arange(len(links)))
+    first, second = links[kept].T
+    flow = (weights[kept] * (values[second] - values[first]).T).T
     after = values.copy()
     np.add.at(after, first, flow)
     np.add.at(after, second, -flow)
@@ -171,29 +169,17 @@ def inverted(values: Floats) -> Floats:
     return counts
 
 
-def running_round(
-    values: Floats,  # (n,) or (n, 1)
-    network: Network,
-    leader: int,
-    innovation: float,
-    loss: Loss = 0.0,
-    generator: np.random.Generator | None = None,
-) -> Floats:
-    """Return the agents' values after one round of the counting method `running`."""
-    after = average_round(values, network, loss, generator) + innovation
+def running_round(values: Floats, medium: Medium, leader: int, innovation: float) -> Floats:
+    """Return the agents' values (n,) or (n, 1) after a round of the counting method `running`."""
+    after = average_round(values, medium) + innovation
     after[leader] -= innovation * values[leader]
     return after
 
 
-def minima_round(
-    values: Floats,  # (n, m) smallest numbers known to each agent
-    network: Network,
-    loss: Loss = 0.0,
-    generator: np.random.Generator | None = None,
-) -> Floats:
-    """Return the agents' minima (n, m) after one exchange with their neighbours."""
-    sender, receiver = network.directed
-    heard = gets_through(len(sender), loss, generator)
+def minima_round(values: Floats, medium: Medium) -> Floats:
+    """Return the smallest numbers (n, m) that agents know after an exchange with neighbours."""
+    sender, receiver = medium.network.directed
+    heard = medium.arrives(np.tile(np.arange(len(medium.network.links)), 2))
     after = values.copy()
     np.minimum.at(after, receiver[heard], values[sender[heard]])
     return after
@@ -219,10 +205,9 @@ class Tally:
 def tally_step(
     tally: Tally | None,  # None before the first step
     counting: Counting,
-    network: Network,
+    medium: Medium,  # Links between the members, numbered consecutively
     members: Mask,  # (n,) mask of the members
     generator: np.random.Generator,
-    loss: Loss = 0.0,
 ) -> Tally:
     """Return the counting state after the message rounds of one step."""
     rounds, method = counting.rounds, counting.method
@@ -243,7 +228,7 @@ def tally_step(
     values[~stayed] = 0.0
     begins = method != "running" and done == 0
     if method != "minima" and (begins or leader < 0 or not members[leader]):
-        found, messages = elect_leader(network, who)
+        found, messages = elect_leader(medium.network, who)
         leader = int(who[found])
         if begins:
             values[who] = 0.0
@@ -256,12 +241,12 @@ def tally_step(
     own = int(np.searchsorted(who, leader))
     for _ in range(rounds):
         if method == "minima":
-            held = minima_round(held, network, loss, generator)
+            held = minima_round(held, medium)
         elif method == "leader":
-            held = average_round(held, network, loss, generator)
+            held = average_round(held, medium)
         else:
-            held = running_round(held, network, own, counting.innovation, loss, generator)
-    messages += 2 * rounds * len(network.links)
+            held = running_round(held, medium, own, counting.innovation)
+    messages += 2 * rounds * len(medium.network.links)
     values[who], done = held, done + rounds
     if method == "running":
         estimates[who] = held[:, 0]

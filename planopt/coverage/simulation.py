@@ -1,7 +1,7 @@
 """Simulation of an agent network: coverage, event detection, response and return to coverage."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
@@ -12,7 +12,6 @@ from planopt.arrays import Floats, Indices, Mask, finite_array
 from planopt.coverage.assignment import NONE, Demand
 from planopt.coverage.beliefs import (
     Belief,
-    Medium,
     Response,
     choose_teams,
     doubt_sensors,
@@ -31,11 +30,11 @@ from planopt.coverage.control.movers import (
     held_aims,
 )
 from planopt.coverage.control.radio import radio_tree
-from planopt.coverage.events import Event, Sensing, event_places, signals
+from planopt.coverage.events import Event, Sensing, free_ring_places, packed_places, signals
 from planopt.coverage.geodesic import Ground
 from planopt.coverage.ground import neighbour_network
 from planopt.coverage.limits import Motion
-from planopt.coverage.network import Counting, LinkModel, Network, Tally, tally_step
+from planopt.coverage.network import Counting, LinkModel, Medium, Network, Tally, tally_step
 from planopt.coverage.optima import Deployer
 from planopt.errors import InputError
 
@@ -105,6 +104,15 @@ class Scene:
         moving = any(any(e.velocity_m_s) and e.is_there(time_s) for e in self.events)
         return not moving and not ((every > time_s) & (every < self.duration_s)).any()
 
+    def event_places(self, agents_m: Floats, event_m: Floats) -> Floats:
+        """Return target positions (k, 2) of the agents that respond to an event."""
+        if self.stand_off_m is not None:
+            known = self.sensing is None or self.sensing.strength_known
+            return free_ring_places(agents_m, event_m, self.stand_off_m, self.ground, known)
+        if self.body_radius_m > 0.0:
+            return packed_places(agents_m, event_m, self.body_radius_m)
+        return np.repeat(event_m[None], len(agents_m), axis=0)
+
 
 @dataclass(frozen=True, eq=False)
 class NetworkRun:
@@ -138,11 +146,7 @@ class NetworkRun:
 
 def _is_near(own: Motion, saved: Motion) -> bool:
     """Return True if two motions are equal up to rounding."""
-    pairs = (
-        (own.places_m, saved.places_m),
-        (own.velocities_m_s, saved.velocities_m_s),
-        (own.headings_rad, saved.headings_rad),
-    )
+    pairs = zip(vars(own).values(), vars(saved).values(), strict=True)
     return all(float(np.abs(one - other).max()) <= FOLLOWED_M for one, other in pairs)
 
 
@@ -264,12 +268,11 @@ class NetworkController:
             if scene.links is not None:
                 ends = here[who][network.links]
                 loss = scene.links.loss(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
-            self._tally = tally_step(
-                self._tally, scene.counting, network, members, self._generator, loss
-            )
-            counts = self._tally.estimates
             rounds = scene.flag_rounds if np.any(loss) else None
-            medium = Medium(Network(agents, who[network.links]), loss, rounds, self._generator)
+            medium = Medium(network, loss, rounds, self._generator)
+            self._tally = tally_step(self._tally, scene.counting, medium, members, self._generator)
+            counts = self._tally.estimates
+            medium = replace(medium, network=Network(agents, who[network.links]))
             assigning, shared = self._respond(medium, here, states, counts, readings, who)
             states = np.where(members, self._response.states, ABSENT)
             sent = (self._tally.messages, assigning, shared)
@@ -393,14 +396,7 @@ class NetworkController:
             mine = np.zeros(len(here_m), dtype=np.bool_)
             mine[team.agents] = True
             for estimate, same in belief.groups(mine):
-                places = event_places(
-                    here_m[team.members],
-                    estimate.value.position_m,
-                    scene.stand_off_m,
-                    scene.body_radius_m,
-                    scene.ground,
-                    scene.sensing is None or scene.sensing.strength_known,
-                )
+                places = scene.event_places(here_m[team.members], estimate.value.position_m)
                 ends[same] = places[np.searchsorted(team.members, same)]
                 drifts[same] = estimate.value.velocity_m_s
         if responds.any():

@@ -12,7 +12,6 @@ from scipy.optimize import least_squares
 from scipy.special import erfc
 
 from planopt.arrays import Floats
-from planopt.channel.kriging import Prediction
 from planopt.coverage.limits import LinkLaw, Motion, MoveLimits, RadioLimits
 
 SLACK = 1e-6  # Relative tolerance of motion limits; tolerance in metres of distances to boundaries
@@ -152,10 +151,8 @@ def _failures(corners: Floats, radio: RadioLimits) -> Floats:
         t = np.linspace(0.0, 1.0, LOOKS)
         bend = np.stack(((1.0 - t) ** 2, 2.0 * t * (1.0 - t), t**2), axis=1)
         places = np.einsum("tk,nkx->tnx", bend, corners)
-        each = [
-            _below(one.predict(places.reshape(-1, 2)), radio.threshold_dbm)
-            for one in link.posteriors
-        ]
+        powers = [one.predict(places.reshape(-1, 2)) for one in link.posteriors]
+        each = [_below(one.mean_db - radio.threshold_dbm, one.deviation_db) for one in powers]
         best = np.array(each).reshape(len(each), LOOKS, count).max(axis=1).min(axis=0)
     waiting = np.ones(count, dtype=np.bool_)
     for _ in range(count):
@@ -166,9 +163,9 @@ def _failures(corners: Floats, radio: RadioLimits) -> Floats:
     return np.minimum(best, 1.0)
 
 
-def _below(predicted: Prediction, threshold_dbm: float) -> Floats:
-    """Return P(power < threshold) of predicted powers."""
-    score = (predicted.mean_db - threshold_dbm) / np.maximum(predicted.deviation_db, 1e-9)
+def _below(margin_db: Floats, deviation_db: Floats) -> Floats:
+    """Return P(power < threshold) of powers with a mean margin above the threshold."""
+    score = margin_db / np.maximum(deviation_db, 1e-9)
     return 0.5 * np.asarray(erfc(score / math.sqrt(2.0)), dtype=np.float64)
 
 
@@ -180,8 +177,7 @@ def _fails(law: LinkLaw, lengths_m: Floats, threshold_dbm: float) -> Floats:
         mean = law.theta[0] + slope * law.theta[1] - threshold_dbm
         (a, b), (_, c) = law.theta_covariance
         spread = np.sqrt(np.maximum(a + 2.0 * b * slope + c * slope**2, 0.0) + law.deviation_db**2)
-        score: Floats = mean / np.maximum(spread, 1e-9)
-        return 0.5 * erfc(score / math.sqrt(2.0))
+        return _below(mean, spread)
 
     lengths = np.maximum(lengths_m, SHORTEST_M)
     grid = np.geomspace(SHORTEST_M, 2.0 * float(lengths.max()), SAMPLES)

@@ -14,6 +14,7 @@ from planopt.coverage import (
     ConvexRegion,
     Demand,
     EventSensor,
+    Medium,
     Network,
     accuracy_demand,
     agent_neighbours,
@@ -107,7 +108,7 @@ def test_lists_find_the_nearest(hexagon: ConvexRegion, seed: int) -> None:
     network, distances = scene(hexagon, seed, count)
     wanted = int(generator.integers(0, count + 1))
     right = nearest(distances, wanted)
-    lists = propagate_flags(network, distances, wanted)
+    lists = propagate_flags(Medium(network), distances, wanted)
     assert (lists.flagged == right).all()
     assert len(lists.history) - 1 <= nx.diameter(nx.Graph(network.links.tolist()))
     assert lists.history[:, right].all()
@@ -127,7 +128,7 @@ def test_every_agent_has_a_nearer_neighbour(square: ConvexRegion) -> None:
 def test_messages_by_hand() -> None:
     """A chain of three: who sends what is counted over single links."""
     chain = Network(3, np.array([[0, 1], [1, 2]]))
-    found = propagate_flags(chain, np.array([1.0, 2.0, 3.0]), 1)
+    found = propagate_flags(Medium(chain), np.array([1.0, 2.0, 3.0]), 1)
     # All send their one entry; agents 1 and 2 change; they send again; agent 2 changes and sends.
     assert found.messages == 4 + 3 + 1
     assert found.history.tolist() == [[True] * 3, [True, False, False], [True, False, False]]
@@ -136,13 +137,9 @@ def test_messages_by_hand() -> None:
 def test_repeated_and_lost_messages(square: ConvexRegion) -> None:
     """Half of the messages may be lost: after more rounds the flags are right all the same."""
     network, distances = scene(square, 7, 40)
-    lossy = propagate_flags(
-        network, distances, 6, rounds=60, loss=0.5, generator=np.random.default_rng(0)
-    )
+    media = (Medium(network, 0.5, 60, np.random.default_rng(0)) for _ in range(2))
+    lossy, again = (propagate_flags(medium, distances, 6) for medium in media)
     assert (lossy.flagged == nearest(distances, 6)).all()
-    again = propagate_flags(
-        network, distances, 6, rounds=60, loss=0.5, generator=np.random.default_rng(0)
-    )
     assert (again.history == lossy.history).all()
     assert lossy.history[:, nearest(distances, 6)].all()
 
@@ -151,7 +148,7 @@ def test_agents_with_their_own_count(square: ConvexRegion) -> None:
     """Agents that assume a larger demand keep longer lists; no required agent is missed."""
     network, distances = scene(square, 8, 30)
     wanted = np.where(np.arange(30) % 2 == 0, 4, 5)
-    found = propagate_flags(network, distances, wanted)
+    found = propagate_flags(Medium(network), distances, wanted)
     assert found.flagged[nearest(distances, 4)].all()
     assert found.flagged.sum() <= 5
 
@@ -203,7 +200,7 @@ def test_matching_is_what_lists_give() -> None:
     demands = np.array([4, 3, 5])
     for seed in range(10):
         distances = drawn(seed, 20, demands)
-        complete = Network(20, np.array(list(itertools.combinations(range(20), 2))))
+        complete = Medium(Network(20, np.array(list(itertools.combinations(range(20), 2)))))
         open_ = distances.copy()
         while True:
             flags = np.stack(

@@ -19,13 +19,14 @@ from planopt.coverage import (
     Gains,
     LawMover,
     LinkModel,
+    Medium,
+    Network,
     NetworkController,
     Scene,
     Sensing,
     agent_neighbours,
     convex_region,
     faulty_reading,
-    flood,
     locate_event,
     measure,
     pooled,
@@ -62,7 +63,7 @@ def starts_of(count: int, seed: int) -> NDArray[np.float64]:
 def test_floods_along_a_chain(loss: float) -> None:
     """At hop h content has arrived after R rounds unless fewer than h of R messages did."""
     hops, runs, generator = 5, 4000, np.random.default_rng(1)
-    sender, receiver = np.arange(hops), np.arange(1, hops + 1)
+    chain = Network(hops + 1, np.stack((np.arange(hops), np.arange(1, hops + 1)), axis=1))
     begins = np.arange(hops + 1) == 0
     has = begins.copy()
 
@@ -73,18 +74,18 @@ def test_floods_along_a_chain(loss: float) -> None:
 
     for rounds in (hops, 2 * hops):
         arrived, messages = np.zeros(hops + 1), 0
+        medium = Medium(chain, loss, rounds, generator)
         for _ in range(runs):
             has[:] = begins
-            messages += flood(
-                sender, receiver, begins, merge, rounds=rounds, loss=loss, generator=generator
-            )
+            messages += medium.flood(begins, merge)
             arrived += has
         exact = binom.sf(np.arange(hops + 1) - 1, rounds, 1.0 - loss)
         assert arrived / runs == pytest.approx(exact, abs=4.5 * 0.5 / math.sqrt(runs))
-        # Nothing is sent once the neighbour has the content.
+        # Nothing is sent to a neighbour that has acknowledged the content.
         assert messages >= arrived[1:].sum()
         if loss == 0.0:
-            assert messages == runs * hops
+            # Every agent but the first sends back as well, the last one after R = hops rounds.
+            assert messages == runs * (2 * hops - (rounds == hops))
 
 
 def test_without_losses_every_agent_has_the_pooled_estimate() -> None:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.stats import gamma, kstest
 
 from planopt.coverage import (
+    Medium,
     Network,
     average_round,
     elect_leader,
@@ -64,7 +65,7 @@ def test_exact_within_the_bound() -> None:
         for number in range(needed):
             if number == needed // 4:
                 early.append((np.rint(inverted(values)) == n).all())
-            values = average_round(values, network)
+            values = average_round(values, Medium(network))
         assert (np.rint(inverted(values)) == n).all()
     assert not all(early)
 
@@ -74,7 +75,7 @@ def test_averaging_and_election() -> None:
     network = random_network(13)
     weights = metropolis_weights(network)
     values = np.random.default_rng(0).random((network.count, 3))
-    assert average_round(values, network) == pytest.approx(weights @ values)
+    assert average_round(values, Medium(network)) == pytest.approx(weights @ values)
     network = network_of(nx.path_graph(3))
     # All send; agents 0 and 1 learn of 9 or pass 4 on; agent 0 learns it last.
     assert elect_leader(network, np.array([3, 4, 9])) == (2, 4 + (1 + 2) + 1)
@@ -84,13 +85,11 @@ def test_averaging_with_losses() -> None:
     """Acknowledged losses keep the sum, so that the count still becomes exact."""
     network = random_network(8)
     values = np.random.default_rng(1).random(network.count)
-    generator = np.random.default_rng(2)
-    assert average_round(values, network, loss=0.6, generator=generator).sum() == pytest.approx(
-        values.sum()
-    )
+    medium = Medium(network, 0.6, generator=np.random.default_rng(2))
+    assert average_round(values, medium).sum() == pytest.approx(values.sum())
     held = np.append(1.0, np.zeros(network.count - 1))
     for _ in range(4000):
-        held = average_round(held, network, loss=0.6, generator=generator)
+        held = average_round(held, medium)
     assert (np.rint(inverted(held)) == network.count).all()
 
 
@@ -115,12 +114,12 @@ def test_minima_agree_after_the_diameter() -> None:
     minima = np.random.default_rng(4).standard_exponential((12, 50))
     best = minima.min(axis=0)
     for _ in range(10):
-        minima = minima_round(minima, network)
+        minima = minima_round(minima, Medium(network))
     assert (minima != best).any()
-    assert (minima_round(minima, network) == best).all()
-    generator = np.random.default_rng(4)
+    assert (minima_round(minima, Medium(network)) == best).all()
+    medium = Medium(network, 0.5, generator=np.random.default_rng(4))
     for _ in range(80):
-        minima = minima_round(minima, network, loss=0.5, generator=generator)
+        minima = minima_round(minima, medium)
     assert len(set(minima_estimates(minima).tolist())) == 1
 
 
@@ -135,7 +134,7 @@ def test_running_count_comes_to_its_limit(seed: int) -> None:
     limit = np.linalg.solve(np.eye(n) - matrix, np.full(n, innovation))
     assert limit[0] == pytest.approx(n, rel=1e-9) and (limit >= n - 1e-9).all()
     start = np.random.default_rng(seed).uniform(-50.0, 300.0, n)
-    one = running_round(start, network, 0, innovation)
+    one = running_round(start, Medium(network), 0, innovation)
     assert one == pytest.approx(matrix @ start + innovation)
     # All rounds at once: the distance from the limit shrinks by the matrix in each of them.
     rounds = int(40 * n / innovation)

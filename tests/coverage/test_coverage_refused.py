@@ -14,6 +14,7 @@ from planopt.coverage import (
     EventSensor,
     Gains,
     GaussianMixture,
+    Medium,
     Motion,
     MoveLimits,
     Network,
@@ -98,9 +99,9 @@ REFUSED = {
     ],
     "assignment": [
         *(partial(demanded, bad, 3) for bad in (lambda n: n + 1, lambda n: -1, lambda n: 0.5)),
-        partial(propagate_flags, CHAIN, np.array([1.0, 2.0]), 1),
-        partial(propagate_flags, CHAIN, np.array([1.0, 2.0, 3.0]), -1),
-        partial(propagate_flags, CHAIN, np.array([1.0, 2.0, 3.0]), 1, loss=0.5),
+        partial(propagate_flags, Medium(CHAIN), np.array([1.0, 2.0]), 1),
+        partial(propagate_flags, Medium(CHAIN), np.array([1.0, 2.0, 3.0]), -1),
+        partial(propagate_flags, Medium(CHAIN, 0.5), np.array([1.0, 2.0, 3.0]), 1),
         partial(elect_leader, Network(3, np.array([[0, 1]])), np.arange(3)),
     ],
     "readings": [

@@ -208,8 +208,9 @@ class _Task:
 
     def sets(self, stops: Floats, step_m: Floats, reach_m: float) -> SafeSets:
         """Return the safe sets of agents whose braking paths end at `stops` (n, 2)."""
-        cells = separate_cells(self.places, stops, self.limits.body_radius_m, step_m)
-        keep_m = self.limits.keep_m
+        body_m = self.limits.body_radius_m
+        cells = separate_cells(self.places, stops, body_m, step_m)
+        keep_m = max(body_m, self.limits.clearance_m)
         free = ground_sets(
             self.ground, self.places, stops, self.aims.places_m[:, -1], keep_m, reach_m
         )

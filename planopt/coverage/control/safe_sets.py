@@ -12,7 +12,7 @@ import shapely
 from scipy.spatial import Delaunay, KDTree, QhullError
 
 from planopt.arrays import Floats, Indices, Mask
-from planopt.coverage.geodesic import GeodesicGround, Ground
+from planopt.coverage.geodesic import GeodesicGround, Ground, polygon_boundaries
 from planopt.coverage.ground import ConvexGround
 from planopt.coverage.voronoi import FAR, ON_BORDER
 from planopt.errors import InputError
@@ -227,7 +227,10 @@ def ground_sets(
     ends[meets] = stops_m[meets]
     seeds = np.stack((places_m, stops_m, ends), axis=1)
     touch_m = TOUCHES * ground.hull.radius_m
-    return _corridors(_border(ground.free), seeds, keep_m, reach_m, touch_m)
+    # The free area is on the left of the sides.
+    sides = polygon_boundaries(np.array([ground.free]), np.zeros((1, 2)))
+    edges = np.stack((sides.start_m, sides.end_m), axis=1)
+    return _corridors(edges, seeds, keep_m, reach_m, touch_m)
 
 
 def _last_free(ground: GeodesicGround, start: Floats, end: Floats) -> Floats:
@@ -239,14 +242,6 @@ def _last_free(ground: GeodesicGround, start: Floats, end: Floats) -> Floats:
     first = float(np.linalg.norm(met - start, axis=1).min())
     length = float(np.linalg.norm(end - start))
     return start + (end - start) * max(first - 4.0 * ground.area.slack_m, 0.0) / length
-
-
-def _border(free: shapely.Polygon) -> Floats:
-    """Return the sides (m, 2, 2) of a polygon with holes, with the free area on their left."""
-    rings = shapely.get_rings(shapely.orient_polygons(free))
-    places, ring = shapely.get_coordinates(rings, return_index=True)
-    same = ring[1:] == ring[:-1]
-    return np.stack((places[:-1][same], places[1:][same]), axis=1)
 
 
 def _corridors(

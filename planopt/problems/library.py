@@ -5,6 +5,7 @@ import json
 import os
 import re
 import tomllib
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -121,19 +122,20 @@ def list_problems() -> tuple[LibraryEntry, ...]:
             path,
             _text(path, "task", "reach"),
             lacks_data=not is_set and PRIVATE in read_text(path, LARGEST_TOML_BYTES),
-            test=tests.get(path.stem, Classification()),
+            test=tests[path.stem],
         )
         for path in sorted(library_folder().glob(f"*{SUFFIX}"))
     )
 
 
-def classifications() -> dict[str, Classification]:
+def classifications() -> defaultdict[str, Classification]:
     """Return the test-set classification of each library problem, by name of the problem."""
-    file = library_folder() / FAMILIES
+    file, found = library_folder() / FAMILIES, defaultdict[str, Classification](Classification)
     if not file.is_file():
-        return {}
+        return found
     try:
-        return {row.pop("problem"): Classification(**row) for row in json.loads(read_text(file))}
+        rows = json.loads(read_text(file))
+        return found | {row.pop("problem"): Classification(**row) for row in rows}
     except (ValueError, KeyError, TypeError, AttributeError):
         raise InputError(
             "is damaged", file=file, remedy="restore the file from the repository"

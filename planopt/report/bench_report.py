@@ -1,13 +1,12 @@
 """Results of planners in the regression suite, as an HTML page and as Markdown."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 
 from planopt.arrays import Floats
 from planopt.problems.library import Classification, classifications
-from planopt.report.page import MOST_ROWS, Chart, Page, PageTable, cell_text, plain
+from planopt.report.page import MOST_ROWS, Chart, Page, PageTable, Trace, cell_text, plain, scatter
 from planopt.report.panel import SERIES
 from planopt.report.tables import MISSING
 from planopt.studies.bench_cases import OBJECTIVE_SHARE, PLAN, RUN, Manifest, Question, Row
@@ -145,7 +144,7 @@ def _family_table(
     planners = list(dict.fromkeys(row.planner for row in rows))
     families: dict[str, list[Row]] = {}
     for row in rows:
-        families.setdefault(_test(row.problem, tests).family or "other", []).append(row)
+        families.setdefault(tests[row.problem].family or "other", []).append(row)
     lines: list[list[object]] = []
     for family, own in families.items():
         cells: list[object] = [family, len({row.problem for row in own})]
@@ -164,7 +163,7 @@ def _question_cells(
     bounds: Mapping[Question, float],
 ) -> list[object]:
     own = [row for row in rows if row.question == question]
-    test = _test(question.problem, tests)
+    test = tests[question.problem]
     solvers = [row.planner for row in own if is_solved(row, best)]
     gaps = [gap for gap in map(gap_to_bound, own) if gap is not None]
     smoothed = [row.gap for row in own if row.gap is not None]
@@ -176,10 +175,6 @@ def _question_cells(
         _percent(min(smoothed, default=None), 2),
         *(", ".join(dict.fromkeys(row.verdict for row in own)), test.provenance),
     ]
-
-
-def _test(problem: str, tests: Mapping[str, Classification]) -> Classification:
-    return tests.get(problem, Classification())
 
 
 def _profile_chart(rows: Sequence[Row], best: Mapping[Question, float], kind: str) -> Chart:
@@ -198,7 +193,7 @@ def _profile_chart(rows: Sequence[Row], best: Mapping[Question, float], kind: st
 
 def _excess_chart(rows: Sequence[Row], best: Mapping[Question, float]) -> Chart:
     """Return the cumulative distribution of the relative excess over the best known objective."""
-    lines: list[dict[str, Any]] = []
+    lines: list[Trace] = []
     for number, planner in enumerate(dict.fromkeys(row.planner for row in rows)):
         mine = [excess(row, best) for row in rows if row.planner == planner]
         worse = np.sort([max(share, LEAST_EXCESS) for share in mine if share is not None])
@@ -211,22 +206,15 @@ def _excess_chart(rows: Sequence[Row], best: Mapping[Question, float]) -> Chart:
 def _gap_chart(rows: Sequence[Row], tests: Mapping[str, Classification]) -> Chart:
     """Return a chart of gaps to proven bounds by problem; problems are ordered by family."""
     planners = list(dict.fromkeys(row.planner for row in rows))
-    points: list[dict[str, Any]] = []
+    points: list[Trace] = []
     for number, planner in enumerate(planners):
         mine = [(row, gap_to_bound(row)) for row in rows if row.planner == planner]
         mine = [(row.problem, gap) for row, gap in mine if gap is not None]
-        mine.sort(key=lambda point: (_test(point[0], tests).family, point[0]))
+        mine.sort(key=lambda point: (tests[point[0]].family, point[0]))
         look = {"color": _colour(number), "symbol": number, "size": 8}
-        points.append(
-            {
-                "type": "scatter",
-                "mode": "markers",
-                "name": plain(planner),
-                "marker": look,
-                "x": [plain(problem) for problem, _ in mine],
-                "y": [100.0 * max(gap, LEAST_EXCESS) for _, gap in mine],
-            }
-        )
+        problems = [plain(problem) for problem, _ in mine]
+        gaps = [100.0 * max(gap, LEAST_EXCESS) for _, gap in mine]
+        points.append(scatter(planner, problems, gaps, marker=look))
     points = [each for each in points if each["x"]]
     layout = {"yaxis": {"type": "log", "tickformat": "~g"}}
     return Chart("Gap to the proven bound", points, "problem", "gap [%]", layout=layout)
@@ -277,11 +265,11 @@ def _bars(
 LOG_X = {"xaxis": {"type": "log", "tickformat": "~g"}, "yaxis": {"range": [0.0, 103.0]}}
 
 
-def _steps(number: int, planner: str, x: Floats, shares: Floats) -> dict[str, Any]:
+def _steps(number: int, planner: str, x: Floats, shares: Floats) -> Trace:
     """Return a planner's cumulative share of cases (n,) as a step curve over x (n,)."""
     line = {"shape": "hv", "color": _colour(number), "dash": DASHES[number % len(DASHES)]}
-    drawn = {"type": "scatter", "mode": "lines+markers", "line": line, "marker": {"size": 4}}
-    return {**drawn, "name": plain(planner), "x": x.tolist(), "y": (100.0 * shares).tolist()}
+    look = {"line": line, "marker": {"size": 4}}
+    return scatter(planner, x.tolist(), (100.0 * shares).tolist(), "lines+markers", **look)
 
 
 def _colour(number: int) -> str:

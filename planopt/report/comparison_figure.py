@@ -313,7 +313,4 @@ def _title(comparison: Comparison) -> str:
 
 def _setting_words(comparison: Comparison) -> list[str]:
     """Return the description of every setting, wrapped for the legend."""
-    names, several = short_keys(comparison.runs), bool(comparison.others)
-    ones = [setting.one for setting in comparison.settings]
-    words = [setting_words(one, names, several_problems=several) for one in ones]
-    return ["\n".join(textwrap.wrap(each, LEGEND_WIDTH)) for each in words]
+    return ["\n".join(textwrap.wrap(each, LEGEND_WIDTH)) for each in setting_words(comparison)]

@@ -43,7 +43,7 @@ from planopt.report.motion_map import (
     draw_true_power,
     layers_of,
 )
-from planopt.report.motion_words import certificate_in_words, plan_in_words
+from planopt.report.motion_words import plan_in_words, proof_in_words
 from planopt.report.panel import (
     BAND_WORDS,
     BAND_Z,
@@ -130,16 +130,6 @@ def run_series(run: Run) -> list[Series]:
     panels += _distance_series(problem, tracks, t_s)
     panels.append((partial(_draw_fallbacks, run=run), strip))
     return panels
-
-
-def power_series(run: Run) -> list[Series]:
-    """Return the panels of one robot's power, connection and planning times."""
-    return [
-        (partial(_draw_power, run=run), 3.0),
-        (partial(_draw_connection, run=run), 0.5),
-        (partial(_draw_run_connectivity, run=run), 2.0),
-        (partial(_draw_step_times, log=run.run.log), 2.0),
-    ]
 
 
 def plan_series(problem: Problem, plans: Sequence[Plan], target_m: Floats | None) -> list[Series]:
@@ -438,9 +428,10 @@ def draw_solution(solution: Solution) -> Figure:
 def _certificates(solution: Solution) -> list[str]:
     """Return the plans as lines of text for their panel; for one robot, with its certificate."""
     found: list[str] = []
-    in_words = certificate_in_words if len(solution.plans) == 1 else plan_in_words
     for number, plan in enumerate(solution.plans):
-        words = in_words(problem_of_robot(solution.problem, number), plan)
+        problem = problem_of_robot(solution.problem, number)
+        words = plan_in_words(problem, plan)
+        words += proof_in_words(problem, plan) if len(solution.plans) == 1 else []
         lines = [
             piece for line in words for piece in wrap(line, WORDS_WIDTH, subsequent_indent="    ")
         ]
@@ -528,7 +519,12 @@ def _draw_team(run: Run) -> Figure:
 
 def draw_run_series(run: Run) -> Figure:
     """Draw power, connection, predicted connectivity and step times of one robot over time."""
-    series = power_series(run)
+    series: list[Series] = [
+        (partial(_draw_power, run=run), 3.0),
+        (partial(_draw_connection, run=run), 0.5),
+        (partial(_draw_run_connectivity, run=run), 2.0),
+        (partial(_draw_step_times, log=run.run.log), 2.0),
+    ]
     shares = [share for _, share in series]
     rows = [[row] for row in range(len(series))]
     figure, panels = new_figure(12.0, 9.0, rows, height_ratios=shares)

@@ -153,11 +153,6 @@ def bound_in_words(problem: Problem, bound: Bound | None, plans: int = 1) -> lis
     return lines
 
 
-def certificate_in_words(problem: Problem, plan: Plan) -> list[str]:
-    """Return a plan as text, with the details of its certificate."""
-    return [*plan_in_words(problem, plan), *proof_in_words(problem, plan)]
-
-
 def proof_in_words(problem: Problem, plan: Plan) -> list[str]:
     """Return verdict, requirements and residuals of a plan as text."""
     proof, limits = plan.certificate, problem.constraints

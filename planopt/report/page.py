@@ -8,7 +8,7 @@ import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from html import escape
 from importlib import import_module
 from importlib.resources import files
@@ -17,7 +17,6 @@ from typing import Any, cast
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 
 from planopt.arrays import Floats
 from planopt.errors import InputError
@@ -69,7 +68,8 @@ class Place:
     """Marked position: station, start or goal."""
 
     name: str
-    position_m: tuple[float, float]
+    x: float  # In metres
+    y: float
     colour: str
     symbol: str
 
@@ -91,12 +91,16 @@ class PageMap:
         return max((track.t_s for track in self.tracks), key=len)
 
 
+Trace = Mapping[str, Any]
+"""Points, line or bars of a Plotly chart, with escaped texts."""
+
+
 @dataclass(frozen=True, eq=False)
 class Chart:
-    """Plotly chart: traces and layout, with escaped texts."""
+    """Plotly chart: traces and layout."""
 
     title: str
-    traces: Sequence[Mapping[str, Any]]
+    traces: Sequence[Trace]
     x: str
     y: str
     over_time: bool = False  # Whether a line marks the time of the slider
@@ -158,22 +162,17 @@ def plain(text: object) -> str:
     return escape(str(text), quote=False)
 
 
+def scatter(name: str, x: list[Any], y: list[Any], mode: str = "markers", **look: Any) -> Trace:
+    """Return points or a line for Plotly; values are rounded numbers, None, or escaped texts."""
+    return {"type": "scatter", "mode": mode, "name": plain(name), "x": x, "y": y, **look}
+
+
 def rounded(values: Iterable[float] | Floats, digits: int) -> list[Any]:
     """Return rounded numbers as nested lists, with None for NaN and infinities."""
     numbers = np.asarray(values, dtype=np.float64)
     kept = np.round(numbers, digits).astype(object)
     kept[~np.isfinite(numbers)] = None
     return kept.tolist()
-
-
-def table_of_columns(
-    title: str, columns: Mapping[str, NDArray[Any]], units: Mapping[str, str], file: str = ""
-) -> PageTable:
-    """Return the table of named columns; its first `MOST_ROWS` rows are shown."""
-    total = max((len(values) for values in columns.values()), default=0)
-    shown = [values[:MOST_ROWS].tolist() for values in columns.values()]
-    header = [f"{name} [{units[name]}]" if units.get(name) else name for name in columns]
-    return PageTable(title, header, list(zip(*shown, strict=True)), total, file)
 
 
 def _template(name: str) -> str:
@@ -216,16 +215,7 @@ def _map_json(drawn: PageMap) -> dict[str, Any]:
             }
             for one in drawn.moving
         ],
-        "places": [
-            {
-                "name": one.name,
-                "x": one.position_m[0],
-                "y": one.position_m[1],
-                "colour": one.colour,
-                "symbol": one.symbol,
-            }
-            for one in drawn.places
-        ],
+        "places": [asdict(one) for one in drawn.places],
         "groups": _groups(drawn.tracks),
         "window": drawn.window or _bounds(drawn),
     }

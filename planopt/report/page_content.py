@@ -28,6 +28,7 @@ from planopt.report.maps import believed_rasters, map_window
 from planopt.report.motion_words import MEANING, planned_in_words, proof_in_words
 from planopt.report.page import (
     METRE_DIGITS,
+    MOST_ROWS,
     POWER_DIGITS,
     PROBABILITY_DIGITS,
     SYMBOLS,
@@ -37,11 +38,12 @@ from planopt.report.page import (
     PageMap,
     PageTable,
     Place,
+    Trace,
     Track,
     cell_text,
     plain,
     rounded,
-    table_of_columns,
+    scatter,
 )
 from planopt.report.panel import (
     BAND_WORDS,
@@ -50,13 +52,13 @@ from planopt.report.panel import (
     DPI,
     GREEN,
     ORANGE,
-    ROBOT_COLOURS,
     VERMILLION,
     YELLOW,
+    robot_colour,
 )
 from planopt.report.tables import comparison_text, figures_in_words, metric_label, metric_name
 from planopt.short_repr import shown_number
-from planopt.studies.comparison import Comparison, run_columns, setting_words, short_keys
+from planopt.studies.comparison import Comparison, run_columns, setting_words
 from planopt.studies.study import program
 
 if TYPE_CHECKING:
@@ -147,10 +149,14 @@ def _events(table: Data) -> Iterator[Track]:
 
 def _result_tables(tables: Mapping[str, tuple[Sequence[Column], Data]]) -> list[PageTable]:
     """Return the saved tables of a result."""
-    return [
-        table_of_columns(f"Table {name}", data, {one.name: one.unit for one in columns}, name)
-        for name, (columns, data) in tables.items()
-    ]
+    found: list[PageTable] = []
+    for file, (columns, data) in tables.items():
+        header = [f"{one.name} [{one.unit}]" if one.unit else one.name for one in columns]
+        values = [data[one.name] for one in columns]
+        shown = list(zip(*(each[:MOST_ROWS].tolist() for each in values), strict=True))
+        total = max(map(len, values), default=0)
+        found.append(PageTable(f"Table {file}", header, shown, total, file))
+    return found
 
 
 def _column_charts(columns: Sequence[Column], table: Data) -> Iterator[Chart]:
@@ -164,14 +170,11 @@ def _column_charts(columns: Sequence[Column], table: Data) -> Iterator[Chart]:
 
 def comparison_page(comparison: Comparison) -> Page:
     """Return the page of a comparison, with the tables of its first problem."""
-    runs, found = comparison.runs, comparison.settings
-    names = short_keys(runs)
-    several = bool(comparison.others)
-    labels = [setting_words(each.one, names, several_problems=several) for each in found]
+    labels = setting_words(comparison)
     metrics = dict.fromkeys(row.metric for row in comparison.rows)
     rows = [
         (label, row.metric, row.mean, row.ci_low, row.ci_high, row.count, row.paired_ratio)
-        for label, setting in zip(labels, found, strict=True)
+        for label, setting in zip(labels, comparison.settings, strict=True)
         for row in setting.rows.values()
     ]
     head = ("setting", "metric", "mean", "95 % from", "95 % to", "runs", "paired ratio")
@@ -214,16 +217,16 @@ def _motion_map(problem: Problem, belief: Belief, tracks: Sequence[Track]) -> Pa
         ),
         places=[
             *(
-                Place(f"{one.name}, start", one.start_m, GREEN, "circle-open")
+                Place(f"{one.name}, start", *one.start_m, GREEN, "circle-open")
                 for one in problem.robots
             ),
             *(
-                Place(f"{one.name}, goal", one.goal_m, YELLOW, "star")
+                Place(f"{one.name}, goal", *one.goal_m, YELLOW, "star")
                 for one in problem.robots
                 if one.goal_m is not None
             ),
             *(
-                Place(one.name, one.site.position_m, ORANGE, "triangle-up")
+                Place(one.name, *one.site.position_m, ORANGE, "triangle-up")
                 for one in problem.stations
             ),
         ],
@@ -312,8 +315,7 @@ def _run_certificates(run: Run) -> list[str]:
 
 
 def _planned_charts(problem: Problem, plans: Sequence[Plan]) -> list[Chart]:
-    power: list[Mapping[str, Any]] = []
-    chance: list[Mapping[str, Any]] = []
+    power, chance = list[Trace](), list[Trace]()
     for number, plan in enumerate(plans):
         mean, deviation = _by_step(plan, plan.mean_dbm), _by_step(plan, plan.deviation_db)
         power += _predicted(number, plan.robot, plan.t_s, mean, deviation)
@@ -323,22 +325,19 @@ def _planned_charts(problem: Problem, plans: Sequence[Plan]) -> list[Chart]:
 
 
 def _run_charts(run: Run) -> list[Chart]:
-    power: list[Mapping[str, Any]] = []
-    chance: list[Mapping[str, Any]] = []
-    pairs: list[Mapping[str, Any]] = []
+    power, chance, pairs = list[Trace](), list[Trace](), list[Trace]()
     for number, one in enumerate(run.runs):
-        log, name = one.log, plain(one.robot)
+        log = one.log
         power += _predicted(number, one.robot, log.t_s, log.predicted_dbm, log.deviation_db)
         true = rounded(log.true_dbm, POWER_DIGITS)
         look = {"color": BLACK, "symbol": SYMBOLS[number % len(SYMBOLS)], "size": 6}
-        received = {"type": "scatter", "mode": "markers", "marker": look, "y": true}
         times = rounded(log.t_s, METRE_DIGITS)
-        power.append({**received, "x": times, "name": f"{name}, received"})
+        power.append(scatter(f"{one.robot}, received", times, true, marker=look))
         predicted = rounded(log.predicted_dbm, POWER_DIGITS)
         half = {"type": "data", "array": rounded(BAND_Z * log.deviation_db, POWER_DIGITS)}
         bars = {**half, "color": "#b3b3b3", "thickness": 1}
-        look = {**look, "color": ROBOT_COLOURS[number % len(ROBOT_COLOURS)]}
-        pairs.append({**received, "x": predicted, "name": name, "error_x": bars, "marker": look})
+        look = {**look, "color": robot_colour(number)}
+        pairs.append(scatter(one.robot, predicted, true, error_x=bars, marker=look))
         values = rounded(log.connectivity, PROBABILITY_DIGITS)
         chance.append(_curve(number, one.robot, log.t_s, values))
     title, t_s = "Predicted and received power", run.runs[0].log.t_s
@@ -347,24 +346,20 @@ def _run_charts(run: Run) -> list[Chart]:
     if not np.isfinite(known).any():
         return charts
     ends = rounded([np.nanmin(known), np.nanmax(known)], POWER_DIGITS)
-    pairs.append({**_line(ends, ends, "equal"), "type": "scatter"})
+    pairs.append(_line(ends, ends, "equal"))
     label = f"predicted one step ahead [dBm] ({BAND_WORDS})"
     title = "Received against predicted power"
     return [*charts, Chart(title, pairs, label, "received [dBm]")]
 
 
 def _charts_over_time(
-    problem: Problem,
-    title: str,
-    power: list[Mapping[str, Any]],
-    chance: list[Mapping[str, Any]],
-    t_s: Floats,
+    problem: Problem, title: str, power: list[Trace], chance: list[Trace], t_s: Floats
 ) -> list[Chart]:
     """Return the charts of power and probability of connection, with their thresholds."""
     ends, p_min = [float(t_s[0]), float(t_s[-1])], problem.constraints.step_p_min
     for station in problem.stations:
         threshold = [station.threshold_dbm] * 2
-        power.append(_line(ends, threshold, f"{plain(station.name)}, threshold"))
+        power.append(_line(ends, threshold, f"{station.name}, threshold"))
     if p_min > 0.0:
         chance.append(_line(ends, [p_min] * 2, f"p_min = {p_min:g}"))
     limits = {"yaxis": {"range": [-0.03, 1.03]}}
@@ -376,38 +371,29 @@ def _charts_over_time(
 
 def _predicted(
     number: int, robot: str, t_s: Floats, mean_dbm: Floats, deviation_db: Floats
-) -> list[Mapping[str, Any]]:
+) -> list[Trace]:
     """Return the curve of a robot's predicted power and its band."""
     known = np.isfinite(mean_dbm)
     half, mean, times = BAND_Z * deviation_db[known], mean_dbm[known], t_s[known]
-    band = {
-        "type": "scatter",
-        "mode": "lines",
-        "x": rounded(np.concatenate([times, times[::-1]]), METRE_DIGITS),
-        "y": rounded(np.concatenate([mean - half, (mean + half)[::-1]]), POWER_DIGITS),
-        "fill": "toself",
-        # Two hexadecimal digits of opacity
-        "fillcolor": f"{ROBOT_COLOURS[number % len(ROBOT_COLOURS)]}40",
-        "line": {"width": 0},
-        "hoverinfo": "skip",
-        "name": f"{plain(robot)}, {BAND_WORDS}",
-    }
+    x = rounded(np.concatenate([times, times[::-1]]), METRE_DIGITS)
+    y = rounded(np.concatenate([mean - half, (mean + half)[::-1]]), POWER_DIGITS)
+    fill = f"{robot_colour(number)}40"  # Two hexadecimal digits of opacity
+    look = {"fill": "toself", "fillcolor": fill, "line": {"width": 0}, "hoverinfo": "skip"}
+    band = scatter(f"{robot}, {BAND_WORDS}", x, y, "lines", **look)
     return [band, _curve(number, f"{robot}, predicted", t_s, rounded(mean_dbm, POWER_DIGITS))]
 
 
-def _curve(number: int, name: str, t_s: Floats, values: list[Any]) -> dict[str, Any]:
+def _curve(number: int, name: str, t_s: Floats, values: list[Any]) -> Trace:
     """Return a curve in a robot's colour, for Plotly."""
-    colour = ROBOT_COLOURS[number % len(ROBOT_COLOURS)]
+    colour, times = robot_colour(number), rounded(t_s, METRE_DIGITS)
     look = {"symbol": SYMBOLS[number % len(SYMBOLS)], "size": 5, "color": colour}
-    line, times = {"color": colour, "width": 2}, rounded(t_s, METRE_DIGITS)
-    shown = {"type": "scatter", "mode": "lines+markers", "line": line, "marker": look}
-    return {**shown, "x": times, "y": values, "name": plain(name)}
+    line = {"color": colour, "width": 2}
+    return scatter(name, times, values, "lines+markers", line=line, marker=look)
 
 
-def _line(x: list[float], y: list[float], name: str) -> dict[str, Any]:
+def _line(x: list[float], y: list[float], name: str) -> Trace:
     """Return a dashed line, for Plotly."""
-    line = {"color": VERMILLION, "width": 1.5, "dash": "dash"}
-    return {"type": "scatter", "mode": "lines", "x": x, "y": y, "name": name, "line": line}
+    return scatter(name, x, y, "lines", line={"color": VERMILLION, "width": 1.5, "dash": "dash"})
 
 
 def _metric_chart(comparison: Comparison, metric: str, labels: Sequence[str]) -> Chart:
@@ -433,45 +419,34 @@ def _metric_chart(comparison: Comparison, metric: str, labels: Sequence[str]) ->
         "array": [float(one) for one in np.nan_to_num(highs - means)],
         "arrayminus": [float(one) for one in np.nan_to_num(means - lows)],
     }
-    shared = {"type": "scatter", "mode": "markers"}
-    return Chart(
-        metric_name(metric).words,
-        [
-            {
-                **shared,
-                "x": [float(value) for _, value in dots],
-                "y": [label for label, _ in dots],
-                "name": "runs",
-                "marker": {"symbol": "circle-open", "size": 7, "color": "#767676"},
-            },
-            {
-                **shared,
-                "x": [float(value) for value in means],
-                "y": [label for label, _ in known],
-                "error_x": bars,
-                "name": "mean, 95 % interval",
-                "marker": {"symbol": "diamond", "size": 11, "color": ROBOT_COLOURS[0]},
-            },
-        ],
-        metric_label(metric),
-        "",
-        layout={"yaxis": {"type": "category", "automargin": True}},
+    circle = {"symbol": "circle-open", "size": 7, "color": "#767676"}
+    diamond = {"symbol": "diamond", "size": 11, "color": robot_colour(0)}
+    runs = scatter(
+        "runs", [float(value) for _, value in dots], [label for label, _ in dots], marker=circle
     )
+    mean = scatter(
+        "mean, 95 % interval",
+        means.tolist(),
+        [label for label, _ in known],
+        marker=diamond,
+        error_x=bars,
+    )
+    layout = {"yaxis": {"type": "category", "automargin": True}}
+    title, label = metric_name(metric).words, metric_label(metric)
+    return Chart(title, [runs, mean], label, "", layout=layout)
 
 
 def _reliability_chart(comparison: Comparison) -> list[Chart]:
     bins = comparison.reliability
     if not bins:
         return []
-    points = {
-        "type": "scatter",
-        "mode": "markers",
-        "x": rounded([one.predicted for one in bins], PROBABILITY_DIGITS),
-        "y": rounded([one.realised for one in bins], PROBABILITY_DIGITS),
-        "text": [f"{one.count} predictions" for one in bins],
-        "name": "all settings",
-        "marker": {"size": 10, "color": ROBOT_COLOURS[0]},
-    }
+    points = scatter(
+        "all settings",
+        rounded([one.predicted for one in bins], PROBABILITY_DIGITS),
+        rounded([one.realised for one in bins], PROBABILITY_DIGITS),
+        text=[f"{one.count} predictions" for one in bins],
+        marker={"size": 10, "color": robot_colour(0)},
+    )
     label = "predicted P(connected) [1]"
     return [Chart("Reliability", [points, _line([0, 1], [0, 1], "equal")], label, "connected [1]")]
 

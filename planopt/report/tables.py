@@ -241,12 +241,11 @@ def _names(comparison: Comparison, *, to_goal: bool) -> list[list[str]]:
 
 def _listed(comparison: Comparison) -> list[str]:
     """Return a line for each numbered setting; empty if at most one key is swept."""
-    names, several = short_keys(comparison.runs), bool(comparison.others)
+    names = short_keys(comparison.runs)
     if len(names) < 2:
         return []
     lines = ["settings"]
-    for number, setting in enumerate(comparison.settings, start=1):
-        words = setting_words(setting.one, names, several_problems=several)
+    for number, words in enumerate(setting_words(comparison), start=1):
         first, *more = textwrap.wrap(words, SETTING_WIDTH) or [""]
         lines += [f"{number:>7}  {first}", *(f"{'':9}{part}" for part in more)]
     long = [f"{short} is {key}" for key, short in names.items() if short != key]

@@ -208,21 +208,22 @@ def sweep_words(
     )
 
 
-def setting_words(
-    one: RunSummary | Row, names: Mapping[str, str], *, several_problems: bool
-) -> str:
-    """Return text that identifies a run's setting; arguments as for :func:`sweep_words`."""
-    own = {
-        "objective.cost_to_go": one.cost_to_go and f"{one.cost_to_go} cost-to-go",
-        "planner.name": f"planner {one.planner}",
-        "planner.horizon": f"horizon {one.horizon}" if has_horizon(one) else None,
-    }
-    parts = (
-        one.problem if several_problems else None,
-        sweep_words(one, names=names),
-        *(words for key, words in own.items() if key not in one.sweep),
-    )
-    return ", ".join(part for part in parts if part)
+def setting_words(comparison: Comparison) -> list[str]:
+    """Return text that identifies each setting of a comparison."""
+    names, found = short_keys(comparison.runs), list[str]()
+    for one in (setting.one for setting in comparison.settings):
+        own = {
+            "objective.cost_to_go": one.cost_to_go and f"{one.cost_to_go} cost-to-go",
+            "planner.name": f"planner {one.planner}",
+            "planner.horizon": f"horizon {one.horizon}" if has_horizon(one) else None,
+        }
+        parts = (
+            one.problem if comparison.others else None,
+            sweep_words(one, names=names),
+            *(words for key, words in own.items() if key not in one.sweep),
+        )
+        found.append(", ".join(part for part in parts if part))
+    return found
 
 
 def short_keys(settings: Iterable[RunSummary | Row]) -> dict[str, str]:

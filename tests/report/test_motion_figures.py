@@ -14,7 +14,7 @@ from planopt.objectives.terms.term import Aim
 from planopt.planning.certificate import RuleResult
 from planopt.report import draw_run, draw_run_series, draw_solution
 from planopt.report.motion_figures import WORDS_LINES
-from planopt.report.motion_words import certificate_in_words
+from planopt.report.motion_words import plan_in_words, proof_in_words
 from planopt.report.panel import BAND_Z
 from planopt.tasks.motion import TASK
 from planopt.world import centres_at
@@ -108,7 +108,8 @@ def test_certificate_in_words(solution):
 def test_a_bound_is_required_of_single_steps(plan, problem, form, more, required):
     """A requirement on all steps together says nothing of the least of them."""
     limits = replace(problem.constraints, rule=ConnectivityRule(form, **more))
-    words = "\n".join(certificate_in_words(replace(problem, constraints=limits), plan))
+    problem = replace(problem, constraints=limits)
+    words = "\n".join([*plan_in_words(problem, plan), *proof_in_words(problem, plan)])
     assert (", P(connected) 0.8" in words) == required
 
 

@@ -200,6 +200,12 @@ def stage_problem(
                 total = total.plus(bounds.reward(stage, field).scaled(weight))
         return total
 
+    own, step_s = problem.robots[0], problem.planner.step_s
+
+    def may_reach(stage: int, places_m: Array, slack_m: float) -> Mask:
+        longest = slack_m + 2.0 * LONGER_M * stage**2
+        return own.dynamics.may_reach(at.state, places_m, stage * step_s, longest)
+
     return StageProblem(
         start_m=at.position_m,
         step_m=at.step_length_m + LONGER_M,
@@ -220,6 +226,7 @@ def stage_problem(
         p_min=np.where(kept, problem.constraints.p_min - LESS_CHANCE, 0.0) if kept.any() else None,
         keep_outs=keep_outs(problem, moving, len(kept)),
         sag_m=(longest_sag_m(problem) or 0.0) + CLOSER_M,
+        may_reach=None if own.moves_freely else may_reach,
     )
 
 

@@ -230,6 +230,9 @@ class StageProblem:
     chain: Chain | None = None
     keep_outs: Sequence[KeepOut] = ()
     sag_m: float = 0.0  # Largest distance of a motion from the straight move of the step
+    # Maps a stage (from 1), positions (n, 2) and a slack in metres to whether the robot, with its
+    # inertia and heading, may come that near to them; None: it is free
+    may_reach: Callable[[int, Array, float], Mask] | None = None
 
     def alone(self) -> StageProblem:
         """Return the problem without the other robots."""
@@ -380,6 +383,9 @@ def open_cells(problem: StageProblem, cells: Cells, side: float, stage: int) -> 
     inside &= (corner <= np.array([x1, y1]) + OUTSIDE_M).all(axis=1)
     inside &= (corner + side >= np.array([x0, y0]) - OUTSIDE_M).all(axis=1)
     cells, corner = cells[inside], corner[inside]
+    if problem.may_reach is not None:
+        inside = problem.may_reach(stage, corner + 0.5 * side, np.sqrt(0.5) * side)
+        cells, corner = cells[inside], corner[inside]
     areas = problem.areas(stage - 1)
     if not areas or not len(cells):
         return cells

@@ -1,5 +1,7 @@
 """Attacks on bounds of sums over steps: random paths, enumeration, wrong multipliers."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from sum_scene import (
@@ -26,8 +28,11 @@ from planopt.bounds.tube import (
     through_bounds,
     tube_bounds,
 )
+from planopt.extend import Dynamics
 from planopt.objectives.upper_bounds import Discs, UpperBounds, sensing_bounds
 from planopt.planning.values.context import StepContext
+from planopt.problems import DoubleIntegrator, Unicycle
+from planopt.robots.dynamics import rolled_out
 from planopt.targets.information_filter import Sensor, sensing_information
 
 
@@ -106,6 +111,46 @@ def test_no_clear_path_is_excluded(seed: int) -> None:
         active = [divided(problem, cells, side, k + 1) for k, cells in enumerate(kept)]
     print(f"{compared} comparisons, {excluded} pairs of cells excluded")
     assert compared > 200 and excluded > 0
+
+
+@pytest.mark.parametrize(
+    ("dynamics", "motion"),
+    [(DoubleIntegrator(STEP_M, 0.5), [0.6, -0.3]), (Unicycle(STEP_M, 0.3, -0.5), [2.0])],
+    ids=["inertia", "heading"],
+)
+def test_no_driven_position_is_excluded(dynamics: Dynamics, motion: list[float]) -> None:
+    """Cells of random drives remain at all levels, and cells that no drive reaches are dropped."""
+    context = sum_context(1, 5, energy=False, plain=True)
+    own = replace(context.problem.robots[0], dynamics=dynamics)
+    context = replace(
+        context,
+        problem=replace(context.problem, robots=(own,)),
+        state=np.concatenate([context.position_m, motion]),
+    )
+    problem, generator = stages_in(context), np.random.default_rng(1)
+    inputs = generator.normal(0.0, 5.0, (4000, 5, 2))
+    if isinstance(dynamics, Unicycle):
+        inputs = np.clip(inputs, [-0.5, -0.3], [STEP_M, 0.3])
+    else:
+        inputs *= 0.5 / np.maximum(0.5, np.linalg.norm(inputs, axis=2))[..., None]
+    drives = [rolled_out(dynamics, context.state, each, 1.0).states for each in inputs]
+    states = np.array(drives)
+    if not isinstance(dynamics, Unicycle):
+        states = states[(np.linalg.norm(states[:, :, 2:], axis=2) <= STEP_M).all(axis=1)]
+    paths, side, free = states[:, 1:, :2], FIRST_SHARE * problem.step_m, 0
+    assert len(paths) > 500
+    active, every = first_cells(problem), first_cells(replace(problem, may_reach=None))
+    for _ in range(4):
+        visited = np.floor((paths - problem.start_m) / side).astype(int)
+        for k, (cells, more) in enumerate(zip(active, every, strict=True)):
+            assert set(map(tuple, visited[:, k].tolist())) <= set(map(tuple, cells.tolist()))
+            free += len(more) - len(cells)
+        side *= 0.5
+        active = [divided(problem, cells, side, k + 1) for k, cells in enumerate(active)]
+        alone = replace(problem, may_reach=None)
+        every = [divided(alone, cells, side, k + 1) for k, cells in enumerate(every)]
+    print(f"{4 * 5 * len(paths)} comparisons, {free} cells dropped")
+    assert free > 1000
 
 
 def test_other_robots_tighten_the_bound() -> None:

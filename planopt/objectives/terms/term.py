@@ -376,6 +376,11 @@ class TermContext(Protocol):
         ...
 
     @property
+    def state(self) -> Floats:
+        """``(s,)`` state of the robot, its position first."""
+        ...
+
+    @property
     def step_s(self) -> float:
         """Duration of a step."""
         ...

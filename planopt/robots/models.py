@@ -20,6 +20,7 @@ ROUNDED_SHARE = 1e-3  # Smoothing width relative to the largest speed, and to th
 SWING_SHARE = 0.25  # Maximum tracking error at the turns of a path, as a share of the longest step
 PIECE_TURN_RAD = math.pi / 4.0
 """Maximum turn per arc; steps are divided into arcs with narrow convex hulls."""
+DIRECTIONS = 17  # Number of directions in which the range of a unicycle is tested
 HALVINGS = 3  # Number of halvings of z in sin(z)/z, down to z / 8, at which the series is evaluated
 
 
@@ -375,19 +376,24 @@ class Unicycle(Dynamics):
         return inputs
 
     def may_reach(self, state: Floats, places_m: Floats, duration_s: float, slack_m: float) -> Mask:
-        """Return a mask of positions that are not excluded by the limited turn rate."""
-        # Lateral range v (1 - cos w t) / w up to a quarter turn; nothing behind.
+        """Return a mask of positions within the robot's range in each of several directions."""
         rate = self.turn_rate_max_rad_s
-        turning_s = min(duration_s, 0.5 * math.pi / rate)
-        speed = max(self.speed_max_m_s, -self.speed_min_m_s)
-        sideways = speed * ((1.0 - math.cos(rate * turning_s)) / rate + duration_s - turning_s)
+
+        def farthest_m(speed: float, angle: Floats) -> Floats:
+            # In a direction at an angle b from the heading, the speed is at most v cos(b - w t).
+            first = np.minimum(angle, 0.5 * math.pi)
+            last = np.clip(angle - rate * duration_s, 0.0, 0.5 * math.pi)
+            straight_s = np.maximum(duration_s - angle / rate, 0.0)
+            return speed * ((np.sin(first) - np.sin(last)) / rate + straight_s)
+
+        angle = np.linspace(0.0, math.pi, DIRECTIONS)
+        reach_m = farthest_m(self.speed_max_m_s, angle)
+        reach_m += farthest_m(-self.speed_min_m_s, math.pi - angle)
         ahead = np.array([math.cos(state[2]), math.sin(state[2])])
         offset = places_m - state[:2]
-        across = np.abs(offset @ np.array([-ahead[1], ahead[0]]))
-        reached = across <= sideways + slack_m
-        if self.speed_min_m_s == 0.0 and turning_s == duration_s:
-            reached &= offset @ ahead >= -slack_m
-        return reached
+        along, across = offset @ ahead, np.abs(offset @ np.array([-ahead[1], ahead[0]]))
+        there = np.outer(along, np.cos(angle)) + np.outer(across, np.sin(angle))
+        return np.asarray((there <= reach_m + slack_m).all(axis=1), dtype=np.bool_)
 
     def curves(self, states: Floats, inputs: Floats, step_s: float) -> list[StepCurve]:
         """Return each step's path as a circular arc."""

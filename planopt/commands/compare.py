@@ -6,7 +6,7 @@ import tomllib
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar, overload
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -196,7 +196,7 @@ def swept(text: str) -> tuple[str, list[Any]]:
     try:
         found = tomllib.loads(f"values = [{values}]")["values"]
     except tomllib.TOMLDecodeError:
-        found = [_word(part) for part in listed(values, "--sweep", str)]
+        found = [_word(part) for part in listed(values, "--sweep", str) or ()]
     if not key.strip() or not found:
         raise InputError(
             f"cannot read {text!r}",
@@ -213,12 +213,6 @@ def _word(text: str) -> Any:
         return text
 
 
-@overload
-def listed(text: str, option: str, kind: Callable[[str], Value]) -> tuple[Value, ...]: ...
-@overload
-def listed(
-    text: str | None, option: str, kind: Callable[[str], Value]
-) -> tuple[Value, ...] | None: ...
 def listed(text: str | None, option: str, kind: Callable[[str], Value]) -> tuple[Value, ...] | None:
     """Return the distinct values of a list such as ``1,2,5``; None for no list."""
     if text is None:

@@ -55,29 +55,26 @@ class LogFit:
         return DEGENERATE if self.found.status == "degenerate" else 0
 
 
-def read_and_fit(options: LogOptions) -> LogFit:
-    """Read a log of one transmitter and fit the channel."""
-    from planopt.channel.logs.log_format import parse_station
-
-    if options.stations is not None:
-        remedy = "give --each COLUMN as well, or --station X,Y"
-        raise InputError("needs --each", key="--stations", remedy=remedy)
-    if options.station is None:
-        raise InputError(
-            "is missing", key="--station", remedy="give X,Y in metres, or unknown to locate it"
-        )
-    log_format = log_format_of(options)
-    return _read_and_fit(options, log_format, parse_station(options.station, log_format.origin_deg))
-
-
 def fit_each(options: LogOptions) -> tuple[dict[str, LogFit], dict[str, int]]:
-    """Return each transmitter's fit, and the number of readings if these are too few to fit."""
+    """Return each transmitter's fit, and the number of readings if these are too few to fit.
+
+    Without --each, the log belongs to one transmitter with the label "".
+    """
     from planopt.channel.logs.log_format import parse_station
     from planopt.channel.logs.power_log import FEWEST_READINGS, transmitters_of
     from planopt.channel.logs.readers import read_stations
 
-    assert options.each is not None
+    if options.each is None and options.stations is not None:
+        remedy = "give --each COLUMN as well, or --station X,Y"
+        raise InputError("needs --each", key="--stations", remedy=remedy)
+    if options.each is None and options.station is None:
+        raise InputError(
+            "is missing", key="--station", remedy="give X,Y in metres, or unknown to locate it"
+        )
     log_format = log_format_of(options)
+    common = parse_station(options.station or "unknown", log_format.origin_deg)
+    if options.each is None:
+        return {"": _read_and_fit(options, log_format, common)}, {}
     counts = transmitters_of(options.log, options.each, log_format)
     used = [label for label, count in counts.items() if count >= FEWEST_READINGS]
     if not used:
@@ -96,7 +93,6 @@ def fit_each(options: LogOptions) -> tuple[dict[str, LogFit], dict[str, int]]:
             key="--station",
             remedy="give unknown to locate transmitters, or their positions with --stations FILE",
         )
-    common = parse_station(options.station or "unknown", log_format.origin_deg)
     fits: dict[str, LogFit] = {}
     for label in used:
         own = replace(log_format, where=(*log_format.where, (options.each, label)))
@@ -407,13 +403,10 @@ def fit(
     if options.each is not None and hold_out is not None:
         remedy = "select one transmitter by --where COLUMN=VALUE"
         raise InputError("cannot be combined with --each", key="--hold-out", remedy=remedy)
-    report, fits, left_out = None, dict[str, LogFit](), dict[str, int]()
+    report = None
     with results_folder(out) as folder:
         with progress("fitting"):
-            if options.each is None:
-                fits[""] = read_and_fit(options)
-            else:
-                fits, left_out = fit_each(options)
+            fits, left_out = fit_each(options)
         found = {label: fit_json(each) for label, each in fits.items()}
         if options.each is None:
             data = found[""]

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from planopt.commands.fit import DEGENERATE, fit_each, fit_json, read_and_fit
+from planopt.commands.fit import DEGENERATE, fit_each, fit_json
 from planopt.commands.options import (
     JsonOption,
     LogOptions,
     option,
     progress,
-    results_folder,
+    results_folders,
     say,
     show,
     with_options,
@@ -118,7 +118,8 @@ def map_log(
         check_raster_output(out)
     MaskLimits(keepout_below, 0.9 if p_min is None else p_min)
     box = None if bounds is None else parse_bounds(bounds)
-    with _writable(out, picture), results_folder(nav2):
+    folders = [nav2, *(None if file is None else file.parent for file in (out, picture))]
+    with results_folders(folders):
         with progress("mapping"), one_blas_thread():
             named = not options.log.suffix and (options.log.is_dir() or not options.log.exists())
             is_problem = named or options.log.suffix == ".toml"
@@ -158,8 +159,8 @@ def _log_map(
     from planopt.channel.posterior import condition
     from planopt.world.geodesy import parse_origin
 
+    fits, _ = fit_each(options)
     several = options.each is not None
-    fits = fit_each(options)[0] if several else {"": read_and_fit(options)}
     pooled = reduce(join, (each.measurements for each in fits.values()))
     box = measured_bounds_m(pooled) if bounds is None else bounds
     cell_m = default_cell_m(box) if cell is None else cell
@@ -299,16 +300,6 @@ def _threshold_dbm(
     if threshold is not None:
         return threshold
     return float(measurements.power_dbm.min()) if floor is None else floor
-
-
-@contextlib.contextmanager
-def _writable(*files: Path | None) -> Generator[None]:
-    """Check that all files are writable before any computation."""
-    with contextlib.ExitStack() as stack:
-        for file in files:
-            if file is not None:
-                stack.enter_context(results_folder(file.parent))
-        yield
 
 
 @contextlib.contextmanager

@@ -7,7 +7,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Generator, Mapping
+from collections.abc import Callable, Generator, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
@@ -365,3 +365,12 @@ def results_folder(out: Path | None) -> Generator[Path | None]:
             with contextlib.suppress(OSError):
                 out.rmdir()
         raise
+
+
+@contextlib.contextmanager
+def results_folders(folders: Iterable[Path | None]) -> Generator[None]:
+    """Check that all folders are writable before any computation, as :func:`results_folder`."""
+    with contextlib.ExitStack() as stack:
+        for folder in folders:
+            stack.enter_context(results_folder(folder))
+        yield

@@ -1,13 +1,12 @@
 """``planopt list``, ``schema``, ``init``, ``show`` and ``validate``: problems and their files."""
 
-import contextlib
 from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from planopt.commands.options import JsonOption, ProblemArgument, progress, results_folder, show
+from planopt.commands.options import JsonOption, ProblemArgument, progress, results_folders, show
 from planopt.errors import InputError, OutputError
 
 
@@ -104,9 +103,7 @@ def init(
     for path in written:
         if path.exists():
             raise OutputError(f"{path} already exists (choose another folder or name)")
-    with contextlib.ExitStack() as stack:
-        for folder in sorted({path.parent for path in written}):
-            stack.enter_context(results_folder(folder))
+    with results_folders(sorted({path.parent for path in written})):
         # The problem is written last, after the files that it refers to.
         for path in reversed(written):
             write_whole(path, partial(Path.write_bytes, data=contents[path]))

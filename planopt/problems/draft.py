@@ -50,8 +50,6 @@ TRANSMIT_POWER_DBM = 20.0
 SEARCHED_CELLS = 200
 """Number of candidate positions, along the world's longer side, for a free position."""
 
-Bounds = tuple[float, float, float, float]
-
 
 @dataclass(frozen=True)
 class DraftSettings:

@@ -23,7 +23,7 @@ from planopt.problems.channel_setup import (
     raster_truth_of,
 )
 from planopt.problems.library import find_problem, read_toml
-from planopt.problems.objective import ReachObjective, TermsObjective, term_keys
+from planopt.problems.objective import ReachObjective, TermsObjective, objective_keys
 from planopt.problems.problem import NAME, Problem, check_problem, tables_of
 from planopt.problems.robot import Robot
 from planopt.problems.schema import world_table
@@ -154,10 +154,8 @@ def saved_table(part: Any) -> Any:
             return world_table(part)
         case ChannelSetup():
             return saved(_without_python(part))
-        case ReachObjective():
-            return saved(part)
-        case TermsObjective():
-            return {"terms": [term_keys(term) for term in part.terms]}
+        case ReachObjective() | TermsObjective():
+            return saved(objective_keys(part))
         case Robot(dynamics=dynamics) if not (part.moves_freely or "dynamics" in part.to_keys()):
             raise InputError(
                 f"has the dynamics {dynamics.kind}, which are defined in Python and cannot be "

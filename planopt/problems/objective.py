@@ -173,7 +173,7 @@ def term_keys(term: Term) -> dict[str, Any]:
     return saved({key: value for key, value in table.items() if key not in term.left_out})
 
 
-def _objective_keys(objective: ReachObjective | TermsObjective) -> dict[str, Any]:
+def objective_keys(objective: ReachObjective | TermsObjective) -> dict[str, Any]:
     """Return the table of an objective."""
     if isinstance(objective, ReachObjective):
         return objective.to_keys()
@@ -184,7 +184,7 @@ OBJECTIVE = ReadAs(
     table_of(ReachObjective),
     _objective_of,
     *(ReachObjective, TermsObjective),
-    to_keys=_objective_keys,
+    to_keys=objective_keys,
 )
 
 

@@ -34,17 +34,13 @@ def log_warnings(log: PowerLog) -> list[str]:
     remarks = [] if remark is None else [remark]
     if log.power_unit == DETECTED_MW:
         remarks.append(f"powers are in {DETECTED_MW}, and become dBm (else give --power-unit dBm)")
-    return [*remarks, *_transmitters(log), *_degrees(log), *_powers(log.measurements, "the log")]
+    powers = measured_warnings(log.measurements, "the log")
+    return [*remarks, *_transmitters(log), *_degrees(log), *powers]
 
 
 def problem_warnings(problem: Problem) -> list[str]:
     """Return warnings about the values of a problem and its map files."""
     return [*_scales(problem), *_stations(problem), *_grids(problem)]
-
-
-def measured_warnings(measurements: Measurements) -> list[str]:
-    """Return warnings about the powers of initial or new measurements."""
-    return list(_powers(measurements, "measurements"))
 
 
 def _transmitters(log: PowerLog) -> Iterator[str]:
@@ -72,7 +68,8 @@ def _degrees(log: PowerLog) -> Iterator[str]:
         )
 
 
-def _powers(measurements: Measurements, source: str) -> Iterator[str]:
+def measured_warnings(measurements: Measurements, source: str = "measurements") -> Iterator[str]:
+    """Yield warnings about the powers of a log, or of initial or new measurements."""
     power = measurements.power_dbm
     if not len(power):
         return

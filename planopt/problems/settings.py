@@ -16,7 +16,6 @@ from planopt.parts import Registry, part_of, parts_of
 GROUP = "planopt.planners"  # Entry-point group of external planners
 
 _HOME = "planopt.planning.planners"
-_BOUNDS = "planopt.planning.planners"
 _SEARCH = "planopt.planning.horizon_planner"
 
 
@@ -101,10 +100,10 @@ OWN = {
         PlannerKind("path_loss_only", f"{_HOME}:path_loss_planner", tracks=True),
         PlannerKind("informed_disk", f"{_HOME}:disk_planner", tracks=True),
         PlannerKind("unaware", f"{_HOME}:unaware_planner", tracks=True),
-        PlannerKind("oracle", f"{_BOUNDS}:oracle_paths", foresees=True),
-        PlannerKind("oracle_log", f"{_BOUNDS}:oracle_log_paths", foresees=True),
-        PlannerKind("clairvoyant", f"{_BOUNDS}:clairvoyant_paths", foresees=True),
-        PlannerKind("clairvoyant_log", f"{_BOUNDS}:clairvoyant_log_paths", foresees=True),
+        PlannerKind("oracle", f"{_HOME}:oracle_paths", foresees=True),
+        PlannerKind("oracle_log", f"{_HOME}:oracle_log_paths", foresees=True),
+        PlannerKind("clairvoyant", f"{_HOME}:clairvoyant_paths", foresees=True),
+        PlannerKind("clairvoyant_log", f"{_HOME}:clairvoyant_log_paths", foresees=True),
     )
 }
 """Built-in planners. From ``one_step`` on they are baselines without goals, for single integrators

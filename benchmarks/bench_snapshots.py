@@ -8,6 +8,6 @@ from snapshot_study import slots
 def test_slots(benchmark):
     """A slot for the mean load breaks rounds; what keeps them is between it and the peak."""
     rows = benchmark.pedantic(lambda: list(slots(range(3, 5)))[1:], rounds=1)
-    assert len(rows) == 8
+    assert len(rows) == 4
     for row in rows:
-        assert row[5] > 0.0 and float(row[3]) < row[6] <= row[4]
+        assert row[4] > 0.0 and float(row[2]) < row[5] <= row[3]

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -18,23 +19,22 @@ Row = tuple[Any, ...]
 
 def slots(levels: range) -> Iterator[Row]:
     """Yield mean and peak load of each way to flood, and the least slot that keeps all rounds."""
-    yield "levels", "heads", "border relays", "mean", "peak", "late at the mean, %", "kept from"
+    yield "levels", "border relays", "mean", "peak", "late at the mean, %", "kept from"
     for count in levels:
         service = SnapshotService(count, 1.0, 0.05, 4)
-        for heads in ("first", "middle"):
-            for border in (True, False):
-                free = simulate_flooding(service, heads, border)
-                mean = int(np.ceil(free.mean_load))
-                run = simulate_flooding(service, heads, border, mean)
-                late = 100.0 * run.late.sum() / run.due.sum()
-                least = _least_slot(service, heads, border, free.peak_load)
-                yield count, heads, border, f"{free.mean_load:.2f}", free.peak_load, late, least
+        for border in (True, False):
+            free = simulate_flooding(service, border)
+            sent, peak = np.arange(len(free.motes_by_load)), len(free.motes_by_load) - 1
+            mean = float(np.average(sent, weights=free.motes_by_load))
+            run = simulate_flooding(service, border, math.ceil(mean))
+            late = 100.0 * run.late.sum() / run.due.sum()
+            yield count, border, f"{mean:.2f}", peak, late, _least_slot(service, border, peak)
 
 
-def _least_slot(service: SnapshotService, heads: Any, border: bool, peak: int) -> int:
+def _least_slot(service: SnapshotService, border: bool, peak: int) -> int:
     """The fewest blocks a slot from which on no round is late, by trying all below the peak."""
     blocks = peak
-    while blocks > 1 and simulate_flooding(service, heads, border, blocks - 1).keeps_rounds:
+    while blocks > 1 and not simulate_flooding(service, border, blocks - 1).late.any():
         blocks -= 1
     return blocks
 

@@ -73,7 +73,7 @@ def test_who_sees_coverage() -> None:
 @pytest.mark.skipif(find_spec("do_mpc") is None, reason="do-mpc is not installed (bench extra)")
 def test_do_mpc() -> None:
     """Its plan is verified and the objective at most planopt's, which searches globally."""
-    planner_of("do_mpc_planner", "DoMpcPlanner", solves=True)
+    planner_of("do_mpc_planner", "DoMpcPlanner")
     problem = load("outdoor_track")
     plans = {name: solve(problem, planner=name, horizon=3).plans for name in ("auto", "do_mpc")}
     own, other = (sum(plan.objective for plan in plans[name]) for name in ("auto", "do_mpc"))

@@ -48,5 +48,5 @@ class DoMpcPlanner:
 
 
 if __name__ == "__main__":
-    register_planner(PlannerKind("do_mpc", DoMpcPlanner, solves=True))
+    register_planner(PlannerKind("do_mpc", DoMpcPlanner))
     sys.exit(main())

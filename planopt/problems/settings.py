@@ -36,10 +36,6 @@ class PlannerKind:
         move, planopt's lattice path is released. Robots must be single integrators.
     has_dynamics
         True if the planner supports dynamics other than the single integrator.
-    searches
-        True if the planner has a global search with a fallback cascade.
-    solves
-        True if the planner runs a solver; its termination, iterations and residual are reported.
     foresees
         True if the planner knows the ground truth and serves as a performance bound. ``make`` then
         takes the problem of all robots, the first station's ground truth and the target's path, and
@@ -54,8 +50,6 @@ class PlannerKind:
     make: Callable[..., Any] | str
     reaches_goals: bool = False
     has_dynamics: bool = False
-    searches: bool = False
-    solves: bool = False
     foresees: bool = False
     tracks: bool = False
     version: str = ""
@@ -88,8 +82,8 @@ OWN = {
     kind.name: kind
     for kind in (
         *(
-            PlannerKind(name, f"{_SEARCH}:HorizonPlanner", True, True, True, solves)
-            for name, solves in (("auto", True), ("nlp", True), ("scp", True), ("lattice", False))
+            PlannerKind(name, f"{_SEARCH}:HorizonPlanner", reaches_goals=True, has_dynamics=True)
+            for name in ("auto", "nlp", "scp", "lattice")
         ),
         PlannerKind("one_step", f"{_HOME}:OneStepPlanner"),
         PlannerKind("largest_deviation", f"{_HOME}:largest_deviation_planner"),

@@ -36,9 +36,10 @@ from planopt.pursuit.guarantees import guarantees_among_obstacles as guarantees_
 from planopt.pursuit.levels import LevelBounds as LevelBounds
 from planopt.pursuit.pursuers import DriveToReport as DriveToReport
 from planopt.pursuit.pursuers import Estimate as Estimate
-from planopt.pursuit.pursuers import Hunt as Hunt
 from planopt.pursuit.pursuers import Mate as Mate
 from planopt.pursuit.pursuers import Policy as Policy
+from planopt.pursuit.pursuers import PursuerView as PursuerView
+from planopt.pursuit.pursuers import Quest as Quest
 from planopt.pursuit.pursuers import RecedingHorizon as RecedingHorizon
 from planopt.pursuit.pursuers import StraightMotion as StraightMotion
 from planopt.pursuit.pursuers import UnicycleMotion as UnicycleMotion

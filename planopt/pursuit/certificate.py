@@ -37,17 +37,20 @@ class Theorem(Enum):
 
 @dataclass(frozen=True)
 class Inequality:
-    """Strict inequality ``left < right`` with its description."""
+    """Inequality ``left < right`` with its description."""
 
     words: str  # Description of the inequality
     left: float  # Both sides, in `unit` ("" for ratios)
     right: float
     unit: str = ""
+    strict: bool = True  # Whether equality is a failure; loads and margins may be met exactly
 
     @property
     def holds(self) -> bool:
-        """Return True if the inequality holds strictly."""
-        return self.left < self.right
+        """Return True if the inequality holds, strictly or up to rounding."""
+        if self.strict:
+            return self.left < self.right
+        return self.left <= self.right * (1.0 + ROUNDING)
 
     @property
     def margin(self) -> float:
@@ -55,6 +58,8 @@ class Inequality:
         return self.right - self.left
 
     def __str__(self) -> str:
+        if self.holds and not self.left < self.right:
+            return f"{self.words}: met exactly"
         unit = f" {self.unit}" if self.unit else ""
         relation = f"{self.margin:.4g}{unit} below" if self.holds else "not below"
         return f"{self.words}: {self.left:.6g}{unit} is {relation} {self.right:.6g}{unit}"
@@ -67,26 +72,6 @@ REPORT_SHARE = 2.0
 """Factor on report errors among obstacles: moving a report to free space may double its error."""
 TURN_SEGMENTS = 2  # Straight segments per quarter turn of a path around an obstacle vertex
 RING_SAMPLES = 100  # Number of boundary points between which detours are compared with chords
-
-
-@dataclass(frozen=True)
-class Requirement:
-    """An inequality that a design must satisfy."""
-
-    inequality: Inequality
-    strict: bool = True  # Whether equality is a failure; loads and margins may be met exactly
-
-    @property
-    def holds(self) -> bool:
-        """Return True if the design satisfies the inequality."""
-        if self.strict:
-            return self.inequality.holds
-        return self.inequality.left <= self.inequality.right * (1.0 + ROUNDING)
-
-    def __str__(self) -> str:
-        if self.holds and not self.inequality.holds:
-            return f"{self.inequality.words}: met exactly"
-        return str(self.inequality)
 
 
 @dataclass(frozen=True)
@@ -256,12 +241,12 @@ class DesignData:
 
 def certify(
     data: DesignData, theorem: Theorem, slot_width_s: float, rate_divisor: int, bits_per_axis: int
-) -> tuple[Requirement, ...]:
+) -> tuple[Inequality, ...]:
     """Return every requirement on a network design, satisfied or not."""
     payload = data.header_bits + data.slot_blocks * (data.record_bits + 2 * bits_per_axis)
     carried = data.bit_rate_bit_s * slot_width_s
     words = "payload of a slot below what it carries"
-    found = [Requirement(Inequality(words, payload, carried, "bit"), strict=False)]
+    found = [Inequality(words, payload, carried, "bit", strict=False)]
     # A level-j round takes 3 * 2^j frames and starts every r-th time; 2^j < 2 d in mote spacings.
     frame_s = data.slots_per_frame * slot_width_s
     case = Case(
@@ -279,15 +264,13 @@ def certify(
     if radius_m is None:
         left = case.contraction + case.moved
         found += [
-            Requirement(Inequality("a + x below 1", left, 1.0)),
-            Requirement(Inequality("a + x + margin below 1", left + data.margin, 1.0), False),
+            Inequality("a + x below 1", left, 1.0),
+            Inequality("a + x + margin below 1", left + data.margin, 1.0, strict=False),
         ]
     else:
         floor = floor_m(theorem, case)
-        found += [Requirement(each) for each in premises(theorem, case)]
-        found.append(
-            Requirement(Inequality("floor below the capture radius", floor, radius_m, "m"))
-        )
+        found += premises(theorem, case)
+        found.append(Inequality("floor below the capture radius", floor, radius_m, "m"))
     if deadline_s is not None and first_m is not None:
         if radius_m is None:
             left = 1.0 - case.contraction - case.moved
@@ -295,8 +278,8 @@ def certify(
             longest_s = first_s / left if left > 0.0 else math.inf
         else:
             longest_s = capture_time_s(theorem, case, first_m, radius_m)
-        in_time = Inequality("time to capture below the deadline", longest_s, deadline_s, "s")
-        found.append(Requirement(in_time, strict=radius_m is not None))
+        words, strict = "time to capture below the deadline", radius_m is not None
+        found.append(Inequality(words, longest_s, deadline_s, "s", strict))
     return tuple(found)
 
 

@@ -209,14 +209,21 @@ def cheapest_design(task: DesignTask) -> Design:
     """Return the minimum-power design that satisfies Lemma III.3 with the required margin."""
     # For each c the widest slot is ``(1 - a - delta) / (12 eta_s v_e)``, and power decreases with
     # the slot width.
-    return _scan(task, lambda bits: _Found(_widest_s(task, bits), 1, ("lemma",)))
+    return _scan(task, lambda bits: (_widest_s(task, bits), 1, ("lemma",)))
 
 
 def cheapest_rated_design(task: DesignTask) -> Design:
     """Return the minimum-power design by Lemma III.3, with the rate divisor optimised as well."""
     # Ages are then at most ``6 (1 + r) eta_s s_w`` frames per spacing. Short slots with infrequent
-    # rounds cost down to half as much as long slots, provided that motes sleep in between.
-    return _scan(task, partial(_rated_candidate, task))
+    # rounds cost down to half as much as long slots, provided that motes sleep in between. The
+    # largest divisor for which slots carry the payload is the cheapest.
+
+    def candidate(bits: int) -> _Found:
+        widest_s = _widest_s(task, bits)
+        divisor = math.floor(2.0 * widest_s / task.network.least_slot_s(bits) - 1.0)
+        return 2.0 * widest_s / (1 + divisor), divisor, ("lemma", "payload")
+
+    return _scan(task, candidate)
 
 
 def least_energy_design(task: DesignTask) -> Design:
@@ -272,13 +279,8 @@ def sensitivities(
     }
 
 
-@dataclass(frozen=True)
-class _Found:
-    """Slot width and rate divisor of a design, with its active requirements."""
-
-    slot_width_s: float
-    rate_divisor: int
-    binding: tuple[str, ...]
+_Found = tuple[float, int, tuple[str, ...]]
+"""Slot width and rate divisor of a design, with its active requirements."""
 
 
 def _scan(
@@ -291,25 +293,17 @@ def _scan(
     failures: list[NoDesignError] = []
     for c in task.bits:
         try:
-            found = candidate(c)
+            slot_s, divisor, binding = candidate(c)
         except NoDesignError as error:
             failures.append(error)
             continue
-        slot_s, divisor = found.slot_width_s, found.rate_divisor
         bounds = task.network.service(slot_s, c, divisor).bounds
         power_w = task.network.power_w(slot_s, c, divisor)
         each = capture_guarantees(task.chase, bounds)
-        designs.append(Design(task, slot_s, divisor, c, power_w, found.binding, each))
+        designs.append(Design(task, slot_s, divisor, c, power_w, binding, each))
     if designs:
         return min(designs, key=objective)
     raise max(failures, key=lambda failure: failure.order)
-
-
-def _rated_candidate(task: DesignTask, bits: int) -> _Found:
-    """Return the design with the largest rate divisor for which slots carry the payload."""
-    widest_s = _widest_s(task, bits)
-    divisor = math.floor(2.0 * widest_s / task.network.least_slot_s(bits) - 1.0)
-    return _Found(2.0 * widest_s / (1 + divisor), divisor, ("lemma", "payload"))
 
 
 def _energy_candidate(task: DesignTask, bits: int) -> _Found:
@@ -330,8 +324,8 @@ def _energy_candidate(task: DesignTask, bits: int) -> _Found:
             raise NoDesignError(in_time, bits, 2)
     binding = min(limits, key=lambda name: limits[name])
     if limits[binding] < least_s:
-        return _Found(least_s, 1, ("payload",))
-    return _Found(limits[binding], 1, (binding,) if binding else ())
+        return least_s, 1, ("payload",)
+    return limits[binding], 1, (binding,) if binding else ()
 
 
 def _sharp_candidate(task: DesignTask, theorem: Theorem, bits: int) -> _Found:
@@ -352,7 +346,7 @@ def _sharp_candidate(task: DesignTask, theorem: Theorem, bits: int) -> _Found:
     low, high = _bisected(failing, low, high)
     fails = failing(high)
     assert fails is not None
-    return _Found(low, 1, (fails[0],))
+    return low, 1, (fails[0],)
 
 
 def _bisected(

@@ -40,90 +40,6 @@ class Mate:
     record: Record | None  # Its record in use
 
 
-@dataclass(frozen=True, eq=False)
-class Hunt:
-    """Inputs to the decision of a cooperating pursuer."""
-
-    place_m: Floats  # (2,)
-    speed_m_s: float
-    mates: Sequence[Mate]
-    evader_speed_m_s: float
-    capture_radius_m: float
-    arena: Arena
-
-
-def consistent_m(
-    records: Sequence[Record], time_s: float, evader_speed_m_s: float, arena: Arena
-) -> tuple[Floats, Floats]:
-    """Return the centre (2,) of the set consistent with all records, and positions (k, 2) in it."""
-    places_m = np.array([each.reported_m for each in records])
-    ranges_m = np.array(
-        [each.error_m + evader_speed_m_s * (time_s - each.sampled_s) for each in records]
-    )
-    best = int(ranges_m.argmin())
-    share = np.sqrt((np.arange(PLACES) + 0.5) / PLACES)
-    turn = GOLDEN_RAD * np.arange(PLACES)
-    spread = share[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    found = arena.within(places_m[best] + ranges_m[best] * spread)
-    away_m = np.linalg.norm(found[:, None] - places_m, axis=2)
-    kept = found[(away_m <= ranges_m * (1.0 + 1e-9)).all(axis=1)]
-    found = kept if len(kept) else found
-    return found.mean(axis=0), found
-
-
-def blocking_aim_m(hunt: Hunt, centre_m: Floats, places_m: Floats, horizon_s: float) -> Floats:
-    """Return the aim (2,) of least time to capture, given the aims of the other pursuers."""
-    turn = np.arange(FLIGHTS) * (2.0 * np.pi / FLIGHTS)
-    velocity = hunt.evader_speed_m_s * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    ahead_s = min(horizon_s, float(np.linalg.norm(centre_m - hunt.place_m)) / hunt.speed_m_s)
-    flown_m = places_m[:, None] + ahead_s * velocity
-    others_s = np.full(flown_m.shape[:2], np.inf)
-    for mate in hunt.mates:
-        there_m = _driven_m(hunt.arena, mate.place_m, mate.aim_m[None], mate.speed_m_s * ahead_s)
-        found_s = _capture_s(hunt, there_m, mate.speed_m_s, flown_m, velocity)
-        others_s = np.minimum(others_s, found_s[0])
-    aims_m = _candidates_m(hunt, centre_m, ahead_s)
-    there_m = _driven_m(hunt.arena, hunt.place_m, aims_m, hunt.speed_m_s * ahead_s)
-    own_s = _capture_s(hunt, there_m, hunt.speed_m_s, flown_m, velocity)
-    # The evader flees in the direction of latest capture; its position in the set is unknown.
-    soonest_s = np.minimum(own_s, others_s)
-    # The mean decides if two pursuers cannot shorten the worst flight. The centre wins ties.
-    value_s = np.asarray((soonest_s.max(axis=2) + soonest_s.mean(axis=2)).mean(axis=1))
-    return aims_m[int(value_s.round(6).argmin())]
-
-
-def _candidates_m(hunt: Hunt, centre_m: Floats, ahead_s: float) -> Floats:
-    """Return candidate aims (k, 2): the centre of the set, and positions on rings around it."""
-    turn = np.arange(BEARINGS) * (2.0 * np.pi / BEARINGS)
-    ring = hunt.evader_speed_m_s * ahead_s * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    aims_m = hunt.arena.within(centre_m + np.concatenate([share * ring for share in RINGS]))
-    if hunt.arena.obstacles is not None:
-        aims_m = aims_m[[hunt.arena.is_free(each, 1.1) for each in aims_m]]
-    return np.concatenate([hunt.arena.free_m(centre_m)[None], aims_m.reshape(-1, 2)])
-
-
-def _driven_m(arena: Arena, place_m: Floats, aims_m: Floats, range_m: float) -> Floats:
-    """Return positions (k, 2) after driving `range_m` towards aims, placed on straight lines."""
-    lengths_m = np.maximum(arena.distances_m(place_m, aims_m), 1e-9)
-    return place_m + np.minimum(1.0, range_m / lengths_m)[:, None] * (aims_m - place_m)
-
-
-def _capture_s(
-    hunt: Hunt, pursuers_m: Floats, speed_m_s: float, evaders_m: Floats, velocity: Floats
-) -> Floats:
-    """Return the times in which pursuers capture evaders that flee along straight lines."""
-    # The root s of |apart + velocity s| = speed s + radius.
-    apart = evaders_m - pursuers_m[:, None, None]
-    radius_m = hunt.capture_radius_m
-    square = speed_m_s**2 - hunt.evader_speed_m_s**2
-    half = speed_m_s * radius_m - (apart * velocity).sum(axis=-1)
-    over = (apart * apart).sum(axis=-1) - radius_m**2
-    if square <= 0.0:
-        return np.sqrt(np.maximum(over, 0.0)) / speed_m_s
-    root = (-half + np.sqrt(np.maximum(half * half + square * over, 0.0))) / square
-    return np.where(over <= 0.0, 0.0, root)
-
-
 ARRIVED_M = 1e-9  # Distance below which a point counts as reached, since its bearing is undefined
 ARRIVED_SHARE = 1e-6
 """Distance below which a waypoint counts as reached, relative to the step length."""
@@ -232,6 +148,81 @@ class Quest:
     evader_speed_m_s: float  # Maximum speed over all evaders
     arena: Arena
     capture_radius_m: float = 0.0
+
+
+def consistent_m(
+    records: Sequence[Record], time_s: float, evader_speed_m_s: float, arena: Arena
+) -> tuple[Floats, Floats]:
+    """Return the centre (2,) of the set consistent with all records, and positions (k, 2) in it."""
+    places_m = np.array([each.reported_m for each in records])
+    ranges_m = np.array(
+        [each.error_m + evader_speed_m_s * (time_s - each.sampled_s) for each in records]
+    )
+    best = int(ranges_m.argmin())
+    share = np.sqrt((np.arange(PLACES) + 0.5) / PLACES)
+    turn = GOLDEN_RAD * np.arange(PLACES)
+    spread = share[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    found = arena.within(places_m[best] + ranges_m[best] * spread)
+    away_m = np.linalg.norm(found[:, None] - places_m, axis=2)
+    kept = found[(away_m <= ranges_m * (1.0 + 1e-9)).all(axis=1)]
+    found = kept if len(kept) else found
+    return found.mean(axis=0), found
+
+
+def blocking_aim_m(
+    quest: Quest, view: PursuerView, centre_m: Floats, places_m: Floats, horizon_s: float
+) -> Floats:
+    """Return the aim (2,) of least time to capture, given the aims of the other pursuers."""
+    speed_m_s = quest.motion.speed_max_m_s
+    turn = np.arange(FLIGHTS) * (2.0 * np.pi / FLIGHTS)
+    velocity = quest.evader_speed_m_s * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    ahead_s = min(horizon_s, float(np.linalg.norm(centre_m - view.place_m)) / speed_m_s)
+    flown_m = places_m[:, None] + ahead_s * velocity
+    others_s = np.full(flown_m.shape[:2], np.inf)
+    for mate in view.mates:
+        there_m = _driven_m(quest.arena, mate.place_m, mate.aim_m[None], mate.speed_m_s * ahead_s)
+        found_s = _capture_s(quest, there_m, mate.speed_m_s, flown_m, velocity)
+        others_s = np.minimum(others_s, found_s[0])
+    aims_m = _candidates_m(quest, centre_m, ahead_s)
+    there_m = _driven_m(quest.arena, view.place_m, aims_m, speed_m_s * ahead_s)
+    own_s = _capture_s(quest, there_m, speed_m_s, flown_m, velocity)
+    # The evader flees in the direction of latest capture; its position in the set is unknown.
+    soonest_s = np.minimum(own_s, others_s)
+    # The mean decides if two pursuers cannot shorten the worst flight. The centre wins ties.
+    value_s = np.asarray((soonest_s.max(axis=2) + soonest_s.mean(axis=2)).mean(axis=1))
+    return aims_m[int(value_s.round(6).argmin())]
+
+
+def _candidates_m(quest: Quest, centre_m: Floats, ahead_s: float) -> Floats:
+    """Return candidate aims (k, 2): the centre of the set, and positions on rings around it."""
+    turn = np.arange(BEARINGS) * (2.0 * np.pi / BEARINGS)
+    ring = quest.evader_speed_m_s * ahead_s * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    aims_m = quest.arena.within(centre_m + np.concatenate([share * ring for share in RINGS]))
+    if quest.arena.obstacles is not None:
+        aims_m = aims_m[[quest.arena.is_free(each, 1.1) for each in aims_m]]
+    return np.concatenate([quest.arena.free_m(centre_m)[None], aims_m.reshape(-1, 2)])
+
+
+def _driven_m(arena: Arena, place_m: Floats, aims_m: Floats, range_m: float) -> Floats:
+    """Return positions (k, 2) after driving `range_m` towards aims, placed on straight lines."""
+    lengths_m = np.maximum(arena.distances_m(place_m, aims_m), 1e-9)
+    return place_m + np.minimum(1.0, range_m / lengths_m)[:, None] * (aims_m - place_m)
+
+
+def _capture_s(
+    quest: Quest, pursuers_m: Floats, speed_m_s: float, evaders_m: Floats, velocity: Floats
+) -> Floats:
+    """Return the times in which pursuers capture evaders that flee along straight lines."""
+    # The root s of |apart + velocity s| = speed s + radius.
+    apart = evaders_m - pursuers_m[:, None, None]
+    radius_m = quest.capture_radius_m
+    square = speed_m_s**2 - quest.evader_speed_m_s**2
+    half = speed_m_s * radius_m - (apart * velocity).sum(axis=-1)
+    over = (apart * apart).sum(axis=-1) - radius_m**2
+    if square <= 0.0:
+        return np.sqrt(np.maximum(over, 0.0)) / speed_m_s
+    root = (-half + np.sqrt(np.maximum(half * half + square * over, 0.0))) / square
+    return np.where(over <= 0.0, 0.0, root)
 
 
 def fresher(found: Record, held: Record | None) -> bool:
@@ -364,15 +355,8 @@ class RecedingHorizon:
         held = [each.record for each in view.mates if each.record is not None]
         records = held if self.record is None else [self.record, *held]
         centre_m, places_m = consistent_m(records, view.time_s, quest.evader_speed_m_s, quest.arena)
-        hunt = Hunt(
-            view.place_m,
-            quest.motion.speed_max_m_s,
-            view.mates,
-            quest.evader_speed_m_s,
-            quest.capture_radius_m,
-            quest.arena,
-        )
-        return blocking_aim_m(hunt, centre_m, places_m, self._horizon * self._plan_step_s)
+        horizon_s = self._horizon * self._plan_step_s
+        return blocking_aim_m(quest, view, centre_m, places_m, horizon_s)
 
     def _meeting_m(self, view: PursuerView, estimate: Estimate) -> Floats:
         """Return the first predicted position that the pursuer reaches in time, else the last."""

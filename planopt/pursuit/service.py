@@ -367,32 +367,16 @@ class FloodingRun:
     due: NDArray[np.int64]  # (L + 1,) number of (mote, record) pairs to be delivered
     late: NDArray[np.int64]  # (L + 1,) number of these that missed the end of their round
 
-    @property
-    def mean_load(self) -> float:
-        """Return the mean number of blocks that a mote sends per frame."""
-        return float(np.average(np.arange(len(self.motes_by_load)), weights=self.motes_by_load))
-
-    @property
-    def peak_load(self) -> int:
-        """Return the largest number of blocks that any mote sent in any frame."""
-        return len(self.motes_by_load) - 1
-
-    @property
-    def keeps_rounds(self) -> bool:
-        """Return True if all motes of the nine cells received every record in time."""
-        return not self.late.any()
-
 
 def simulate_flooding(
     service: SnapshotService,
-    heads: Literal["first", "middle"] = "first",  # Position of the head in its cell
     border_relays: bool = True,  # Whether motes at the border of the nine cells relay records
     slot_blocks: int | None = None,  # Capacity of a slot in blocks; None for no limit
 ) -> FloodingRun:
     """Simulate flooding frame by frame over one common period of all rounds."""
     side = service.motes_per_side
     rounds = [
-        _Round(side, level, service.hops_per_round, heads == "middle", border_relays, slot_blocks)
+        _Round(side, level, service.hops_per_round, border_relays, slot_blocks)
         for level in range(service.levels + 1)
     ]
     periods = [service.rate_divisor * each.frames for each in rounds]
@@ -423,7 +407,6 @@ class _Round:
         side: int,
         level: int,
         hops_per_round: int,
-        middle: bool,
         border_relays: bool,
         slot_blocks: int | None,
     ) -> None:
@@ -438,17 +421,15 @@ class _Round:
         self._relays = np.ones((3 * cell, 3 * cell), dtype=np.bool_)
         if not border_relays:
             self._relays[[0, -1]] = self._relays[:, [0, -1]] = False
-        head, part = (cell // 2, cell // 4) if middle else (0, 0)
-        self._head = cell + head
         # A cell's four states come from the heads of its quarters, at most half a cell away.
         corners = np.array([(0, 0), (0, 1), (1, 0), (1, 1)] if level else [], dtype=np.int64)
-        offsets = corners.reshape(-1, 2) * (cell // 2) + part - head
+        offsets = corners.reshape(-1, 2) * (cell // 2)
         self._hops, self._steps = np.abs(offsets).max(axis=1, initial=0), np.sign(offsets)
-        along = np.arange(self._count) * cell + head
+        along = np.arange(self._count) * cell
         self._heads = np.stack(np.meshgrid(along, along, indexing="ij"), axis=-1)
         # Frames of a round in which states are sent, and in which heads begin to flood.
-        self._ends = cell // 2 if middle else cell - 1
-        self._begins = (cell // 4 if middle else cell // 2 - 1) if level else 0
+        self._ends = cell - 1
+        self._begins = cell // 2 - 1 if level else 0
 
     def gather(self, offset: int, load: NDArray[np.int64]) -> int:
         """Send every state one hop further; return the number of blocks sent."""
@@ -466,8 +447,8 @@ class _Round:
             self.heard[:] = False
             self._waiting[:] = False
         if offset == self._ends:
-            self.heard[:, :, self._head, self._head] = True
-            self._waiting[:, :, self._head, self._head] = True
+            self.heard[:, :, self._cell, self._cell] = True
+            self._waiting[:, :, self._cell, self._cell] = True
         if not self._ends <= offset < self.frames or not self._waiting.any():
             return 0
         sending = self._waiting.copy()

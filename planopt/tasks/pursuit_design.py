@@ -20,7 +20,7 @@ from planopt.keys import SMALLEST, Length, Table
 from planopt.planning.plan import Termination, Verdict
 from planopt.problems.schema import TaskFile
 from planopt.problems.tasks import TaskProblem
-from planopt.pursuit.certificate import DesignData, Inequality, Requirement, Theorem, certify
+from planopt.pursuit.certificate import DesignData, Inequality, Theorem, certify
 from planopt.pursuit.design import (
     MAX_BITS,
     Design,
@@ -254,7 +254,7 @@ def solve(problem: DesignProblem, *, seed: int) -> TaskResult:
     return TaskResult(problem, data, value=design)
 
 
-def _proof(problem: DesignProblem, design: Design) -> tuple[Requirement, ...]:
+def _proof(problem: DesignProblem, design: Design) -> tuple[Inequality, ...]:
     """Return the requirements on a design as evaluated by the independent verifier."""
     config = problem.config
     values = config.pursuit.model_dump() | config.network.model_dump()
@@ -309,7 +309,7 @@ def _refusal(problem: DesignProblem, error: NoPlanError) -> dict[str, Any]:
 
 
 def _design_json(
-    problem: DesignProblem, design: Design, proof: tuple[Requirement, ...]
+    problem: DesignProblem, design: Design, proof: tuple[Inequality, ...]
 ) -> dict[str, Any]:
     objective, lasts_s = problem.objective(design), _capture_time_s(problem, design)
     bound = objective * (1.0 - SCAN_SHARE)
@@ -350,7 +350,7 @@ def _design_json(
         "certificate": {
             "requirements": [
                 {
-                    **_inequality_json(each.inequality),
+                    **_inequality_json(each),
                     "strict": each.strict,
                     "holds": each.holds,
                     "text": str(each),

@@ -65,7 +65,7 @@ def test_entry_points(monkeypatch) -> None:
     """A package gives a kind, or what makes the planner; neither is imported before it is named."""
     points = [
         SimpleNamespace(
-            name="mower", load=lambda: PlannerKind("", LawnmowerPlanner, searches=True)
+            name="mower", load=lambda: PlannerKind("", LawnmowerPlanner, has_dynamics=True)
         ),
         SimpleNamespace(name="east", load=lambda: Eastward),
         SimpleNamespace(name="auto", load=lambda: Eastward),
@@ -74,7 +74,7 @@ def test_entry_points(monkeypatch) -> None:
     monkeypatch.setattr(settings.PLANNERS, "installed", {one.name: one for one in points})
     monkeypatch.setattr(settings.PLANNERS, "registered", {})
     assert planner_names() == (*OWN, "mower", "east", "broken")
-    assert planner_kind("mower") == PlannerKind("mower", LawnmowerPlanner, searches=True)
+    assert planner_kind("mower") == PlannerKind("mower", LawnmowerPlanner, has_dynamics=True)
     assert planner_kind("east") == PlannerKind("east", Eastward)
     assert planner_kind("auto") is OWN["auto"]
     with pytest.raises(InputError, match="whose package cannot be imported"):

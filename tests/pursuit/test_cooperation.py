@@ -10,9 +10,10 @@ from planopt.pursuit import (
     DriveToReport,
     Evader,
     Fleeing,
-    Hunt,
     Mate,
     Pursuer,
+    PursuerView,
+    Quest,
     RecedingHorizon,
     Record,
     Scene,
@@ -29,6 +30,12 @@ def record(x, y, error_m=1.0, sampled_s=0.0):
     return Record(sampled_s, np.array([x, y]), error_m)
 
 
+def hunt(place_m, speed_m_s, mates=(), radius_m=10.0):
+    """The problem and the view of a pursuer of an evader with 2 m/s."""
+    quest = Quest(StraightMotion(speed_m_s), 2.0, Arena(), radius_m)
+    return quest, PursuerView(0.0, 1.0, np.array(place_m), lambda held: held, mates)
+
+
 def test_consistent_positions():
     """They are within the range of every record and within the bounds, and spread over both."""
     records = [record(0.0, 0.0, 2.0), record(6.0, 0.0, 1.0, 1.0)]
@@ -43,16 +50,17 @@ def test_consistent_positions():
 def test_alone_the_centre_is_best():
     """In open space nothing beats the report: the set is a disc (docs/theory/pursuit.md)."""
     centre, places = consistent_m([record(100.0, 30.0, 5.0)], 4.0, 2.0, Arena())
-    hunt = Hunt(np.zeros(2), 5.0, [], 2.0, 10.0, Arena())
-    np.testing.assert_allclose(blocking_aim_m(hunt, centre, places, 30.0), centre)
+    aim = blocking_aim_m(*hunt((0.0, 0.0), 5.0), centre, places, 30.0)
+    np.testing.assert_allclose(aim, centre)
 
 
-def worst_and_mean_s(hunt, aim, centre, places):
+def worst_and_mean_s(quest, view, aim, centre, places):
     """The value of an aim, by a dense grid of times instead of roots."""
-    ahead_s = np.hypot(*(centre - hunt.place_m)) / hunt.speed_m_s
+    speed_m_s = quest.motion.speed_max_m_s
+    ahead_s = np.hypot(*(centre - view.place_m)) / speed_m_s
     times_s = np.linspace(0.0, 120.0, 24_001)
-    pairs = [(hunt.place_m, aim, hunt.speed_m_s)]
-    pairs += [(each.place_m, each.aim_m, each.speed_m_s) for each in hunt.mates]
+    pairs = [(view.place_m, aim, speed_m_s)]
+    pairs += [(each.place_m, each.aim_m, each.speed_m_s) for each in view.mates]
     values = []
     for place in places[::6]:
         flights = []
@@ -62,7 +70,7 @@ def worst_and_mean_s(hunt, aim, centre, places):
             for start, goal, speed in pairs:
                 share = min(1.0, speed * ahead_s / np.hypot(*(goal - start)))
                 away = np.hypot(*(run - start - share * (goal - start)).T)
-                soonest.append(times_s[np.argmax(away <= speed * times_s + hunt.capture_radius_m)])
+                soonest.append(times_s[np.argmax(away <= speed * times_s + quest.capture_radius_m)])
             flights.append(min(soonest))
         values.append(max(flights) + np.mean(flights))
     return np.mean(values)
@@ -72,13 +80,13 @@ def test_the_aim_is_better_than_others():
     """Beside a mate that comes from the left, by an independent evaluation of equation 8.20."""
     centre, places = consistent_m([record(100.0, 0.0, 0.1)], 0.0, 2.0, Arena())
     mate = Mate(np.array([40.0, 0.0]), np.array([100.0, 0.0]), 5.0, None)
-    hunt = Hunt(np.array([100.0, 80.0]), 5.0, [mate], 2.0, 10.0, Arena())
-    aim = blocking_aim_m(hunt, centre, places, 20.0)
-    best_s = worst_and_mean_s(hunt, aim, centre, places)
-    assert best_s < worst_and_mean_s(hunt, centre, centre, places) - 0.05
+    case = hunt((100.0, 80.0), 5.0, [mate])
+    aim = blocking_aim_m(*case, centre, places, 20.0)
+    best_s = worst_and_mean_s(*case, aim, centre, places)
+    assert best_s < worst_and_mean_s(*case, centre, centre, places) - 0.05
     for turn in np.arange(0, 16, 3) * (2.0 * np.pi / 16):
         other = centre + 32.0 * np.array([np.cos(turn), np.sin(turn)])
-        assert best_s <= worst_and_mean_s(hunt, other, centre, places) + 0.02
+        assert best_s <= worst_and_mean_s(*case, other, centre, places) + 0.02
 
 
 def team(policy, seed, count=3):
@@ -113,5 +121,5 @@ def test_slow_mates(speed):
     """A pursuer that is no faster than the evader still plans."""
     centre, places = consistent_m([record(50.0, 0.0)], 0.0, 2.0, Arena())
     mate = Mate(np.array([90.0, 0.0]), np.array([60.0, 0.0]), 5.0, None)
-    hunt = Hunt(np.zeros(2), speed, [mate], 2.0, 5.0, Arena())
-    assert np.isfinite(blocking_aim_m(hunt, centre, places, 20.0)).all()
+    case = hunt((0.0, 0.0), speed, [mate], 5.0)
+    assert np.isfinite(blocking_aim_m(*case, centre, places, 20.0)).all()

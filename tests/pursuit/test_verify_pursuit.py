@@ -196,13 +196,13 @@ def test_formulas_agree_with_the_planner(theorem):
             *(1e9, 0.0, 0.0, 9, 1, 0.0, first_m, radius_m, 1e9),
         )
         proof = certify(data, theorem, frame_s / 9, divisor, bits)
-        needs = [each.inequality for each in proof[1:-2]]
+        needs = list(proof[1:-2])
         assert [each.words for each in needs] == [each.words for each in found.inequalities]
         assert [each.left for each in needs] == pytest.approx(
             [each.left for each in found.inequalities]
         )
-        assert proof[-2].inequality.left == pytest.approx(found.floor_m, rel=1e-9)
+        assert proof[-2].left == pytest.approx(found.floor_m, rel=1e-9)
         lasts_s = found.capture_time_s(first_m, radius_m)
-        assert proof[-1].inequality.left == pytest.approx(lasts_s, rel=1e-9)
+        assert proof[-1].left == pytest.approx(lasts_s, rel=1e-9)
         compared += np.isfinite(lasts_s)
     assert compared >= 10

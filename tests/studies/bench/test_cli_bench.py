@@ -283,7 +283,7 @@ class Liar:
 @pytest.mark.parametrize("workers", ["1", "2"])
 def test_a_planner_from_outside(tmp_path: Path, workers: str, capsys, own_parts) -> None:
     """It is solved, checked and scored like planopt's own, in workers as well; lies are seen."""
-    register_planner(PlannerKind("liar", Liar, solves=True))
+    register_planner(PlannerKind("liar", Liar))
     names = ["--planners", "auto,liar", "--workers", workers]
     assert ran(tmp_path, *names, problems="outdoor_map,indoor_learn") == 0
     capsys.readouterr()

@@ -14,6 +14,7 @@ import tempfile
 from pathlib import Path
 from time import process_time
 
+import matplotlib.pyplot as plt
 import numpy as np
 import shapely
 
@@ -23,7 +24,7 @@ from planopt.coverage.ground import ConvexGround
 from planopt.coverage.limits import Motion, MoveLimits
 from planopt.coverage.voronoi import convex_region
 from planopt.problems import problem_from_dict, problem_to_dict
-from planopt.report import animate_network, draw_costs, draw_step_times
+from planopt.report import animate_network
 from planopt.tasks.coverage import picture
 
 rooms = planopt.simulate(planopt.load("coverage_obstacles"), seed=1)
@@ -57,7 +58,11 @@ for word, more, planner, horizon in (
     run = planopt.simulate(changed, seed=3).value
     runs[word] = run
     print(f"{word}: mean H {run.costs.mean():.5g}, last {run.costs[-1]:.5g}")
-costs_figure = draw_costs(runs)
+costs_figure, axes = plt.subplots(figsize=(7.0, 4.4), layout="constrained")
+for word, run in runs.items():
+    axes.semilogy(run.times_s[:-1], run.costs, label=word)
+axes.set(title="coverage cost H", xlabel="time [s]", ylabel="H [m$^4$ x density]")
+axes.legend()
 
 # %%
 # Radio. Every agent keeps its way to the base station with probability 0.95, over links of a tree.
@@ -101,4 +106,8 @@ for number in sizes:
         begun = process_time()
         job()
         times_s.setdefault(word, []).append(process_time() - begun)
-times_figure = draw_step_times(sizes, times_s)
+times_figure, axes = plt.subplots(figsize=(7.0, 4.4), layout="constrained")
+for word, times in times_s.items():
+    axes.loglog(sizes, times, marker="o", label=word)
+axes.set(title="computation per step", xlabel="agents [1]", ylabel="CPU time [s]")
+axes.legend()

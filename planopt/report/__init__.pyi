@@ -14,10 +14,8 @@ from planopt.report.comparison_figure import draw_comparison as draw_comparison
 from planopt.report.comparison_figure import draw_traces as draw_traces
 from planopt.report.coverage_figures import NetworkPicture as NetworkPicture
 from planopt.report.coverage_figures import animate_network as animate_network
-from planopt.report.coverage_figures import draw_costs as draw_costs
 from planopt.report.coverage_figures import draw_deployment as draw_deployment
 from planopt.report.coverage_figures import draw_network as draw_network
-from planopt.report.coverage_figures import draw_step_times as draw_step_times
 from planopt.report.motion_figures import draw_no_plan as draw_no_plan
 from planopt.report.motion_figures import draw_run as draw_run
 from planopt.report.motion_figures import draw_run_series as draw_run_series
@@ -26,8 +24,6 @@ from planopt.report.motion_map import save_animation as save_animation
 from planopt.report.panel import save_figure as save_figure
 from planopt.report.pursuit_figures import animate_pursuit as animate_pursuit
 from planopt.report.pursuit_figures import draw_design as draw_design
-from planopt.report.pursuit_figures import draw_knowledge as draw_knowledge
 from planopt.report.pursuit_figures import draw_pursuit as draw_pursuit
-from planopt.report.pursuit_figures import draw_view as draw_view
 from planopt.report.tables import comparison_text as comparison_text
 from planopt.report.tables import reliability_lines as reliability_lines

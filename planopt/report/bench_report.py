@@ -7,7 +7,7 @@ import numpy as np
 from planopt.arrays import Floats
 from planopt.problems.library import Classification, classifications
 from planopt.report.page import MOST_ROWS, Chart, Page, PageTable, Trace, cell_text, plain, scatter
-from planopt.report.panel import SERIES
+from planopt.report.panel import colour_of
 from planopt.report.tables import MISSING
 from planopt.studies.bench_cases import OBJECTIVE_SHARE, PLAN, RUN, Manifest, Question, Row
 from planopt.studies.bench_references import (
@@ -211,7 +211,7 @@ def _gap_chart(rows: Sequence[Row], tests: Mapping[str, Classification]) -> Char
         mine = [(row, gap_to_bound(row)) for row in rows if row.planner == planner]
         mine = [(row.problem, gap) for row, gap in mine if gap is not None]
         mine.sort(key=lambda point: (tests[point[0]].family, point[0]))
-        look = {"color": _colour(number), "symbol": number, "size": 8}
+        look = {"color": colour_of(number), "symbol": number, "size": 8}
         problems = [plain(problem) for problem, _ in mine]
         gaps = [100.0 * max(gap, LEAST_EXCESS) for _, gap in mine]
         points.append(scatter(planner, problems, gaps, marker=look))
@@ -254,7 +254,7 @@ def _bars(
             "name": plain(name),
             "x": [plain(planner) for planner in planners],
             "y": [None if share is None else 100.0 * share for share in shares],
-            "marker": {"color": _colour(number), "pattern": {"shape": "/" if number > 5 else ""}},
+            "marker": {"color": colour_of(number), "pattern": {"shape": "/" if number > 5 else ""}},
         }
         for number, (name, shares) in enumerate(values.items())
     ]
@@ -267,13 +267,9 @@ LOG_X = {"xaxis": {"type": "log", "tickformat": "~g"}, "yaxis": {"range": [0.0, 
 
 def _steps(number: int, planner: str, x: Floats, shares: Floats) -> Trace:
     """Return a planner's cumulative share of cases (n,) as a step curve over x (n,)."""
-    line = {"shape": "hv", "color": _colour(number), "dash": DASHES[number % len(DASHES)]}
+    line = {"shape": "hv", "color": colour_of(number), "dash": DASHES[number % len(DASHES)]}
     look = {"line": line, "marker": {"size": 4}}
     return scatter(planner, x.tolist(), (100.0 * shares).tolist(), "lines+markers", **look)
-
-
-def _colour(number: int) -> str:
-    return SERIES[number % len(SERIES)]
 
 
 def _percent(share: float | None, digits: int = 1) -> str:

@@ -179,8 +179,8 @@ def _prediction_maps(
     label = "P(connected) [1]" + ("" if p_min is None else " (line: p_min)")
     draw_layer(panels[2], chance, PROBABILITY_MAP, figure, label, (0.0, 1.0), p_min)
     if p_min is None:
-        return draw_level(panels[0], mean, threshold, VERMILLION, f"{threshold:g} dBm")
-    return draw_level(panels[2], chance, p_min, VERMILLION, f"p_min = {p_min:g}")
+        return draw_level(panels[0], mean, threshold, f"{threshold:g} dBm")
+    return draw_level(panels[2], chance, p_min, f"p_min = {p_min:g}")
 
 
 def draw_fit(measurements: Measurements | None, fit: ChannelFit, station: Station) -> Figure:

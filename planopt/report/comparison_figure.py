@@ -19,6 +19,7 @@ from planopt.report.panel import (
     SERIES,
     TICK_PT,
     Panel,
+    colour_of,
     dashed_look,
     draw_band,
     draw_intervals,
@@ -119,7 +120,7 @@ def layout_of(comparison: Comparison) -> Layout:
                 width=SPREAD / count,
                 label=", ".join(part for part in words if part),
                 look={
-                    "color": SERIES[colour % len(SERIES)],
+                    "color": colour_of(colour),
                     "marker": MARKERS[planners.index(planner) % len(MARKERS)],
                 },
             )
@@ -249,7 +250,7 @@ def draw_traces(comparison: Comparison) -> Figure | None:
     entries: list[Artist] = []
     for panel, (name, table) in zip(panels, tables.items(), strict=True):
         for number, traces in table.items():
-            look = {**dashed_look(number // len(SERIES)), "color": SERIES[number % len(SERIES)]}
+            look = {**dashed_look(number // len(SERIES)), "color": colour_of(number)}
             along = np.arange(traces.shape[1], dtype=np.float64)
             entries += panel.plot(along, traces.mean(axis=0), label=words[number], **look)
             ends = [mean_interval(column, (0.0, math.inf)) for column in traces.T]

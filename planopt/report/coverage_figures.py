@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import shapely
@@ -25,11 +24,10 @@ from planopt.report.panel import (
     OBSTACLE_EDGE,
     ORANGE,
     PURPLE,
-    SERIES,
+    TIME,
     VERMILLION,
     Panel,
-    curve_look,
-    dashed_look,
+    colour_of,
     dress,
     frame_title,
     head,
@@ -47,7 +45,7 @@ CELL = "#9a9a9a"
 """Colour of boundaries between cells."""
 EVENT_SHADE = 0.12  # Opacity of the shading of events
 
-TIME, COST = "time [s]", "H [m$^4$ x density]"
+COST = "H [m$^4$ x density]"
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,9 +91,16 @@ def draw_network(picture: NetworkPicture) -> Figure:
     ):
         entries += _draw_area(panel, picture.ground, picture.obstacles, picture.radio)
         entries += _draw_state(panel, picture, step)
-        entries += _draw_paths(panel, picture, begin, step)
+        if begin < step:
+            paths = run.positions_m[begin : step + 1].transpose(1, 0, 2)
+            responds = (run.states[begin] >= 0) | (run.states[step] >= 0)
+            look = {"linewidths": 0.9, "alpha": 0.55, "zorder": 2.0, "label": "path"}
+            look["colors"] = np.where(responds, ORANGE, BLUE).tolist()
+            entries.append(draw_lines(panel, list(paths), **look))
         dress(panel, f"{words}, {run.times_s[step]:g} s", X_LABEL, Y_LABEL, grid=False)
-    _draw_cost(panels[2], run, BLUE)
+    panels[2].plot(run.times_s[:-1], run.costs, color=BLUE, linewidth=1.6)
+    log_scale(panels[2], "y")
+    dress(panels[2], "coverage cost H", TIME, COST)
     if eventful:
         _draw_teams(panels[3], picture)
         _draw_errors(panels[4], picture)
@@ -125,27 +130,6 @@ def draw_deployment(
     dress(panel, f"coverage cost H {cost:.4g}", X_LABEL, Y_LABEL, grid=False)
     legend_below(figure, entries, 3)
     head(figure, name)
-    return figure
-
-
-def draw_costs(runs: Mapping[str, NetworkRun]) -> Figure:
-    """Draw the coverage cost of runs over time, one line per name."""
-    figure, (panel,) = new_figure(7.0, 4.4)
-    for number, (name, run) in enumerate(runs.items()):
-        _draw_cost(panel, run, label=name, **dashed_look(number))
-    legend_inside(panel, "upper right")
-    return figure
-
-
-def draw_step_times(agents: Sequence[int], times_s: Mapping[str, Sequence[float]]) -> Figure:
-    """Draw the CPU time per step over the number of agents, one line per name."""
-    figure, (panel,) = new_figure(7.0, 4.4)
-    sizes = np.array(agents, dtype=np.float64)
-    for number, (name, times) in enumerate(times_s.items()):
-        panel.plot(sizes, times, label=name, **curve_look(number))
-    log_scale(panel, "x", "y")
-    dress(panel, "computation per step", "agents [1]", "CPU time [s]")
-    legend_inside(panel, "upper left")
     return figure
 
 
@@ -230,28 +214,11 @@ def _draw_state(panel: Panel, picture: NetworkPicture, step: int) -> list[Artist
     return drawn
 
 
-def _draw_paths(panel: Panel, picture: NetworkPicture, begin: int, end: int) -> list[Artist]:
-    """Draw paths between two steps; agents that respond at either end have a distinct colour."""
-    run = picture.run
-    if end <= begin:
-        return []
-    paths = run.positions_m[begin : end + 1].transpose(1, 0, 2)
-    responds = (run.states[begin] >= 0) | (run.states[end] >= 0)
-    look = {"linewidths": 0.9, "alpha": 0.55, "zorder": 2.0, "label": "path"}
-    return [draw_lines(panel, list(paths), colors=list(np.where(responds, ORANGE, BLUE)), **look)]
-
-
-def _draw_cost(panel: Panel, run: NetworkRun, color: str, **look: Any) -> None:
-    panel.plot(run.times_s[:-1], run.costs, color=color, **{"linewidth": 1.6, **look})
-    log_scale(panel, "y")
-    dress(panel, "coverage cost H", TIME, COST)
-
-
 def _draw_teams(panel: Panel, picture: NetworkPicture) -> None:
     """Draw the number of agents that respond to each event, and the required number."""
     run, times_s = picture.run, picture.run.times_s[:-1]
     for number, event in enumerate(picture.events):
-        colour = SERIES[number % len(SERIES)]
+        colour = colour_of(number)
         responding = (run.states == number).sum(axis=1).astype(np.float64)
         panel.plot(times_s, responding, color=colour, linewidth=1.8, label=event.name)
         wanted = run.wanted[:, number].astype(np.float64)
@@ -266,7 +233,7 @@ def _draw_errors(panel: Panel, picture: NetworkPicture) -> None:
     """Draw the errors of estimated event positions, and their estimated standard deviations."""
     run, times_s = picture.run, picture.run.times_s[:-1]
     for number, event in enumerate(picture.events):
-        colour = SERIES[number % len(SERIES)]
+        colour = colour_of(number)
         places = np.array([event.place_at(each) for each in times_s.tolist()])
         error_m = np.linalg.norm(run.estimates_m[:, number] - places, axis=1)
         panel.plot(times_s, error_m, color=colour, linewidth=1.6)
@@ -283,5 +250,5 @@ def _shade_events(panel: Panel, picture: NetworkPicture) -> None:
     last_s = float(picture.run.times_s[-1])
     for number, event in enumerate(picture.events):
         if event.appears_s < last_s:
-            look = {"color": SERIES[number % len(SERIES)], "alpha": EVENT_SHADE, "linewidth": 0.0}
+            look = {"color": colour_of(number), "alpha": EVENT_SHADE, "linewidth": 0.0}
             panel.axvspan(event.appears_s, min(event.ends_s, last_s), **look)

@@ -206,17 +206,15 @@ def draw_layer(
         bar.axhline(mark, color=FRAME, linewidth=1.2)
 
 
-def draw_level(
-    panel: Panel, raster: Raster, level: float, colour: str, label: str = ""
-) -> list[Artist]:
-    """Draw a raster's contour at `level`, if there is one; return legend entries."""
+def draw_level(panel: Panel, raster: Raster, level: float, label: str) -> list[Artist]:
+    """Draw a raster's contour at `level`, if there is one; return a legend entry."""
     from matplotlib.lines import Line2D
 
     known = raster.values[np.isfinite(raster.values)]
     if known.size and known.min() < level < known.max():
-        look = {"colors": [colour], "linewidths": 1.1, "zorder": CONTOUR_Z}
+        look = {"colors": [VERMILLION], "linewidths": 1.1, "zorder": CONTOUR_Z}
         panel.contour(raster.x_m, raster.y_m, raster.values, levels=[level], **look)
-    return [Line2D([], [], color=colour, linewidth=1.2, label=label)] if label else []
+    return [Line2D([], [], color=VERMILLION, linewidth=1.2, label=label)]
 
 
 def draw_sites(panel: Panel, positions_m: Floats, label: str = "station") -> Artist:
@@ -364,16 +362,6 @@ def _is_small(problem: Problem, window: Bounds) -> bool:
     return shown < INSET_BELOW * whole
 
 
-def _point_beyond(panel: Panel, edge_m: Floats, away_m: Floats) -> None:
-    """Draw an arrow at a panel's edge that points to a station outside the panel."""
-    distance_m = float(np.linalg.norm(away_m))
-    words, inwards = f"station {distance_m:.0f} m", tuple(away_m / -distance_m * (64.0, 30.0))
-    arrow = {"arrowstyle": "-|>", "edgecolor": BLACK, "facecolor": ORANGE, "linewidth": 1.2}
-    look = {"ha": "center", "va": "center", "fontsize": NOTE_PT, "bbox": NOTE_BOX}
-    look |= {"textcoords": "offset points", "arrowprops": arrow, "zorder": PLACE_Z}
-    panel.annotate(words, edge_m, inwards, **look)
-
-
 def show_window(panel: Panel, problem: Problem, positions_m: Floats, window: Bounds) -> None:
     """Limit a panel to a window; in a small window, draw an inset of the whole workspace."""
     show_bounds(panel, window)
@@ -381,7 +369,14 @@ def show_window(panel: Panel, problem: Problem, positions_m: Floats, window: Bou
     for radio in problem.stations:
         edge = np.clip(radio.site.position_m, low, high)
         if (edge != radio.site.position_m).any():
-            _point_beyond(panel, edge, radio.site.position_m - edge)
+            # An arrow at the edge points to the station.
+            away_m = radio.site.position_m - edge
+            distance_m = float(np.linalg.norm(away_m))
+            arrow = {"arrowstyle": "-|>", "edgecolor": BLACK, "facecolor": ORANGE, "linewidth": 1.2}
+            look = {"ha": "center", "va": "center", "fontsize": NOTE_PT, "bbox": NOTE_BOX}
+            look |= {"textcoords": "offset points", "arrowprops": arrow, "zorder": PLACE_Z}
+            inwards = tuple(away_m / -distance_m * (64.0, 30.0))
+            panel.annotate(f"station {distance_m:.0f} m", edge, inwards, **look)
             positions_m = np.vstack([positions_m, edge])
     if not _is_small(problem, window):
         return

@@ -56,10 +56,12 @@ from planopt.report.panel import (
     PURPLE,
     SKY,
     THRESHOLD,
+    TIME,
     TRUE,
     VERMILLION,
     WHITE,
     Panel,
+    colour_of,
     draw_band,
     dress,
     fit_to_map,
@@ -68,7 +70,6 @@ from planopt.report.panel import (
     legend_below,
     log_scale,
     new_figure,
-    robot_colour,
     robot_marker,
     spaced,
     split_panel,
@@ -77,8 +78,6 @@ from planopt.robots.dynamics import Drive
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-TIME = "time [s]"
 
 LEAST_SPAN_DB = 1.0  # Minimum span of an error axis in dB, so that small changes do not look large
 
@@ -149,7 +148,7 @@ def plan_series(problem: Problem, plans: Sequence[Plan], target_m: Floats | None
 def _draw_robots(panel: Panel, curves: Sequence[Curve]) -> None:
     """Draw one curve per robot."""
     for number, (t_s, values, label) in enumerate(curves):
-        look = {"color": robot_colour(number), "marker": robot_marker(number), "markersize": 3.5}
+        look = {"color": colour_of(number), "marker": robot_marker(number), "markersize": 3.5}
         panel.plot(t_s, values, linewidth=1.2, label=label, **look)
 
 
@@ -176,7 +175,7 @@ def _draw_planned_power(panel: Panel, problem: Problem, plans: Sequence[Plan]) -
     for number, plan in enumerate(plans):
         half, label = BAND_Z * plan.deviation_db, None if number else BAND_WORDS
         low, high = plan.mean_dbm - half, plan.mean_dbm + half
-        draw_band(panel, plan.t_s, low, high, robot_colour(number), label)
+        draw_band(panel, plan.t_s, low, high, colour_of(number), label)
     if any(term.sensor for term in problem.terms) or problem.constraints.p_min > 0.0:
         threshold = problem.stations[0].threshold_dbm
         panel.axhline(threshold, color=BLACK, linestyle="dashed", label="threshold")
@@ -233,7 +232,7 @@ def _draw_connectivity(
 def _draw_connection(panel: Panel, run: Run) -> None:
     """Draw a row per robot: its marker at connected steps, a cross at disconnected ones."""
     for number, one in enumerate(run.runs):
-        own = {"marker": robot_marker(number), "color": robot_colour(number)}
+        own = {"marker": robot_marker(number), "color": colour_of(number)}
         cross = {"marker": "x", "color": BLACK}
         for selection, look in ((one.log.connected, own), (one.log.disconnected, cross)):
             times = one.log.t_s[selection]

@@ -50,11 +50,11 @@ from planopt.report.panel import (
     WHITE,
     Look,
     Panel,
+    colour_of,
     fit_to_map,
     frame_title,
     head,
     new_figure,
-    robot_colour,
     robot_marker,
     spaced,
 )
@@ -95,7 +95,7 @@ def draw_belief_maps(
             mark = p_min if p_min > 0.0 else None
             draw_layer(panel, chance, PROBABILITY_MAP, figure, label, (0.0, 1.0), mark)
             if p_min > 0.0:
-                entries = draw_level(panel, chance, p_min, VERMILLION, f"P(connected) = {p_min:g}")
+                entries = draw_level(panel, chance, p_min, f"P(connected) = {p_min:g}")
         elif layer == "power":
             draw_ground(panel, problem.workspace, "predicted power")
             draw_layer(panel, mean, POWER_MAP, figure, "power [dBm]")
@@ -142,7 +142,7 @@ def draw_tracks(panel: Panel, problem: Problem, runs: Sequence[RobotRun]) -> lis
     entries: list[Artist] = []
     for number, run in enumerate(runs):
         curve, steps = path_curve(problem, run.log.positions_m, run.drive)
-        look = {"color": robot_colour(number), "linewidth": 1.8, "marker": robot_marker(number)}
+        look = {"color": colour_of(number), "linewidth": 1.8, "marker": robot_marker(number)}
         look |= {"markersize": 4.5, "markeredgecolor": WHITE, "markeredgewidth": 0.6}
         look |= {"zorder": PATH_Z + 0.1, "markevery": steps, "label": f"{run.robot}, driven"}
         entries += draw_path(panel, curve, casing=4.2, **look)
@@ -158,14 +158,14 @@ def draw_plans(panel: Panel, problem: Problem, plans: Sequence[Plan], first: int
             panel,
             curve,
             casing=3.6,
-            color=robot_colour(number),
+            color=colour_of(number),
             linewidth=1.8,
             linestyle=(0, (2.5, 1.0)),
             marker=robot_marker(number),
             markevery=steps,
             markersize=5.5,
             markerfacecolor=WHITE,
-            markeredgecolor=robot_colour(number),
+            markeredgecolor=colour_of(number),
             markeredgewidth=1.2,
             zorder=PATH_Z + 0.2,
             label=f"{plan.robot}, planned",
@@ -349,7 +349,7 @@ def _draw_robot(panel: Panel, run: Run, number: int, step: int) -> list[Artist]:
     """Draw a robot, its path so far, its positions out of contact, and its plan."""
     several = len(run.runs) > 1
     name = f"{run.runs[number].robot}, " if several else ""
-    colour, log, plans = robot_colour(number), run.runs[number].log, run.plans[number]
+    colour, log, plans = colour_of(number), run.runs[number].log, run.plans[number]
     path = log.positions_m[: step + 1]
     drawn: list[Artist] = []
     if step:

@@ -21,7 +21,7 @@ import shapely
 from planopt.arrays import Floats
 from planopt.errors import InputError
 from planopt.report.maps import joined
-from planopt.report.panel import BLACK, ROBOT_COLOURS
+from planopt.report.panel import BLACK, colour_of
 from planopt.world.motion import centres_at
 from planopt.world.raster import Raster
 from planopt.world.workspace import MovingObstacle, Obstacle
@@ -49,6 +49,11 @@ class Layer:
     raster: Raster
     limits: tuple[float, float] | None = None
     mark: float | None = None  # Value whose contour is drawn
+
+    @property
+    def digits(self) -> int:
+        """Return the number of decimal places of the values."""
+        return POWER_DIGITS if self.limits is None else PROBABILITY_DIGITS
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,10 +141,24 @@ def page_html(page: Page) -> str:
     if find_spec("plotly") is None:
         raise InputError("the page needs Plotly", remedy="pip install 'planopt[report]'")
     plotly = cast("Any", import_module("plotly.offline"))
-    content = {
-        "map": None if page.map is None else _map_json(page.map),
-        "charts": [_chart_json(chart) for chart in page.charts],
-    }
+    charts, figures = list[dict[str, Any]](), list[str]()
+    for number, chart in enumerate(page.charts):
+        layout = {
+            **chart.layout,
+            "xaxis": {"title": {"text": chart.x}, **chart.layout.get("xaxis", {})},
+            "yaxis": {"title": {"text": chart.y}, **chart.layout.get("yaxis", {})},
+        }
+        charts.append({"traces": chart.traces, "layout": layout, "over_time": chart.over_time})
+        name = f"chart{number}"
+        figures.append(
+            f'<figure><figcaption id="{name}title">{escape(chart.title)}</figcaption>\n'
+            f'<div class="chart" id="{name}" role="img" aria-labelledby="{name}title">'
+            "</div></figure>"
+        )
+    content = {"map": None if page.map is None else _map_json(page.map), "charts": charts}
+    script = json.dumps(content, allow_nan=False, separators=(",", ":"))
+    for sign in "<>&":  # No part of the data may end the script element
+        script = script.replace(sign, f"\\u{ord(sign):04x}")
     lines = "\n".join(page.certificate)
     certificate = f'<h2 id="certificate">Certificate</h2>\n<pre>{escape(lines)}</pre>'
     slots = {
@@ -148,9 +167,9 @@ def page_html(page: Page) -> str:
         "words": escape("\n".join(page.words)),
         "certificate": certificate if page.certificate else "",
         "map": "" if page.map is None else _template("page_map.html"),
-        "charts": "\n".join(map(_chart_html, range(len(page.charts)), page.charts)),
+        "charts": "\n".join(figures),
         "tables": "\n".join(map(_table_html, page.tables)),
-        "content": _script_json(content),
+        "content": script,
         "plotly": plotly.get_plotlyjs(),
         "script": _template("page.js"),
     }
@@ -179,22 +198,33 @@ def _template(name: str) -> str:
     return (files("planopt.report") / name).read_text(encoding="utf-8")
 
 
-def _script_json(data: object) -> str:
-    """Return JSON text without sequences that end a script element."""
-    text = json.dumps(data, allow_nan=False, separators=(",", ":"))
-    for sign in "<>&":
-        text = text.replace(sign, f"\\u{ord(sign):04x}")
-    return text
-
-
 def _map_json(drawn: PageMap) -> dict[str, Any]:
     """Return the data of the map."""
     times_s = drawn.times_s
     lasting = joined([one.polygon for one in drawn.obstacles if not one.is_timed])
     timed = [one for one in drawn.obstacles if one.is_timed]
+    window = drawn.window
+    if window is None:
+        outlines = [shapely.get_coordinates(one.polygon) for one in drawn.obstacles]
+        points = np.concatenate([*(track.positions_m for track in drawn.tracks), *outlines])
+        low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+        margin = EDGE_MARGIN * max(float((high - low).max()), 1.0)
+        window = (*(low - margin).tolist(), *(high + margin).tolist())
     return {
         "times": rounded(times_s, METRE_DIGITS),
-        "layers": [_layer_json(layer) for layer in drawn.layers],
+        "layers": [
+            {
+                "name": layer.name,
+                "unit": layer.unit,
+                "colours": layer.colours,
+                "x": rounded(layer.raster.x_m, METRE_DIGITS),
+                "y": rounded(layer.raster.y_m, METRE_DIGITS),
+                "z": rounded(layer.raster.values, layer.digits),
+                "limits": layer.limits,
+                "mark": layer.mark,
+            }
+            for layer in drawn.layers
+        ],
         "obstacles": [
             *([{"name": "obstacles", **_outlines(lasting)}] if lasting else []),
             *(
@@ -217,19 +247,8 @@ def _map_json(drawn: PageMap) -> dict[str, Any]:
         ],
         "places": [asdict(one) for one in drawn.places],
         "groups": _groups(drawn.tracks),
-        "window": drawn.window or _bounds(drawn),
+        "window": window,
     }
-
-
-def _bounds(drawn: PageMap) -> tuple[float, float, float, float]:
-    """Return the rectangle around all paths and obstacles, with a margin."""
-    paths = [track.positions_m for track in drawn.tracks]
-    outlines = [shapely.get_coordinates(one.polygon) for one in drawn.obstacles]
-    points = np.concatenate([*paths, *outlines])
-    low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
-    margin = EDGE_MARGIN * max(float((high - low).max()), 1.0)
-    (x_min, y_min), (x_max, y_max) = (low - margin).tolist(), (high + margin).tolist()
-    return x_min, y_min, x_max, y_max
 
 
 def _groups(tracks: Sequence[Track]) -> list[dict[str, Any]]:
@@ -245,7 +264,7 @@ def _groups(tracks: Sequence[Track]) -> list[dict[str, Any]]:
         found.append(
             {
                 "name": members[0].name if named else f"{members[0].role}s",
-                "colour": BLACK if target else ROBOT_COLOURS[number % len(ROBOT_COLOURS)],
+                "colour": BLACK if target else colour_of(number),
                 "symbol": "star" if target else SYMBOLS[number % len(SYMBOLS)],
                 "tracks": [
                     {
@@ -271,39 +290,6 @@ def _outlines(polygons: Sequence[shapely.Polygon]) -> dict[str, list[Any]]:
     rings = shapely.get_rings([polygon.normalize() for polygon in polygons])
     parts = [part for ring in rings for part in (shapely.get_coordinates(ring), gap)]
     return _points(np.concatenate(parts))
-
-
-def _layer_json(layer: Layer) -> dict[str, Any]:
-    probability = layer.limits == (0.0, 1.0)
-    digits = PROBABILITY_DIGITS if probability else POWER_DIGITS
-    return {
-        "name": layer.name,
-        "unit": layer.unit,
-        "colours": layer.colours,
-        "x": rounded(layer.raster.x_m, METRE_DIGITS),
-        "y": rounded(layer.raster.y_m, METRE_DIGITS),
-        "z": rounded(layer.raster.values, digits),
-        "limits": layer.limits,
-        "mark": layer.mark,
-    }
-
-
-def _chart_json(chart: Chart) -> dict[str, Any]:
-    layout = {
-        **chart.layout,
-        "xaxis": {"title": {"text": chart.x}, **chart.layout.get("xaxis", {})},
-        "yaxis": {"title": {"text": chart.y}, **chart.layout.get("yaxis", {})},
-    }
-    return {"traces": chart.traces, "layout": layout, "over_time": chart.over_time}
-
-
-def _chart_html(number: int, chart: Chart) -> str:
-    title = escape(chart.title)
-    return (
-        f'<figure><figcaption id="chart{number}title">{title}</figcaption>\n'
-        f'<div class="chart" id="chart{number}" role="img" aria-labelledby="chart{number}title">'
-        "</div></figure>"
-    )
 
 
 def _table_html(table: PageTable) -> str:

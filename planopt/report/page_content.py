@@ -52,9 +52,10 @@ from planopt.report.panel import (
     DPI,
     GREEN,
     ORANGE,
+    TIME,
     VERMILLION,
     YELLOW,
-    robot_colour,
+    colour_of,
 )
 from planopt.report.tables import comparison_text, figures_in_words, metric_label, metric_name
 from planopt.short_repr import shown_number
@@ -67,8 +68,6 @@ if TYPE_CHECKING:
     from planopt.channel.channel_map import PosteriorMap
     from planopt.channel.estimation.channel_fit import ChannelFit
 
-TIME = "time [s]"
-
 
 def motion_page(result: Solution | Run) -> Page:
     """Return the page of a motion plan or run."""
@@ -76,6 +75,11 @@ def motion_page(result: Solution | Run) -> Page:
     plans = result.plans if isinstance(result, Solution) else ()
     belief = result.belief if isinstance(result, Solution) else result.beliefs[0]
     tracks = [_planned(plan) for plan in plans] if run is None else list(_driven(run))
+    certificate = [
+        line
+        for number, plan in enumerate(plans)
+        for line in (f"{plan.robot}:", *proof_in_words(problem_of_robot(problem, number), plan))
+    ]
     known = [
         _figures(key_figures(result)),
         *_result_tables(tables_of(result)),
@@ -85,7 +89,7 @@ def motion_page(result: Solution | Run) -> Page:
         title=f"{'Plan' if run is None else 'Run'} of {problem.name}",
         description=problem.description,
         words=result.words,
-        certificate=_plan_certificates(problem, plans) if run is None else _run_certificates(run),
+        certificate=certificate if run is None else _run_certificates(run),
         map=_motion_map(problem, belief, tracks),
         charts=_planned_charts(problem, plans) if run is None else _run_charts(run),
         tables=known,
@@ -287,14 +291,6 @@ def _known(value: float, unit: str = "", digits: int = 4) -> str:
     return shown_number(None if np.isnan(value) else value, unit, digits)
 
 
-def _plan_certificates(problem: Problem, plans: Sequence[Plan]) -> list[str]:
-    return [
-        line
-        for number, plan in enumerate(plans)
-        for line in (f"{plan.robot}:", *proof_in_words(problem_of_robot(problem, number), plan))
-    ]
-
-
 def _run_certificates(run: Run) -> list[str]:
     """Return each robot's plan verdicts, minimum clearance and minimum connectivity as text."""
     lines: list[str] = []
@@ -336,7 +332,7 @@ def _run_charts(run: Run) -> list[Chart]:
         predicted = rounded(log.predicted_dbm, POWER_DIGITS)
         half = {"type": "data", "array": rounded(BAND_Z * log.deviation_db, POWER_DIGITS)}
         bars = {**half, "color": "#b3b3b3", "thickness": 1}
-        look = {**look, "color": robot_colour(number)}
+        look = {**look, "color": colour_of(number)}
         pairs.append(scatter(one.robot, predicted, true, error_x=bars, marker=look))
         values = rounded(log.connectivity, PROBABILITY_DIGITS)
         chance.append(_curve(number, one.robot, log.t_s, values))
@@ -377,7 +373,7 @@ def _predicted(
     half, mean, times = BAND_Z * deviation_db[known], mean_dbm[known], t_s[known]
     x = rounded(np.concatenate([times, times[::-1]]), METRE_DIGITS)
     y = rounded(np.concatenate([mean - half, (mean + half)[::-1]]), POWER_DIGITS)
-    fill = f"{robot_colour(number)}40"  # Two hexadecimal digits of opacity
+    fill = f"{colour_of(number)}40"  # Two hexadecimal digits of opacity
     look = {"fill": "toself", "fillcolor": fill, "line": {"width": 0}, "hoverinfo": "skip"}
     band = scatter(f"{robot}, {BAND_WORDS}", x, y, "lines", **look)
     return [band, _curve(number, f"{robot}, predicted", t_s, rounded(mean_dbm, POWER_DIGITS))]
@@ -385,7 +381,7 @@ def _predicted(
 
 def _curve(number: int, name: str, t_s: Floats, values: list[Any]) -> Trace:
     """Return a curve in a robot's colour, for Plotly."""
-    colour, times = robot_colour(number), rounded(t_s, METRE_DIGITS)
+    colour, times = colour_of(number), rounded(t_s, METRE_DIGITS)
     look = {"symbol": SYMBOLS[number % len(SYMBOLS)], "size": 5, "color": colour}
     line = {"color": colour, "width": 2}
     return scatter(name, times, values, "lines+markers", line=line, marker=look)
@@ -420,7 +416,7 @@ def _metric_chart(comparison: Comparison, metric: str, labels: Sequence[str]) ->
         "arrayminus": [float(one) for one in np.nan_to_num(means - lows)],
     }
     circle = {"symbol": "circle-open", "size": 7, "color": "#767676"}
-    diamond = {"symbol": "diamond", "size": 11, "color": robot_colour(0)}
+    diamond = {"symbol": "diamond", "size": 11, "color": colour_of(0)}
     runs = scatter(
         "runs", [float(value) for _, value in dots], [label for label, _ in dots], marker=circle
     )
@@ -445,7 +441,7 @@ def _reliability_chart(comparison: Comparison) -> list[Chart]:
         rounded([one.predicted for one in bins], PROBABILITY_DIGITS),
         rounded([one.realised for one in bins], PROBABILITY_DIGITS),
         text=[f"{one.count} predictions" for one in bins],
-        marker={"size": 10, "color": robot_colour(0)},
+        marker={"size": 10, "color": colour_of(0)},
     )
     label = "predicted P(connected) [1]"
     return [Chart("Reliability", [points, _line([0, 1], [0, 1], "equal")], label, "connected [1]")]

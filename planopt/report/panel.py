@@ -44,9 +44,9 @@ BAND_Z = 1.28
 
 BAND_WORDS = "80 % band"
 
-ROBOT_COLOURS = (BLUE, VERMILLION, GREEN, PURPLE, SKY, ORANGE)
 ROBOT_MARKERS = ("o", "s", "D", "v", "P", "X", "h")
 """Markers of robots; their number differs from that of colours, so that pairs repeat late."""
+TIME = "time [s]"
 LETTER_IN, HANDLE_IN, LINE_IN = 0.068, 0.6, 0.19
 """Widths of a legend's character and handle and height of a line, in inches."""
 DPI = 110  # Resolution of pixel formats in dpi
@@ -132,9 +132,9 @@ def save_figure(figure: Figure, path: Path) -> None:
     write_whole(path, lambda temporary: write(temporary, dpi=DPI, metadata=metadata))
 
 
-def robot_colour(number: int) -> str:
-    """Return the colour of a robot; numbers start at 0."""
-    return ROBOT_COLOURS[number % len(ROBOT_COLOURS)]
+def colour_of(number: int) -> str:
+    """Return the colour of a robot or series; numbers start at 0."""
+    return SERIES[number % len(SERIES)]
 
 
 def robot_marker(number: int) -> str:
@@ -145,7 +145,7 @@ def robot_marker(number: int) -> str:
 def curve_look(number: int) -> dict[str, Any]:
     """Return colour, marker and sizes of a curve, by the curve's number."""
     return {
-        "color": SERIES[number % len(SERIES)],
+        "color": colour_of(number),
         "marker": MARKERS[number % len(MARKERS)],
         "markersize": 5.0,
         "linewidth": 1.6,
@@ -155,7 +155,7 @@ def curve_look(number: int) -> dict[str, Any]:
 def dashed_look(number: int) -> dict[str, Any]:
     """Return colour and dashes of a curve without markers, by the curve's number."""
     dashes = DASHES[number % len(DASHES)]
-    return {"color": SERIES[number % len(SERIES)], "linestyle": dashes, "linewidth": 1.8}
+    return {"color": colour_of(number), "linestyle": dashes, "linewidth": 1.8}
 
 
 def spaced(name: str) -> str:
@@ -205,18 +205,12 @@ def draw_band(
     panel.fill_between(x, low, high, color=colour, alpha=0.16, linewidth=0.0, label=label)
 
 
-def legend_entries(entries: Iterable[Artist]) -> list[Artist]:
-    """Return the first legend entry of each label, in order."""
-    found: dict[str, Artist] = {}
-    for entry in entries:
-        found.setdefault(str(entry.get_label()), entry)
-    return list(found.values())
-
-
 def legend_below(figure: Figure, entries: Iterable[Artist], columns: int) -> None:
     """Add a legend below all panels, with fewer columns for long labels, and enlarge the figure."""
-    handles = legend_entries(entries)
-    labels = [str(handle.get_label()) for handle in handles]
+    handles: dict[str, Artist] = {}
+    for entry in entries:
+        handles.setdefault(str(entry.get_label()), entry)
+    labels = list(handles)
     longest = max((len(line) for label in labels for line in label.splitlines()), default=0)
     width_in, height_in = (float(side) for side in figure.get_size_inches())
     fitting = int(width_in / (LETTER_IN * longest + HANDLE_IN))
@@ -224,7 +218,7 @@ def legend_below(figure: Figure, entries: Iterable[Artist], columns: int) -> Non
     lines = math.ceil(len(labels) / fitting) - math.ceil(len(labels) / columns)
     figure.set_size_inches(width_in, height_in + LINE_IN * lines)
     cast("Any", figure).legend(
-        handles=handles,
+        handles=list(handles.values()),
         labels=labels,
         loc="outside lower center",
         ncols=fitting,

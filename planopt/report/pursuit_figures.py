@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planopt.arrays import Floats
 from planopt.pursuit.design import DesignTask
-from planopt.pursuit.service import Snapshot, SnapshotService, Track, snapshot
 from planopt.pursuit.simulation import Pursuit, Use
 from planopt.report.animation import animate
-from planopt.report.maps import X_LABEL, Y_LABEL, draw_layer, draw_polygons, rectangle, show_bounds
+from planopt.report.maps import X_LABEL, Y_LABEL, draw_polygons, rectangle, show_bounds
 from planopt.report.panel import (
     BLACK,
     BLUE,
-    DEVIATION_MAP,
     OBSTACLE_EDGE,
     ORANGE,
-    SERIES,
+    TIME,
     VERMILLION,
     Panel,
+    colour_of,
     curve_look,
     dress,
     frame_title,
@@ -33,7 +30,6 @@ from planopt.report.panel import (
     new_figure,
     spaced,
 )
-from planopt.world.raster import Raster
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -41,7 +37,6 @@ if TYPE_CHECKING:
 
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 49)
 UNIT_CIRCLE = np.array([np.cos(ANGLES), np.sin(ANGLES)])
-SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]])
 
 QUANTITIES = {
     "evader_speed_m_s": "evader's speed",
@@ -83,8 +78,8 @@ def draw_pursuit(name: str, pursuit: Pursuit) -> Figure:
     distances.axhline(radius_m, color=BLACK, linestyle="--", linewidth=1.0)
     ages.set_ylim(0.0, None)
     distances.set_ylim(0.0, None)
-    dress(ages, "age of the record in use", "time [s]", "age [s]")
-    dress(distances, "true distance (dashed: capture radius)", "time [s]", "distance [m]")
+    dress(ages, "age of the record in use", TIME, "age [s]")
+    dress(distances, "true distance (dashed: capture radius)", TIME, "distance [m]")
     legend_below(figure, entries, 5)
     outcome = f"not captured in {pursuit.times_s[-1]:.1f} s"
     if pursuit.outcome == "captured":
@@ -95,7 +90,7 @@ def draw_pursuit(name: str, pursuit: Pursuit) -> Figure:
 
 def _draw_record(ages: Panel, distances: Panel, pursuit: Pursuit, number: int) -> None:
     """Draw the age of one pursuer's record in use, and its distance to the evader, over time."""
-    times_s, look = pursuit.times_s, {"color": SERIES[number % len(SERIES)], "linewidth": 1.4}
+    times_s, look = pursuit.times_s, {"color": colour_of(number), "linewidth": 1.4}
     own = [use for use in pursuit.uses if use.pursuer == number]
     if own:
         begun = np.array([use.time_s for use in own])
@@ -108,66 +103,6 @@ def _draw_record(ages: Panel, distances: Panel, pursuit: Pursuit, number: int) -
         evader = pursuit.evaders_m[chased, np.arange(len(times_s))]
         apart_m = np.linalg.norm(pursuit.pursuers[number][:, :2] - evader, axis=1)
         distances.plot(times_s, apart_m, **look)
-
-
-def draw_knowledge(known: Snapshot, track: Track) -> Figure:
-    """Draw the age of every mote's report of one object, and the object's path."""
-    levels = known.level_map()
-    ages_s = np.where(levels >= 0, known.ages_s[np.maximum(levels, 0)], np.nan)
-    figure, panel = _motes(known.service, ages_s, "latest report at each mote", "age [s]")
-    path, reported = track.positions_m, known.reported_m[np.unique(levels[levels >= 0])]
-    look = {"linestyle": "none", "marker": "o"}
-    entries = [
-        *panel.plot(*path.T, color=VERMILLION, linewidth=1.6, label="path of the object"),
-        *panel.plot(*reported.T, color=ORANGE, label="reported positions", **look),
-        *panel.plot(*path[-1:].T, color=VERMILLION, label="object now", **look),
-    ]
-    legend_below(figure, entries, 3)
-    return figure
-
-
-def draw_view(
-    service: SnapshotService,
-    tracks: Sequence[Track],
-    mote: NDArray[np.int64],  # (2,) column and row
-    time_s: float,
-) -> Figure:
-    """Draw age and resolution of one mote's records, for objects at every position."""
-    here_m = np.asarray((mote + 0.5) * service.mote_spacing_m, dtype=np.float64)
-    # Visibility is mutual: a level that shows one mote to another also shows the reverse.
-    seen = snapshot(service, Track(np.zeros(1), here_m[None]), time_s)
-    ages_s = np.asarray(seen.ages_s[seen.level_map()], dtype=np.float64)
-    figure, panel = _motes(service, ages_s, "snapshot at one mote", "age of its records [s]")
-    look = {"linestyle": "none", "marker": "o"}
-    entries: list[Artist] = []
-    for track in tracks:
-        known = snapshot(service, track, time_s)
-        level = int(known.shown_at(mote).argmax())
-        half_m = service.error_bound_m(level) / np.sqrt(2.0)
-        square = known.reported_m[level] + half_m * SQUARE
-        since = np.array([known.sampled_m[level], track.at(np.array(time_s))])
-        entries += [
-            *panel.plot(*square.T, color=ORANGE, linewidth=2.0, label="reported sub-cell"),
-            *panel.plot(*since.T, color=VERMILLION, linewidth=1.4, label="path since the sample"),
-            *panel.plot(*since[1:].T, color=VERMILLION, label="object now", **look),
-        ]
-    look["marker"] = "s"
-    entries += panel.plot(*here_m[:, None], color=BLUE, label="mote", **look)
-    legend_below(figure, entries, 4)
-    return figure
-
-
-def _motes(
-    service: SnapshotService, ages_s: Floats, title: str, label: str
-) -> tuple[Figure, Panel]:
-    """Return a figure and a panel with the age (rows, columns) at each mote."""
-    figure, (panel,) = new_figure(7.4, 6.6)
-    side_m, count = service.side_m, len(ages_s)
-    centres = (np.arange(count) + 0.5) * side_m / count
-    draw_layer(panel, Raster(centres, centres, ages_s), DEVIATION_MAP, figure, label)
-    show_bounds(panel, (0.0, 0.0, side_m, side_m))
-    dress(panel, title, X_LABEL, Y_LABEL, grid=False)
-    return figure, panel
 
 
 def animate_pursuit(name: str, pursuit: Pursuit, path: Path) -> None:

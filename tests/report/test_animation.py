@@ -11,7 +11,7 @@ from teams import team_run
 from planopt.cli import main
 from planopt.report import save_animation
 from planopt.report.animation import FRAME_MS, LAST_MS, MOST_FRAMES, shown_steps
-from planopt.report.panel import robot_colour
+from planopt.report.panel import colour_of
 
 
 def frames_of(path: Path) -> list[np.ndarray]:
@@ -46,7 +46,7 @@ def test_frames_show_more_of_the_path_each_step(simulation, tmp_path: Path):
     frames = frames_of(once)
     np.testing.assert_array_equal(frames, frames_of(again))
     assert len(frames) == len(simulation.run.log.t_s)
-    driven = [coloured(frame, robot_colour(0)) for frame in frames]
+    driven = [coloured(frame, colour_of(0)) for frame in frames]
     assert driven[0] > 0 and driven[-1] > driven[0]
 
 
@@ -56,7 +56,7 @@ def test_several_robots_have_their_colours(simulation, task, tmp_path: Path):
     save_animation(team_run(simulation, task), tmp_path / "run.gif")
     frames = frames_of(tmp_path / "run.gif")
     for frame in (frames[0], frames[-1]):
-        assert all(coloured(frame, robot_colour(number)) for number in range(3))
+        assert all(coloured(frame, colour_of(number)) for number in range(3))
 
 
 def test_another_ending_is_refused(simulation, tmp_path: Path):

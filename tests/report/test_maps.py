@@ -81,7 +81,7 @@ def test_layer_is_the_raster_in_place(figure, panel):
 def test_level_only_where_crossed(panel, level, crossed):
     """A level outside the values draws nothing, and does not warn."""
     values = np.array([[0.0, 1.0], [0.0, np.nan], [0.0, 1.0]])
-    draw_level(panel, Raster(np.arange(2.0), np.arange(3.0), values), level, "black")
+    draw_level(panel, Raster(np.arange(2.0), np.arange(3.0), values), level, "level")
     assert bool(panel.collections) is crossed
 
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import shapely
-from scipy.optimize import minimize, nnls
+from scipy.optimize import Bounds, minimize, nnls
 
 from planopt.arrays import Floats, Mask
 from planopt.bounds.bound import Design
@@ -58,9 +58,16 @@ def stage_rewards(problem: StageProblem, path_m: Array) -> tuple[Array, Array, F
 
 
 def local_optimum(problem: StageProblem, path_m: Array, surplus: float = 0.0) -> Array:
-    """Return a nearly optimal path (N, 2) that ignores obstacles; `surplus` is added to p_min."""
+    """Return a nearly optimal path (N, 2) that ignores obstacles; `surplus` is added to p_min.
+
+    Positions of `path_m` at which the connection is known stay.
+    """
     shape, scale = path_m.shape, 1.0 / problem.step_m**2
+    away_m = np.linalg.norm(path_m[:, None] - problem.sure_m, axis=2).min(axis=1, initial=np.inf)
+    is_held = away_m <= problem.sure_radius_m
     least = np.zeros(problem.steps) if problem.p_min is None else problem.p_min
+    least = np.where(is_held, 0.0, least)
+    free = np.where(is_held[:, None], 0.0, np.inf)
     bounded = np.flatnonzero(least > 0.0)
     known: dict[bytes, tuple[Array, Array, Field]] = {}
 
@@ -104,7 +111,13 @@ def local_optimum(problem: StageProblem, path_m: Array, surplus: float = 0.0) ->
     limits: Any = {"type": "ineq", "fun": room, "jac": room_slope}
     options: Any = {"maxiter": MOST_ITERATIONS, "ftol": 1e-10}
     found = minimize(
-        loss, path_m.ravel(), jac=True, method="SLSQP", constraints=limits, options=options
+        loss,
+        path_m.ravel(),
+        jac=True,
+        method="SLSQP",
+        bounds=Bounds((path_m - free).ravel(), (path_m + free).ravel()),
+        constraints=limits,
+        options=options,
     )
     return np.asarray(found.x, dtype=np.float64).reshape(shape)
 

@@ -176,7 +176,7 @@ Tilt = tuple[Array, Array]  # Multipliers of the steps (N, 2) and of p_min (N,)
 
 FIRST_SHARE = 0.5  # Side of the cells of the first level, in lengths of the longest step
 MOST_LEVELS = 30  # Maximum number of levels of cells
-MOST_CELLS = 200_000  # Maximum number of cells per level, over all stages
+MOST_CELLS = 1_000_000  # Maximum number of cells per level, over all stages
 MOST_TILTS = 3  # Maximum number of tilts that the search uses at a level
 GAP = 1e-4  # Cells are dropped unless they may beat a feasible path's value by this share of it
 MOST_PAIRS = 2_000_000
@@ -265,9 +265,9 @@ class Level:
     # For each stage, pairs (s, 2) of a cell and a surely connected position in it, and rewards (s,)
     sure: list[tuple[Cells, Array]]
     core: shapely.Geometry  # Part of the blocked areas: a move between centres may not enter it
-    # For each stage, rows (v,) of cells that blocked areas cut, and corners (v, 2) of what is left
-    # relative to the centre
-    cut: list[tuple[Indices, Array]]
+    # For each stage, rows (v,) of cells that blocked areas or p_min cut, and corners (v, 2) of what
+    # is left relative to the centre
+    cut: list[list[tuple[Indices, Array]]]
     # Size of the cells in their sides; 0 stands for their centres, whose bound proves nothing
     size: float = 1.0
 
@@ -302,9 +302,7 @@ def tube_bounds(
         level = evaluated(problem, side, active)
         through = through_bounds(level, [untilted(problem), *tilts[-MOST_TILTS:]])
         if improved is not None and min(map(len, through)):
-            best_cells = [int(each.argmax()) for each in through]
-            path = [level.offsets_m(k)[cell] for k, cell in enumerate(best_cells)]
-            known = improved(problem.start_m + np.array(path))
+            known = improved(best_path(level, through))
             threshold = known + GAP * abs(known)
         highest = max(threshold, min(float(each.max(initial=-np.inf)) for each in through))
         best = min(best, highest + MARGIN * abs(highest))
@@ -319,6 +317,18 @@ def tube_bounds(
         if highest <= threshold or left > MOST_CELLS or late:
             return
         side *= 0.5
+
+
+def best_path(level: Level, through: Sequence[Array]) -> Array:
+    """Return the path (N, 2) through the best cells: known connections, or centres of cells."""
+    found = np.empty((len(through), 2))
+    for stage, each in enumerate(through):
+        cell, (pairs, values) = int(each.argmax()), level.sure[stage]
+        found[stage] = level.problem.start_m + level.offsets_m(stage)[cell]
+        inside = np.flatnonzero(pairs[:, 0] == cell)
+        if len(inside):
+            found[stage] = level.problem.sure_m[pairs[inside[values[inside].argmax()], 1]]
+    return found
 
 
 def proves(problem: StageProblem, tilts: Tilts) -> bool:
@@ -415,17 +425,43 @@ def evaluated(
     ends = np.cumsum([len(each) for each in active])[:-1]
     for stage, rows in enumerate(np.split(place.ravel(), ends)):
         own, (pairs, values) = active[stage], sure_rewards(problem, stage, active[stage], side)
+        connected: list[tuple[Indices, Array]] = []
         if problem.p_min is not None:
-            kept = field["chance"].most[rows] >= problem.p_min[stage]
+            chance = field["chance"].at(rows)
+            missed, owner, corners = connected_corners(chance, problem.p_min[stage], size * side)
+            kept = ~missed & (chance.most >= problem.p_min[stage])
             kept[pairs[:, 0]] = True
-            pairs[:, 0] = (np.cumsum(kept) - 1)[pairs[:, 0]]
+            number = np.cumsum(kept) - 1
+            pairs[:, 0] = number[pairs[:, 0]]
             own, rows = own[kept], rows[kept]
+            connected = [(number[owner[kept[owner]]], corners[kept[owner]])]
         level.active.append(own)
         level.fields.append(field.at(rows))
         level.rewards.append(problem.reward(stage, level.fields[-1]))
         level.sure.append((pairs, values))
-        level.cut.append(cut_corners(problem.areas(stage), centres[rows], side))
+        blocked = cut_corners(problem.areas(stage), centres[rows], side)
+        level.cut.append([blocked, *connected])
     return level
+
+
+def connected_corners(
+    chance: UpperBounds, p_min: float, side: float
+) -> tuple[Mask, Indices, Array]:
+    """Return where cells miss p_min (n,), cells (v,) that it cuts, and corners (v, 2) of the rest.
+
+    The rest is where the tangent of the probability's bound is at least p_min (equation 9.18).
+    """
+    ring = 0.5 * side * np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]])
+    after = np.roll(ring, -1, axis=0)
+    surplus = chance.value[:, None] + chance.slope @ ring.T - p_min + ROUNDING
+    beyond, inside = np.roll(surplus, -1, axis=1), np.asarray(surplus >= 0.0)
+    missed, whole = np.asarray(~inside.any(axis=1)), np.asarray(inside.all(axis=1))
+    owner, corner = np.nonzero(inside & ~whole[:, None])
+    crossed, edge = np.nonzero(inside != (beyond >= 0.0))
+    one, other = surplus[crossed, edge], beyond[crossed, edge]
+    crossings = ring[edge] + (one / (one - other))[:, None] * (after - ring)[edge]
+    corners = np.vstack([ring[corner], crossings])
+    return missed, np.concatenate([owner, crossed]), corners
 
 
 def cut_corners(
@@ -532,13 +568,14 @@ def tilted(level: Level, stage: int, of_steps: Array, of_p_min: Array) -> Array:
     most = np.minimum(half, high + OUTSIDE_M - centres)
     fallen = np.broadcast_to(-tilt, slope.shape)
     rise, fall = (np.maximum(each * least, each * most).sum(axis=1) for each in (slope, fallen))
-    rows, corners = level.cut[stage]
-    if len(rows):
+    for rows, corners in level.cut[stage]:
         # Rounding of the corners
         slack = ROUNDING * (1.0 + np.abs(problem.start_m).sum()) * np.abs(slope[rows]).sum(axis=1)
-        rise[rows] = fall[rows] = -np.inf
-        np.maximum.at(rise, rows, np.einsum("vd,vd->v", corners, slope[rows]) + slack)
-        np.maximum.at(fall, rows, -corners @ tilt + ROUNDING)
+        highest = np.full((2, len(rise)), np.inf)
+        highest[:, rows] = -np.inf
+        np.maximum.at(highest[0], rows, np.einsum("vd,vd->v", corners, slope[rows]) + slack)
+        np.maximum.at(highest[1], rows, -corners @ tilt + ROUNDING)
+        rise, fall = np.minimum(rise, highest[0]), np.minimum(fall, highest[1])
     found = np.minimum(reward.value + rise, reward.most + fall)
     found -= centres @ tilt
     if len(pairs):
@@ -605,7 +642,7 @@ class Step:
         """Return the best sum of a move and its other end's value; `ahead`: the earlier end."""
         before, after = self.cells
         known, wanted = (before, after) if ahead else (after, before)
-        if not len(known) or not len(wanted):
+        if not len(self.offsets):
             return np.full(len(wanted), -np.inf)
         if self.places is not None:
             table = np.full(self.shape[0] * self.shape[1] + 1, -np.inf)

@@ -23,7 +23,7 @@ from planopt.channel.posterior import Belief
 from planopt.planning.candidates import Scorer
 from planopt.planning.horizon_planner import FallbackCascade
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
-from planopt.planning.proof.bounds import bound_of, bound_of_sum, stages_of
+from planopt.planning.proof.bounds import bound_of, bound_of_sum, connected_steps, stages_of
 from planopt.planning.proof.rule import verifier_context
 from planopt.planning.refinement import Refinement
 from planopt.planning.reservations import (
@@ -146,12 +146,19 @@ def with_sum_bound(
         optimum = best_place(exact, 0.3 * seconds).place_m[None]
     else:
         optimum = local_optimum(stages, plan.positions_m[1:], SURPLUS)
-    improves = improves and plan.drive is None
-    plan = better_of(at, plan, optimum) if improves else plan
+    improves, connected = improves and plan.drive is None, connected_steps(problem, at, plan)
+
+    def replaced(better: Plan) -> Plan:
+        # The bound holds for plans that satisfy p_min at the same steps.
+        misses = connected & ~connected_steps(problem, at, better)
+        return plan if misses.any() else better
+
+    plan = replaced(better_of(at, plan, optimum)) if improves else plan
     refinement = None
     if improves and stages.measured is None and stages.steps > 1:
         ground = build_ground(problem, at.position_m)
         refinement = FallbackCascade(problem, ground).refinement
+    nearer = replace(stages, step_m=at.step_length_m - 2.0 * STEP_PAD_M)
     kinks = np.vstack([each.measurements.positions_m for each in belief.posteriors])
     tilts = tilts_near(stages, [optimum, plan.positions_m[1:]], kinks)
 
@@ -160,11 +167,11 @@ def with_sum_bound(
         if refinement is None:
             return plan.objective
         better = plan
-        if stages.keep_outs:
+        if stages.keep_outs or at.law.is_connected(path_m).any():
             # The refinement alone does not find a way round discs that the path crosses.
-            path_m = local_optimum(stages, path_m, SURPLUS)
-            better = better_of(at, plan, path_m)
-        better = refined(refinement, at, better, path_m)
+            nearer_m = local_optimum(nearer, path_m, SURPLUS)
+            better = refined(refinement, at, better_of(at, plan, nearer_m), nearer_m)
+        better = replaced(refined(refinement, at, better, path_m))
         if better is not plan:
             plan = better
             tilts.extend(tilts_near(stages, [plan.positions_m[1:]], kinks))
@@ -188,7 +195,8 @@ def with_sum_bound(
 def refined(refinement: Refinement, at: StepContext, plan: Plan, path_m: Floats) -> Plan:
     """Return the plan refined from a path (N, 2) if it is verified and better, else `plan`."""
     scorer = Scorer(at, ObjectiveValue(at))
-    guess = Guess(path_m, scorer.objective(path_m), 0.0, clear=False)
+    held = at.law.is_connected(path_m)
+    guess = Guess(path_m, scorer.objective(path_m), 0.0, clear=False, held=held)
     for found in refinement.candidates(at, scorer, guess, Rung.PLAN):
         if found.verdict is Verdict.VERIFIED and found.objective > plan.objective:
             plan = scorer.plan_from(found, plan.wall_s)

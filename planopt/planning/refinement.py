@@ -110,8 +110,7 @@ class PathTask:
     slack_weight: float = 0.0  # Cost per dB of slack
     motion: MotionTask | None = None  # None for the single integrator
     charge: GoalCharge | PricedCharge | None = None  # Goal cost; None without a goal
-    # Step (1..N) from which guess and refined path stay at their end, if any
-    arrival: int | None = None
+    held: Mask | None = None  # (N,) positions of the guess that the refined path keeps
 
 
 def polish_path(nlp: PathNlp, task: PathTask) -> RefinedPath:
@@ -135,9 +134,9 @@ def polish_path(nlp: PathNlp, task: PathTask) -> RefinedPath:
         motion_bounds = rows.bounds(task.bounds_m)
     x_min, y_min, x_max, y_max = task.bounds_m
     lower, upper = np.tile([x_min, y_min], n), np.tile([x_max, y_max], n)
-    if task.arrival is not None:
-        arrived = slice(2 * (task.arrival - 1), 2 * n)
-        lower[arrived] = upper[arrived] = task.path_m[task.arrival - 1 :].ravel()
+    if task.held is not None:
+        held = np.repeat(task.held, 2)
+        lower[held] = upper[held] = task.path_m.ravel()[held]
     free = np.full(len(driven), np.inf)
     variables = Bounds(
         np.concatenate([lower, np.zeros(shape.slacks), -free]),
@@ -390,13 +389,13 @@ def goal_value(
     )
 
 
-def arrival_step(problem: Problem, path_m: Floats) -> int | None:
-    """Return the step (1..N) after which a path (N, 2) waits at its goal; None if it never does."""
+def arrived_steps(problem: Problem, path_m: Floats) -> Mask:
+    """Return a mask (N,) of the steps after which a path (N, 2) waits at its goal."""
     # A guess that waits at its end has arrived; over the whole horizon it never would.
     standing = np.linalg.norm(path_m - path_m[-1], axis=1) <= STANDSTILL_M
     arrival = len(path_m) - int(np.argmin(standing[::-1])) if not standing.all() else 0
     dwells = is_at_goal(problem, path_m[-1]) or arrival < len(path_m) - 1
-    return arrival + 1 if dwells else None
+    return dwells & (np.arange(len(path_m)) >= arrival)
 
 
 LINES_PER_SEGMENT, GOAL_LINES = 2, 4
@@ -495,7 +494,7 @@ class Refinement:
             scale=1.0 if to_goal else VALUE_IN_SOLVER / (abs(value) or VALUE_IN_SOLVER),
             motion=motion,
             charge=charge,
-            arrival=arrival_step(problem, guess.path_m) if to_goal else None,
+            held=arrived_steps(problem, guess.path_m) if to_goal else guess.held,
         )
         if to_goal:
             power = predicted(guess.path_m)

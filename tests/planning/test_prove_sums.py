@@ -11,6 +11,7 @@ import pytest
 import planopt
 from planopt import Solution
 from planopt.objectives import TrackingTerm
+from planopt.problems import GivenParameters
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +48,35 @@ def test_the_bound_is_proven_again(solution: Solution, tmp_path: Path) -> None:
     data["robots"][0]["bound"] *= 1.01
     (tmp_path / "right" / "plan.json").write_text(json.dumps(data))
     assert planopt.check(tmp_path / "right").verdict is planopt.Verdict.VIOLATED
+
+
+def test_plans_through_known_connections_are_proven_again(tmp_path: Path) -> None:
+    """Readings beyond the predicted coverage improve the plan, and ``check`` accepts its bound."""
+    known = GivenParameters(
+        shadow_std_db=0.5, decorrelation_m=2.0, multipath_std_db=3.0, k_pl_db=-10.0, n_pl=2.0
+    )
+    problem = planopt.Problem(
+        robots=planopt.Robot(start_m=(28.0, 20.0), speed_max_m_s=2.0),
+        stations=planopt.BaseStation(
+            position_m=(5.0, 20.0), transmit_power_dbm=0.0, threshold_dbm=-40.0
+        ),
+        workspace=planopt.Workspace((0.0, 0.0, 70.0, 40.0)),
+        targets=planopt.Target(start_m=(60.0, 20.0), velocity_m_s=(0.0, 0.0)),
+        objective=TrackingTerm(
+            form="additive", noise_curvature=0.02, noise_floor_m2=0.1, sweet_spot_m=1.0
+        ),
+        channel=planopt.ChannelSetup(given=known),
+        constraints=planopt.Constraints(p_min=0.8),
+        planner=planopt.PlannerSettings(step_s=1.0, horizon=4),
+    )
+    places = np.array([[28.0, 18.5], [29.5, 21.0], [30.5, 19.5], [31.7, 20.8], [33.0, 20.0]])
+    read = planopt.Measurements(places, np.full(5, -38.5))
+    solution = planopt.solve(problem, measurements=read, prove_s=2.0)
+    np.testing.assert_allclose(solution.plan.positions_m[1:], places[1:], atol=1e-5)
+    bound = solution.plan.bound
+    assert bound is not None and bound.gap is not None and 0.0 < bound.gap < 0.001
+    solution.save(tmp_path / "plan")
+    assert planopt.check(tmp_path / "plan").verdict is planopt.Verdict.VERIFIED
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from planopt.arrays import Floats
+from planopt.arrays import Floats, Mask
 from planopt.bounds.bound import Bound, Design, Potential, Tilts
 from planopt.bounds.reach import relaxed_constraints, route_problem, why_unbounded
 from planopt.bounds.route import route_bounds, verified_value
@@ -19,6 +19,7 @@ from planopt.objectives.terms.term import TermContext
 from planopt.planning.certificate import required_margins_db
 from planopt.planning.plan import Plan
 from planopt.planning.proof.rule import connectivity_law
+from planopt.planning.tolerances import MARGIN_TOLERANCE_DB
 from planopt.problems.problem import (
     Problem,
     integrated_cost_m,
@@ -80,11 +81,15 @@ def stages_of(
     terms = summed_terms(problem, at)
     if terms.reason:
         return terms.reason
+    return stage_problem(problem, at, terms, connected_steps(problem, at, plan), design, moving)
+
+
+def connected_steps(problem: Problem, at: TermContext, plan: Plan) -> Mask:
+    """Return a mask (N,) of the steps after which a plan satisfies p_min, as the verifier does."""
     path = plan.positions_m[1:]
-    kept = np.zeros(len(path), dtype=np.bool_)
-    if problem.constraints.p_min > 0.0 and problem.constraints.rule.is_plain:
-        kept = np.asarray(required_margins_db(problem, at.predicted(path)) >= 0.0)
-    return stage_problem(problem, at, terms, kept, design, moving)
+    if problem.constraints.p_min <= 0.0 or not problem.constraints.rule.is_plain:
+        return np.zeros(len(path), dtype=np.bool_)
+    return np.asarray(required_margins_db(problem, at.power(path)) >= -MARGIN_TOLERANCE_DB)
 
 
 def bound_of_sum(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planopt.arrays import Floats, Indices
+from planopt.arrays import Floats, Indices, Mask
 from planopt.channel.kriging import bound_margin_db, connection_probability
 from planopt.parts import calling
 from planopt.planning.candidates import UNLIMITED, Budget
@@ -152,6 +152,7 @@ class Guess:
     charge: GoalCharge | None = None  # Goal cost in a refinement; None without a goal
     # Maps context, path (N, 2) and rows to a local model; None for a sum of terms
     near: Callable[[StepContext, Floats, RuleRows], LocalModel] | None = None
+    held: Mask | None = None  # (N,) positions that a refinement for a sum of terms keeps
 
 
 def without_waiting(position_m: Floats, path_m: Floats) -> Floats:

@@ -96,14 +96,14 @@ def test_limits_of_speed_and_space(nlp):
     np.testing.assert_allclose(polished.path_m[-1], [3.0, 0.0], atol=1e-3)
 
 
-def test_arrived_paths(nlp):
-    """From the arrival on positions stay; if all are fixed there is nothing to choose."""
+def test_held_positions(nlp):
+    """Held positions stay; if all are held there is nothing to choose."""
     path = np.array([[0.5, 1.0], [2.0, 0.0], [2.0, 0.0]])
-    polished = solved(nlp, reach_task(N, LINES, path_m=path, arrival=2))
+    polished = solved(nlp, reach_task(N, LINES, path_m=path, held=np.array([False, True, True])))
     np.testing.assert_array_equal(polished.path_m[1:], path[1:])
     np.testing.assert_allclose(polished.path_m[0], [1.0, 0.0], atol=1e-4)
     path = np.tile([1.0, 1.0], (N, 1))
-    task = reach_task(N, LINES, path_m=path, arrival=1)
+    task = reach_task(N, LINES, path_m=path, held=np.ones(N, dtype=np.bool_))
     polished = solved(nlp, task)
     np.testing.assert_array_equal(polished.path_m, path)
     broken = polish_path(nlp, changed(task, bound=np.full(N, 11.0)))

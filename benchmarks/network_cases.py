@@ -99,7 +99,7 @@ def team_case(seed: int) -> tuple[bool, bool]:
     at_event = np.linalg.norm(here - run.estimates_m[-1, 0], axis=1) <= settled_m
     generators = here if seed % 2 else here[~at_event]
     found = coverage(voronoi_cells(region, generators))
-    off_m = np.linalg.norm(found.centroids_m - generators, axis=1)
+    off_m = np.linalg.norm(found.targets_m - generators, axis=1)
     off_m = off_m[~at_event] if seed % 2 else off_m
     known = np.linalg.norm(run.estimates_m[-1, 0] - event) < 1.0
     return bool(at_event.sum() == demand(count) and known), bool(off_m.max() <= 2.0 * settled_m)

@@ -113,7 +113,7 @@ def _moment_bound(ground: Ground, count: int) -> float:
     area = ground.area_m2 / count
     inner = min(area, math.pi * reach**2)
     each = inner**2 / (2.0 * math.pi) + (reach**2 * (area - inner) if area > inner else 0.0)
-    if len(ground.region.corners_m) <= 6 and math.isinf(reach):
+    if len(ground.hull.corners_m) <= 6 and math.isinf(reach):
         each = max(each, HEXAGON * area**2)
     return count * ground.density.weight_per_m2 * each
 

@@ -148,7 +148,14 @@ def geodesic_ground(
 ) -> GeodesicGround:
     """Return a region with obstacles, prepared for coverage by shortest-path distances."""
     free = _in_one_part(checked_polygon(outline), obstacles)
-    area = free_area(_shrunk(free, clearance_m))
+    kept = _parts(free.buffer(-clearance_m, join_style="mitre")) if clearance_m > 0.0 else [free]
+    if len(kept) != 1:
+        raise InputError(
+            f"is {clearance_m:g} m, which leaves {len(kept)} separate parts of the region",
+            key="world.clearance_m",
+            remedy="give a smaller clearance, or a smaller agents.body_radius_m",
+        )
+    area = free_area(shapely.orient_polygons(kept[0]))
     hull = convex_region(np.asarray(shapely.get_coordinates(free.convex_hull)))
     nodes, mass, spread = _nodes(free, spacing_m, density)
     ends = area.nearest(nodes) if clearance_m > 0.0 else nodes
@@ -192,20 +199,6 @@ def _in_one_part(whole: shapely.Polygon, obstacles: Sequence[shapely.Polygon]) -
             f"divide the region into {len(parts)} separate parts of {areas} m²",
             key="world.obstacles",
             remedy="make a problem for each part",
-        )
-    return shapely.orient_polygons(parts[0])
-
-
-def _shrunk(free: shapely.Polygon, clearance_m: float) -> shapely.Polygon:
-    """Return the part of an area that keeps clearance; raise `InputError` if not connected."""
-    if clearance_m == 0.0:
-        return free
-    parts = _parts(free.buffer(-clearance_m, join_style="mitre"))
-    if len(parts) != 1:
-        raise InputError(
-            f"is {clearance_m:g} m, which leaves {len(parts)} separate parts of the region",
-            key="world.clearance_m",
-            remedy="give a smaller clearance, or a smaller agents.body_radius_m",
         )
     return shapely.orient_polygons(parts[0])
 
@@ -337,8 +330,11 @@ def geodesic_targets(ground: GeodesicGround, agents_m: Floats, cells: GeodesicCe
     for halving in range(HALVINGS):
         trial = agents_m.copy()
         trial[waiting] = _reached(ground.area, agents_m[waiting], step[waiting] * 0.5**halving)
-        share = _own_cost(ground, trial, cells.owner, waiting)
-        better = waiting[share[waiting] < before[waiting]]
+        nodes = np.flatnonzero(np.isin(cells.owner, waiting))
+        own = cells.owner[nodes]
+        distance = _path_lengths_m(ground, trial, own, nodes)
+        after = np.bincount(own, ground.mass[nodes] * distance**2, minlength=count)
+        better = waiting[after[waiting] < before[waiting]]
         targets[better] = trial[better]
         waiting = np.setdiff1d(waiting, better)
         if not len(waiting):
@@ -350,17 +346,6 @@ def _nearest(tree: KDTree, places: Floats, count: int) -> Indices:
     """Return the indices (k, count) of the agents nearest to positions (k, 2), nearest first."""
     found = tree.query(places, k=count)[1]
     return np.asarray(found, dtype=np.intp).reshape(len(places), count)
-
-
-def _own_cost(ground: GeodesicGround, agents: Floats, owner: Indices, wanted: Indices) -> Floats:
-    """Return the coverage cost (n,) of each agent's cell; 0 for agents not in `wanted`."""
-    chosen = np.zeros(len(agents), dtype=np.bool_)
-    chosen[wanted] = True
-    nodes = np.flatnonzero(chosen[owner])
-    own = owner[nodes]
-    distance = _path_lengths_m(ground, agents, own, nodes)
-    costs = np.bincount(own, ground.mass[nodes] * distance**2, minlength=len(agents))
-    return np.asarray(costs, dtype=np.float64)
 
 
 def _path_lengths_m(ground: GeodesicGround, agents: Floats, who: Indices, nodes: Indices) -> Floats:

@@ -31,21 +31,20 @@ TOUCHING = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
-class Coverage:
-    """Coverage cost of a region, its gradient, and the centroids of the cells."""
+class Cover:
+    """Coverage cost of a ground and targets of the agents."""
 
-    cost: float  # The coverage cost H, in m^4 for the uniform density of 1 per m^2
+    cost: float  # The coverage cost H
+    # (n, 2) centroid of each agent's cell, or its own position if the cell has no mass; with
+    # obstacles the end of a collision-free step toward the centre of the cell
+    targets_m: Floats
     mass: Floats  # (n,) mass of each agent's cell
-    # (n, 2) centroid of each agent's cell; the agent's own position if the cell has no mass
-    centroids_m: Floats
-    # (n, 2) derivative of H by position, divided equally among coincident agents
-    gradient: Floats
 
 
 def coverage(
     cells: Cells, density: Density = UNIFORM, sensing_range_m: float | None = None
-) -> Coverage:
-    """Evaluate the coverage cost, its gradient and the centroids of all cells.
+) -> Cover:
+    """Evaluate the coverage cost and the centroids of all cells.
 
     Results are exact up to rounding for the uniform density and for rasters. Other densities are
     integrated by Gauss quadrature.
@@ -59,20 +58,7 @@ def coverage(
     offset = moments.first / np.where(empty, 1.0, moments.mass)[:, None]
     offset[empty] = 0.0
     which = cells.cell_of
-    share = -2.0 * moments.first / cells.multiplicity[:, None]
-    centroids = cells.generators_m + offset
-    return Coverage(cost, moments.mass[which], centroids[which], share[which])
-
-
-@dataclass(frozen=True, eq=False)
-class Cover:
-    """Coverage cost of a ground and targets of the agents."""
-
-    cost: float  # The coverage cost H
-    # (n, 2) centroid of each agent's cell; with obstacles the end of a collision-free step toward
-    # the centre of the cell
-    targets_m: Floats
-    mass: Floats  # (n,) mass of each agent's cell
+    return Cover(cost, (cells.generators_m + offset)[which], moments.mass[which])
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,47 +76,41 @@ class TwoNearest:
 class ConvexGround:
     """Convex region without obstacles."""
 
-    region: ConvexRegion
+    hull: ConvexRegion  # The region, which is its own convex hull
     density: Density = UNIFORM
     sensing_range_m: float | None = None  # None without limit
 
     @property
     def free(self) -> shapely.Polygon:
         """Return the region without obstacles as a polygon."""
-        return shapely.Polygon(self.region.corners_m)
-
-    @property
-    def hull(self) -> ConvexRegion:
-        """Return the convex hull, the domain of event positions and Voronoi neighbours."""
-        return self.region
+        return shapely.Polygon(self.hull.corners_m)
 
     @property
     def area_m2(self) -> float:
         """Return the covered area in square metres."""
-        return self.region.area_m2
+        return self.hull.area_m2
 
     def allows(self, places_m: Floats) -> Mask:
         """Return a mask (k,) of the positions (k, 2) that are allowed for agents."""
-        return self.region.contains(places_m)
+        return self.hull.contains(places_m)
 
     def nearest(self, places_m: Floats) -> Floats:
         """Project positions ``(k, 2)`` onto the region."""
-        moved, out = np.array(places_m, dtype=np.float64), ~self.region.contains(places_m)
+        moved, out = np.array(places_m, dtype=np.float64), ~self.hull.contains(places_m)
         moved[out] = nearest_places(self.free, moved[out])
         return moved
 
     def cover(self, agents_m: Floats) -> Cover:
         """Return the coverage cost and the targets of agents ``(n, 2)``."""
-        found = coverage(voronoi_cells(self.region, agents_m), self.density, self.sensing_range_m)
-        return Cover(found.cost, found.centroids_m, found.mass)
+        return coverage(voronoi_cells(self.hull, agents_m), self.density, self.sensing_range_m)
 
     def two_nearest(self, agents_m: Floats) -> TwoNearest:
         """Return sample points on a grid, with squared distances to the two nearest agents."""
-        low, high = self.region.corners_m.min(axis=0), self.region.corners_m.max(axis=0)
+        low, high = self.hull.corners_m.min(axis=0), self.hull.corners_m.max(axis=0)
         along = (np.arange(SAMPLES) + 0.5) / SAMPLES
         grid = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
         samples = low + grid * (high - low)
-        samples = samples[self.region.contains(samples)]
+        samples = samples[self.hull.contains(samples)]
         found = KDTree(agents_m).query(samples, k=2)
         distances, agents = np.asarray(found[0], dtype=np.float64), np.asarray(found[1])
         reach = math.inf if self.sensing_range_m is None else self.sensing_range_m
@@ -140,7 +120,7 @@ class ConvexGround:
 
     def borders(self, agents_m: Floats) -> Floats:
         """Return the cell boundaries as line segments (e, 2, 2) for figures."""
-        cells = voronoi_cells(self.region, agents_m).inside
+        cells = voronoi_cells(self.hull, agents_m).inside
         return np.stack((cells.corners_m, cells.corners_m[cells.following]), axis=1)
 
     def distances_m(self, agents_m: Floats, places_m: Floats) -> Floats:

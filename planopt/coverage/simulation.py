@@ -104,15 +104,6 @@ class Scene:
         moving = any(any(e.velocity_m_s) and e.is_there(time_s) for e in self.events)
         return not moving and not ((every > time_s) & (every < self.duration_s)).any()
 
-    def event_places(self, agents_m: Floats, event_m: Floats) -> Floats:
-        """Return target positions (k, 2) of the agents that respond to an event."""
-        if self.stand_off_m is not None:
-            known = self.sensing is None or self.sensing.strength_known
-            return free_ring_places(agents_m, event_m, self.stand_off_m, self.ground, known)
-        if self.body_radius_m > 0.0:
-            return packed_places(agents_m, event_m, self.body_radius_m)
-        return np.repeat(event_m[None], len(agents_m), axis=0)
-
 
 @dataclass(frozen=True, eq=False)
 class NetworkRun:
@@ -396,7 +387,15 @@ class NetworkController:
             mine = np.zeros(len(here_m), dtype=np.bool_)
             mine[team.agents] = True
             for estimate, same in belief.groups(mine):
-                places = scene.event_places(here_m[team.members], estimate.value.position_m)
+                event_m, those_m = estimate.value.position_m, here_m[team.members]
+                places = np.repeat(event_m[None], len(those_m), axis=0)
+                if scene.stand_off_m is not None:
+                    known = scene.sensing is None or scene.sensing.strength_known
+                    places = free_ring_places(
+                        those_m, event_m, scene.stand_off_m, scene.ground, known
+                    )
+                elif scene.body_radius_m > 0.0:
+                    places = packed_places(those_m, event_m, scene.body_radius_m)
                 ends[same] = places[np.searchsorted(team.members, same)]
                 drifts[same] = estimate.value.velocity_m_s
         if responds.any():

@@ -72,25 +72,20 @@ def verify_moves(
     if math.isfinite(limits.speed_m_s):
         require("speed", speed, limits.speed_m_s, SLACK * limits.speed_m_s)
     corners = np.stack((before_m, control, after_m), axis=1)
-    swept = shapely.convex_hull(shapely.multipoints(corners))
-    found += _border_faults(free, np.asarray(swept), max(limits.body_radius_m, limits.clearance_m))
+    swept = np.asarray(shapely.convex_hull(shapely.multipoints(corners)))
+    keep_m = max(limits.body_radius_m, limits.clearance_m)
+    slack = SLACK * max(1.0, keep_m)
+    away = np.asarray(shapely.distance(shapely.boundary(free), swept), dtype=np.float64)  # pyright: ignore[reportUnknownMemberType]
+    away = np.where(shapely.covers(free.buffer(slack), swept), away, -1.0)
+    for agent in np.flatnonzero(away < keep_m - slack).tolist():
+        found.append(Fault("clearance", agent, None, float(away[agent]), keep_m))
     if limits.body_radius_m > 0.0:
         timed = limits.turn_rate_rad_s is None
-        found += _contacts(np.asarray(swept), corners, 2.0 * limits.body_radius_m, timed)
+        found += _contacts(swept, corners, 2.0 * limits.body_radius_m, timed)
     if radio is not None:
         failure = _failures(corners, radio)
         require("radio", failure, 1.0 - radio.p_min, SLACK * (1.0 - radio.p_min))
     return tuple(found)
-
-
-def _border_faults(free: shapely.Polygon, swept: NDArray[np.object_], keep_m: float) -> list[Fault]:
-    """Return clearance faults of agents whose swept areas (n,) are too close to the boundary."""
-    away = np.asarray(shapely.distance(shapely.boundary(free), swept), dtype=np.float64)  # pyright: ignore[reportUnknownMemberType]
-    slack = SLACK * max(1.0, keep_m)
-    within = np.asarray(shapely.covers(free.buffer(slack), swept), dtype=np.bool_)
-    away = np.where(within, away, -1.0)
-    wrong = np.flatnonzero(away < keep_m - slack)
-    return [Fault("clearance", int(one), None, float(away[one]), keep_m) for one in wrong]
 
 
 def _contacts(

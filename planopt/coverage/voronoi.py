@@ -150,14 +150,22 @@ def voronoi_cells(region: ConvexRegion, agents_m: Floats) -> Cells:
         raise InputError(f"is at ({x:g}, {y:g}) m, outside the region", key=f"agents[{outside[0]}]")
     generators, cell_of = merge_coincident(agents_m, COINCIDENT * region.radius_m)
     # Shift and scale, since large coordinates would cost precision.
-    unclipped = _diagram((generators - region.centre_m) / region.radius_m)
+    scaled, count = (generators - region.centre_m) / region.radius_m, len(generators)
+    far = FAR * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
+    sites = shapely.multipoints(np.concatenate((scaled, far)))
+    diagram = shapely.get_parts(shapely.voronoi_polygons(sites, ordered=True))[:count]
+    # GEOS returns clockwise rings and repeats the first corner at the end.
+    closed, cell = shapely.get_coordinates(diagram[::-1], return_index=True)
+    kept = np.append(cell[1:] == cell[:-1], False)
+    sizes = np.bincount(cell[kept], minlength=count)[::-1]
+    unclipped = Polygons(closed[kept][::-1], np.concatenate(([0], np.cumsum(sizes))))
     offsets = (region.offsets_m - region.normals @ region.centre_m) / region.radius_m
     clipped = _clipped(unclipped, region.normals, offsets)
     return Cells(
         region,
         generators,
         cell_of,
-        np.bincount(cell_of, minlength=len(generators)),
+        np.bincount(cell_of, minlength=count),
         Polygons(region.centre_m + region.radius_m * clipped.corners_m, clipped.first),
         unclipped,
     )
@@ -210,19 +218,6 @@ def merge_coincident(places_m: Floats, within_m: float) -> tuple[Floats, Indices
     label = cast("NDArray[np.int32]", connected_components(graph, directed=False)[1])
     _, first, group = np.unique(label, return_index=True, return_inverse=True)
     return places_m[first], group
-
-
-def _diagram(places: Floats) -> Polygons:
-    """Return the Voronoi cells of positions (g, 2), exact within the unit disc."""
-    count = len(places)
-    far = FAR * np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
-    sites = shapely.multipoints(np.concatenate((places, far)))
-    cells = shapely.get_parts(shapely.voronoi_polygons(sites, ordered=True))[:count]
-    # GEOS returns clockwise rings and repeats the first corner at the end.
-    closed, cell = shapely.get_coordinates(cells[::-1], return_index=True)
-    kept = np.append(cell[1:] == cell[:-1], False)
-    sizes = np.bincount(cell[kept], minlength=count)[::-1]
-    return Polygons(closed[kept][::-1], np.concatenate(([0], np.cumsum(sizes))))
 
 
 def _clipped(polygons: Polygons, normals: Floats, offsets: Floats) -> Polygons:

@@ -6,7 +6,7 @@ largest ratio of shortest path length to straight-line distance.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -45,6 +45,13 @@ class Arena:
     bounds_m: tuple[float, float, float, float] | None = None
     obstacles: ObstacleIndex | None = None  # None for open space
     clearance_m: float = 0.0  # Obstacle clearance of pursuers and evaders
+    # Cached shortest paths by start point
+    _kept: dict[tuple[float, float], ShortestPaths] = field(
+        default_factory=dict[tuple[float, float], ShortestPaths],
+        init=False,
+        repr=False,
+        compare=False,
+    )
 
     def __post_init__(self) -> None:
         if self.corners > MAX_CORNERS:
@@ -149,13 +156,9 @@ class Arena:
         assert self.obstacles is not None
         return grown(self.obstacles.polygons, self._margin_m, inner=False)
 
-    @cached_property
-    def _kept_paths(self) -> dict[tuple[float, float], ShortestPaths]:
-        return {}
-
     def _paths(self, place_m: Floats) -> ShortestPaths:
         """Return the shortest paths from a position, using a cache of recent ones."""
-        kept, key = self._kept_paths, (float(place_m[0]), float(place_m[1]))
+        kept, key = self._kept, (float(place_m[0]), float(place_m[1]))
         if key in kept:
             return kept[key]
         assert self.obstacles is not None and self.bounds_m is not None

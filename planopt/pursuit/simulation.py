@@ -259,7 +259,7 @@ class PursuitController:
     ) -> PursuitStep:
         """Return the points that pursuers drive to in the next step, from validated arguments."""
         self._assign(states, reports, left)
-        step_s = self.scene.step_s
+        step_s, pursuers = self.scene.step_s, self.scene.pursuers
         taken = list[tuple[int, int, Record]]()
         for number, (driver, state) in enumerate(zip(self._drivers, states, strict=True)):
             if driver is None:
@@ -270,24 +270,17 @@ class PursuitController:
             def ask(held: Record | None, number: int = number, evader: int = evader):
                 return reports(number, evader, held)
 
-            view = PursuerView(
-                self._steps * step_s, step_s, state, ask, self._mates(number, evader, states)
-            )
+            mates = [
+                Mate(states[k][:2], self._aims_m[k], mate.motion.speed_max_m_s, own.record)
+                for k, (mate, own) in enumerate(zip(pursuers, self._drivers, strict=True))
+                if k != number and own is not None and self._chased[k] == evader
+            ]
+            view = PursuerView(self._steps * step_s, step_s, state, ask, mates)
             self._aims_m[number] = driver.aim_m(view)
             if driver.record is not None and driver.record is not before:
                 taken.append((number, evader, driver.record))
         self._steps += 1
         return PursuitStep(self._chased.copy(), np.array(self._aims_m), tuple(taken))
-
-    def _mates(self, number: int, evader: int, states: Sequence[Floats]) -> list[Mate]:
-        """Return the other pursuers of an evader, with their last aims."""
-        return [
-            Mate(states[other][:2], self._aims_m[other], each.motion.speed_max_m_s, driver.record)
-            for other, (each, driver) in enumerate(
-                zip(self.scene.pursuers, self._drivers, strict=True)
-            )
-            if other != number and driver is not None and self._chased[other] == evader
-        ]
 
     def _assign(self, states: Sequence[Floats], reports: Reports, left: Indices) -> None:
         """Assign an evader to every pursuer without one."""

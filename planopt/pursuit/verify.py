@@ -187,7 +187,8 @@ def _reconstructed(
     arc = np.zeros(len(move), dtype=np.bool_)
     drive_s = length / speed
     away_m = np.linalg.norm(aims_m - here, axis=1)
-    off_line_m = _off_segment_m(here, aims_m, there)
+    lines = shapely.linestrings(np.stack([here, aims_m], axis=1))
+    off_line_m = np.asarray(shapely.distance(lines, shapely.points(there)), dtype=np.float64)  # pyright: ignore[reportUnknownMemberType]
     bearing = off_circle_m = np.zeros(len(move))
     if robot.turn_rate_max_rad_s is not None:
         rate, heading = robot.turn_rate_max_rad_s, states[:, 2]
@@ -261,13 +262,6 @@ def _is_along(heading: Floats, move: Floats) -> Mask:
     ahead = np.stack([np.cos(heading), np.sin(heading)], axis=1)
     across = move[:, 0] * ahead[:, 1] - move[:, 1] * ahead[:, 0]
     return (np.abs(across) <= PLACE_M) & ((move * ahead).sum(axis=1) >= -PLACE_M)
-
-
-def _off_segment_m(starts: Floats, ends: Floats, places: Floats) -> Floats:
-    """Return distances (n,) of positions from segments."""
-    lines = shapely.linestrings(np.stack([starts, ends], axis=1))
-    away = shapely.distance(lines, shapely.points(places))  # pyright: ignore[reportUnknownMemberType]
-    return np.asarray(away, dtype=np.float64)
 
 
 def _worst(found: list[Violation], kind: str, name: str, words: str, off_m: Floats) -> None:

@@ -67,11 +67,7 @@ def segment_clearance_m(index: ObstacleIndex, starts_m: Floats, ends_m: Floats) 
 
 
 def segments_clear(
-    index: ObstacleIndex,
-    starts_m: Floats,
-    ends_m: Floats,
-    required_m: float,
-    tolerance_m: float = 0.0,
+    index: ObstacleIndex, starts_m: Floats, ends_m: Floats, required_m: float
 ) -> Mask:
     """Return a mask of the segments that keep the clearance; no distances are computed."""
     # The result equals `is_clear` of `segment_clearance_m`.
@@ -79,7 +75,7 @@ def segments_clear(
     rows = np.flatnonzero(clear)
     if index.obstacles and rows.size:
         # Obstacles at exactly the required distance are allowed, unless it is 0.
-        near_m = max(float(np.nextafter(required_m - tolerance_m, -np.inf)), 0.0)
+        near_m = max(float(np.nextafter(required_m, -np.inf)), 0.0)
         lines = segment_lines(starts_m[rows], ends_m[rows])
         hits = index.tree.query(lines, predicate="dwithin", distance=near_m)
         clear[rows[hits[0]]] = False

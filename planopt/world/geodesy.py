@@ -23,8 +23,9 @@ Origin = tuple[float, float] | tuple[float, float, float]
 """Latitude and longitude of (0, 0), and the angle from east to the x axis, in degrees."""
 
 
-def parse_origin(text: str, key: str = "--origin") -> Origin:
+def parse_origin(text: str) -> Origin:
     """Return the origin in a text ``LAT,LON`` or ``LAT,LON,ANGLE`` in degrees."""
+    key = "--origin"
     require_points(text, key, "ANGLE")
     try:
         numbers = tuple(float(part) for part in text.split(","))

@@ -288,16 +288,14 @@ class TimedMotion:
         """Bound (n,) on the distance of each step from uniform motion along the step's chord."""
         if not self.curves:
             return np.zeros(self.steps)
-        ends = zip(self.curves, self.places_m[:-1], self.places_m[1:], strict=True)
-        return np.array([_bulge_m(curve, begin, end) for curve, begin, end in ends])
-
-
-def _bulge_m(curve: StepCurve, begin_m: Floats, end_m: Floats) -> float:
-    breaks = curve.breaks
-    even = begin_m + breaks[:, None] * (end_m - begin_m)
-    off = np.linalg.norm(curve.at(breaks) - even, axis=1).max()
-    part = np.diff(breaks).max()
-    return float(off) + curve.curving_m * float(part) ** 2 / 8.0 + curve.within_m
+        found: list[float] = []
+        for curve, begin, move in zip(
+            self.curves, self.places_m[:-1], np.diff(self.places_m, axis=0), strict=True
+        ):
+            off = curve.at(curve.breaks) - begin - curve.breaks[:, None] * move
+            bent = curve.curving_m * float(np.diff(curve.breaks).max()) ** 2 / 8.0
+            found.append(float(np.linalg.norm(off, axis=1).max()) + bent + curve.within_m)
+        return np.array(found)
 
 
 def closest_approach_m(

@@ -6,6 +6,7 @@ because 100 would be an obstacle, and ``contact`` is 100 where P reaches p_min.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -53,7 +54,7 @@ def mask_values(probability: Floats, limits: MaskLimits) -> dict[str, NDArray[An
     return dict(zip(MASKS, (keepout, weight, contact), strict=True))
 
 
-def write_masks(folder: Path, probability: Raster, limits: MaskLimits, frame: str = "map") -> None:
+def write_masks(folder: Path, probability: Raster, limits: MaskLimits) -> None:
     """Write the masks and the parameters of their filters into a folder."""
     width, height = probability.cell_m
     if abs(width - height) > UNEQUAL_SIDES * width:
@@ -66,47 +67,34 @@ def write_masks(folder: Path, probability: Raster, limits: MaskLimits, frame: st
         raise InputError(
             "has cells without a probability", key="probability", remedy="give 0 to 1 everywhere"
         )
-    origin = (probability.x_m[0] - width / 2.0, probability.y_m[0] - width / 2.0)
+    origin = [float(axis[0] - width / 2.0) for axis in (probability.x_m, probability.y_m)]
     with replaced_results(folder, NAV2_FILES) as new:
         for name, values in mask_values(probability.values, limits).items():
-            scaled = name == "weighted"
+            scaled = name == "weighted"  # A scaled mask uses the whole range of grey values
             grey = np.rint(255.0 - 2.55 * values) if scaled else np.where(values, OCCUPIED, FREE)
-            _write_image(new / f"{name}.pgm", grey.astype(np.uint8))
-            table = _map_table(f"{name}.pgm", width, origin, is_scaled=scaled)
+            # The first row of a PGM image has the largest y.
+            image = b"P5\n%d %d\n255\n" % values.shape[::-1] + grey[::-1].astype(np.uint8).tobytes()
+            write_whole(new / f"{name}.pgm", partial(Path.write_bytes, data=image))
+            table = {
+                "image": f"{name}.pgm",
+                "mode": "scale" if scaled else "trinary",
+                "resolution": float(width),
+                "origin": [*origin, 0.0],
+                "negate": 0,
+                "occupied_thresh": 1.0 if scaled else 0.65,
+                "free_thresh": 0.0 if scaled else 0.25,
+            }
             write_text(new / f"{name}.yaml", _yaml(table))
-        write_text(new / PARAMETERS, _yaml(_parameters(frame)))
+        write_text(new / PARAMETERS, _yaml(_parameters()))
         write_text(new / LAUNCH, LAUNCH_TEXT)
 
 
-def _write_image(path: Path, grey: NDArray[np.uint8]) -> None:
-    """Write a binary PGM image, whose first row has the largest y."""
-    rows, columns = grey.shape
-    content = b"P5\n%d %d\n255\n" % (columns, rows) + np.ascontiguousarray(grey[::-1]).tobytes()
-    write_whole(path, lambda temporary: temporary.write_bytes(content))
-
-
-def _map_table(
-    image: str, side_m: float, origin_m: tuple[float, float], *, is_scaled: bool
-) -> dict[str, Any]:
-    """Return the YAML keys of a map; a scaled mask uses the whole range of grey values."""
-    free, occupied = (0.0, 1.0) if is_scaled else (0.25, 0.65)
-    return {
-        "image": image,
-        "mode": "scale" if is_scaled else "trinary",
-        "resolution": float(side_m),
-        "origin": [float(origin_m[0]), float(origin_m[1]), 0.0],
-        "negate": 0,
-        "occupied_thresh": occupied,
-        "free_thresh": free,
-    }
-
-
-def _parameters(frame: str) -> dict[str, Any]:
+def _parameters() -> dict[str, Any]:
     """Return the parameters of the mask servers, their filter infos and the costmap."""
     tables: dict[str, Any] = {}
     for name in MASKS:
         tables[f"{name}_mask_server"] = _node(
-            yaml_filename=f"{name}.yaml", topic_name=f"/{name}_mask", frame_id=frame
+            yaml_filename=f"{name}.yaml", topic_name=f"/{name}_mask", frame_id="map"
         )
         # filter value = base + multiplier * mask value
         tables[f"{name}_filter_info_server"] = _node(

@@ -51,7 +51,9 @@ def checked_raster(x: Floats, y: Floats, values: Floats, variable: str) -> Raste
                 key=name,
                 remedy="give metres from an origin near the map",
             )
-        if not _is_even(axis):
+        side = _spacing(axis)
+        off = np.abs(axis - axis[0] - side * np.arange(axis.size))
+        if not (side > 0.0 and (off <= UNEVEN_CELLS * side).all()):
             raise InputError(
                 "should be ascending with equal spacing",
                 key=name,
@@ -104,11 +106,3 @@ def nearest_cells(
 def _spacing(axis_m: Floats) -> float:
     """Return the mean spacing of an axis."""
     return float(axis_m[-1] - axis_m[0]) / (axis_m.size - 1)
-
-
-def _is_even(axis_m: Floats) -> bool:
-    """Return whether finite coordinates are ascending and evenly spaced."""
-    if not axis_m[-1] > axis_m[0]:
-        return False
-    off = axis_m - axis_m[0] - _spacing(axis_m) * np.arange(axis_m.size)
-    return bool((np.abs(off) <= UNEVEN_CELLS * _spacing(axis_m)).all())

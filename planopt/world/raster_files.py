@@ -307,7 +307,13 @@ def read_geotiff(path: Path, variable: str, origin_deg: Origin | None = None) ->
         require_array_size(path, variable, file.height, file.width)
         for shape in file.block_shapes:
             require_array_size(path, variable, *shape)
-        band = _band(file.descriptions, variable)
+        bands: tuple[str | None, ...] = file.descriptions
+        if bands != (None,) and bands.count(variable) != 1:
+            raise InputError(
+                f"the file has no band described as {variable!r}",
+                remedy=f"it has {listed(str(name) for name in bands)}",
+            )
+        band = 1 if bands == (None,) else bands.index(variable) + 1
         if np.dtype(file.dtypes[band - 1]).kind not in "iuf":
             raise InputError("is not numeric", key=variable, remedy="choose a numeric band")
         values = file.read(band, masked=True).astype(np.float64).filled(np.nan)
@@ -394,18 +400,6 @@ def _in_frame(
     return found, placed
 
 
-def _band(descriptions: tuple[str | None, ...], variable: str) -> int:
-    """Return the index, from 1, of the band described as `variable`."""
-    if descriptions.count(variable) == 1:
-        return descriptions.index(variable) + 1
-    if descriptions == (None,):
-        return 1
-    raise InputError(
-        f"the file has no band described as {variable!r}",
-        remedy=f"it has {listed(str(name) for name in descriptions)}",
-    )
-
-
 AXES = ("x_m", "y_m")
 
 DIGITS = "%.12g"  # Number format: 12 digits resolve a millimetre in any coordinate
@@ -429,7 +423,16 @@ def read_csv(path: Path, variable: str) -> Raster:
     rows = csv_rows(path)
     nothing: tuple[int, list[str]] = (1, [])
     header = [name.strip() for name in next(rows, nothing)[1]]
-    where = [_column(header, name) for name in (*AXES, variable)]
+    for name in (*AXES, variable):
+        if header.count(name) != 1:
+            raise InputError(
+                f"the file has {'two columns' if name in header else 'no column'} {name!r}",
+                key=name,
+                remedy=f"its columns are {listed(header)}"
+                if header
+                else "write a header with columns",
+            )
+    where = [header.index(name) for name in (*AXES, variable)]
     # An array takes a third of the memory of lists of floats.
     numbers = array("d")
     for line, cells in rows:
@@ -454,18 +457,6 @@ def _on_grid(table: Floats, variable: str) -> Raster:
     values = np.empty((y.size, x.size))
     values[iy, ix] = table[:, 2]
     return checked_raster(x, y, values, variable)
-
-
-def _column(header: list[str], name: str) -> int:
-    if header.count(name) != 1:
-        raise InputError(
-            f"the file has no column {name!r}"
-            if name not in header
-            else (f"the file has two columns {name!r}"),
-            key=name,
-            remedy=f"its columns are {listed(header)}" if header else "write a header with columns",
-        )
-    return header.index(name)
 
 
 def _number(cells: list[str], at: int, row: int, name: str) -> float:
@@ -540,7 +531,9 @@ TURNED_M = 1e-2
 
 def read_sionna_map(path: Path, variable: str) -> Raster:
     """Return a linear quantity of a planar Sionna RT radio map, converted to dB."""
-    name, index = _name_and_index(variable)
+    # A text such as path_gain[2] names a transmitter.
+    match = re.fullmatch(r"(.+)\[(\d{1,6})\]", variable)
+    name, index = (variable, None) if match is None else (match[1], int(match[2]))
     gain, centres = npz_arrays(path, (name, CENTRES))
     if gain.ndim == 3:
         if index is None and len(gain) != 1:
@@ -583,12 +576,6 @@ def read_sionna_map(path: Path, variable: str) -> Raster:
     decibels = np.full(gain.shape, np.nan)
     np.log10(gain, out=decibels, where=gain > 0.0)
     return checked_raster(x, y, 10.0 * decibels, variable)
-
-
-def _name_and_index(variable: str) -> tuple[str, int | None]:
-    """Return name and index in a text such as ``path_gain[2]``; the index is None if absent."""
-    match = re.fullmatch(r"(.+)\[(\d{1,6})\]", variable)
-    return (variable, None) if match is None else (match[1], int(match[2]))
 
 
 READERS: dict[str, Callable[[Path, str], Raster]] = {

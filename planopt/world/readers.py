@@ -123,7 +123,7 @@ def obstacles_of_geometry(name: str, geometry: shapely.Geometry) -> Iterator[Obs
         yield footprint(name, exterior, holes)
     elif isinstance(geometry, (shapely.MultiPolygon, shapely.GeometryCollection)):
         parts = shapely.get_parts(cast("shapely.Geometry", geometry))
-        for part_name, part in _named_parts(name, list(parts)):
+        for part_name, part in _numbered(name, list(parts), "part "):
             yield from obstacles_of_geometry(part_name, part)
     else:
         raise InputError(f"{name}: a {type(geometry).__name__} is not a polygon", remedy=_AREAS)
@@ -154,7 +154,11 @@ def _from_json(stem: str, text: str, origin_deg: Origin | None) -> tuple[Obstacl
 
 def _in_metres(data: Any, origin_deg: Origin) -> Any:
     """Return GeoJSON projected to metres from the origin; unchanged if it is already in metres."""
-    places = [each for each in _positions(data) if _is_position(each)]
+    places = [
+        each
+        for each in _positions(data)
+        if len(each) >= 2 and all(type(number) in (int, float) for number in each[:2])
+    ]
     if not places or not hasattr(data, "get"):
         return data
     corners = np.array([each[:2] for each in places], dtype=np.float64)
@@ -188,11 +192,6 @@ def _positions(value: Any) -> Iterator[Any]:
             yield parts
         for each in parts:
             yield from _positions(each)
-
-
-def _is_position(value: list[Any]) -> bool:
-    """Return whether a list begins with two numbers."""
-    return len(value) >= 2 and all(type(each) in (int, float) for each in value[:2])
 
 
 def _replaced(value: Any, plane: dict[int, list[float]]) -> Any:
@@ -238,13 +237,17 @@ def _areas(name: str, value: Any) -> Iterator[Obstacle]:
         case {"type": "FeatureCollection", "features": [*features]}:
             for number, feature in enumerate(features, start=1):
                 yield from _areas(f"feature {number}", feature)
+        case {"type": "Feature", "geometry": geometry, "properties": {"name": own}} if (
+            own is not None
+        ):
+            yield from _areas(str(own), geometry)
         case {"type": "Feature", "geometry": geometry}:
-            yield from _areas(_feature_name(value, name), geometry)
+            yield from _areas(str(value.get("id", name)), geometry)
         case {"type": "GeometryCollection", "geometries": [*parts]}:
-            for part_name, part in _named_parts(name, parts):
+            for part_name, part in _numbered(name, parts, "part "):
                 yield from _areas(part_name, part)
         case {"type": "MultiPolygon", "coordinates": [*parts]}:
-            for part_name, rings in _named_parts(name, parts):
+            for part_name, rings in _numbered(name, parts, "part "):
                 yield from _areas(part_name, {"type": "Polygon", "coordinates": rings})
         case {"type": "Polygon", "coordinates": [*rings]}:
             exterior, *holes = rings or [[]]
@@ -289,19 +292,10 @@ DEGREES = re.compile(r"CRS84|EPSG:+(\d*:)?(4326|4258|4269)\b", re.IGNORECASE)
 """Pattern of reference systems in degrees."""
 
 
-def _feature_name(feature: dict[str, Any], otherwise: str) -> str:
-    """Return the name of a feature: its property ``name``, else its id, else `otherwise`."""
-    match feature:
-        case {"properties": {"name": name}} if name is not None:
-            return str(name)
-        case _:
-            return str(feature.get("id", otherwise))
-
-
-def _named_parts(name: str, parts: list[_Part]) -> Iterator[tuple[str, _Part]]:
+def _numbered(name: str, parts: list[_Part], word: str = "") -> Iterator[tuple[str, _Part]]:
     """Yield each part with a name: `name` for a single part, numbered names for several."""
     for number, part in enumerate(parts, start=1):
-        yield (name if len(parts) == 1 else f"{name} part {number}"), part
+        yield (name if len(parts) == 1 else f"{name} {word}{number}"), part
 
 
 def _short(value: object) -> str:
@@ -356,11 +350,17 @@ def _obstacles(source: Any, name: str, origin_deg: Origin | None) -> Iterator[Ob
     elif isinstance(source, OccupancyGrid):
         yield from grid_obstacles(source, name)
     elif hasattr(source, "geometry"):
-        if origin_deg is None or getattr(source, "crs", None) is None:
-            geometries = list(cast("Iterable[Any]", source.geometry))
-        else:
-            geometries = [_projected(each, origin_deg) for each in source.to_crs(4326).geometry]
-        names = _column_of_names(source, name, len(geometries))
+        geometries = list(cast("Iterable[Any]", source.geometry))
+        if origin_deg is not None and getattr(source, "crs", None) is not None:
+            origin = origin_deg
+
+            def plane(degrees: Floats) -> Floats:
+                return east_north_m(degrees[:, 0], degrees[:, 1], origin)
+
+            geometries = [shapely.transform(each, plane) for each in source.to_crs(4326).geometry]
+        names = [own for own, _ in _numbered(name, geometries)]
+        if "name" in getattr(source, "columns", ()):
+            names = map(str, source["name"])
         for own, geometry in zip(names, geometries, strict=True):
             yield from _obstacles(geometry, own, None)
     elif getattr(source, "dtype", None) == np.bool_:
@@ -375,8 +375,7 @@ def _obstacles(source: Any, name: str, origin_deg: Origin | None) -> Iterator[Ob
         yield footprint(name, cast("Any", np.asarray(source)).tolist())
     elif isinstance(source, Iterable) and not isinstance(source, bytes):
         entries = list(cast("Iterable[Any]", source))
-        for number, entry in enumerate(entries, start=1):
-            own = name if len(entries) == 1 else f"{name} {number}"
+        for own, entry in _numbered(name, entries):
             yield from _obstacles(entry, own, origin_deg)
     else:
         raise InputError(
@@ -384,22 +383,6 @@ def _obstacles(source: Any, name: str, origin_deg: Origin | None) -> Iterator[Ob
             key="world.obstacles",
             remedy="give a file, polygons, a GeoDataFrame, corners (n, 2) or an OccupancyGrid",
         )
-
-
-def _projected(geometry: Any, origin_deg: Origin) -> Any:
-    """Return a geometry in degrees, projected to metres from the origin."""
-
-    def plane(degrees: Floats) -> Floats:
-        return east_north_m(degrees[:, 0], degrees[:, 1], origin_deg)
-
-    return shapely.transform(geometry, plane)
-
-
-def _column_of_names(table: Any, name: str, count: int) -> list[str]:
-    """Return the obstacle names of the rows of a geometry table."""
-    if "name" in getattr(table, "columns", ()):
-        return [str(own) for own in table["name"]]
-    return [name if count == 1 else f"{name} {number}" for number in range(1, count + 1)]
 
 
 def _is_ring(source: Any) -> bool:

@@ -112,7 +112,7 @@ def test_scaling_and_shape() -> None:
     one = ConvexGround(
         convex_region(shapely.box(0, 0, 100, 100)), GaussianMixture(np.ones(2), means, stds)
     )
-    double = ConvexGround(one.region, GaussianMixture(np.full(2, 2.0), means, stds))
+    double = ConvexGround(one.hull, GaussianMixture(np.full(2, 2.0), means, stds))
     large = ConvexGround(
         convex_region(shapely.box(0, 0, 1000, 1000)),
         GaussianMixture(np.ones(2), 10.0 * means, 10.0 * stds),

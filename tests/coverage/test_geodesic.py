@@ -92,7 +92,7 @@ def test_without_obstacles_as_euclidean(square: ConvexRegion) -> None:
     cells = geodesic_cells(region, agents)
     assert cells.cost == pytest.approx(exact.cost, rel=1e-4)
     assert cells.mass == pytest.approx(exact.mass, rel=1e-2)
-    assert geodesic_targets(region, agents, cells) == pytest.approx(exact.centroids_m, abs=0.2)
+    assert geodesic_targets(region, agents, cells) == pytest.approx(exact.targets_m, abs=0.2)
     alone = geodesic_cells(region, agents[:1])
     assert alone.cost == pytest.approx(coverage(voronoi_cells(square, agents[:1])).cost)
 

@@ -200,7 +200,7 @@ def ground_sets(
         x, y = places_m[which]
         raise InputError(f"is at ({x:g}, {y:g}) m, outside the free area", key=f"agents[{which}]")
     if isinstance(ground, ConvexGround):
-        region = ground.region
+        region = ground.hull
         heights = np.maximum(places_m @ region.normals.T, stops_m @ region.normals.T)
         agent, side = np.nonzero(heights > region.offsets_m - keep_m - reach_m)
         offsets = np.maximum(region.offsets_m[side] - keep_m, heights[agent, side])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import tomllib
 from collections.abc import Callable
 from dataclasses import asdict
@@ -196,7 +197,10 @@ def swept(text: str) -> tuple[str, list[Any]]:
     try:
         found = tomllib.loads(f"values = [{values}]")["values"]
     except tomllib.TOMLDecodeError:
-        found = [_word(part) for part in listed(values, "--sweep", str) or ()]
+        found = list[Any](listed(values, "--sweep", str) or ())
+        for number, part in enumerate(found):
+            with contextlib.suppress(tomllib.TOMLDecodeError):
+                found[number] = tomllib.loads(f"value = {part}")["value"]
     if not key.strip() or not found:
         raise InputError(
             f"cannot read {text!r}",
@@ -204,13 +208,6 @@ def swept(text: str) -> tuple[str, list[Any]]:
             remedy="write KEY=VALUE,VALUE,..., such as constraints.p_min=0.5,0.8",
         )
     return key.strip(), [value for n, value in enumerate(found) if value not in found[:n]]
-
-
-def _word(text: str) -> Any:
-    try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        return text
 
 
 def listed(text: str | None, option: str, kind: Callable[[str], Value]) -> tuple[Value, ...] | None:

@@ -121,7 +121,7 @@ def import_problem(
         write_text(out, draft.text)
     data = draft_json(draft, out, picture)
     show(json, data, _in_words(data))
-    return 0 if draft.is_determined else DEGENERATE
+    return DEGENERATE if any(each.fit.status == "degenerate" for each in draft.stations) else 0
 
 
 def draft_json(draft: Draft, file: Path, picture: Path) -> dict[str, Any]:

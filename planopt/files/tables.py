@@ -284,14 +284,14 @@ def _of_type(data: Any, kind: type[Any]) -> Any:
     return data
 
 
-def whole_number(file: Path, data: Mapping[str, object], key: str) -> int:
-    """Return the value at `key` of a saved JSON object, which must be an integer."""
-    value = cast("object", data.get(key))
+def seed_in(file: Path, data: Mapping[str, object]) -> int:
+    """Return the random seed in a saved JSON object, which must be an integer."""
+    value = data.get("seed")
     if not isinstance(value, int) or isinstance(value, bool):
         raise InputError(
             "is missing, or is not a whole number",
             file=file,
-            key=key,
+            key="seed",
             remedy="save the result again",
         )
     return value

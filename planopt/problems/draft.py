@@ -119,11 +119,6 @@ class Draft:
     assumptions: tuple[str, ...]
     warnings: tuple[str, ...]
 
-    @property
-    def is_determined(self) -> bool:
-        """Return True if the log determines all channels and positions."""
-        return all(each.fit.status != "degenerate" for each in self.stations)
-
 
 @dataclass
 class _Notes:

@@ -8,7 +8,6 @@ from typing import Any, TypeVar, cast
 
 from planopt.errors import InputError, require_text
 from planopt.files.reading import DATA_FOLDER, PRIVATE
-from planopt.files.writing import toml_text, write_text
 from planopt.keys import saved
 from planopt.parts import part_of
 from planopt.problems.channel_setup import (
@@ -24,7 +23,7 @@ from planopt.problems.channel_setup import (
 )
 from planopt.problems.library import find_problem, read_toml
 from planopt.problems.objective import ReachObjective, TermsObjective, objective_keys
-from planopt.problems.problem import NAME, Problem, check_problem, tables_of
+from planopt.problems.problem import Problem, check_problem, tables_of
 from planopt.problems.robot import Robot
 from planopt.problems.schema import world_table
 from planopt.problems.settings import names_with, planner_kind
@@ -140,20 +139,15 @@ def problem_to_dict(problem: Problem | TaskProblem) -> dict[str, Any]:
     return {key: saved_table(part) for key, part in tables_of(problem).items()}
 
 
-def save_problem(problem: Problem, file: Path) -> None:
-    """Write a problem file."""
-    if file.suffix != ".toml":
-        raise InputError("is not a name for a problem file", file=file, remedy=NAME)
-    write_text(file, toml_text(problem_to_dict(problem)))
-
-
 def saved_table(part: Any) -> Any:
     """Return the table of a part of a problem, or an array of tables for several parts."""
     match part:
         case Workspace():
             return world_table(part)
-        case ChannelSetup():
-            return saved(_without_python(part))
+        case ChannelSetup(truth=ArrayTruth() | FunctionTruth(), measurements=given):
+            # Ground truth from Python, and measurements sampled from it, are left out.
+            left = given if isinstance(given, LoggedMeasurements) else SampledMeasurements()
+            return saved(replace(part, truth=None, measurements=left))
         case ReachObjective() | TermsObjective():
             return saved(objective_keys(part))
         case Robot(dynamics=dynamics) if not (part.moves_freely or "dynamics" in part.to_keys()):
@@ -186,15 +180,6 @@ def problem_from_dict(data: Mapping[str, Any], *, file: Path | None = None) -> A
     """
     folder = Path.cwd() if file is None else file.absolute().parent
     return problem_from(data, folder=folder, file=file)
-
-
-def _without_python(channel: ChannelSetup) -> ChannelSetup:
-    """Return the channel without Python-defined ground truth or measurements sampled from it."""
-    if not isinstance(channel.truth, ArrayTruth | FunctionTruth):
-        return channel
-    logged = isinstance(channel.measurements, LoggedMeasurements)
-    left = channel.measurements if logged else SampledMeasurements()
-    return replace(channel, truth=None, measurements=left)
 
 
 AnyProblem = TypeVar("AnyProblem", bound=Problem | TaskProblem)
@@ -304,7 +289,16 @@ def _places(tables: dict[str, Any], key: str) -> list[tuple[Any, str | int]]:
             )
         found = [(_entered(table, name, key), match[1]) for table, name in found]
         for index in re.findall(r"\[(\d+|\*)\]", match[2]):
-            entered = [_entries(table, name, key) for table, name in found]
+            entered: list[list[Any]] = []
+            for table, name in found:
+                value = table.get(name) if isinstance(name, str) else table[name]
+                if not isinstance(value, list):
+                    raise InputError(
+                        f"has an index, but {name} is not a list",
+                        key=key,
+                        remedy=f"remove the index of {name}",
+                    )
+                entered.append(cast("list[Any]", value))
             found = [
                 (entries, number)
                 for entries in entered
@@ -333,13 +327,3 @@ def _entered(table: Any, name: str | int, key: str) -> dict[str, Any]:
             f"is not a key: {name} is not a table", key=key, remedy=f"remove the part after {name}"
         )
     return cast("dict[str, Any]", value)
-
-
-def _entries(table: Any, name: str | int, key: str) -> list[Any]:
-    """Return the list stored under a key of a table, or at an index of a list."""
-    value: Any = table.get(name) if isinstance(name, str) else table[name]
-    if not isinstance(value, list):
-        raise InputError(
-            f"has an index, but {name} is not a list", key=key, remedy=f"remove the index of {name}"
-        )
-    return cast("list[Any]", value)

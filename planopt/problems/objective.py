@@ -167,17 +167,17 @@ def _objective_of(table: Any) -> ReachObjective | TermsObjective:
     return TermsObjective(tuple(table.terms))
 
 
-def term_keys(term: Term) -> dict[str, Any]:
-    """Return the table of a term."""
-    table = {"kind": term.kind, **asdict(term)}
-    return saved({key: value for key, value in table.items() if key not in term.left_out})
-
-
 def objective_keys(objective: ReachObjective | TermsObjective) -> dict[str, Any]:
     """Return the table of an objective."""
     if isinstance(objective, ReachObjective):
         return objective.to_keys()
-    return {"terms": [term_keys(term) for term in objective.terms]}
+    tables = [(term, {"kind": term.kind, **asdict(term)}) for term in objective.terms]
+    return {
+        "terms": [
+            saved({key: value for key, value in table.items() if key not in term.left_out})
+            for term, table in tables
+        ]
+    }
 
 
 OBJECTIVE = ReadAs(

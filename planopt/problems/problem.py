@@ -17,7 +17,8 @@ from typing import Any, Literal, cast
 import numpy as np
 
 from planopt.arrays import Floats, Mask
-from planopt.errors import path_of
+from planopt.errors import InputError, path_of
+from planopt.files.writing import toml_text, write_text
 from planopt.keys import located
 from planopt.objectives.terms.term import Term, TermSetting, require_kind
 from planopt.parts import part_of, parts_of
@@ -172,8 +173,12 @@ class Problem:
         OutputError
             The file cannot be written.
         """
+        path = path_of("file", file, NAME)
+        if path.suffix != ".toml":
+            raise InputError("is not a name for a problem file", file=path, remedy=NAME)
         # Reached by name: that module builds problems.
-        import_module("planopt.problems.load").save_problem(self, path_of("file", file, NAME))
+        tables = import_module("planopt.problems.load").problem_to_dict(self)
+        write_text(path, toml_text(tables))
 
     @property
     def step_length_m(self) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import shapely
@@ -100,20 +99,44 @@ class ObstacleTable(Table):
 
 def _read_entries(entries: Sequence[ObstacleTable], info: ValidationInfo) -> tuple[Obstacle, ...]:
     """Return the obstacles of ``world.obstacles``, read from their files; errors name the entry."""
-    return tuple(
-        replace(
-            obstacle,
-            known_from_s=entry.known_from_s,
-            until_s=math.inf if entry.until_s is None else entry.until_s,
-        )
-        for index, entry in enumerate(entries)
-        for obstacle in _entry_obstacles(entry, index, folder_of(info))
-    )
+    found: list[Obstacle] = []
+    for index, entry in enumerate(entries):
+        key, name = f"world.obstacles[{index}]", entry.name or f"obstacle {index}"
+        until_s = math.inf if entry.until_s is None else entry.until_s
+        try:
+            if entry.file is not None:
+                path = folder_of(info) / entry.file
+                own = read_obstacles(path, entry.unknown, entry.origin_deg)
+            elif entry.wkt is not None:
+                own = (obstacle_from_wkt(name, entry.wkt),)
+            else:
+                own = (footprint(name, entry.polygon, entry.holes),)
+        except InputError as error:
+            raise InputError(
+                error.message,
+                file=error.file,
+                key=error.key or key,
+                row=error.row,
+                remedy=error.remedy,
+            ) from error
+        found += [replace(each, known_from_s=entry.known_from_s, until_s=until_s) for each in own]
+    return tuple(found)
 
 
 def _entries_of(obstacles: Sequence[Obstacle]) -> list[dict[str, Any]]:
     """Return obstacles as entries of ``world.obstacles``."""
-    return [_obstacle_table(each) for each in obstacles]
+    tables: list[dict[str, Any]] = []
+    for each in obstacles:
+        outline, *holes = (
+            shapely.get_coordinates(ring).tolist() for ring in shapely.get_rings(each.polygon)
+        )
+        table: dict[str, Any] = {"name": each.name, "polygon": outline}
+        if each.known_from_s > 0.0:
+            table["known_from_s"] = each.known_from_s
+        if each.until_s < math.inf:
+            table["until_s"] = each.until_s
+        tables.append({**table, "holes": holes} if holes else table)
+    return tables
 
 
 Obstacles = Annotated[
@@ -150,22 +173,6 @@ WORLD = ReadAs(
 )
 
 
-def _entry_obstacles(table: ObstacleTable, index: int, folder: Path) -> tuple[Obstacle, ...]:
-    """Return the obstacles of one entry of ``world.obstacles``."""
-    key = f"world.obstacles[{index}]"
-    name = f"obstacle {index}" if table.name is None else table.name
-    try:
-        if table.file is not None:
-            return read_obstacles(folder / table.file, table.unknown, table.origin_deg)
-        if table.wkt is not None:
-            return (obstacle_from_wkt(name, table.wkt),)
-        return (footprint(name, table.polygon, table.holes),)
-    except InputError as error:
-        raise InputError(
-            error.message, file=error.file, key=error.key or key, row=error.row, remedy=error.remedy
-        ) from error
-
-
 def world_table(workspace: Workspace) -> dict[str, Any]:
     """Return the complete table ``[world]`` with obstacles as polygons."""
     return {
@@ -173,22 +180,6 @@ def world_table(workspace: Workspace) -> dict[str, Any]:
         "obstacles": _entries_of((*workspace.lasting, *workspace.timed)),
         "moving": saved(workspace.moving),
     }
-
-
-def _obstacle_table(obstacle: Obstacle) -> dict[str, Any]:
-    """Return an obstacle as an entry of ``world.obstacles``."""
-    polygon = obstacle.polygon
-    table: dict[str, Any] = {"name": obstacle.name, "polygon": _ring(polygon.exterior)}
-    if obstacle.known_from_s > 0.0:
-        table["known_from_s"] = obstacle.known_from_s
-    if obstacle.until_s < math.inf:
-        table["until_s"] = obstacle.until_s
-    holes = [_ring(ring) for ring in shapely.get_rings(polygon)[1:]]
-    return {**table, "holes": holes} if holes else table
-
-
-def _ring(ring: shapely.LinearRing) -> list[list[float]]:
-    return shapely.get_coordinates(ring).tolist()
 
 
 Task = Literal["reach", "track", "learn", "map", "connect", "custom"]

@@ -139,14 +139,12 @@ def task_of(problem: object) -> Any:
 
 def named_task(tables: object) -> str:
     """Return the name of the task in a problem file's tables; default: the first of `MOTION`."""
-    name = _entry(_entry(tables, "problem"), "task")
     # A task that is not text fails validation by the motion planning model.
-    return name if isinstance(name, str) else MOTION[0]
-
-
-def _entry(table: object, key: str) -> object:
-    """Return a table's entry; None if it is missing or the object is not a table."""
-    return cast("dict[str, object]", table).get(key) if isinstance(table, dict) else None
+    match tables:
+        case {"problem": {"task": str() as name}}:
+            return name
+        case _:
+            return MOTION[0]
 
 
 def problem_from(tables: object, *, folder: Path, file: Path | None) -> Any:

@@ -4,7 +4,6 @@ The manifest ``bench.json`` identifies program and problems; rows of others are 
 """
 
 import csv
-import hashlib
 import io
 import json
 import math
@@ -20,6 +19,7 @@ from typing import Any
 from planopt.bounds.bound import GAP_TOLERANCE
 from planopt.channel.cholesky import one_blas_thread
 from planopt.errors import InputError, NoPlanError
+from planopt.files.compare import digest_of
 from planopt.files.reading import read_text
 from planopt.files.tables import decoded, encoded
 from planopt.files.writing import strict_text, write_text
@@ -304,7 +304,9 @@ def manifest_of(problems: Sequence[str]) -> Manifest:
         cpu=cpu_name(),
         cores=os.cpu_count() or 1,
         tolerances={**known, "objective_share": OBJECTIVE_SHARE},
-        problems={name: _problem_digest(name) for name in problems},
+        problems={
+            name: digest_of(strict_text(run_key(load(name), 0)["problem"])) for name in problems
+        },
     )
 
 
@@ -407,8 +409,3 @@ def _require_same(before: Manifest, now: Manifest, folder: Path) -> None:
                 file=folder,
                 remedy=remedy,
             )
-
-
-def _problem_digest(name: str) -> str:
-    tables: Mapping[str, Any] = run_key(load(name), 0)["problem"]
-    return hashlib.sha256(strict_text(tables).encode()).hexdigest()[:16]

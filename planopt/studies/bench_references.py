@@ -115,7 +115,10 @@ def frozen(
             continue
         new, old = reference_of(row, made_by), references.get(row.case)
         if old is not None:
-            if _is_looser(new, old):
+            # A bound that is no tighter than the known one does not replace it.
+            bounds = [each for each in (old.bound, new.bound) if each is not None]
+            tightest = max if new.sense == "min" else min
+            if bounds and tightest(bounds) == old.bound:
                 new = replace(new, bound=old.bound, gap=old.gap)
             changed = [
                 f"{name} {getattr(old, name)} -> {getattr(new, name)}"
@@ -137,13 +140,6 @@ def bounds_known(references: References, rows: Iterable[Row] = ()) -> dict[Quest
             tightest = max if one.sense == "min" else min
             found[one.case.question] = tightest(one.bound, found.get(one.case.question, one.bound))
     return found
-
-
-def _is_looser(new: Reference, old: Reference) -> bool:
-    """Return whether a new bound is no tighter than the known bound."""
-    if new.bound is None or old.bound is None:
-        return new.bound is None
-    return new.bound <= old.bound if new.sense == "min" else new.bound >= old.bound
 
 
 def worse_share(objective: float, best: float, sense: str) -> float:

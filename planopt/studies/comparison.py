@@ -8,6 +8,7 @@ import os
 import platform
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -314,7 +315,11 @@ class Comparison:
             write_text(new / RUNS_FILE, runs)
             write_text(new / MANIFEST_FILE, strict_text(manifest(self, tables)))
             if parquet:
-                write_whole(new / PARQUET_FILE, lambda path: _write_parquet(self, path))
+                arrow, written = (
+                    cast("Any", import_module(name)) for name in ("pyarrow", "pyarrow.parquet")
+                )
+                table = arrow.table(run_columns(self))
+                write_whole(new / PARQUET_FILE, partial(written.write_table, table))
             write_text(new / COMPARISON_FILE, strict_text(data))
 
     def plot(self) -> Figure:
@@ -516,9 +521,3 @@ def require_pyarrow() -> None:
             "the package pyarrow, which writes Parquet files, is not installed",
             remedy="pip install 'planopt[parquet]'",
         )
-
-
-def _write_parquet(comparison: Comparison, path: Path) -> None:
-    arrow = cast("Any", import_module("pyarrow"))
-    parquet = cast("Any", import_module("pyarrow.parquet"))
-    parquet.write_table(arrow.table(run_columns(comparison)), path)

@@ -17,7 +17,7 @@ import numpy as np
 from planopt.arrays import require_seed
 from planopt.errors import InputError, NoPlanError
 from planopt.files.compare import REPEATED, differences, in_words
-from planopt.files.tables import Column, Data, finite, read_table, whole_number
+from planopt.files.tables import Column, Data, finite, read_table, seed_in
 from planopt.files.writing import Patterns
 from planopt.keys import Table, located
 from planopt.planning.check.check import CheckResult
@@ -483,7 +483,7 @@ def _read_result(file: Path, data: Mapping[str, Any]) -> TaskResult:
 def _reasons_against(file: Path, data: Mapping[str, Any]) -> list[str]:
     """Recompute and verify a saved result; return its differences and faults."""
     saved = _read_result(file, data)
-    seed = whole_number(file, data, "seed")
+    seed = seed_in(file, data)
     action: Action = "solve" if file.name == PLAN_FILE else "simulate"
     try:
         follows = "saved" in signature(task_of(saved.problem).function(action)).parameters

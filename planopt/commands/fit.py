@@ -114,7 +114,7 @@ def _read_and_fit(options: LogOptions, log_format: LogFormat, site: Station | No
     search = _station_method(options.station_method, station_is_given=site is not None)
     forgetting_s = _forgetting_s(options)
     read = read_power_log(options.log, log_format)
-    warnings = log_warnings(read)
+    warnings = tuple(log_warnings(read))
 
     def fit(measurements: Measurements) -> ChannelFit:
         if site is not None:

@@ -64,7 +64,6 @@ class DraftSettings:
     p_min: float = 0.9
     speed_m_s: float | None = None
     clearance_m: float | None = None
-    name: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -590,7 +589,7 @@ def _tables(
     tables: dict[str, Any] = {
         "problem": {
             "schema": SCHEMA_VERSION,
-            "name": settings.name or re.sub(r"[^A-Za-z0-9_-]+", "_", file.stem) or "problem",
+            "name": re.sub(r"[^A-Za-z0-9_-]+", "_", file.stem) or "problem",
             "task": "reach",
             "description": f"Made from {log.name}"
             + ("" if map_path is None else f" and {map_path.name}")

@@ -28,44 +28,31 @@ COARSEST_CELL_M = 5.0  # Largest plausible cell side of an occupancy grid; robot
 JUMP_STEPS = 10.0  # Largest plausible distance between a robot and its plan, in step lengths
 
 
-def log_warnings(log: PowerLog) -> list[str]:
-    """Return warnings about a log, such as degrees read as metres or powers in another unit."""
-    remark = None if log.columns.reader is None else log.columns.reader.remark
-    remarks = [] if remark is None else [remark]
+def log_warnings(log: PowerLog) -> Iterator[str]:
+    """Yield warnings about a log, such as degrees read as metres or powers in another unit."""
+    columns = log.columns
+    if columns.reader is not None and columns.reader.remark is not None:
+        yield columns.reader.remark
     if log.power_unit == DETECTED_MW:
-        remarks.append(f"powers are in {DETECTED_MW}, and become dBm (else give --power-unit dBm)")
-    powers = measured_warnings(log.measurements, "the log")
-    return [*remarks, *_transmitters(log), *_degrees(log), *powers]
-
-
-def problem_warnings(problem: Problem) -> list[str]:
-    """Return warnings about the values of a problem and its map files."""
-    return [*_scales(problem), *_stations(problem), *_grids(problem)]
-
-
-def _transmitters(log: PowerLog) -> Iterator[str]:
+        yield f"powers are in {DETECTED_MW}, and become dBm (else give --power-unit dBm)"
     if len(log.transmitters) > 1:
-        column, first = log.columns.transmitter, next(iter(log.transmitters))
+        column, first = columns.transmitter, next(iter(log.transmitters))
         yield (
             f"column {column} names {len(log.transmitters)} transmitters, which are fitted as one "
             f"(select one with --where {column}={first}, or fit each with --each {column})"
         )
-
-
-def _degrees(log: PowerLog) -> Iterator[str]:
-    columns = log.columns
-    if columns.in_degrees or not len(log.measurements):
-        return
-    x, y = log.measurements.positions_m.T
-    names = [name.lower() for name in (columns.x, columns.y)]
-    named = all(any(part in name for part in DEGREE_NAMES) for name in names)
-    within = np.abs(x).max() <= 180.0 and np.abs(y).max() <= 90.0
-    span = max(np.ptp(x), np.ptp(y))
-    if within and (named or 0.0 < span < DEGREES_SPAN):
-        yield (
-            f"columns {columns.x} and {columns.y} look like degrees, and "
-            f"count as metres: the log extends over {span:.3g} m (give --origin LAT,LON)"
-        )
+    if not columns.in_degrees and len(log.measurements):
+        x, y = log.measurements.positions_m.T
+        names = [name.lower() for name in (columns.x, columns.y)]
+        named = all(any(part in name for part in DEGREE_NAMES) for name in names)
+        within = np.abs(x).max() <= 180.0 and np.abs(y).max() <= 90.0
+        span = max(np.ptp(x), np.ptp(y))
+        if within and (named or 0.0 < span < DEGREES_SPAN):
+            yield (
+                f"columns {columns.x} and {columns.y} look like degrees, and "
+                f"count as metres: the log extends over {span:.3g} m (give --origin LAT,LON)"
+            )
+    yield from measured_warnings(log.measurements, "the log")
 
 
 def measured_warnings(measurements: Measurements, source: str = "measurements") -> Iterator[str]:
@@ -88,13 +75,10 @@ def measured_warnings(measurements: Measurements, source: str = "measurements") 
         yield f"{source}: a power of {most:g} dBm is implausible (check its sign and unit)"
 
 
-def _diagonal_m(problem: Problem) -> float:
-    x_min, y_min, x_max, y_max = problem.workspace.bounds_m
-    return float(np.hypot(x_max - x_min, y_max - y_min))
-
-
-def _scales(problem: Problem) -> Iterator[str]:
-    diagonal_m, step_s = _diagonal_m(problem), problem.planner.step_s
+def problem_warnings(problem: Problem) -> Iterator[str]:
+    """Yield warnings about the values of a problem and its map files."""
+    low, high = np.reshape(problem.workspace.bounds_m, (2, 2))
+    diagonal_m, step_s = float(np.hypot(*(high - low))), problem.planner.step_s
     for number, robot in enumerate(problem.robots):
         step_m = robot.speed_max_m_s * step_s
         if step_m > min(LARGEST_STEP_SHARE * diagonal_m, LONGEST_STEP_M):
@@ -103,11 +87,7 @@ def _scales(problem: Problem) -> Iterator[str]:
                 f"in a world of {diagonal_m:,.0f} m (reduce planner.step_s, or check speeds "
                 "in m/s)"
             )
-
-
-def _stations(problem: Problem) -> Iterator[str]:
-    low, high = np.reshape(problem.workspace.bounds_m, (2, 2))
-    farthest_m = float(np.clip(FARTHEST_STATION * _diagonal_m(problem), *FARTHEST_M))
+    farthest_m = float(np.clip(FARTHEST_STATION * diagonal_m, *FARTHEST_M))
     for number, station in enumerate(problem.stations):
         key = f"stations[{number}]"
         place = np.array(station.position_m)
@@ -130,10 +110,6 @@ def _stations(problem: Problem) -> Iterator[str]:
                     f"{key}.{name} {value:g} dBm is implausible: thresholds lie between "
                     f"{THRESHOLDS_DBM[0]:g} and {THRESHOLDS_DBM[1]:g} dBm (check sign and unit)"
                 )
-
-
-def _grids(problem: Problem) -> Iterator[str]:
-    """Yield warnings about the occupancy grids of a problem file."""
     if problem.file is None:
         return
     try:

@@ -108,9 +108,11 @@ def run_series(run: Run) -> list[Series]:
     problem, t_s, channel = run.problem, run.runs[0].log.t_s, run.channel
     strip = 0.18 + 0.13 * len(run.runs)
     panels: list[Series] = []
-    error = (
-        [] if channel is None else [(partial(_draw_map_error, t_s=t_s, rms_db=channel.rms_db), 1.0)]
-    )
+    error: list[Series] = []
+    if channel is not None:
+        look = {"t_s": t_s, "values": channel.rms_db, "least": LEAST_SPAN_DB}
+        words = "error of the predicted map", "RMS error [dB]"
+        error = [(partial(_draw_marked, words=words, **look), 1.0)]
     if run.target is not None:
         panels.append((partial(_draw_target, run=run), 1.3))
     elif channel is not None:
@@ -118,7 +120,8 @@ def run_series(run: Run) -> list[Series]:
         if initial is None or initial.k_pl_db is None:
             # A known path loss has no uncertainty to draw.
             variance = np.asarray(channel.theta_variance_db, dtype=np.float64)
-            panels.append((partial(_draw_path_loss, t_s=t_s, variance_db=variance), 1.0))
+            words = "uncertainty of path loss", "trace M / |θ|² [dB]"
+            panels.append((partial(_draw_marked, t_s=t_s, values=variance, words=words), 1.0))
         panels += error
     if run.target is not None or problem.constraints.p_min > 0.0:
         panels.append((partial(_draw_run_connectivity, run=run), 1.0))
@@ -140,7 +143,15 @@ def plan_series(problem: Problem, plans: Sequence[Plan], target_m: Floats | None
         )
     panels.append((partial(_draw_planned_power, problem=problem, plans=plans), 1.0))
     if target_m is not None or problem.constraints.p_min > 0.0:
-        panels.append((partial(_draw_planned_connectivity, problem=problem, plans=plans), 1.0))
+        curves = [(one.t_s[-len(one.connectivity) :], one.connectivity, "_chance") for one in plans]
+        relaxed = [
+            (float(plan.t_s[step]), float(plan.connectivity[step]))
+            for plan in plans
+            for step in plan.certificate.relaxed_steps
+        ]
+        title = "planned P(connected)"
+        look = {"problem": problem, "curves": curves, "relaxed": relaxed, "title": title}
+        panels.append((partial(_draw_connectivity, **look), 1.0))
     tracks = [(plan.positions_m, plan.drive) for plan in plans]
     return panels + _distance_series(problem, tracks, plans[0].t_s)
 
@@ -193,17 +204,6 @@ def _draw_run_connectivity(panel: Panel, run: Run) -> None:
         curves.append((log.t_s, log.connectivity, one.robot if several else "_chance"))
         relaxed += zip(log.t_s[steps].tolist(), log.connectivity[steps].tolist(), strict=True)
     _draw_connectivity(panel, run.problem, curves, relaxed, "P(connected) predicted one step ahead")
-
-
-def _draw_planned_connectivity(panel: Panel, problem: Problem, plans: Sequence[Plan]) -> None:
-    """Draw each robot's predicted probability of connection, and relaxed steps."""
-    curves = [(one.t_s[-len(one.connectivity) :], one.connectivity, "_chance") for one in plans]
-    relaxed = [
-        (float(plan.t_s[step]), float(plan.connectivity[step]))
-        for plan in plans
-        for step in plan.certificate.relaxed_steps
-    ]
-    _draw_connectivity(panel, problem, curves, relaxed, "planned P(connected)")
 
 
 def _draw_connectivity(
@@ -305,8 +305,7 @@ def _label_rows(panel: Panel, problem: Problem) -> None:
 
 def _distance_series(problem: Problem, tracks: Sequence[Track], t_s: Floats) -> list[Series]:
     """Return the panel of distances, if any separation or clearance is required."""
-    separated = len(problem.robots) > 1 and problem.constraints.separation_m > 0.0
-    if not (separated or problem.workspace.moving):
+    if not (problem.has_separation or problem.workspace.moving):
         return []
     return [(partial(_draw_distances, problem=problem, tracks=tracks, t_s=t_s), 1.0)]
 
@@ -352,17 +351,16 @@ def _draw_target(panel: Panel, run: Run) -> None:
     legend_above(panel)
 
 
-def _draw_path_loss(panel: Panel, t_s: Floats, variance_db: Floats) -> None:
-    panel.plot(t_s, variance_db, color=PREDICTED, marker="o", markersize=3.5)
-    dress(panel, "uncertainty of path loss", TIME, "trace M / |θ|² [dB]")
-
-
-def _draw_map_error(panel: Panel, t_s: Floats, rms_db: Floats) -> None:
-    panel.plot(t_s, rms_db, color=PREDICTED, marker="o", markersize=3.5)
-    dress(panel, "error of the predicted map", TIME, "RMS error [dB]")
-    low, high = float(np.min(rms_db)), float(np.max(rms_db))
-    margin = max(0.05 * (high - low), (LEAST_SPAN_DB - (high - low)) / 2.0)
-    panel.set_ylim(low - margin, high + margin)
+def _draw_marked(
+    panel: Panel, t_s: Floats, values: Floats, words: tuple[str, str], least: float = 0.0
+) -> None:
+    """Draw values over time; `words` are title and label, `least` is the least span of the axis."""
+    panel.plot(t_s, values, color=PREDICTED, marker="o", markersize=3.5)
+    dress(panel, words[0], TIME, words[1])
+    if least:
+        low, high = float(np.min(values)), float(np.max(values))
+        margin = max(0.05 * (high - low), (least - (high - low)) / 2.0)
+        panel.set_ylim(low - margin, high + margin)
 
 
 def _draw_target_distance(

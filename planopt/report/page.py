@@ -8,7 +8,7 @@ import json
 import math
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from html import escape
 from importlib import import_module
 from importlib.resources import files
@@ -68,17 +68,6 @@ class Track:
     notes: Sequence[str] = ()  # Text by step
 
 
-@dataclass(frozen=True)
-class Place:
-    """Marked position: station, start or goal."""
-
-    name: str
-    x: float  # In metres
-    y: float
-    colour: str
-    symbol: str
-
-
 @dataclass(frozen=True, eq=False)
 class PageMap:
     """Map with a time slider."""
@@ -87,7 +76,7 @@ class PageMap:
     obstacles: Sequence[Obstacle] = ()
     moving: Sequence[MovingObstacle] = ()
     layers: Sequence[Layer] = ()
-    places: Sequence[Place] = ()
+    places: Sequence[Mapping[str, Any]] = ()  # Name, x, y, colour and symbol of marked positions
     window: tuple[float, float, float, float] | None = None  # Rectangle shown first
 
     @property
@@ -245,7 +234,7 @@ def _map_json(drawn: PageMap) -> dict[str, Any]:
             }
             for one in drawn.moving
         ],
-        "places": [asdict(one) for one in drawn.places],
+        "places": list(drawn.places),
         "groups": _groups(drawn.tracks),
         "window": window,
     }

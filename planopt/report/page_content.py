@@ -37,7 +37,6 @@ from planopt.report.page import (
     Page,
     PageMap,
     PageTable,
-    Place,
     Trace,
     Track,
     cell_text,
@@ -207,7 +206,10 @@ def _motion_map(problem: Problem, belief: Belief, tracks: Sequence[Track]) -> Pa
     shown = np.concatenate([*(track.positions_m for track in tracks), np.reshape(goals, (-1, 2))])
     window = map_window(problem, shown)
     mean, deviation, chance = believed_rasters(problem, belief, window)
-    p_min = problem.constraints.step_p_min
+    p_min, robots = problem.constraints.step_p_min, problem.robots
+    starts = [(f"{one.name}, start", one.start_m, GREEN, "circle-open") for one in robots]
+    ends = [(f"{one.name}, goal", one.goal_m, YELLOW, "star") for one in robots if one.goal_m]
+    sites = [(one.name, one.site.position_m, ORANGE, "triangle-up") for one in problem.stations]
     return PageMap(
         tracks=tracks,
         obstacles=(*problem.workspace.lasting, *problem.workspace.timed),
@@ -220,19 +222,8 @@ def _motion_map(problem: Problem, belief: Belief, tracks: Sequence[Track]) -> Pa
             Layer("standard deviation", "dB", "Cividis", deviation),
         ),
         places=[
-            *(
-                Place(f"{one.name}, start", *one.start_m, GREEN, "circle-open")
-                for one in problem.robots
-            ),
-            *(
-                Place(f"{one.name}, goal", *one.goal_m, YELLOW, "star")
-                for one in problem.robots
-                if one.goal_m is not None
-            ),
-            *(
-                Place(one.name, *one.site.position_m, ORANGE, "triangle-up")
-                for one in problem.stations
-            ),
+            {"name": name, "x": x, "y": y, "colour": colour, "symbol": symbol}
+            for name, (x, y), colour, symbol in (*starts, *ends, *sites)
         ],
         window=window,
     )

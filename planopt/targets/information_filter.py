@@ -153,8 +153,7 @@ def information_state(mean: Floats, covariance: Floats) -> InformationState:
 def predict(model: TargetModel, state: InformationState) -> InformationState:
     """Return the information state predicted for one step ahead."""
     # chi_{t+1|t} = J_{t+1|t} A J^-1 chi = (I - K B') A^-T chi, K as in `predicted_information`.
-    moved = _moved(model, state.matrix)
-    gain, _ = _gain(model, moved)
+    _, gain, _ = _moved(model, state.matrix)
     vector = np.linalg.solve(model.transition.T, state.vector)
     return InformationState(
         vector - gain @ (model.noise_gain.T @ vector), predicted_information(model, state.matrix)
@@ -166,8 +165,7 @@ def predicted_information(model: TargetModel, matrix: Floats) -> Floats:
     # With M = A^-T J A^-1, T = (I + B' M B Theta)^-1 and K = M B Theta T, it is computed as (I - K
     # B') M (I - K B')' + M B T' Theta T B' M (matrix inversion lemma in Joseph form). Both terms
     # are positive semidefinite, so there is no cancellation.
-    moved = _moved(model, matrix)
-    gain, inner = _gain(model, moved)
+    moved, gain, inner = _moved(model, matrix)
     rest = np.eye(4) - gain @ model.noise_gain.T
     pushed = moved @ model.noise_gain @ np.swapaxes(inner, -1, -2)
     found = rest @ moved @ np.swapaxes(rest, -1, -2)
@@ -218,19 +216,16 @@ def position_variance_m2(matrix: Floats) -> Floats:
     return covariance[..., 0, 0] + covariance[..., 1, 1]
 
 
-def _moved(model: TargetModel, matrix: Floats) -> Floats:
-    """Return the information (..., 4, 4) after a step without process noise."""
+def _moved(model: TargetModel, matrix: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the information M after a step without process noise, and the factors K and T."""
+    # Shapes: matrix, M (..., 4, 4); K (..., 4, 2); T (..., 2, 2).
     back = model.transition.copy()
     back[:2, 2:] *= -1.0
-    return back.T @ matrix @ back
-
-
-def _gain(model: TargetModel, moved: Floats) -> tuple[Floats, Floats]:
-    """Return the process-noise gain (..., 4, 2), and its inner factor (..., 2, 2)."""
+    moved = back.T @ matrix @ back
     noise_gain, theta = model.noise_gain, model.acceleration_covariance_m2_s4
     seen = noise_gain.T @ moved @ noise_gain
     inner = np.asarray(np.linalg.inv(np.eye(2) + seen @ theta), dtype=np.float64)
-    return moved @ noise_gain @ theta @ inner, inner
+    return moved, moved @ noise_gain @ theta @ inner, inner
 
 
 CUSP_SHARE = 0.1

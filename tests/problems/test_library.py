@@ -34,7 +34,7 @@ def test_library_lists_its_problems_by_name() -> None:
         assert (problem.name, problem.description) == (entry.name, entry.description)
         assert problem.file == entry.path
         if isinstance(problem, Problem):
-            assert problem_warnings(problem) == []
+            assert not list(problem_warnings(problem))
             assert with_overrides(problem) == problem
 
 

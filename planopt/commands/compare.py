@@ -32,7 +32,6 @@ if TYPE_CHECKING:
 
     from planopt.studies.bench_cases import Manifest, Row
     from planopt.studies.bench_references import References
-    from planopt.studies.comparison import Comparison
 
 FINISHED_FOLDER = "finished_runs"
 """Folder in which finished runs are saved, so that an interrupted comparison can resume."""
@@ -156,23 +155,23 @@ def compare(
         show(json, comparison_json(comparison) if json else {}, text)
         with drawing(folder, COMPARISON, wanted=figures) as new:
             if new is not None:
-                _draw(comparison, new)
+                from planopt.report import (
+                    draw_comparison,
+                    draw_reliability,
+                    draw_traces,
+                    save_figure,
+                )
+
+                save_figure(draw_comparison(comparison), new / "comparison.png")
+                traces = draw_traces(comparison)
+                if traces is not None:
+                    save_figure(traces, new / "traces.png")
+                if comparison.reliability:
+                    names = ", ".join(one.name for one in (comparison.problem, *comparison.others))
+                    title = f"{names}: connection over {len(comparison.runs)} runs"
+                    series = {"all settings": comparison.reliability}
+                    save_figure(draw_reliability(series, title), new / "reliability.png")
     return comparison.exit_code
-
-
-def _draw(comparison: Comparison, folder: Path) -> None:
-    """Plot the table, the traces over time, and the reliability diagram of connection."""
-    from planopt.report import draw_comparison, draw_reliability, draw_traces, save_figure
-
-    save_figure(draw_comparison(comparison), folder / "comparison.png")
-    traces = draw_traces(comparison)
-    if traces is not None:
-        save_figure(traces, folder / "traces.png")
-    if comparison.reliability:
-        names = ", ".join(one.name for one in (comparison.problem, *comparison.others))
-        title = f"{names}: connection over {len(comparison.runs)} runs"
-        series = {"all settings": comparison.reliability}
-        save_figure(draw_reliability(series, title), folder / "reliability.png")
 
 
 def seed_range(text: str, first: int | None) -> range:

@@ -99,23 +99,17 @@ def cost_bound(ground: Ground, places_m: Floats, effort_s: float = EFFORT_S) -> 
     cells = _cells(ground, middles, sides)
     values = prices.at(cells.centroids_m, most_m2)
     proven = certified(ground, cells, middles, sides, values, count)
-    return max(proven, _moment_bound(ground, count))
-
-
-def _moment_bound(ground: Ground, count: int) -> float:
-    """Return the lower bound by cells of equal area, or 0 if the density is not uniform."""
     if isinstance(ground, GeodesicGround) or not isinstance(ground.density, UniformDensity):
-        return 0.0
+        return proven
     # Every cell costs at least as much as a disc of equal area, and the sum is least for equal
     # areas. In a convex polygon of at most six sides, regular hexagons of equal area give a tighter
     # bound (Fejes Tóth's moment theorem).
-    reach = math.inf if ground.sensing_range_m is None else ground.sensing_range_m
-    area = ground.area_m2 / count
+    area, reach = ground.area_m2 / count, math.sqrt(most_m2)
     inner = min(area, math.pi * reach**2)
-    each = inner**2 / (2.0 * math.pi) + (reach**2 * (area - inner) if area > inner else 0.0)
+    least = inner**2 / (2.0 * math.pi) + (reach**2 * (area - inner) if area > inner else 0.0)
     if len(ground.hull.corners_m) <= 6 and math.isinf(reach):
-        each = max(each, HEXAGON * area**2)
-    return count * ground.density.weight_per_m2 * each
+        least = max(least, HEXAGON * area**2)
+    return max(proven, count * ground.density.weight_per_m2 * least)
 
 
 def certified(

@@ -42,7 +42,15 @@ def read_toml(path: Path) -> dict[str, Any]:
             remedy="use [table] and [[table]] for tables",
         ) from None
     except ValueError as error:  # TOMLDecodeError, or integers too long for Python
-        raise _parse_error(str(error), text, path) from None
+        message, row, remedy = str(error), None, None
+        found = re.search(r" \(at (?:line (\d+), column (\d+)|end of document)\)$", message)
+        if found is not None:
+            message = message[: found.start()]
+            row = int(found[1]) if found[1] else len(text.splitlines())
+            remedy = f"at column {found[2]}" if found[2] else "at the end of the file"
+        elif "int_max_str_digits" in message:
+            message, remedy = "an integer has thousands of digits", "write a number of a few digits"
+        raise InputError(f"invalid TOML: {message}", file=path, row=row, remedy=remedy) from None
 
 
 def named_files(value: object) -> tuple[str, ...]:
@@ -58,19 +66,6 @@ def named_files(value: object) -> tuple[str, ...]:
         for part in cast("list[object]", value):
             found += named_files(part)
     return tuple(dict.fromkeys(found))
-
-
-def _parse_error(message: str, text: str, path: Path) -> InputError:
-    """Return an `InputError` for a parser message, with its line number as the row."""
-    found = re.search(r" \(at (?:line (\d+), column (\d+)|end of document)\)$", message)
-    row, remedy = None, None
-    if found is not None:
-        message = message[: found.start()]
-        row = int(found[1]) if found[1] else len(text.splitlines())
-        remedy = f"at column {found[2]}" if found[2] else "at the end of the file"
-    elif "int_max_str_digits" in message:
-        message, remedy = "an integer has thousands of digits", "write a number of a few digits"
-    return InputError(f"invalid TOML: {message}", file=path, row=row, remedy=remedy)
 
 
 SUFFIX = ".toml"

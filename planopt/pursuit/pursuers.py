@@ -183,7 +183,13 @@ def blocking_aim_m(
         there_m = _driven_m(quest.arena, mate.place_m, mate.aim_m[None], mate.speed_m_s * ahead_s)
         found_s = _capture_s(quest, there_m, mate.speed_m_s, flown_m, velocity)
         others_s = np.minimum(others_s, found_s[0])
-    aims_m = _candidates_m(quest, centre_m, ahead_s)
+    # Candidate aims are the centre of the set, and positions on rings around it.
+    turn = np.arange(BEARINGS) * (2.0 * np.pi / BEARINGS)
+    ring = quest.evader_speed_m_s * ahead_s * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    aims_m = quest.arena.within(centre_m + np.concatenate([share * ring for share in RINGS]))
+    if quest.arena.obstacles is not None:
+        aims_m = aims_m[[quest.arena.is_free(each, 1.1) for each in aims_m]]
+    aims_m = np.concatenate([quest.arena.free_m(centre_m)[None], aims_m.reshape(-1, 2)])
     there_m = _driven_m(quest.arena, view.place_m, aims_m, speed_m_s * ahead_s)
     own_s = _capture_s(quest, there_m, speed_m_s, flown_m, velocity)
     # The evader flees in the direction of latest capture; its position in the set is unknown.
@@ -191,16 +197,6 @@ def blocking_aim_m(
     # The mean decides if two pursuers cannot shorten the worst flight. The centre wins ties.
     value_s = np.asarray((soonest_s.max(axis=2) + soonest_s.mean(axis=2)).mean(axis=1))
     return aims_m[int(value_s.round(6).argmin())]
-
-
-def _candidates_m(quest: Quest, centre_m: Floats, ahead_s: float) -> Floats:
-    """Return candidate aims (k, 2): the centre of the set, and positions on rings around it."""
-    turn = np.arange(BEARINGS) * (2.0 * np.pi / BEARINGS)
-    ring = quest.evader_speed_m_s * ahead_s * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    aims_m = quest.arena.within(centre_m + np.concatenate([share * ring for share in RINGS]))
-    if quest.arena.obstacles is not None:
-        aims_m = aims_m[[quest.arena.is_free(each, 1.1) for each in aims_m]]
-    return np.concatenate([quest.arena.free_m(centre_m)[None], aims_m.reshape(-1, 2)])
 
 
 def _driven_m(arena: Arena, place_m: Floats, aims_m: Floats, range_m: float) -> Floats:
@@ -326,7 +322,15 @@ class RecedingHorizon:
         found = view.ask(self.record)
         fresh = found is not None and fresher(found, self.record)
         if found is not None and fresh:
-            self._update(found)
+            speed = self._quest.evader_speed_m_s
+            if self._estimate is None:
+                mean = np.array([found.reported_m, np.zeros(2)])
+                spread = np.diag([found.error_m**2 / 6.0, 0.5 * speed**2])
+                self._estimate = Estimate(found.sampled_s, mean, spread)
+            else:
+                ahead = predicted(self._estimate, found.sampled_s, speed, self._manoeuvre_s)
+                self._estimate = updated(ahead, found)
+            self.record = found
         if self._estimate is None:
             return view.place_m
         self._route = _remaining(self._route, view, self._quest)
@@ -336,17 +340,6 @@ class RecedingHorizon:
             self._route = self._quest.arena.route_m(view.place_m, goal_m)
             self._planned_s = view.time_s
         return self._route[0] if len(self._route) else view.place_m
-
-    def _update(self, record: Record) -> None:
-        speed = self._quest.evader_speed_m_s
-        if self._estimate is None:
-            mean = np.array([record.reported_m, np.zeros(2)])
-            spread = np.diag([record.error_m**2 / 6.0, 0.5 * speed**2])
-            self._estimate = Estimate(record.sampled_s, mean, spread)
-        else:
-            ahead = predicted(self._estimate, record.sampled_s, speed, self._manoeuvre_s)
-            self._estimate = updated(ahead, record)
-        self.record = record
 
     def _goal_m(self, view: PursuerView, estimate: Estimate) -> Floats:
         if not view.mates:

@@ -456,7 +456,13 @@ class _Round:
             if self._slot_blocks is not None:
                 sending[part] &= motes < self._slot_blocks
             motes += sending[part]
-        new = _heard_next(sending) & self.inside & ~self.heard
+        wide = sending.copy()
+        wide[..., 1:] |= sending[..., :-1]
+        wide[..., :-1] |= sending[..., 1:]
+        new = wide.copy()
+        new[..., 1:, :] |= wide[..., :-1, :]
+        new[..., :-1, :] |= wide[..., 1:, :]
+        new &= self.inside & ~self.heard
         self.heard |= new
         self._waiting = np.asarray((self._waiting & ~sending) | (new & self._relays), np.bool_)
         return int(sending.sum())
@@ -478,14 +484,3 @@ class _Round:
         for rows, there_rows, down in ranges:
             for columns, there_columns, right in ranges:
                 yield (rows, columns, down, right), motes[there_rows, there_columns]
-
-
-def _heard_next(sending: Mask) -> Mask:
-    """Return a mask of the motes that send or receive a block."""
-    wide = sending.copy()
-    wide[..., 1:] |= sending[..., :-1]
-    wide[..., :-1] |= sending[..., 1:]
-    high = wide.copy()
-    high[..., 1:, :] |= wide[..., :-1, :]
-    high[..., :-1, :] |= wide[..., 1:, :]
-    return high

@@ -402,7 +402,9 @@ def _capture_faults(
             # distance driven in a part.
             chord_m = 0.25 * data.pursuers[pursuer].speed_max_m_s * data.step_s / CAPTURE_PIECES
             slack_m = PLACE_M + chord_m * each.bent
-            least_m = _least_distances_m(each, slice(0, step), places_m[: step + 1])
+            places, moves = places_m[:step, None], np.diff(places_m[: step + 1], axis=0)[:, None]
+            apart_m = each.places_m[:step] - places - each.shares[:step, :, None] * moves
+            least_m = _segments_from_origin_m(apart_m[:, :-1], apart_m[:, 1:]).min(axis=1)
             early = np.flatnonzero(least_m < radius_m - slack_m[:step])
             if len(early):
                 when_s = log.times_s[early[0]]
@@ -433,16 +435,6 @@ def _interpolated(at: Floats, knots: Floats, places_m: Floats) -> Floats:
     """Return the positions (m, 2) at `at`, interpolated between the positions at `knots` (k,)."""
     x, y = places_m[:, 0], places_m[:, 1]
     return np.stack([np.interp(at, knots, x), np.interp(at, knots, y)], axis=1)
-
-
-def _least_distances_m(drives: Drives, steps: slice, places_m: Floats) -> Floats:
-    """Return the minimum distance (n,) between pursuer and evader in each step."""
-    shares, own_m = drives.shares[steps], drives.places_m[steps]
-    if not len(shares):
-        return np.zeros(0)
-    moved_m = places_m[:-1, None] + shares[..., None] * np.diff(places_m, axis=0)[:, None]
-    apart_m = own_m - moved_m
-    return _segments_from_origin_m(apart_m[:, :-1], apart_m[:, 1:]).min(axis=1)
 
 
 def _segments_from_origin_m(starts: Floats, ends: Floats) -> Floats:

@@ -85,6 +85,17 @@ def bench_page(rows: Sequence[Row], known: References, manifest: Manifest) -> Pa
         *(f"limitation: {words}" for words in LIMITATIONS),
     )
     listed = [_question_cells(each, rows, tests, best, bounds) for each in questions]
+    rates: list[Chart] = []
+    for kind, own in kinds.items():
+        each = scores(own, best)
+        names = (
+            ("solved", "success_rate"),
+            ("verified", "verified_rate"),
+            ("correct", "correct_rate"),
+        )
+        values = {label: [getattr(score, name) for score in each] for label, name in names}
+        planners = [score.planner for score in each]
+        rates.append(_bars(f"Rates, {KINDS[kind]}", planners, values, "group"))
     return Page(
         title="Planners in the regression suite",
         description=f"{manifest.made_by}, on {manifest.cpu}",
@@ -93,7 +104,7 @@ def bench_page(rows: Sequence[Row], known: References, manifest: Manifest) -> Pa
             *(_profile_chart(own, best, KINDS[kind]) for kind, own in kinds.items()),
             _excess_chart(rows, best),
             _gap_chart(rows, tests),
-            *(_rate_chart(own, best, KINDS[kind]) for kind, own in kinds.items()),
+            *rates,
             _fallback_chart(rows),
         ],
         tables=[
@@ -218,15 +229,6 @@ def _gap_chart(rows: Sequence[Row], tests: Mapping[str, Classification]) -> Char
     points = [each for each in points if each["x"]]
     layout = {"yaxis": {"type": "log", "tickformat": "~g"}}
     return Chart("Gap to the proven bound", points, "problem", "gap [%]", layout=layout)
-
-
-def _rate_chart(rows: Sequence[Row], best: Mapping[Question, float], kind: str) -> Chart:
-    """Return the shares of solved and verified cases and of correct claims, by planner."""
-    each = scores(rows, best)
-    rates = ("solved", "success_rate"), ("verified", "verified_rate"), ("correct", "correct_rate")
-    values = {label: [getattr(score, name) for score in each] for label, name in rates}
-    names = [score.planner for score in each]
-    return _bars(f"Rates, {kind}", names, values, "group")
 
 
 def _fallback_chart(rows: Sequence[Row]) -> Chart:

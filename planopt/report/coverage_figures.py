@@ -102,8 +102,7 @@ def draw_network(picture: NetworkPicture) -> Figure:
     log_scale(panels[2], "y")
     dress(panels[2], "coverage cost H", TIME, COST)
     if eventful:
-        _draw_teams(panels[3], picture)
-        _draw_errors(panels[4], picture)
+        _draw_response(panels[3], panels[4], picture)
         for panel in panels[2:]:
             _shade_events(panel, picture)
     else:
@@ -214,35 +213,26 @@ def _draw_state(panel: Panel, picture: NetworkPicture, step: int) -> list[Artist
     return drawn
 
 
-def _draw_teams(panel: Panel, picture: NetworkPicture) -> None:
-    """Draw the number of agents that respond to each event, and the required number."""
+def _draw_response(teams: Panel, errors: Panel, picture: NetworkPicture) -> None:
+    """Draw the responding agents of each event, and the error of its estimated position."""
     run, times_s = picture.run, picture.run.times_s[:-1]
     for number, event in enumerate(picture.events):
-        colour = colour_of(number)
-        responding = (run.states == number).sum(axis=1).astype(np.float64)
-        panel.plot(times_s, responding, color=colour, linewidth=1.8, label=event.name)
-        wanted = run.wanted[:, number].astype(np.float64)
-        panel.plot(times_s, wanted, color=colour, linewidth=1.0, linestyle="--")
-    panel.set_ylim(0.0, None)
-    dress(panel, "responding agents (dashed: required)", TIME, "agents [1]")
-    if len(picture.events) > 1:
-        legend_inside(panel, "upper right")
-
-
-def _draw_errors(panel: Panel, picture: NetworkPicture) -> None:
-    """Draw the errors of estimated event positions, and their estimated standard deviations."""
-    run, times_s = picture.run, picture.run.times_s[:-1]
-    for number, event in enumerate(picture.events):
-        colour = colour_of(number)
+        strong = {"color": colour_of(number), "linewidth": 1.7}
+        dashed = {"color": colour_of(number), "linewidth": 1.0, "linestyle": "--"}
+        teams.plot(times_s, (run.states == number).sum(axis=1), label=event.name, **strong)
+        teams.plot(times_s, run.wanted[:, number], **dashed)
         places = np.array([event.place_at(each) for each in times_s.tolist()])
-        error_m = np.linalg.norm(run.estimates_m[:, number] - places, axis=1)
-        panel.plot(times_s, error_m, color=colour, linewidth=1.6)
-        std_m = np.where(np.isfinite(run.stds_m[:, number]), run.stds_m[:, number], np.nan)
-        panel.plot(times_s, std_m, color=colour, linewidth=1.0, linestyle="--")
+        errors.plot(times_s, np.linalg.norm(run.estimates_m[:, number] - places, axis=1), **strong)
+        std_m = run.stds_m[:, number]
+        errors.plot(times_s, np.where(np.isfinite(std_m), std_m, np.nan), **dashed)
+    teams.set_ylim(0.0, None)
+    dress(teams, "responding agents (dashed: required)", TIME, "agents [1]")
+    if len(picture.events) > 1:
+        legend_inside(teams, "upper right")
     if np.isfinite(run.estimates_m).any():
-        log_scale(panel, "y")
-    panel.set_xlim(float(times_s[0]), float(times_s[-1]))
-    dress(panel, "error (dashed: standard deviation)", TIME, "estimation error [m]")
+        log_scale(errors, "y")
+    errors.set_xlim(float(times_s[0]), float(times_s[-1]))
+    dress(errors, "error (dashed: standard deviation)", TIME, "estimation error [m]")
 
 
 def _shade_events(panel: Panel, picture: NetworkPicture) -> None:

@@ -393,7 +393,15 @@ def draw_solution(solution: Solution) -> Figure:
     if target_m is not None:
         shown.append(target_m)
     positions = np.concatenate(shown)
-    words = _certificates(solution)
+    words: list[str] = []
+    for number, plan in enumerate(plans):
+        own = problem_of_robot(problem, number)
+        said = plan_in_words(own, plan) + (proof_in_words(own, plan) if len(plans) == 1 else [])
+        lines = [
+            each for line in said for each in wrap(line, WORDS_WIDTH, subsequent_indent=" " * 4)
+        ]
+        cut = len(lines) > WORDS_LINES
+        words += [*lines[: WORDS_LINES - 1], "..."] if cut else lines
     series = plan_series(problem, plans, target_m)
     figure, maps, curves = _sheet(problem, [*series, (lambda panel: None, 0.3 + 0.11 * len(words))])
     alone = problem.has_goal and len(plans) == 1
@@ -420,21 +428,6 @@ def draw_solution(solution: Solution) -> Figure:
     steps = len(plans[0].t_s) - 1
     head(figure, f"{problem.name}: {steps} steps, {problem.planner.name} planner{verdict}")
     return figure
-
-
-def _certificates(solution: Solution) -> list[str]:
-    """Return the plans as lines of text for their panel; for one robot, with its certificate."""
-    found: list[str] = []
-    for number, plan in enumerate(solution.plans):
-        problem = problem_of_robot(solution.problem, number)
-        words = plan_in_words(problem, plan)
-        words += proof_in_words(problem, plan) if len(solution.plans) == 1 else []
-        lines = [
-            piece for line in words for piece in wrap(line, WORDS_WIDTH, subsequent_indent="    ")
-        ]
-        cut = len(lines) > WORDS_LINES
-        found += [*lines[: WORDS_LINES - 1], "..."] if cut else lines
-    return found
 
 
 def draw_run(run: Run) -> Figure:

@@ -195,7 +195,14 @@ def _draw_holes(panel: Panel, path_m: Floats, holes: Sequence[Hole]) -> list[Art
     """Draw the coverage holes that a path (n, 2) crosses, with their lengths."""
     entries: list[Artist] = []
     for hole in holes:
-        part = _part_in_hole(path_m, hole)
+        # The part extends half a step beyond the hole on either side.
+        first, last = sorted(
+            int(np.argmin(np.linalg.norm(path_m - np.array(end), axis=1)))
+            for end in (hole.from_m, hole.to_m)
+        )
+        before = 0.5 * (path_m[max(first - 1, 0)] + path_m[first])
+        behind = 0.5 * (path_m[min(last + 1, len(path_m) - 1)] + path_m[last])
+        part = np.vstack([before, path_m[first : last + 1], behind])
         look = {"color": VERMILLION, "linewidth": 5.0, "solid_capstyle": "butt"}
         label = "coverage hole on the path"
         entries += draw_path(panel, part, casing=7.0, zorder=PATH_Z - 0.3, label=label, **look)
@@ -203,16 +210,6 @@ def _draw_holes(panel: Panel, path_m: Floats, holes: Sequence[Hole]) -> list[Art
         words = f"{hole.length_m:.0f} m"
         panel.text(x, y, words, zorder=PATH_Z + 0.5, clip_on=True, bbox=NOTE_BOX)
     return entries
-
-
-def _part_in_hole(path_m: Floats, hole: Hole) -> Floats:
-    """Return the part of a path from half a step before a hole to half a step after it."""
-    first = int(np.argmin(np.linalg.norm(path_m - np.array(hole.from_m), axis=1)))
-    last = int(np.argmin(np.linalg.norm(path_m - np.array(hole.to_m), axis=1)))
-    first, last = min(first, last), max(first, last)
-    before = 0.5 * (path_m[max(first - 1, 0)] + path_m[first])
-    behind = 0.5 * (path_m[min(last + 1, len(path_m) - 1)] + path_m[last])
-    return np.vstack([before, path_m[first : last + 1], behind])
 
 
 def draw_clearance(panel: Panel, problem: Problem, window: Bounds) -> list[Artist]:

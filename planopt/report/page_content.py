@@ -127,10 +127,16 @@ def task_page(result: Result) -> Page:
             *_settings(result.task.tables(problem), data.get("seed")),
         ],
         charts=[
-            chart
+            Chart(
+                one.meaning,
+                [_curve(0, one.name, table["t_s"], rounded(table[one.name], METRE_DIGITS))],
+                *(TIME, plain(f"{one.name} [{one.unit or '1'}]")),
+                over_time=True,
+            )
             for columns, table in tables.values()
             if len(table.get("t_s", ())) > 1 and (np.diff(table["t_s"]) > 0.0).all()
-            for chart in _column_charts(columns, table)
+            for one in columns
+            if one.kind == "number" and not one.name.endswith(("t_s", "x_m", "y_m"))
         ],
     )
 
@@ -162,15 +168,6 @@ def _result_tables(tables: Mapping[str, tuple[Sequence[Column], Data]]) -> list[
     return found
 
 
-def _column_charts(columns: Sequence[Column], table: Data) -> Iterator[Chart]:
-    """Yield a chart of each numeric column over time."""
-    for column in columns:
-        if column.kind == "number" and not column.name.endswith(("t_s", "x_m", "y_m")):
-            curve = _curve(0, column.name, table["t_s"], rounded(table[column.name], METRE_DIGITS))
-            label = plain(f"{column.name} [{column.unit or '1'}]")
-            yield Chart(column.meaning, [curve], TIME, label, over_time=True)
-
-
 def comparison_page(comparison: Comparison) -> Page:
     """Return the page of a comparison, with the tables of its first problem."""
     labels = setting_words(comparison)
@@ -185,14 +182,23 @@ def comparison_page(comparison: Comparison) -> Page:
     listed = [name for name in columns if name != "step_s"]
     counts = list(zip(*(columns[name] for name in listed), strict=True))
     others = [problem.name for problem in comparison.others]
+    charts = [_metric_chart(comparison, metric, labels) for metric in metrics]
+    bins = comparison.reliability
+    if bins:
+        points = scatter(
+            "all settings",
+            rounded([one.predicted for one in bins], PROBABILITY_DIGITS),
+            rounded([one.realised for one in bins], PROBABILITY_DIGITS),
+            text=[f"{one.count} predictions" for one in bins],
+            marker={"size": 10, "color": colour_of(0)},
+        )
+        traces, label = [points, _line([0, 1], [0, 1], "equal")], "predicted P(connected) [1]"
+        charts.append(Chart("Reliability", traces, label, "connected [1]"))
     return Page(
         title=f"Comparison of {', '.join([comparison.problem.name, *others])}",
         description=comparison.problem.description,
         words=comparison_text(comparison).splitlines(),
-        charts=[
-            *(_metric_chart(comparison, metric, labels) for metric in metrics),
-            *_reliability_chart(comparison),
-        ],
+        charts=charts,
         tables=[
             PageTable("Settings and metrics", head, rows),
             PageTable("Runs", listed, counts, len(counts)),
@@ -421,21 +427,6 @@ def _metric_chart(comparison: Comparison, metric: str, labels: Sequence[str]) ->
     layout = {"yaxis": {"type": "category", "automargin": True}}
     title, label = metric_name(metric).words, metric_label(metric)
     return Chart(title, [runs, mean], label, "", layout=layout)
-
-
-def _reliability_chart(comparison: Comparison) -> list[Chart]:
-    bins = comparison.reliability
-    if not bins:
-        return []
-    points = scatter(
-        "all settings",
-        rounded([one.predicted for one in bins], PROBABILITY_DIGITS),
-        rounded([one.realised for one in bins], PROBABILITY_DIGITS),
-        text=[f"{one.count} predictions" for one in bins],
-        marker={"size": 10, "color": colour_of(0)},
-    )
-    label = "predicted P(connected) [1]"
-    return [Chart("Reliability", [points, _line([0, 1], [0, 1], "equal")], label, "connected [1]")]
 
 
 def key_figures(result: Solution | Run) -> list[tuple[str, object]]:

@@ -165,7 +165,14 @@ def draw_design(task: DesignTask, data: Mapping[str, Any]) -> Figure:
     front = data["pareto"]
     figure, panels = new_figure(13.0, 4.6, ["ABC"] if front else ["AB"])
     _draw_power(panels[0], task, data)
-    _draw_sensitivities(panels[1], data)
+    found = sorted(data["sensitivities"].items(), key=lambda item: abs(item[1]))
+    places = np.arange(len(found), dtype=np.float64)
+    colours = [VERMILLION if value > 0.0 else BLUE for _, value in found]
+    panels[1].barh(places, [value for _, value in found], height=0.5, color=colours)
+    panels[1].axvline(0.0, color=BLACK, linewidth=0.8)
+    panels[1].set_yticks(places, [QUANTITIES[name] for name, _ in found])
+    what = "energy" if data["objective_name"] == "energy_per_capture_j" else "power"
+    dress(panels[1], "effect of a 1 % increase", f"change of the minimum {what} [%]", "")
     if front:
         times_s = [row["capture_time_s"] for row in front]
         energies_j = [row["energy_per_capture_j"] for row in front]
@@ -192,15 +199,3 @@ def _draw_power(panel: Panel, task: DesignTask, data: Mapping[str, Any]) -> None
     panel.plot([1e3 * data["slot_width_s"]], [data["cost_w"]], label="chosen", **look)
     dress(panel, "power against slot width", "slot width [ms]", "power [W]")
     legend_inside(panel)
-
-
-def _draw_sensitivities(panel: Panel, data: Mapping[str, Any]) -> None:
-    """Draw the relative change of the objective if each quantity increases by one per cent."""
-    found = sorted(data["sensitivities"].items(), key=lambda item: abs(item[1]))
-    places = np.arange(len(found), dtype=np.float64)
-    colours = [VERMILLION if value > 0.0 else BLUE for _, value in found]
-    panel.barh(places, [value for _, value in found], height=0.5, color=colours)
-    panel.axvline(0.0, color=BLACK, linewidth=0.8)
-    panel.set_yticks(places, [QUANTITIES[name] for name, _ in found])
-    what = "energy" if data["objective_name"] == "energy_per_capture_j" else "power"
-    dress(panel, "effect of a 1 % increase", f"change of the minimum {what} [%]", "")

@@ -12,7 +12,7 @@ import shapely
 from scipy.spatial import Delaunay, KDTree, QhullError
 
 from planopt.arrays import Floats, Indices, Mask
-from planopt.coverage.geodesic import GeodesicGround, Ground, polygon_boundaries
+from planopt.coverage.geodesic import Ground, polygon_boundaries
 from planopt.coverage.ground import ConvexGround
 from planopt.coverage.voronoi import FAR, ON_BORDER
 from planopt.errors import InputError
@@ -217,9 +217,14 @@ def ground_sets(
     line = aims_m - places_m
     length = np.linalg.norm(line, axis=1)
     ends = places_m + line * np.minimum(1.0, reach_m / np.where(length > 0.0, length, 1.0))[:, None]
-    blind = np.flatnonzero(~ground.area.sees(places_m, ends))
-    for which in blind:
-        ends[which] = _last_free(ground, places_m[which], ends[which])
+    for which in np.flatnonzero(~ground.area.sees(places_m, ends)):
+        start, end = places_m[which], ends[which].copy()
+        crossed = shapely.intersection(ground.area.border, shapely.LineString([start, end]))
+        met = np.asarray(shapely.get_coordinates(crossed), dtype=np.float64)
+        ends[which] = start
+        if len(met):
+            free_m = float(np.linalg.norm(met - start, axis=1).min()) - 4.0 * ground.area.slack_m
+            ends[which] += (end - start) * max(free_m, 0.0) / float(np.linalg.norm(end - start))
     hulls = shapely.convex_hull(shapely.multipoints(np.stack((places_m, stops_m, ends), axis=1)))
     meets = np.asarray(shapely.intersects(ground.area.border, hulls), dtype=np.bool_)
     # The clearance is round at corners but `allowed` is mitred, so an agent may be outside it.
@@ -231,17 +236,6 @@ def ground_sets(
     sides = polygon_boundaries(np.array([ground.free]), np.zeros((1, 2)))
     edges = np.stack((sides.start_m, sides.end_m), axis=1)
     return _corridors(edges, seeds, keep_m, reach_m, touch_m)
-
-
-def _last_free(ground: GeodesicGround, start: Floats, end: Floats) -> Floats:
-    """Return the last allowed position (2,) on the straight line from `start` to `end`."""
-    crossed = shapely.intersection(ground.area.border, shapely.LineString([start, end]))
-    met = np.asarray(shapely.get_coordinates(crossed), dtype=np.float64)
-    if not len(met):
-        return start
-    first = float(np.linalg.norm(met - start, axis=1).min())
-    length = float(np.linalg.norm(end - start))
-    return start + (end - start) * max(first - 4.0 * ground.area.slack_m, 0.0) / length
 
 
 def _corridors(

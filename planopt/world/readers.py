@@ -3,6 +3,7 @@
 import json
 import re
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -142,72 +143,50 @@ def _from_json(stem: str, text: str, origin_deg: Origin | None) -> tuple[Obstacl
     except (ValueError, RecursionError) as error:
         raise InputError(f"invalid JSON: {error}", remedy=_GEOJSON) from error
     try:
-        if origin_deg is not None:
-            data = _in_metres(data, origin_deg)
         obstacles = list(_areas(stem, data))
     except RecursionError:
         raise InputError("the GeoJSON is nested too deeply", remedy=_GEOJSON) from None
-    if "buildings" not in data:
-        _require_metres(data, obstacles)
+    if obstacles and "buildings" not in data:
+        obstacles = _in_metres(data, obstacles, origin_deg)
     return tuple(obstacles)
 
 
-def _in_metres(data: Any, origin_deg: Origin) -> Any:
-    """Return GeoJSON projected to metres from the origin; unchanged if it is already in metres."""
-    places = [
-        each
-        for each in _positions(data)
-        if len(each) >= 2 and all(type(number) in (int, float) for number in each[:2])
-    ]
-    if not places or not hasattr(data, "get"):
-        return data
-    corners = np.array([each[:2] for each in places], dtype=np.float64)
-    system = json.dumps(data["crs"]) if data.get("crs") else ""
-    code = EPSG.search(system)
-    degrees = corners
-    if code is not None and not DEGREES.search(system):
-        degrees = _degrees_of(corners, int(code[1]))
-    elif not (DEGREES.search(system) or _is_near(corners, origin_deg)):
-        return data
-    metres = east_north_m(degrees[:, 0], degrees[:, 1], origin_deg)
-    plane: dict[int, list[float]] = dict(zip(map(id, places), metres.tolist(), strict=True))
-    if not np.isfinite(metres).all():
+def _in_metres(
+    table: dict[str, object], obstacles: list[Obstacle], origin_deg: Origin | None
+) -> list[Obstacle]:
+    """Return the obstacles of GeoJSON, projected to metres from the origin if they are not."""
+    polygons = np.array([one.polygon for one in obstacles], dtype=np.object_)
+    corners = shapely.get_coordinates(polygons)
+    system = json.dumps(table.get("crs") or "")
+    code, named = EPSG.search(system), DEGREES.search(system)
+    if origin_deg is not None:
+        is_near = (np.abs(corners - np.array(origin_deg[:2])[::-1]) < NEAR_DEG).all()
+        if code or named or is_near:
+            degrees = corners if named or code is None else _degrees_of(corners, int(code[1]))
+            metres = east_north_m(degrees[:, 0], degrees[:, 1], origin_deg)
+            if not np.isfinite(metres).all():
+                raise InputError(
+                    "has coordinates far from the origin",
+                    key="origin_deg",
+                    remedy="give the origin as latitude, longitude, close to the obstacles",
+                )
+            placed = shapely.set_coordinates(polygons, metres)
+            return [
+                replace(one, polygon=polygon)
+                for one, polygon in zip(obstacles, placed, strict=True)
+            ]
+    # RFC 7946 prescribes degrees, which must not be taken for metres.
+    x, y = corners.T
+    within = np.abs(x).max() <= 180.0 and np.abs(y).max() <= 90.0
+    extent = max(np.ptp(x), np.ptp(y))
+    afar = np.hypot(np.abs(x).min(), np.abs(y).min()) > SURELY_DEGREES * extent
+    if within and (named or afar):
         raise InputError(
-            "has coordinates far from the origin",
-            key="origin_deg",
-            remedy="give the origin as latitude, longitude, close to the obstacles",
+            f"the coordinates, such as {x[0]:g}, {y[0]:g}, are degrees of longitude and latitude",
+            remedy="give the origin of the frame as origin_deg = [LAT, LON]; if these are metres, "
+            "save them as .wkt",
         )
-    return _replaced({**data, "crs": None}, plane)
-
-
-def _positions(value: Any) -> Iterator[Any]:
-    """Yield the innermost lists of GeoJSON coordinates, which should be positions."""
-    if isinstance(value, dict):
-        for key, each in cast("dict[str, Any]", value).items():
-            if key in ("coordinates", "features", "geometry", "geometries"):
-                yield from _positions(each)
-    elif isinstance(value, list):
-        parts = cast("list[Any]", value)
-        if parts and not any(isinstance(each, list | dict) for each in parts):
-            yield parts
-        for each in parts:
-            yield from _positions(each)
-
-
-def _replaced(value: Any, plane: dict[int, list[float]]) -> Any:
-    """Return GeoJSON with each position, found by object identity, replaced from `plane`."""
-    if id(value) in plane:
-        return plane[id(value)]
-    if isinstance(value, dict):
-        return {key: _replaced(each, plane) for key, each in cast("dict[str, Any]", value).items()}
-    if isinstance(value, list):
-        return [_replaced(each, plane) for each in cast("list[Any]", value)]
-    return value
-
-
-def _is_near(corners: Floats, origin_deg: Origin) -> bool:
-    """Return whether coordinates are longitudes and latitudes within a degree of the origin."""
-    return bool((np.abs(corners - np.array(origin_deg[:2])[::-1]) < NEAR_DEG).all())
+    return obstacles
 
 
 def _degrees_of(corners: Floats, code: int) -> Floats:
@@ -268,24 +247,6 @@ def _building(name: str, value: Any) -> Obstacle:
     raise InputError(
         f"{name}: {_short(value)} has no exterior ring, or an invalid hole", remedy=_GEOJSON
     )
-
-
-def _require_metres(table: dict[str, object], obstacles: list[Obstacle]) -> None:
-    """Raise an InputError for GeoJSON in degrees, the unit that RFC 7946 prescribes."""
-    if not obstacles:
-        return
-    named = DEGREES.search(json.dumps(table.get("crs")))
-    corners = np.concatenate([shapely.get_coordinates(one.polygon) for one in obstacles])
-    x, y = corners.T
-    within = np.abs(x).max() <= 180.0 and np.abs(y).max() <= 90.0
-    extent = max(np.ptp(x), np.ptp(y))
-    afar = np.hypot(np.abs(x).min(), np.abs(y).min()) > SURELY_DEGREES * extent
-    if within and (named or afar):
-        raise InputError(
-            f"the coordinates, such as {x[0]:g}, {y[0]:g}, are degrees of longitude and latitude",
-            remedy="give the origin of the frame as origin_deg = [LAT, LON]; if these are metres, "
-            "save them as .wkt",
-        )
 
 
 DEGREES = re.compile(r"CRS84|EPSG:+(\d*:)?(4326|4258|4269)\b", re.IGNORECASE)

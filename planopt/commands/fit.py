@@ -112,7 +112,14 @@ def _read_and_fit(options: LogOptions, log_format: LogFormat, site: Station | No
     require_loss(options.loss, chosen, "--loss")
     loss = cast("Loss", options.loss)
     search = _station_method(options.station_method, station_is_given=site is not None)
-    forgetting_s = _forgetting_s(options)
+    forgetting_s = math.inf if options.forgetting is None else options.forgetting
+    require_option(forgetting_s > 0.0, forgetting_s, "--forgetting", "give more than 0 seconds")
+    if options.forgetting is not None and options.time is None:
+        raise InputError(
+            "needs the time of each measurement",
+            key="--forgetting",
+            remedy="name the column of times by --time COLUMN",
+        )
     read = read_power_log(options.log, log_format)
     warnings = tuple(log_warnings(read))
 
@@ -181,19 +188,6 @@ def log_format_of(options: FormatOptions) -> LogFormat:
         field = (error.key or "").rpartition(".")[2]
         key = f"--{OPTIONS.get(field, field).replace('_', '-')}"
         raise InputError(error.message, key=key, remedy=error.remedy) from None
-
-
-def _forgetting_s(options: LogOptions) -> float:
-    """Return the forgetting time; infinite by default."""
-    value_s = math.inf if options.forgetting is None else options.forgetting
-    require_option(value_s > 0.0, value_s, "--forgetting", "give more than 0 seconds")
-    if options.forgetting is not None and options.time is None:
-        raise InputError(
-            "needs the time of each measurement",
-            key="--forgetting",
-            remedy="name the column of times by --time COLUMN",
-        )
-    return value_s
 
 
 def require_option(is_allowed: bool, value: object, key: str, remedy: str) -> None:
@@ -325,17 +319,6 @@ def held_out_words(data: dict[str, Any]) -> list[str]:
     return lines + [f"  {name}: {words}" for name, words in PREDICTOR_WORDS.items()]
 
 
-def _draw_held_out(report: HeldOutReport, folder: Path) -> None:
-    """Plot coverage, PIT histogram and reliability of the predictions."""
-    from planopt.report import draw_calibration, draw_reliability, save_figure
-
-    scores = {name.replace("_", " "): score for name, score in report.scores.items()}
-    save_figure(draw_calibration(scores), folder / "held_out.png")
-    series = {name: score.reliability for name, score in scores.items()}
-    title = f"P(power at least {report.threshold_dbm:g} dBm), held out"
-    save_figure(draw_reliability(series, title), folder / "reliability.png")
-
-
 def _score_json(score: HeldOutScore, groups: int) -> dict[str, Any]:
     from planopt.planning.files.result_json import reliability_json
 
@@ -444,7 +427,13 @@ def fit(
                     file = "fit.png" if options.each is None else f"fit_{number}_{name}.png"
                     save_figure(figure, new / file)
                 if report is not None:
-                    _draw_held_out(report, new)
+                    from planopt.report import draw_calibration, draw_reliability
+
+                    scores = {name.replace("_", " "): s for name, s in report.scores.items()}
+                    save_figure(draw_calibration(scores), new / "held_out.png")
+                    bins = {name: score.reliability for name, score in scores.items()}
+                    title = f"P(power at least {report.threshold_dbm:g} dBm), held out"
+                    save_figure(draw_reliability(bins, title), new / "reliability.png")
     return max(each.exit_code for each in fits.values())
 
 

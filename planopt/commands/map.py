@@ -197,7 +197,14 @@ def _problem_map(
     from planopt.problems.load import load_motion
     from planopt.problems.plausibility import problem_warnings
 
-    _require_no_log_options(options)
+    plain = LogOptions(log=options.log)
+    given = [name for name, value in vars(options).items() if value != getattr(plain, name)]
+    if given:
+        raise InputError(
+            f"is for logs, and {options.log.name} is a problem file",
+            key=f"--{given[0].replace('_', '-')}",
+            remedy="leave it out; the problem file has keys for it in channel.measurements",
+        )
     problem = load_motion(options.log)
     for words in problem_warnings(problem):
         say(f"{problem.name}: {words}")
@@ -231,18 +238,6 @@ def _problem_map(
     p_min = problem.constraints.p_min or None
     origin_deg = problem.channel.origin_deg
     return _Mapped(maps, fits, DEGENERATE if is_degenerate else 0, draw, origin_deg, p_min)
-
-
-def _require_no_log_options(options: LogOptions) -> None:
-    """Raise an error if an option of logs is given with a problem file."""
-    plain = LogOptions(log=options.log)
-    given = [name for name, value in vars(options).items() if value != getattr(plain, name)]
-    if given:
-        raise InputError(
-            f"is for logs, and {options.log.name} is a problem file",
-            key=f"--{given[0].replace('_', '-')}",
-            remedy="leave it out; the problem file has keys for it in channel.measurements",
-        )
 
 
 def _masks_json(folder: Path, maps: PosteriorMap, limits: MaskLimits) -> dict[str, Any]:

@@ -156,9 +156,20 @@ def locate_event(
         starts = np.concatenate((starts, more))
     free = np.array([True, True, *[drift is not None] * 2, not strength_known])
     found, misfit, information = _refined(sensor, readings, region, starts, free, drift)
-    covariance = _covariance(information)[:2, :2]
-    rivals = _rivals(found[:, :2], misfit, covariance, region)
-    best = found[0]
+    # A singular information matrix leaves all parameters undetermined.
+    scale = np.sqrt(np.diag(information))
+    even = information / np.outer(scale, scale) if (scale > 0.0).all() else np.zeros((1, 1))
+    covariance = np.diag(np.full(2, np.inf))
+    if np.linalg.eigvalsh(even)[0] >= SINGULAR:
+        covariance = (np.linalg.inv(even) / np.outer(scale, scale))[:2, :2]
+    width = 4.0 * float(np.sqrt(np.diag(covariance).max()))
+    width = max(width if np.isfinite(width) else 0.0, 1e-6 * region.radius_m)
+    places = [found[0, :2]]
+    for place, one in zip(found[1:, :2], misfit[1:], strict=True):
+        apart = np.linalg.norm(np.array(places) - place, axis=1)
+        if one < misfit[0] + RIVAL and apart.min() > width:
+            places.append(place)
+    rivals, best = np.array(places[1:]).reshape(-1, 2), found[0]
     return EventEstimate(best[:2], float(best[4]), covariance, float(misfit[0]), rivals, best[2:4])
 
 
@@ -262,24 +273,3 @@ def _inside(region: ConvexRegion, positions: Floats) -> Floats:
         for normal, offset in zip(region.normals, region.offsets_m, strict=True):
             moved -= np.maximum(moved @ normal - offset, 0.0)[:, None] * normal
     return moved
-
-
-def _covariance(information: Floats) -> Floats:
-    """Return the inverse of an information matrix; infinite on the diagonal if it is singular."""
-    scale = np.sqrt(np.diag(information))
-    even = information / np.outer(scale, scale) if (scale > 0.0).all() else np.zeros((1, 1))
-    if np.linalg.eigvalsh(even)[0] < SINGULAR:
-        return np.diag(np.full(len(scale), np.inf))
-    return np.linalg.inv(even) / np.outer(scale, scale)
-
-
-def _rivals(places: Floats, misfits: Floats, covariance: Floats, region: ConvexRegion) -> Floats:
-    """Return other likelihood maxima (r, 2), nearly as likely as the best one but distant."""
-    width = 4.0 * float(np.sqrt(np.diag(covariance).max()))
-    width = max(width if np.isfinite(width) else 0.0, 1e-6 * region.radius_m)
-    found = [places[0]]
-    for place, misfit in zip(places[1:], misfits[1:], strict=True):
-        apart = np.linalg.norm(np.array(found) - place, axis=1)
-        if misfit < misfits[0] + RIVAL and apart.min() > width:
-            found.append(place)
-    return np.array(found[1:]).reshape(-1, 2)

@@ -4,6 +4,7 @@ Numbers are written with full precision; an empty cell means no value. JSON has 
 infinity: both are written as null, which is read as NaN.
 """
 
+import contextlib
 import csv
 import io
 import math
@@ -212,7 +213,13 @@ def _decoded(kind: Any, data: Any) -> Any:
     if kind is None or kind is type(None):
         return _of_type(data, type(None))
     if origin in (Union, types.UnionType):
-        return _first_that_fits(get_args(kind), data)
+        kinds = get_args(kind)
+        if data is None and type(None) in kinds:
+            return None
+        for each in kinds:
+            with contextlib.suppress(ValueError):
+                return _decoded(each, data)
+        raise ValueError(f"{type(data).__name__} is none of {kinds}")
     if origin is np.ndarray:
         dtype = np.dtype(get_args(get_args(kind)[1])[0])
         return np.array(_numbers(dtype, data), dtype=dtype)
@@ -230,32 +237,18 @@ def _decoded(kind: Any, data: Any) -> Any:
         table = _of_type(data, dict)
         return {str(name): _decoded(get_args(kind)[1], part) for name, part in table.items()}
     if is_dataclass(kind):
-        return _dataclass(cast("type[Any]", kind), _of_type(data, dict))
+        table, hints = _of_type(data, dict), get_type_hints(kind)
+        names = [part.name for part in fields(kind) if part.init]
+        if set(names) != set(table):
+            wrong = ", ".join(sorted(set(names) ^ set(table))[:5])
+            raise ValueError(f"an entry has missing or unknown keys: {wrong}")
+        made = cast("type[Any]", kind)
+        return made(**{name: _decoded(hints[name], table[name]) for name in names})
     if issubclass(kind, Enum):
         return kind(data)
     if kind is float:
         return _float(data)
     return _of_type(data, kind)
-
-
-def _dataclass(kind: type[Any], table: Mapping[str, Any]) -> Any:
-    hints = get_type_hints(kind)
-    names = [part.name for part in fields(kind) if part.init]
-    if set(names) != set(table):
-        wrong = ", ".join(sorted(set(names) ^ set(table))[:5])
-        raise ValueError(f"an entry has missing or unknown keys: {wrong}")
-    return kind(**{name: _decoded(hints[name], table[name]) for name in names})
-
-
-def _first_that_fits(kinds: Sequence[Any], data: Any) -> Any:
-    if data is None and type(None) in kinds:
-        return None
-    for kind in kinds:
-        try:
-            return _decoded(kind, data)
-        except ValueError:
-            continue
-    raise ValueError(f"{type(data).__name__} is none of {kinds}")
 
 
 def _numbers(dtype: np.dtype[Any], data: Any) -> Any:

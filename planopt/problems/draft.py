@@ -562,7 +562,10 @@ def _tables(
     diagonal = math.hypot(x_max - x_min, y_max - y_min)
     speed = 1.0 if settings.speed_m_s is None else settings.speed_m_s
     clearance = 0.3 if settings.clearance_m is None else settings.clearance_m
-    step = _rounded(STEP_SHARE * diagonal)
+    wanted = STEP_SHARE * diagonal
+    tens = 10.0 ** math.floor(math.log10(wanted))
+    steps = [digit * tens * scale for scale in (1.0, 10.0) for digit in ROUND_STEPS]
+    step = float(f"{min(steps, key=lambda each: abs(math.log(each / wanted))):.1g}")
     _require_free(workspace, places, clearance)
     weakest = min(float(each.measurements.power_dbm.min()) for each in stations)
     threshold = weakest + ABOVE_FLOOR_DB
@@ -650,13 +653,6 @@ def _tables(
                 else "placeholder: the readings do not determine it"
             )
     return tables, comments
-
-
-def _rounded(length_m: float) -> float:
-    """Return a length rounded to the leading digit 1, 2 or 5."""
-    tens = 10.0 ** math.floor(math.log10(length_m))
-    choices = [digit * tens * scale for scale in (1.0, 10.0) for digit in ROUND_STEPS]
-    return float(f"{min(choices, key=lambda each: abs(math.log(each / length_m))):.1g}")
 
 
 def _relative(path: Path, folder: Path) -> str:

@@ -71,20 +71,19 @@ def _adapter_of(terms: tuple[type[Term], ...]) -> TypeAdapter[Any]:
 
 @lru_cache(maxsize=4)
 def _tables_of(terms: tuple[type[Term], ...]) -> tuple[type[BaseModel], ...]:
-    return tuple(_table_of(term) for term in terms)
-
-
-def _table_of(term: type[Term]) -> type[BaseModel]:
-    try:
-        return table_of(term)
-    except (PydanticUserError, NameError, TypeError) as error:
-        if not is_own(term):
-            raise
-        raise InputError(
-            f"the fields of the term {class_name(term)} cannot be saved as keys: {error}",
-            key="objective.terms",
-            remedy="annotate each field as a number, text, or a tuple of these",
-        ) from error
+    found: list[type[BaseModel]] = []
+    for term in terms:
+        try:
+            found.append(table_of(term))
+        except (PydanticUserError, NameError, TypeError) as error:
+            if not is_own(term):
+                raise
+            raise InputError(
+                f"the fields of the term {class_name(term)} cannot be saved as keys: {error}",
+                key="objective.terms",
+                remedy="annotate each field as a number, text, or a tuple of these",
+            ) from error
+    return tuple(found)
 
 
 CostToGo = Literal["geodesic", "connected"]

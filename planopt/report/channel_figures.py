@@ -261,14 +261,13 @@ def _draw_covariance(
         counts[0].bar(lag, pairs, width=0.8 * extent / BINS, color=OBSTACLE_EDGE)
     lags = np.linspace(0.0, shown, LINE_POINTS)
     shadow, decorrelation = parameters.shadow_std_db**2, parameters.decorrelation_m
-    errors = {
-        name: _with_error(fit, name)
-        for name in ("shadow_std_db", "decorrelation_m", "multipath_std_db")
-    }
-    words = (
-        f"fit: std {errors['shadow_std_db']} dB, decorrelation {errors['decorrelation_m']} m",
-        f"with multipath, std {errors['multipath_std_db']} dB",
-    )
+    shown_values: list[str] = []
+    for name in ("shadow_std_db", "decorrelation_m", "multipath_std_db"):
+        value, error = getattr(parameters, name), fit.standard_errors.get(name, math.inf)
+        spread = f" ± {error:.2g}" if error < 100.0 else f" ± {error:.0f}"
+        shown_values.append(f"{value:.3g}{spread if math.isfinite(error) else ''}")
+    std, away, multipath = shown_values
+    words = f"fit: std {std} dB, decorrelation {away} m", f"with multipath, std {multipath} dB"
     look = {"color": PREDICTED, "linewidth": 2.0}
     panel.plot(lags, shadow * np.exp(-lags / decorrelation), label=words[0], **look)
     look = {"linestyle": "none", "marker": "D", "color": PREDICTED, "clip_on": False}
@@ -285,14 +284,6 @@ def _draw_covariance(
     for either in (panel, *counts):
         either.set_xlim(0.0, shown)
     legend_inside(panel, "upper right")
-
-
-def _with_error(fit: ChannelFit, name: str) -> str:
-    """Return an estimate as text, with its standard error if available."""
-    value, error = getattr(fit.parameters, name), fit.standard_errors.get(name, math.inf)
-    if not math.isfinite(error):
-        return f"{value:.3g}"
-    return f"{value:.3g} ± {error:.2g}" if error < 100.0 else f"{value:.3g} ± {error:.0f}"
 
 
 def draw_calibration(scores: Mapping[str, HeldOutScore]) -> Figure:

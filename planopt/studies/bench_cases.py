@@ -363,18 +363,21 @@ def read_manifest(folder: Path) -> Manifest:
 
 def read_rows(folder: Path) -> list[Row]:
     """Return all rows of a folder, sorted by case; rows with invalid numbers are skipped."""
-    rows = FinishedRuns(folder / ROWS).all(Row)
-    return sorted((row for row in rows if _is_possible(row)), key=lambda row: row.case)
-
-
-def _is_possible(row: Row) -> bool:
-    """Return whether every number of a row has a valid value."""
-    least_zero = (row.iterations, row.solve_s, row.wall_s, row.cpu_s, row.steps)
-    counts = all(count >= 0 for count in row.rungs.values())
-    known = (row.objective, row.kkt_residual, row.min_clearance_m, row.min_connectivity)
-    known += (row.bound, row.gap, row.late)
-    numbers = [*least_zero, *(value for value in known if value is not None)]
-    return counts and min(least_zero) >= 0 and all(map(math.isfinite, numbers))
+    found: list[Row] = []
+    for row in FinishedRuns(folder / ROWS).all(Row):
+        counts = (
+            row.iterations,
+            row.solve_s,
+            row.wall_s,
+            row.cpu_s,
+            row.steps,
+            *row.rungs.values(),
+        )
+        known = (row.objective, row.kkt_residual, row.min_clearance_m, row.min_connectivity)
+        numbers = [*counts, *(v for v in (*known, row.bound, row.gap, row.late) if v is not None)]
+        if min(counts) >= 0 and all(map(math.isfinite, numbers)):
+            found.append(row)
+    return sorted(found, key=lambda row: row.case)
 
 
 def rows_csv(rows: Sequence[Row]) -> str:

@@ -152,7 +152,15 @@ def _edges(closed: Mask) -> _Edges:
     """Return all outline edges of the connected components of closed cells."""
     # If two closed cells touch at a corner only, the outline continues along the other cell if both
     # belong to one component, else along its own cell. No outline thus touches itself.
-    labels = _components(closed)
+    ny, nx = closed.shape
+    # Open rows and columns between tiles separate components during labelling.
+    row, column = np.arange(ny, dtype=np.intp), np.arange(nx, dtype=np.intp)
+    row, column = row + row // TILE_CELLS, column + column // TILE_CELLS
+    apart = np.zeros((row[-1] + 1, column[-1] + 1), dtype=np.bool_)
+    apart[np.ix_(row, column)] = closed
+    labels = np.zeros(apart.shape, dtype=np.intp)  # From 1; 0 for open cells
+    ndimage.label(apart, output=labels)
+    labels = labels[np.ix_(row, column)]
     around = np.pad(labels, 1)
     columns = closed.shape[1] + 1
     sides: list[tuple[Indices, ...]] = []
@@ -198,24 +206,6 @@ def _found(key: Indices, by_key: Indices, wanted: Indices) -> Indices:
     """Return the index of each wanted key in `key`; -1 for a missing key."""
     at = by_key[np.minimum(np.searchsorted(key, wanted, sorter=by_key), key.size - 1)]
     return np.where(key[at] == wanted, at, -1)
-
-
-def _components(closed: Mask) -> Indices:
-    """Return the component label of each cell, from 1; 0 for open cells."""
-    ny, nx = closed.shape
-    # Open rows and columns between tiles separate components during labelling.
-    row, column = _spread(ny), _spread(nx)
-    apart = np.zeros((row[-1] + 1, column[-1] + 1), dtype=np.bool_)
-    apart[np.ix_(row, column)] = closed
-    labels = np.zeros(apart.shape, dtype=np.intp)
-    ndimage.label(apart, output=labels)
-    return labels[np.ix_(row, column)]
-
-
-def _spread(size: int) -> Indices:
-    """Return new indices of `size` rows or columns, with an empty one between tiles."""
-    line = np.arange(size, dtype=np.intp)
-    return line + line // TILE_CELLS
 
 
 def _polygons(closed: Mask, grid: OccupancyGrid) -> NDArray[np.object_]:

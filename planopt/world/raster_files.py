@@ -67,11 +67,19 @@ def write_netcdf(path: Path, rasters: Mapping[str, Raster], origin_deg: Origin |
             coordinate.axis = name.upper()
             coordinate.standard_name = f"projection_{name}_coordinate"
         # CF has no grid mapping for turned axes.
-        plane = None if origin_deg is None or turn_deg(origin_deg) else _cf_system(origin_deg)
-        if plane is not None:
-            system = file.createVariable("crs", "i", ())
-            for name, value in plane.items():
-                setattr(system, name, value)
+        plane = origin_deg is not None and not turn_deg(origin_deg)
+        if origin_deg is not None and plane:
+            system: Any = file.createVariable("crs", "i", ())
+            system.grid_mapping_name = "orthographic"
+            system.false_easting = system.false_northing = 0.0
+            system.semi_major_axis, system.inverse_flattening = EQUATOR_RADIUS_M, 1.0 / FLATTENING
+            system.latitude_of_projection_origin = origin_deg[0]
+            system.longitude_of_projection_origin = origin_deg[1]
+            with contextlib.suppress(ImportError):
+                from rasterio import CRS
+
+                crs = CRS.from_string(plane_of(origin_deg))
+                system.crs_wkt = crs.to_wkt(version="WKT2_2019")
         if origin_deg is not None:
             x, y = np.meshgrid(first.x_m, first.y_m)
             degrees = longitude_latitude_deg(np.stack([x.ravel(), y.ravel()], axis=1), origin_deg)
@@ -85,23 +93,8 @@ def write_netcdf(path: Path, rasters: Mapping[str, Raster], origin_deg: Origin |
             variable.units, variable.long_name = raster.unit, raster.quantity
             if origin_deg is not None:
                 variable.coordinates = " ".join(DEGREES)
-            if plane is not None:
+            if plane:
                 variable.grid_mapping = "crs"
-
-
-def _cf_system(origin_deg: Origin) -> dict[str, Any]:
-    """Return the CF grid mapping attributes for the tangent plane at an origin."""
-    names = ("latitude_of_projection_origin", "longitude_of_projection_origin")
-    found: dict[str, Any] = {
-        **{"grid_mapping_name": "orthographic", "false_easting": 0.0, "false_northing": 0.0},
-        **{"semi_major_axis": EQUATOR_RADIUS_M, "inverse_flattening": 1.0 / FLATTENING},
-        **dict(zip(names, origin_deg, strict=False)),
-    }
-    with contextlib.suppress(ImportError):
-        from rasterio import CRS
-
-        found["crs_wkt"] = CRS.from_string(plane_of(origin_deg)).to_wkt(version="WKT2_2019")
-    return found
 
 
 def read_netcdf(path: Path, variable: str, origin_deg: Origin | None = None) -> Raster:
@@ -437,11 +430,7 @@ def read_csv(path: Path, variable: str) -> Raster:
     numbers = array("d")
     for line, cells in rows:
         numbers.extend(_number(cells, at, line, header[at]) for at in where)
-    return _on_grid(np.array(numbers).reshape(-1, 3), variable)
-
-
-def _on_grid(table: Floats, variable: str) -> Raster:
-    """Return the raster of a table with a row (x, y, value) for each cell."""
+    table = np.array(numbers).reshape(-1, 3)
     if not np.isfinite(table[:, :2]).all():
         raise InputError(
             "a cell centre is NaN or infinite", remedy="remove rows without coordinates"

@@ -52,7 +52,6 @@ class Tilts(Design):
     """Certificate of a bound on a sum over N steps: the multipliers of branch and bound."""
 
     of_steps: Floats  # (t, N, 2) of the moves
-    of_p_min: Floats  # (t, N) of the chance constraint, at least 0
     levels: int  # Number of levels of cells
     value: float  # Proven bound, given the other robots' plans
     alone_levels: int

@@ -2,7 +2,8 @@
 """Multipliers for :mod:`planopt.bounds.tube` from the optimality conditions of a path.
 
 At a local optimum the gradient of stage k is ``m_k - m_{k+1}`` minus those of active chance and
-obstacle constraints (solved by least squares). Inaccurate multipliers only loosen the bound.
+obstacle constraints (solved by least squares). Inaccurate multipliers only loosen the bound. The
+tube uses those of the moves only, since its cells end at p_min (equation 9.18).
 """
 
 from collections.abc import Callable, Sequence
@@ -139,11 +140,9 @@ def slopes_of(before: Array, after: Array) -> Array:
     return found.reshape(len(found), -1)
 
 
-def tilts_near(
-    problem: StageProblem, paths_m: Sequence[Array], kinks_m: Array
-) -> list[tuple[Array, Array]]:
+def tilts_near(problem: StageProblem, paths_m: Sequence[Array], kinks_m: Array) -> list[Array]:
     """Return multipliers fitted to each path, with little weight at obstacles and at `kinks_m`."""
-    found: list[tuple[Array, Array]] = []
+    found: list[Array] = []
     for path in paths_m:
         is_free = np.ones(len(path), dtype=np.bool_)
         if len(kinks_m):
@@ -154,8 +153,8 @@ def tilts_near(
     return found
 
 
-def multipliers_of(problem: StageProblem, path_m: Array, is_free: Mask) -> tuple[Array, Array]:
-    """Return multipliers of the steps (N, 2) and of p_min (N,), from stages with `is_free`."""
+def multipliers_of(problem: StageProblem, path_m: Array, is_free: Mask) -> Array:
+    """Return multipliers of the steps (N, 2), from stages with `is_free`."""
     steps = problem.steps
     _, gradient, field = stage_rewards(problem, path_m)
     moves = np.diff(np.vstack([problem.start_m, path_m]), axis=0)
@@ -165,7 +164,7 @@ def multipliers_of(problem: StageProblem, path_m: Array, is_free: Mask) -> tuple
     fixed = np.where(moving[:, None], problem.per_metre * ahead, 0.0)
     weight = np.where(is_free, 1.0, LEFT_OUT)
     columns: list[Array] = []
-    kinds: list[tuple[int, Array | None]] = []
+    pushes: list[tuple[int, Array]] = []
 
     def add(stage: int, direction: Array) -> None:
         column = np.zeros((steps, 2))
@@ -173,7 +172,7 @@ def multipliers_of(problem: StageProblem, path_m: Array, is_free: Mask) -> tuple
         if stage:
             column[stage - 1] -= direction
         columns.append(column)
-        kinds.append((stage, direction))
+        pushes.append((stage, direction))
 
     for k in range(steps):
         if length[k] >= FULL_STEP * problem.step_m:
@@ -186,18 +185,15 @@ def multipliers_of(problem: StageProblem, path_m: Array, is_free: Mask) -> tuple
             column = np.zeros((steps, 2))
             column[k] = -field["chance"].slope[k]
             columns.append(column)
-            kinds.append((k, None))
+            pushes.append((k, np.zeros(2)))
     wanted = gradient - fixed + np.vstack([fixed[1:], np.zeros((1, 2))])
-    found, of_p_min = fixed.copy(), np.zeros(steps)
+    found = fixed.copy()
     if columns:
         matrix = (np.array(columns) * weight[:, None]).reshape(len(columns), -1).T
         amounts, _ = nnls(matrix, (wanted * weight[:, None]).ravel())
-        for (k, direction), amount in zip(kinds, amounts, strict=True):
-            if direction is None:
-                of_p_min[k] = amount
-            else:
-                found[k] += amount * direction
-    return found, of_p_min
+        for (k, direction), amount in zip(pushes, amounts, strict=True):
+            found[k] += amount * direction
+    return found
 
 
 def fitted_design(

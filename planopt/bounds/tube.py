@@ -172,7 +172,6 @@ def _shifted(size: int, by: int) -> slice:
 
 Array = Floats
 Cells = Indices  # (n, 2) indices of cells along x and y
-Tilt = tuple[Array, Array]  # Multipliers of the steps (N, 2) and of p_min (N,)
 
 FIRST_SHARE = 0.5  # Side of the cells of the first level, in lengths of the longest step
 MOST_LEVELS = 30  # Maximum number of levels of cells
@@ -260,7 +259,6 @@ class Level:
     problem: StageProblem
     side_m: float
     active: list[Cells]
-    fields: list[Field]  # Bounds of predicted quantities, for each stage
     rewards: list[UpperBounds]
     # For each stage, pairs (s, 2) of a cell and a surely connected position in it, and rewards (s,)
     sure: list[tuple[Cells, Array]]
@@ -285,7 +283,7 @@ class Level:
 def tube_bounds(
     problem: StageProblem,
     known: float,
-    tilts: Sequence[Tilt],
+    tilts: Sequence[Array],
     seconds: float,
     improved: Callable[[Array], float] | None = None,
 ) -> Iterator[TubeBound]:
@@ -301,6 +299,7 @@ def tube_bounds(
         level_begun = monotonic()
         level = evaluated(problem, side, active)
         through = through_bounds(level, [untilted(problem), *tilts[-MOST_TILTS:]])
+        took_s = monotonic() - level_begun
         if improved is not None and min(map(len, through)):
             known = improved(best_path(level, through))
             threshold = known + GAP * abs(known)
@@ -312,7 +311,7 @@ def tube_bounds(
         left = sum(map(len, active))
         # The next level takes time about proportional to its cells, or to their pairs.
         growth = max(1.0, left / max(cells, 1))
-        ahead = (monotonic() - level_begun) * growth ** (1 if problem.chain is None else 2)
+        ahead = took_s * growth ** (1 if problem.chain is None else 2)
         late = monotonic() - begun + ahead > seconds
         if highest <= threshold or left > MOST_CELLS or late:
             return
@@ -320,26 +319,32 @@ def tube_bounds(
 
 
 def best_path(level: Level, through: Sequence[Array]) -> Array:
-    """Return the path (N, 2) through the best cells: known connections, or centres of cells."""
-    found = np.empty((len(through), 2))
+    """Return the path (N, 2) through the best cells: known connections, or centres of cells.
+
+    Known connections are visited if they are within reach of the preceding one.
+    """
+    problem = level.problem
+    found, held = np.empty((len(through), 2)), (problem.start_m, -1)
     for stage, each in enumerate(through):
         cell, (pairs, values) = int(each.argmax()), level.sure[stage]
-        found[stage] = level.problem.start_m + level.offsets_m(stage)[cell]
-        inside = np.flatnonzero(pairs[:, 0] == cell)
+        found[stage] = problem.start_m + level.offsets_m(stage)[cell]
+        places = problem.sure_m[pairs[:, 1]]
+        near = np.hypot(*(places - held[0]).T) < (stage - held[1]) * problem.step_m
+        inside = np.flatnonzero(near & (pairs[:, 0] == cell))
         if len(inside):
-            found[stage] = level.problem.sure_m[pairs[inside[values[inside].argmax()], 1]]
+            found[stage] = places[inside[values[inside].argmax()]]
+            held = found[stage], stage
     return found
 
 
 def proves(problem: StageProblem, tilts: Tilts) -> bool:
     """Return whether the stored multipliers prove the value of a certificate."""
-    of_steps, of_p_min, steps = tilts.of_steps, tilts.of_p_min, problem.steps
-    if of_steps.shape[1:] != (steps, 2) or of_p_min.shape != of_steps.shape[:2]:
+    if tilts.of_steps.shape[1:] != (problem.steps, 2):
         return False
-    if not all((np.abs(each) < LARGEST).all() for each in (of_steps, of_p_min, tilts.value)):
+    if not all((np.abs(each) < LARGEST).all() for each in (tilts.of_steps, tilts.value)):
         return False
     limit = tilts.value - 0.5 * MARGIN * abs(tilts.value)
-    every = [untilted(problem), *zip(of_steps, of_p_min, strict=True)]
+    every = [untilted(problem), *tilts.of_steps]
     side, active = FIRST_SHARE * problem.step_m, first_cells(problem)
     for _ in range(min(tilts.levels, MOST_LEVELS)):
         level = evaluated(problem, side, active)
@@ -352,9 +357,9 @@ def proves(problem: StageProblem, tilts: Tilts) -> bool:
     return False
 
 
-def untilted(problem: StageProblem) -> Tilt:
-    """Return zero multipliers for all steps of a problem."""
-    return np.zeros((problem.steps, 2)), np.zeros(problem.steps)
+def untilted(problem: StageProblem) -> Array:
+    """Return zero multipliers (N, 2) for all steps of a problem."""
+    return np.zeros((problem.steps, 2))
 
 
 def kept_cells(level: Level, through: Sequence[Array], limit: float) -> list[Cells]:
@@ -419,7 +424,7 @@ def evaluated(
     inset = 1.02 * (np.sqrt(0.5) * side + problem.sag_m)
     core = shapely.MultiPolygon(problem.blocked).buffer(-inset)
     shapely.prepare(core)
-    level = Level(problem, side, [], [], [], [], core, [], size)
+    level = Level(problem, side, [], [], [], core, [], size)
     field = level.field(cells)
     centres = field.discs.centre_m
     ends = np.cumsum([len(each) for each in active])[:-1]
@@ -436,8 +441,7 @@ def evaluated(
             own, rows = own[kept], rows[kept]
             connected = [(number[owner[kept[owner]]], corners[kept[owner]])]
         level.active.append(own)
-        level.fields.append(field.at(rows))
-        level.rewards.append(problem.reward(stage, level.fields[-1]))
+        level.rewards.append(problem.reward(stage, field.at(rows)))
         level.sure.append((pairs, values))
         blocked = cut_corners(problem.areas(stage), centres[rows], side)
         level.cut.append([blocked, *connected])
@@ -508,14 +512,14 @@ def sure_rewards(
     return pairs, problem.reward(stage, Field(Discs(held, problem.sure_radius_m), makers)).most
 
 
-def through_bounds(level: Level, tilts: Sequence[Tilt]) -> list[Array]:
+def through_bounds(level: Level, tilts: Sequence[Array]) -> list[Array]:
     """Return, for each stage, upper bounds on the value of paths through each active cell."""
     best = [np.full(len(each), np.inf) for each in level.active]
     if level.problem.chain is not None:
         return paired_bounds(level, level.problem.chain)
     steps = [Step.between(level, k) for k in range(1, len(best))]
-    for of_steps, of_p_min in tilts:
-        own = [tilted(level, k, of_steps, of_p_min) for k in range(len(best))]
+    for of_steps in tilts:
+        own = [tilted(level, k, of_steps) for k in range(len(best))]
         moves = [step.moves(level, of_steps[k]) for k, step in enumerate(steps, 1)]
         forward = [own[0] + first_moves(level, of_steps[0])]
         for k, (step, move) in enumerate(zip(steps, moves, strict=True), 1):
@@ -534,9 +538,9 @@ def through_bounds(level: Level, tilts: Sequence[Tilt]) -> list[Array]:
 
 def paired_bounds(level: Level, chain: Chain) -> list[Array]:
     """Return :func:`through_bounds` without multipliers, with losses between successive stages."""
-    problem, (of_steps, of_p_min) = level.problem, untilted(level.problem)
+    problem, of_steps = level.problem, untilted(level.problem)
     steps = PairedSteps.over(level, chain)
-    own = [tilted(level, k, of_steps, of_p_min) for k in range(problem.steps)]
+    own = [tilted(level, k, of_steps) for k in range(problem.steps)]
     forward = [own[0] + first_moves(level, of_steps[0])]
     for k in range(1, problem.steps):
         forward.append(own[k] + steps.best(k, forward[-1], ahead=True))
@@ -549,18 +553,11 @@ def paired_bounds(level: Level, chain: Chain) -> list[Array]:
     return [np.nan_to_num(each, nan=np.inf, posinf=np.inf, neginf=-np.inf) for each in best]
 
 
-def tilted(level: Level, stage: int, of_steps: Array, of_p_min: Array) -> Array:
+def tilted(level: Level, stage: int, of_steps: Array) -> Array:
     """Return bounds (n,) of a stage's reward minus the tilt, over each active cell."""
     reward, half = level.rewards[stage], 0.5 * level.side_m
     (pairs, certain), problem = level.sure[stage], level.problem
     tilt = of_steps[stage] - (of_steps[stage + 1] if stage + 1 < problem.steps else 0.0)
-    if of_p_min[stage] > 0.0 and problem.p_min is not None:
-        chance = level.fields[stage]["chance"]
-        reward = reward.plus(chance.scaled(float(of_p_min[stage])))
-        price = of_p_min[stage] * problem.p_min[stage]
-        certain = certain + of_p_min[stage]
-    else:
-        price = 0.0
     slope, centres = reward.slope - tilt, level.offsets_m(stage)
     # A cell that crosses the border of the workspace ends there.
     low, high = np.reshape(problem.bounds_m, (2, 2)) - problem.start_m
@@ -582,7 +579,7 @@ def tilted(level: Level, stage: int, of_steps: Array, of_p_min: Array) -> Array:
         offset = problem.sure_m[pairs[:, 1]] - problem.start_m
         spread = problem.sure_radius_m * float(np.abs(tilt).sum())
         np.maximum.at(found, pairs[:, 0], certain - offset @ tilt + spread)
-    return found - price
+    return found
 
 
 def first_moves(level: Level, multiplier: Array) -> Array:

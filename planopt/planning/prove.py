@@ -185,9 +185,8 @@ def with_sum_bound(
     free = best
     if alone_s:
         *_, free = tube_bounds(alone, plan.objective, tilts, alone_s)
-    of_steps, of_p_min = (np.array(each) for each in zip(*tilts, strict=True))
     of_both = (best.levels, best.value), (free.levels, free.value)
-    tilted = Tilts(of_steps, of_p_min, *of_both[0], *of_both[1], **vars(design))
+    tilted = Tilts(np.array(tilts), *of_both[0], *of_both[1], **vars(design))
     bound = bound_of_sum(problem, at, plan, moving, tilted)
     return replace(plan, bound=replace(bound, wall_s=monotonic() - begun))
 

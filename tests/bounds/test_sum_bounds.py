@@ -36,9 +36,9 @@ from planopt.robots.dynamics import rolled_out
 from planopt.targets.information_filter import Sensor, sensing_information
 
 
-def certificate(of_steps: np.ndarray, of_p_min: np.ndarray, levels: int, value: float) -> Tilts:
+def certificate(of_steps: np.ndarray, levels: int, value: float) -> Tilts:
     """A certificate of a robot without others."""
-    return Tilts(of_steps, of_p_min, levels, value, levels, value)
+    return Tilts(of_steps, levels, value, levels, value)
 
 
 def tightest(
@@ -56,8 +56,7 @@ def tightest(
     tilts = tilts_near(problem, [path, local_optimum(problem, path)], kinks)
     value = float(values_of(context, path[None])[0]) if known is None else known
     *_, last = tube_bounds(problem, value, tilts, seconds)
-    both = [np.array(each) for each in zip(*tilts, strict=True)]
-    return last, certificate(*both, last.levels, last.value)
+    return last, certificate(np.array(tilts), last.levels, last.value)
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -69,7 +68,7 @@ def test_no_cell_hides_a_better_path(seed: int) -> None:
     values, side = values_of(context, paths), FIRST_SHARE * problem.step_m
     level = evaluated(problem, side, first_cells(problem))
     size = float(generator.choice([0.0, 0.1, 1.0, 10.0]))
-    tilt = size * generator.normal(size=(4, 2)), np.zeros(4)
+    tilt = size * generator.normal(size=(4, 2))
     through, compared = through_bounds(level, [tilt]), 0
     for k in range(4):
         rows = {tuple(cell): row for row, cell in enumerate(level.active[k].tolist())}
@@ -91,7 +90,7 @@ def test_no_clear_path_is_excluded(seed: int) -> None:
     side, active = FIRST_SHARE * problem.step_m, first_cells(problem)
     for _ in range(4):
         level = evaluated(problem, side, active)
-        through = through_bounds(level, [(np.zeros((4, 2)), np.zeros(4))])
+        through = through_bounds(level, [np.zeros((4, 2))])
         visited = np.floor((paths - problem.start_m) / side).astype(int)
         rows = [
             {tuple(cell): row for row, cell in enumerate(cells.tolist())} for cells in level.active
@@ -269,15 +268,12 @@ def test_wrong_multipliers_only_loosen() -> None:
         values = values_of(context, paths)
         last, tilts = tightest(problem, context, paths[values.argmax()], 0.4)
         assert proves(problem, tilts)
-        assert not proves(
-            problem, certificate(tilts.of_steps[:, :2], tilts.of_p_min[:, :2], 3, last.value)
-        )
+        assert not proves(problem, certificate(tilts.of_steps[:, :2], 3, last.value))
         for scale in (1e-3, 0.1, 10.0, np.nan):
             steps = tilts.of_steps + scale * generator.normal(size=tilts.of_steps.shape)
-            p_min = scale * generator.normal(size=tilts.of_p_min.shape)
             for share in (0.9, 1.0, 1.5):
                 value = values.max() + (share - 1.0) * abs(values.max())
-                if proves(problem, certificate(steps, p_min, 3, value)):
+                if proves(problem, certificate(steps, 3, value)):
                     assert value >= values.max()
                     proven += 1
                 compared += 1

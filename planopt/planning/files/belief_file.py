@@ -245,7 +245,6 @@ KINDS: dict[type[Any], dict[str, tuple[str, tuple[int | None, ...]]]] = {
     Tilts: {
         **DESIGN,
         "of_steps": ("f", (None, None, 2)),
-        "of_p_min": ("f", (None, None)),
         "levels": ("iu", ()),
         "value": ("f", ()),
         "alone_levels": ("iu", ()),

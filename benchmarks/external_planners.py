@@ -221,7 +221,7 @@ def main() -> None:
     if "do_mpc" in asked.planners:
         from do_mpc_planner import DoMpcPlanner
 
-        register_planner(PlannerKind("do_mpc", DoMpcPlanner, solves=True))
+        register_planner(PlannerKind("do_mpc", DoMpcPlanner))
     seeds = asked.first_seed, asked.seeds
     return tasks(asked.problems, asked.planners, asked.metric, *seeds, asked.horizon)
 

@@ -15,10 +15,10 @@ from pathlib import Path
 BUDGET = {
     "lines": 70_917,
     "lines of code": 52_341,
-    "files": 247,
+    "files": 248,
     "functions": 3_809,
     "docstring lines": 7_567,
-    "lines of tests": 47_500,
+    "lines of tests": 47_600,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

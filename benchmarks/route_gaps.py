@@ -14,7 +14,8 @@ from time import process_time
 import numpy as np
 
 import planopt
-from planopt.bounds import route
+from planopt.bounds import fixed_steps, route
+from planopt.planning import prove
 from planopt.planning.proof.bounds import metre_cost_of
 from planopt.problems.problem import integrated_cost_m, rate_s_m, steps_cost_s
 from planopt.world.clearance import clearance_m, index_obstacles
@@ -51,7 +52,7 @@ def main() -> None:
     parser.add_argument("--plan-only", action="store_true")
     arguments = parser.parse_args()
     if arguments.cpu:
-        route.monotonic = process_time
+        route.monotonic = fixed_steps.monotonic = prove.monotonic = process_time
     print("| problem | bound, s | objective, % | plan and route, % | driven run, % | outcome |")
     print("|---|---|---|---|---|---|")
     for name in arguments.problems:

@@ -128,7 +128,8 @@ def route_bounds(problem: RouteProblem, seconds: float) -> Iterator[RouteBound]:
         at_goal = _touches_goal(problem, mesh.nodes_m, inner)
         limit_s = max(left, FIRST_SOLVE_S if best.potential is None else 0.1)
         potential, flow = _best_potential(mesh.nodes_m, corners, is_open, cost, at_goal, limit_s)
-        value = _certified_value(potential, is_open, cost, at_goal)
+        potential = _scaled(potential, is_open, cost, at_goal)
+        value = proven_value(potential)
         covered = covers_bounds(mesh.nodes_m, corners, problem.bounds_m)
         elapsed = monotonic() - begun
         if covered and value > best.value_m:
@@ -160,8 +161,13 @@ def _refined(corners: Indices, gain: Array, loose: Array, count: int, nodes: int
     return np.concatenate([strong, others[: max(0, count - len(strong))]])
 
 
-def verified_value(problem: RouteProblem, potential: Potential) -> float:
-    """Return the bound in metres that a potential proves, without a solver; 0 without proof."""
+def proven_value(potential: Potential | None) -> float:
+    """Return the bound in metres that a valid potential proves; 0 without one."""
+    return 0.0 if potential is None else float(potential.at_nodes[0]) * (1.0 - ROUNDING)
+
+
+def valid_potential(problem: RouteProblem, potential: Potential) -> Potential | None:
+    """Return a saved potential, scaled until it satisfies (6.14); None if it is unusable."""
     nodes_m, corners = potential.nodes_m, potential.corners
     arrays = (nodes_m, potential.at_nodes, potential.at_sides)
     is_whole = (
@@ -176,12 +182,12 @@ def verified_value(problem: RouteProblem, potential: Potential) -> float:
     )
     blocked = blocked_areas(problem)
     if not is_whole or not blocked.reaches_goal:
-        return 0.0
+        return None
     is_open = blocked.is_open(nodes_m, corners)
     powers = [PowerEnclosure(posterior) for posterior in problem.posteriors]
     cost, _ = metre_costs(problem, powers, nodes_m[corners[is_open]])
     at_goal = _touches_goal(problem, nodes_m, corners[is_open])
-    return _certified_value(potential, is_open, cost, at_goal)
+    return _scaled(potential, is_open, cost, at_goal)
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,7 +311,7 @@ def _best_potential(
 
     # The module has no type information.
     solvers: Any = clarabel
-    unknown, slope_x, slope_y = _slopes(nodes_m, corners)
+    unknown, slope_x, slope_y = slopes_of(nodes_m, corners)
     sides = int(unknown.max()) + 1 - len(nodes_m)
     unknown, slope_x, slope_y = unknown[is_open], slope_x[is_open], slope_y[is_open]
     free = np.setdiff1d(unknown, unknown[at_goal])
@@ -341,9 +347,9 @@ def _best_potential(
     return Potential(nodes_m, corners, at_nodes, at_sides), flow
 
 
-def _certified_value(potential: Potential, is_open: Mask, cost: Array, at_goal: Mask) -> float:
-    """Return the bound that a potential proves for corner costs (t, 3); 0 without proof."""
-    unknown, *slopes = _slopes(potential.nodes_m, potential.corners)
+def _scaled(potential: Potential, is_open: Mask, cost: Array, at_goal: Mask) -> Potential:
+    """Return a potential shifted and scaled until it satisfies (6.14); zero if that fails."""
+    unknown, *slopes = slopes_of(potential.nodes_m, potential.corners)
     values = np.concatenate([potential.at_nodes, potential.at_sides])[unknown[is_open]]
     with np.errstate(all="ignore"):
         parts = [
@@ -356,11 +362,13 @@ def _certified_value(potential: Potential, is_open: Mask, cost: Array, at_goal: 
     ends = values[at_goal][:, [[1, 2], [0, 2], [0, 1]]].sum(axis=2)
     sides = 2.0 * values[at_goal][:, 3:] - 0.5 * ends
     top = float(np.maximum(values[at_goal][:, :3].max(), sides.max()))
-    value = (float(potential.at_nodes[0]) - top) / max(1.0, worst) * (1.0 - ROUNDING)
-    return value if np.isfinite(value) and np.isfinite(worst) else 0.0
+    usable = np.isfinite(top) and np.isfinite(worst)
+    shift, factor = (top, 1.0 / max(1.0, worst)) if usable else (0.0, 0.0)
+    both = [(each - shift) * factor for each in (potential.at_nodes, potential.at_sides)]
+    return replace(potential, at_nodes=both[0], at_sides=both[1])
 
 
-def _slopes(nodes_m: Array, corners: Indices) -> tuple[Indices, Array, Array]:
+def slopes_of(nodes_m: Array, corners: Indices) -> tuple[Indices, Array, Array]:
     """Return indices (t, 6) of corner and mid-side values, and slopes (t, 3, 6) along x and y."""
     a, b, c = (nodes_m[corners[:, i]] for i in range(3))
     double = doubled_areas(nodes_m, corners)

@@ -1,6 +1,7 @@
 """Proven bounds on every plan's objective, and the better plans that the bounds suggest.
 
-For a goal, :mod:`planopt.bounds.route` supplies the bound and the routes of its mesh. The bound is
+For a goal, :mod:`planopt.bounds.route` supplies the bound and the routes of its mesh, and
+:mod:`planopt.bounds.fixed_steps` raises it for steps that cannot follow corners. The bound is
 compared with the time and effort of the plan's steps, the cost rate of the route (equation 4.16),
 and the outage integrated along both (equation 6.13). For sums over steps,
 :mod:`planopt.bounds.tube` supplies it.
@@ -14,6 +15,7 @@ import numpy as np
 
 from planopt.arrays import Floats
 from planopt.bounds.bound import Bound, Design, Tilts
+from planopt.bounds.fixed_steps import stepped_bounds, stepped_problem
 from planopt.bounds.multipliers import fitted_design, local_optimum, tilts_near
 from planopt.bounds.one_step import best_place
 from planopt.bounds.reach import route_problem, why_unbounded
@@ -23,7 +25,13 @@ from planopt.channel.posterior import Belief
 from planopt.planning.candidates import Scorer
 from planopt.planning.horizon_planner import FallbackCascade
 from planopt.planning.plan import Plan, Rung, Termination, Verdict
-from planopt.planning.proof.bounds import bound_of, bound_of_sum, connected_steps, stages_of
+from planopt.planning.proof.bounds import (
+    bound_of,
+    bound_of_sum,
+    connected_steps,
+    integrated_cost_s,
+    stages_of,
+)
 from planopt.planning.proof.rule import verifier_context
 from planopt.planning.refinement import Refinement
 from planopt.planning.reservations import (
@@ -44,10 +52,13 @@ from planopt.planning.values.context import (
     workspace_region,
 )
 from planopt.planning.values.objective_value import ObjectiveValue
-from planopt.problems.problem import Problem, problem_of_robot
+from planopt.problems.problem import Problem, problem_of_robot, rate_s_m
 from planopt.world.clearance import index_obstacles
 from planopt.world.motion import MovingDiscs
 
+STEPS_SHARE, STEPS_S = 0.35, 4.0
+"""Share of the time for steps of fixed duration; time from which on they are considered."""
+LIMIT_SHARE = 0.6  # Share of a gap that these steps may close
 LEAST_SHARE = 0.3  # Minimum share of the time that is reserved for the bound
 DESIGN_SHARE = 0.3  # Share of the time for the design of a bound on information
 ALONE_SHARE = 0.2  # Share of the time for the bound that holds whatever the other robots do
@@ -76,15 +87,26 @@ def proven_plans(
                 replace(plan, bound=Bound(None, problem.sense, plan.objective, reason=reason))
             )
             continue
-        smoothing = RouteSmoothing(own, belief.posteriors, len(plans) == 1)
-        bounds = route_bounds(route_problem(own, belief.posteriors), share)
+        begun, smoothing = monotonic(), RouteSmoothing(own, belief.posteriors, len(plans) == 1)
+        stepped = stepped_problem(own, belief.posteriors) if share >= STEPS_S else None
+        route_s = share if stepped is None else (1.0 - STEPS_SHARE) * share
+        bounds = route_bounds(route_problem(own, belief.posteriors), route_s)
         best = next(bounds)
         # Bounds never get worse.
         for best in bounds:
             if best.corridor is not None:
                 plan = smoothing.improved(plan, best.corridor)
-        bound = bound_of(own, belief.posteriors, plan, best.value_m, best.potential, len(plans))
-        found.append(replace(plan, bound=replace(bound, wall_s=best.seconds)))
+        value_m, potential = best.value_m, best.potential
+        if stepped is not None and potential is not None:
+            cost_m = integrated_cost_s(own, belief.posteriors, plan) / rate_s_m(own)
+            limit_m = value_m + LIMIT_SHARE * (cost_m - value_m)
+            left = share - (monotonic() - begun)
+            for higher_m, levels in stepped_bounds(stepped, potential, limit_m, left):
+                if higher_m > value_m:
+                    value_m = higher_m
+                    potential = replace(potential, step_levels=levels, step_limit_m=limit_m)
+        bound = bound_of(own, belief.posteriors, plan, value_m, potential, len(plans))
+        found.append(replace(plan, bound=replace(bound, wall_s=monotonic() - begun)))
     return tuple(found)
 
 

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
+from scipy.optimize import minimize
 
 from planopt.arrays import Floats, Indices, Mask
 from planopt.bounds.mesh import Corridor
@@ -28,7 +29,13 @@ from planopt.planning.scene import stops_along
 from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
 from planopt.planning.values.objective_value import ReachCost
 from planopt.problems.problem import Problem, integrated_cost_m, rate_s_m, step_cost_s
-from planopt.world.clearance import ObstacleIndex, index_obstacles, inside_bounds, segments_clear
+from planopt.world.clearance import (
+    ObstacleIndex,
+    index_obstacles,
+    inside_bounds,
+    segment_clearance_m,
+    segments_clear,
+)
 
 MetreCost = Callable[[Floats], Floats]
 """Function that maps positions (n, 2) to the cost per metre there as an array (n,)."""
@@ -255,6 +262,8 @@ def smooth_steps(
     return places
 
 
+POLISHES, POLISH_M = 80, 1e-6
+"""Maximum number of iterations of the local search; its margin from limits, in metres."""
 STEP_PARTS = 8  # Number of stops on a route within the longest step
 ASIDE = np.array([-0.42, -0.25, -0.12, -0.04, 0.0, 0.04, 0.12, 0.25, 0.42])
 """Distances of positions from the route, in longest steps."""
@@ -358,6 +367,7 @@ class RouteSmoothing:
 
         ahead = self._thinned(np.vstack([steps[-1:], rest]))
         places = smooth_steps(leg_value, np.vstack([steps, rest[ahead]]), self._longest_m)
+        places = self._polished(leg_value, places)
         positions = places[: horizon + 1]
         whole = np.vstack([places[horizon:], rest[ahead[-1] + 1 :]])
         context = verifier_context(
@@ -383,15 +393,49 @@ class RouteSmoothing:
         )
         return self.with_route(found, whole)
 
-    def _legs_s(self, starts_m: Floats, ends_m: Floats, is_step: Mask | bool) -> Floats:
-        """Return the costs (n,) of steps or route legs; infinite for a leg that is not allowed."""
+    def _polished(self, leg_value: Callable[[Floats, Floats], Floats], places_m: Floats) -> Floats:
+        """Return positions (k + 1, 2) of steps and route after a local search; the ends stay."""
+        # Coordinate moves get stuck where several steps have full length.
+        horizon = self._problem.planner.horizon
+        longest_m, clearance_m = self._longest_m - POLISH_M, self._clearance_m + POLISH_M
+
+        def path(inner: Floats) -> Floats:
+            return np.vstack([places_m[:1], inner.reshape(-1, 2), places_m[-1:]])
+
+        def cost(inner: Floats) -> float:
+            places = path(inner)
+            return float(
+                self._costs_s(places[:-1], places[1:], np.arange(len(places) - 1) < horizon).sum()
+            )
+
+        def room(inner: Floats) -> Floats:
+            places = path(inner)
+            lengths = np.linalg.norm(np.diff(places[: horizon + 1], axis=0), axis=1)
+            away = segment_clearance_m(self._index, places[:-1], places[1:])
+            return np.concatenate([longest_m - lengths, np.minimum(away, 1e3) - clearance_m])
+
+        limits: Any = {"type": "ineq", "fun": room}
+        options: Any = {"maxiter": POLISHES, "ftol": 1e-7}
+        start = places_m[1:-1].ravel()
+        found: Any = minimize(cost, start, method="SLSQP", constraints=limits, options=options)
+        polished = path(found.x)
+        values = [
+            float(leg_value(each[None, :-1], each[None, 1:]).sum()) for each in (places_m, polished)
+        ]
+        return polished if values[1] < values[0] else places_m
+
+    def _costs_s(self, starts_m: Floats, ends_m: Floats, is_step: Mask | bool) -> Floats:
+        """Return the costs (n,) of steps or route legs."""
         planner, rate = self._problem.planner, rate_s_m(self._problem)
         lengths = np.linalg.norm(ends_m - starts_m, axis=1)
         weight = self._problem.reach.effort_weight_s2_m2
-        cost = rate * self._raster.legs_m(starts_m, ends_m)
-        cost += np.where(
-            is_step, step_cost_s(lengths, planner.step_s, weight) - rate * lengths, 0.0
-        )
+        own = step_cost_s(lengths, planner.step_s, weight) - rate * lengths
+        return rate * self._raster.legs_m(starts_m, ends_m) + np.where(is_step, own, 0.0)
+
+    def _legs_s(self, starts_m: Floats, ends_m: Floats, is_step: Mask | bool) -> Floats:
+        """Return the costs (n,) of steps or route legs; infinite for a leg that is not allowed."""
+        cost = self._costs_s(starts_m, ends_m, is_step)
+        lengths = np.linalg.norm(ends_m - starts_m, axis=1)
         allowed = ~np.asarray(is_step) | (lengths <= self._longest_m)
         allowed &= inside_bounds(self._problem.workspace, ends_m)
         allowed[allowed] = segments_clear(

@@ -233,6 +233,10 @@ DESIGN: dict[str, tuple[str, tuple[int | None, ...]]] = {
     "weights": ("f", (None, 2)),
     "path_loss": ("f", (2, 2)),
 }
+STEPPED: dict[str, tuple[str, tuple[int | None, ...]]] = {
+    "step_levels": ("iu", ()),
+    "step_limit_m": ("f", ()),
+}
 """Arrays that results of version 1.0 do not have."""
 
 KINDS: dict[type[Any], dict[str, tuple[str, tuple[int | None, ...]]]] = {
@@ -241,6 +245,7 @@ KINDS: dict[type[Any], dict[str, tuple[str, tuple[int | None, ...]]]] = {
         "corners": ("iu", (None, 3)),
         "at_nodes": ("f", (None,)),
         "at_sides": ("f", (None,)),
+        **STEPPED,
     },
     Tilts: {
         **DESIGN,
@@ -282,7 +287,7 @@ def _certificate(path: Path, arrays: Arrays, number: int) -> Potential | Tilts |
             # Earlier files have only bounds without the other robots.
             if key not in arrays:
                 key = f"{number}_{name.removeprefix('alone_')}"
-            if key not in arrays and name in DESIGN:
+            if key not in arrays and name in {**DESIGN, **STEPPED}:
                 continue
             if key not in arrays:
                 raise InputError("the array is missing", file=path, key=key, remedy=REMEDY)
@@ -290,8 +295,7 @@ def _certificate(path: Path, arrays: Arrays, number: int) -> Potential | Tilts |
                 path, key, arrays[key], kind if arrays[key].size or name in DESIGN else "", sizes
             )
             found[name] = arrays[key].astype(np.float64 if kind == "f" else np.intp)
-        if made is Tilts:
-            for name in ("levels", "value", "alone_levels", "alone_value"):
-                found[name] = found[name].item()
+        for name, array in found.items():
+            found[name] = array if array.ndim else array.item()
         return made(**found)
     return None

@@ -10,8 +10,9 @@ import numpy as np
 
 from planopt.arrays import Floats, Mask
 from planopt.bounds.bound import Bound, Design, Potential, Tilts
+from planopt.bounds.fixed_steps import stepped_problem, stepped_value
 from planopt.bounds.reach import relaxed_constraints, route_problem, why_unbounded
-from planopt.bounds.route import route_bounds, verified_value
+from planopt.bounds.route import proven_value, route_bounds, valid_potential
 from planopt.bounds.stages import ignored_constraints, is_design, stage_problem, summed_terms
 from planopt.bounds.tube import StageProblem, proves
 from planopt.channel.posterior import ChannelPosterior
@@ -41,6 +42,8 @@ def bound_of(
     """Return the bound on the first robot's objective for a bound `value_m` on its route cost."""
     triangles = 0 if potential is None else len(potential.corners)
     method = f"potential on a mesh of {triangles} triangles" if triangles else "distance to goal"
+    if potential is not None and potential.step_levels:
+        method += f", levels of cells around the first steps: {potential.step_levels}"
     return Bound(
         rate_s_m(problem) * value_m,
         problem.sense,
@@ -67,7 +70,10 @@ def verified_bound(
     if potential is None:
         value_m = next(iter(route_bounds(route, 0.0))).value_m
     else:
-        value_m = verified_value(route, potential)
+        valid = valid_potential(route, potential)
+        value_m, stepped = proven_value(valid), stepped_problem(problem, posteriors)
+        if valid is not None and stepped is not None and valid.step_levels > 0:
+            value_m = max(value_m, stepped_value(stepped, valid))
     return bound_of(problem, posteriors, plan, value_m, potential, robots)
 
 

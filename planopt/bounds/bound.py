@@ -45,19 +45,36 @@ class Design:
     places_m: Floats = field(default_factory=lambda: np.zeros((0, 2)))
     # (n, 2) measurements per place: in the reference, and in what is assumed to be known
     weights: Floats = field(default_factory=lambda: np.zeros((0, 2)))
-    # (2, 2) assumed information on the path loss
+    # (2, 2) assumed information on the path loss, below each other for several parts
     path_loss: Floats = field(default_factory=lambda: np.zeros((2, 2)))
 
 
 @dataclass(frozen=True, eq=False)
 class Tilts(Design):
-    """Certificate of a bound on a sum over N steps: the multipliers of branch and bound."""
+    """Certificate of a bound on a sum over N steps: the multipliers of branch and bound.
+
+    Each part of the paths has a design of its own, whose arrays follow each other.
+    """
 
     of_steps: Floats  # (t, N, 2) of the moves
     levels: int  # Number of levels of cells
     value: float  # Proven bound, given the other robots' plans
     alone_levels: int
     alone_value: float  # Proven bound without the other robots
+    owner: Indices = field(default_factory=lambda: np.zeros(0, dtype=np.intp), kw_only=True)
+    # (c, 4) part that is cut, stage (from 0), axis and coordinate; the upper half is appended
+    cuts: Floats = field(default_factory=lambda: np.zeros((0, 4)), kw_only=True)
+
+    def designs(self) -> list[Design]:
+        """Return the design of each part of the paths."""
+        return [
+            Design(
+                places_m=self.places_m[self.owner == part],
+                weights=self.weights[self.owner == part],
+                path_loss=self.path_loss[2 * part : 2 * part + 2],
+            )
+            for part in range(len(self.cuts) + 1)
+        ]
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,10 @@ obstacle constraints (solved by least squares). Inaccurate multipliers only loos
 tube uses those of the moves only, since its cells end at p_min (equation 9.18).
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import product
 from time import monotonic
 from typing import Any
@@ -25,6 +28,7 @@ from planopt.bounds.tube import (
     divided,
     evaluated,
     first_cells,
+    halved,
     through_bounds,
     untilted,
 )
@@ -43,9 +47,9 @@ APART_M = 5e-4
 AT_KINK_M = 0.02  # Distance from a measurement's position at which the gradient is not determined
 AT_P_MIN = 0.02  # Surplus of the probability of connection up to which p_min may count as active
 
-COARSE_LEVELS, MOST_ROUNDS, ROUNDS_PER_TRIAL = 2, 25, 2
-"""Levels of cells, rounds on each, and rounds between other shares, of the search for a design."""
-LEAST_SECONDS = 8.0  # Time below which the search uses coarse cells only
+MOST_ROUNDS, ROUNDS_OF_PART, ROUNDS_PER_TRIAL = 25, 8, 4
+FIRST_PART = 0.2
+"""Rounds of the search for a design of all paths, of a part of them, and between other shares."""
 FIRST_SHARES = 0.01, 0.5
 """First assumed information, in units of the reference's: of the map, and of the path loss."""
 
@@ -196,60 +200,120 @@ def multipliers_of(problem: StageProblem, path_m: Array, is_free: Mask) -> Array
     return found
 
 
-def fitted_design(
-    problem_of: Callable[[Design], StageProblem], measured: Measured, path_m: Array, seconds: float
-) -> Design:
-    """Return the design with the least bound that a search on the centres of cells finds.
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Paths within limits, and a mixture of such paths whose measurements are the reference."""
 
-    The search begins at measurements along a path (N, 2). Each round moves the weights towards the
-    positions at which the bound is attained; some rounds try more and less assumed information.
+    limits_m: Array  # (N, 4) of the positions, as in `StageProblem`
+    paths_m: Array  # (p, N, 2)
+    weight: Array  # (p,)
+    share: Array  # (3,) reference, assumed measurements and path loss, relative to the mixture
+    design: Design = field(default_factory=Design)
+    value: float = -np.inf  # Bound on a lattice
+
+    def halves(self) -> tuple[Sequence[Part], Array]:
+        """Return two parts cut where the mixture's positions vary most, and step, axis and cut."""
+        mean = np.average(self.paths_m, axis=0, weights=self.weight)
+        spread = np.average((self.paths_m - mean) ** 2, axis=0, weights=self.weight)
+        step, axis = divmod(int(spread.argmax()), 2)
+        at_m = mean[step, axis]
+        is_low = self.paths_m[:, step, axis] <= at_m
+        both = zip(halved(self.limits_m, step, axis, at_m), (is_low, ~is_low), strict=True)
+        parts = [
+            replace(self, limits_m=limits, paths_m=self.paths_m[kept], weight=self.weight[kept])
+            for limits, kept in both
+            if kept.any()
+        ]
+        return parts, np.array([step, axis, at_m])
+
+
+def fitted_parts(
+    problem_of: Callable[[Design], StageProblem],
+    measured: Measured,
+    path_m: Array,
+    known: float,
+    seconds: float,
+) -> tuple[list[Part], Array]:
+    """Return parts of all paths with fitted designs, and the cuts (c, 4) between them.
+
+    The part with the largest bound is cut until no bound exceeds `known`. The search begins at
+    measurements along a path (N, 2).
     """
-    problem, is_map = problem_of(Design()), measured.criterion == "map"
-    sides, grids = [FIRST_SHARE * problem.step_m], [first_cells(problem)]
-    for _ in range(COARSE_LEVELS):
-        sides.append(0.5 * sides[-1])
-        grids.append([divided(problem, each, sides[-1], k) for k, each in enumerate(grids[-1], 1)])
-    if not all(map(len, grids[-1])):
-        return Design()
+    begun, whole = monotonic(), problem_of(Design()).limits_m
+    fits = [
+        fitted(
+            problem_of,
+            measured,
+            Part(whole, path_m[None], np.ones(1), np.array([is_referred, *FIRST_SHARES])),
+            MOST_ROUNDS,
+            FIRST_PART * seconds / (1 + (measured.criterion == "map")),
+        )
+        for is_referred in ((1.0, 0.0) if measured.criterion == "map" else (1.0,))
+    ]
+    parts, cuts = [min(fits, key=lambda each: each.value)], list[Array]()
+    while monotonic() - begun < seconds:
+        worst = int(np.argmax([each.value for each in parts]))
+        halves, cut = parts[worst].halves()
+        if parts[worst].value <= known or len(halves) < 2:
+            break
+        cuts.append(np.append(worst, cut))
+        parts[worst], last = (
+            fitted(problem_of, measured, each, ROUNDS_OF_PART, seconds) for each in halves
+        )
+        parts.append(last)
+    return parts, np.reshape(cuts, (-1, 4))
 
-    def attained(design: Design, grid: int, size: float) -> tuple[float, Array, Design]:
-        level = evaluated(problem_of(design), sides[grid], grids[grid], size)
+
+def fitted(
+    problem_of: Callable[[Design], StageProblem],
+    measured: Measured,
+    part: Part,
+    rounds: int,
+    seconds: float,
+) -> Part:
+    """Return a part with the design of the least bound that a search on a lattice finds.
+
+    Each round moves the mixture towards the path at which the bound is attained (Frank and Wolfe's
+    method); some rounds try more and less assumed information.
+    """
+    problem, is_map = (
+        replace(problem_of(Design()), limits_m=part.limits_m),
+        measured.criterion == "map",
+    )
+    side, grid = 0.5 * FIRST_SHARE * problem.step_m, first_cells(problem)
+    grid = [divided(problem, each, side, k) for k, each in enumerate(grid, 1)]
+    if not all(map(len, grid)):
+        return replace(part, value=-np.inf)
+
+    def bounded(part: Part) -> tuple[Part, Array]:
+        places, owner = np.unique(part.paths_m.reshape(-1, 2), axis=0, return_inverse=True)
+        each = np.repeat(part.weight, problem.steps)
+        weight = np.asarray(np.bincount(owner.ravel(), each), dtype=np.float64)
+        known = part.share[2] * repeated(measured.posterior, places, weight)[2]
+        weights = np.outer(weight, part.share[:2])
+        design = Design(places_m=places, weights=weights, path_loss=known)
+        level = evaluated(replace(problem_of(design), limits_m=part.limits_m), side, grid, 0.0)
         through = through_bounds(level, [untilted(problem)])
-        best = [level.offsets_m(k)[each.argmax()] for k, each in enumerate(through) if len(each)]
-        value = min(float(each.max(initial=-np.inf)) for each in through)
-        return value, problem.start_m + np.reshape(best, (-1, 2)), design
+        best = [cells[each.argmax()] for cells, each in zip(level.active, through, strict=True)]
+        path = level.field(np.array(best)).discs.centre_m
+        value = min(float(each.max()) for each in through)
+        return replace(part, design=design, value=value), path
 
-    def bound_by(
-        share: Array, places: Array, weight: Array, grid: int
-    ) -> tuple[float, Array, Design]:
-        known = share[2] * repeated(measured.posterior, places, weight)[2]
-        weights = np.outer(weight, share[:2])
-        return attained(Design(places_m=places, weights=weights, path_loss=known), grid, 0.0)
-
-    found: list[tuple[float, Array, Design]] = []
-    levels = COARSE_LEVELS if seconds >= LEAST_SECONDS else 1
-    limit = seconds / levels / (1 + is_map)
-    for is_referred in (1.0, 0.0) if is_map else (1.0,):
-        places, weight, number = path_m, np.ones(len(path_m), dtype=np.float64), 0
-        share, step = np.array([is_referred, *FIRST_SHARES]), 3.0
-        for grid in range(1, levels + 1):
-            best, last, until = None, number + MOST_ROUNDS, monotonic() + limit
-            while best is None or (number < last and monotonic() < until):
-                now, better = bound_by(share, places, weight, grid), False
-                tried = is_map and number % ROUNDS_PER_TRIAL == 0
-                for k, power in product((1, 2), (1.0, -1.0)) if tried else ():
-                    changed = np.where(np.arange(3) == k, step**power, 1.0) * share
-                    if monotonic() < until:
-                        other = bound_by(changed, places, weight, grid)
-                        if other[0] < now[0]:
-                            now, share, better = other, changed, True
-                step = step if better or not tried else step**0.6
-                best = now if best is None or now[0] < best[0] else best
-                number, moved = number + 1, 1.0 / (number + 3)
-                every = np.vstack([places, now[1]])
-                places, owner = np.unique(every, axis=0, return_inverse=True)
-                added = np.append((1.0 - moved) * weight, np.full(len(now[1]), moved))
-                weight = np.asarray(np.bincount(owner.ravel(), added), dtype=np.float64)
-            if best is not None and grid == levels:
-                found.append(attained(best[2], levels, 1.0))
-    return min(found, key=lambda each: each[0])[2]
+    part = replace(part, weight=part.weight / part.weight.sum())
+    best, step, until = None, 3.0, monotonic() + seconds
+    for number in range(rounds):
+        (now, path), better = bounded(part), False
+        tried = is_map and number % ROUNDS_PER_TRIAL == 0
+        for k, power in product((1, 2), (1.0, -1.0)) if tried else ():
+            share = np.where(np.arange(3) == k, step**power, 1.0) * now.share
+            other = bounded(replace(now, share=share))
+            if other[0].value < now.value:
+                (now, path), better = other, True
+        step = step if better or not tried else step**0.6
+        best = now if best is None or now.value < best.value else best
+        if monotonic() > until:
+            break
+        moved = 1.0 / (number + 3)
+        paths = np.concatenate([now.paths_m, path[None]])
+        part = replace(now, paths_m=paths, weight=np.append((1.0 - moved) * now.weight, moved))
+    return part if best is None else best

@@ -83,7 +83,7 @@ def best_of(problem: StageProblem, places_m: Array, makers: Makers) -> tuple[Arr
     moves = places_m - problem.start_m
     longest = np.maximum(np.hypot(*moves.T), problem.step_m)
     places = problem.start_m + moves * (problem.step_m / longest)[:, None]
-    x0, y0, x1, y1 = problem.bounds_m
+    x0, y0, x1, y1 = problem.limits_m[0]
     places = np.clip(places, [x0, y0], [x1, y1])
     field = Field(Discs(places, 0.0), makers)
     values = problem.reward(0, field).value.copy()

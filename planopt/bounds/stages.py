@@ -14,7 +14,7 @@ import numpy as np
 import shapely
 
 from planopt.arrays import Floats, Mask
-from planopt.bounds.bound import Design
+from planopt.bounds.bound import Design, Tilts
 from planopt.bounds.enclosure import PowerEnclosure, PowerModel, VarianceDifference
 from planopt.bounds.reach import MOVING, ignored_motion, longest_sag_m, why_not_enclosed
 from planopt.bounds.route import INNER_SHARE
@@ -210,7 +210,7 @@ def stage_problem(
         start_m=at.position_m,
         step_m=at.step_length_m + LONGER_M,
         steps=len(kept),
-        bounds_m=problem.workspace.bounds_m,
+        limits_m=np.tile(problem.workspace.bounds_m, (len(kept), 1)),
         blocked=blocked_parts(problem),
         makers=quantity_makers(
             at.law.posteriors, at.law.thresholds_dbm, at.anticipated[0], relaxation
@@ -331,12 +331,17 @@ def ignored_constraints(problem: Problem) -> tuple[str, ...]:
     return (*found, *(words for words in ignored_motion(problem, 1) if words != MOVING))
 
 
-def is_design(design: Design) -> bool:
-    """Return whether the numbers of a saved design may occur in a proof."""
-    weights, known = design.weights, design.path_loss
+def are_designs(tilts: Tilts, steps: int) -> bool:
+    """Return whether the saved designs and cuts may occur in a proof."""
+    weights, known, cuts = tilts.weights, tilts.path_loss, tilts.cuts
+    part, stage, axis, at_m = cuts.T
     return (
-        len(weights) == len(design.places_m)
-        and float(np.abs(design.places_m).max(initial=0.0)) < LARGEST
+        len(weights) == len(tilts.places_m) == len(tilts.owner)
+        and len(known) == 2 * len(cuts) + 2
+        and bool(((part >= 0) & (part <= np.arange(len(cuts)))).all())
+        and bool(((stage >= 0) & (stage < steps) & (axis >= 0) & (axis < 2)).all())
+        and bool((np.abs(at_m) < LARGEST).all())
+        and float(np.abs(tilts.places_m).max(initial=0.0)) < LARGEST
         and float(np.abs(known).max()) < LARGEST
         and bool(((weights >= 0.0) & (weights < LARGEST)).all())
     )

@@ -133,7 +133,8 @@ class PairedSteps:
             prior, bounds = prior_covariances(offset, radius, far, chain.posterior.parameters)
             centre, least, slopes = whole.at(one).covariances(whole.at(two))
             nearest = np.maximum(np.minimum(near[one], near[two]), MIN_DISTANCE_M)
-            plain = chain.lost_at_least(far, nearest, np.sqrt(least_db2[one] * least_db2[two]))
+            middle = np.sqrt(least_db2[one] * least_db2[two])
+            plain = chain.lost_at_least(far, nearest, middle) if radius else 0.0 * middle
             for before, after, sign in ((one, two, -1), (two, one, 1)):
                 # A bound of the shadowing for all distances, and another at distinct positions.
                 lost = [
@@ -144,7 +145,7 @@ class PairedSteps:
                         value + least,
                         (slopes[::sign][0] + sign * slope, slopes[::sign][1] - sign * slope),
                     )
-                    for value, slope in bounds
+                    for value, slope in bounds[0 if radius else -1 :]
                 ]
                 pairs.append((before, after, -np.max([*lost, plain], axis=0) - cost))
         return cls(level.active, corner, (rows, columns), pairs)
@@ -213,7 +214,7 @@ class StageProblem:
     start_m: Array  # (2,)
     step_m: float  # Length of the longest step, with the verifier's tolerance
     steps: int
-    bounds_m: tuple[float, float, float, float]
+    limits_m: Array  # (N, 4) least x and y, largest x and y after each step
     blocked: Sequence[shapely.Polygon]  # Areas that contain no position of any path
     makers: Makers
     # Maps a stage (from 0) and bounds of predicted quantities to bounds of the stage's reward
@@ -266,13 +267,18 @@ class Level:
     # For each stage, rows (v,) of cells that blocked areas or p_min cut, and corners (v, 2) of what
     # is left relative to the centre
     cut: list[list[tuple[Indices, Array]]]
-    # Size of the cells in their sides; 0 stands for their centres, whose bound proves nothing
+    # Size of the cells in their sides; 0 stands for one point in each, whose bound proves nothing
     size: float = 1.0
 
     def field(self, cells: Cells) -> Field:
         """Return bounds of predicted quantities over cells (n, 2)."""
         radius = self.size * self.side_m * np.sqrt(0.5) * (1.0 + 1e-12)
         centres = self.problem.start_m + (cells + 0.5) * self.side_m
+        measured, half = self.problem.measured, 0.5 * self.side_m
+        if measured is not None and self.size == 0.0:
+            # The information is largest next to the station.
+            station = np.asarray(measured.posterior.parameters.station.position_m)
+            centres += np.clip(station - centres, -half, half)
         return Field(Discs(centres, radius), self.problem.makers)
 
     def offsets_m(self, stage: int) -> Array:
@@ -357,6 +363,23 @@ def proves(problem: StageProblem, tilts: Tilts) -> bool:
     return False
 
 
+def halved(limits_m: Array, stage: int, axis: int, at_m: float) -> tuple[Array, Array]:
+    """Return limits (N, 4) of paths whose coordinate after a stage is at most, at least `at_m`."""
+    low, high = limits_m.copy(), limits_m.copy()
+    low[stage, 2 + axis] = min(at_m, low[stage, 2 + axis])
+    high[stage, axis] = max(at_m, high[stage, axis])
+    return low, high
+
+
+def cut_limits(limits_m: Array, cuts: Array) -> list[Array]:
+    """Return the limits (N, 4) of all parts after cuts (c, 4)."""
+    found = [limits_m]
+    for part, stage, axis, at_m in cuts.tolist():
+        found[int(part)], last = halved(found[int(part)], int(stage), int(axis), at_m)
+        found.append(last)
+    return found
+
+
 def untilted(problem: StageProblem) -> Array:
     """Return zero multipliers (N, 2) for all steps of a problem."""
     return np.zeros((problem.steps, 2))
@@ -393,7 +416,7 @@ def open_cells(problem: StageProblem, cells: Cells, side: float, stage: int) -> 
     low = cells * side
     nearest = np.clip(0.0, low, low + side)
     inside = np.hypot(*nearest.T) <= stage * problem.step_m * (1.0 + ROUNDING)
-    x0, y0, x1, y1 = problem.bounds_m
+    x0, y0, x1, y1 = problem.limits_m[stage - 1]
     corner = problem.start_m + low
     inside &= (corner <= np.array([x1, y1]) + OUTSIDE_M).all(axis=1)
     inside &= (corner + side >= np.array([x0, y0]) - OUTSIDE_M).all(axis=1)
@@ -560,7 +583,7 @@ def tilted(level: Level, stage: int, of_steps: Array) -> Array:
     tilt = of_steps[stage] - (of_steps[stage + 1] if stage + 1 < problem.steps else 0.0)
     slope, centres = reward.slope - tilt, level.offsets_m(stage)
     # A cell that crosses the border of the workspace ends there.
-    low, high = np.reshape(problem.bounds_m, (2, 2)) - problem.start_m
+    low, high = np.reshape(problem.limits_m[stage], (2, 2)) - problem.start_m
     least = np.maximum(-half, low - OUTSIDE_M - centres)
     most = np.minimum(half, high + OUTSIDE_M - centres)
     fallen = np.broadcast_to(-tilt, slope.shape)

@@ -7,7 +7,7 @@ and the outage integrated along both (equation 6.13). For sums over steps,
 :mod:`planopt.bounds.tube` supplies it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from time import monotonic
 
@@ -16,11 +16,11 @@ import numpy as np
 from planopt.arrays import Floats
 from planopt.bounds.bound import Bound, Design, Tilts
 from planopt.bounds.fixed_steps import stepped_bounds, stepped_problem
-from planopt.bounds.multipliers import fitted_design, local_optimum, tilts_near
+from planopt.bounds.multipliers import fitted_parts, local_optimum, tilts_near
 from planopt.bounds.one_step import best_place
 from planopt.bounds.reach import route_problem, why_unbounded
 from planopt.bounds.route import route_bounds
-from planopt.bounds.tube import StageProblem, tube_bounds
+from planopt.bounds.tube import StageProblem, TubeBound, tube_bounds
 from planopt.channel.posterior import Belief
 from planopt.planning.candidates import Scorer
 from planopt.planning.horizon_planner import FallbackCascade
@@ -60,7 +60,7 @@ STEPS_SHARE, STEPS_S = 0.35, 4.0
 """Share of the time for steps of fixed duration; time from which on they are considered."""
 LIMIT_SHARE = 0.6  # Share of a gap that these steps may close
 LEAST_SHARE = 0.3  # Minimum share of the time that is reserved for the bound
-DESIGN_SHARE = 0.3  # Share of the time for the design of a bound on information
+DESIGN_SHARE = 0.5  # Share of the time for the design of a bound on information
 ALONE_SHARE = 0.2  # Share of the time for the bound that holds whatever the other robots do
 SWEEPS, IMPROVING_SHARE = 2, 0.2
 """Searches for better plans of robots that keep apart, before their bounds; time of each."""
@@ -151,7 +151,7 @@ def with_sum_bound(
     stages = stages_of(problem, at, plan, moving)
     if isinstance(stages, str):
         return replace(plan, bound=Bound(None, problem.sense, plan.objective, reason=stages))
-    design = Design()
+    parts, designs, cuts, guesses = [stages], [Design()], np.zeros((0, 4)), list[Floats]()
     if stages.measured is not None:
         optimum = plan.positions_m[1:]
 
@@ -161,8 +161,12 @@ def with_sum_bound(
                 raise AssertionError(found)
             return found
 
-        design = fitted_design(problem_of, stages.measured, optimum, DESIGN_SHARE * seconds)
-        stages = problem_of(design)
+        fits, cuts = fitted_parts(
+            problem_of, stages.measured, optimum, plan.objective, DESIGN_SHARE * seconds
+        )
+        designs, guesses = [each.design for each in fits], [each.paths_m[-1] for each in fits]
+        parts = [replace(problem_of(each.design), limits_m=each.limits_m) for each in fits]
+        stages = parts[0]
     elif stages.steps == 1:
         exact = replace(stages, step_m=at.step_length_m)
         optimum = best_place(exact, 0.3 * seconds).place_m[None]
@@ -177,7 +181,7 @@ def with_sum_bound(
 
     plan = replaced(better_of(at, plan, optimum)) if improves else plan
     refinement = None
-    if improves and stages.measured is None and stages.steps > 1:
+    if improves and stages.steps > 1:
         ground = build_ground(problem, at.position_m)
         refinement = FallbackCascade(problem, ground).refinement
     nearer = replace(stages, step_m=at.step_length_m - 2.0 * STEP_PAD_M)
@@ -203,14 +207,42 @@ def with_sum_bound(
     alone, alone_s = stages.alone(), 0.0
     if len(alone.keep_outs) < len(stages.keep_outs) and not improves:
         alone_s = ALONE_SHARE * left
-    *_, best = tube_bounds(stages, plan.objective, tilts, left - alone_s, improved)
-    free = best
+    for guess in guesses:
+        improved(guess)
+    search = improved if stages.measured is None else None
+    best = free = largest_bound(parts, plan.objective, tilts, left - alone_s, search)
     if alone_s:
-        *_, free = tube_bounds(alone, plan.objective, tilts, alone_s)
+        solos = [each.alone() for each in parts]
+        free = largest_bound(solos, plan.objective, tilts, alone_s)
     of_both = (best.levels, best.value), (free.levels, free.value)
-    tilted = Tilts(np.array(tilts), *of_both[0], *of_both[1], **vars(design))
+    tilted = Tilts(
+        *(np.array(tilts), *of_both[0], *of_both[1]),
+        places_m=np.concatenate([each.places_m for each in designs]),
+        weights=np.concatenate([each.weights for each in designs]),
+        path_loss=np.concatenate([each.path_loss for each in designs]),
+        owner=np.repeat(np.arange(len(designs)), [len(each.places_m) for each in designs]),
+        cuts=cuts,
+    )
     bound = bound_of_sum(problem, at, plan, moving, tilted)
     return replace(plan, bound=replace(bound, wall_s=monotonic() - begun))
+
+
+def largest_bound(
+    parts: Sequence[StageProblem],
+    known: float,
+    tilts: Sequence[Floats],
+    seconds: float,
+    improved: Callable[[Floats], float] | None = None,
+) -> TubeBound:
+    """Return the largest of the bounds of parts of the paths, each refined while it is largest."""
+    runs = [tube_bounds(each, known, tilts, seconds, improved) for each in parts]
+    found = [next(each) for each in runs]
+    while True:
+        worst = int(np.argmax([each.value for each in found]))
+        after = next(runs[worst], None)
+        if after is None:
+            return replace(found[worst], levels=max(each.levels for each in found))
+        found[worst] = after
 
 
 def refined(refinement: Refinement, at: StepContext, plan: Plan, path_m: Floats) -> Plan:

@@ -10,10 +10,11 @@ from sum_scene import random_paths, stages_in, sum_context, values_of
 import planopt
 from planopt.bounds.bound import Design, relative_gap
 from planopt.bounds.enclosure import PowerEnclosure, prior_covariances
-from planopt.bounds.multipliers import fitted_design
-from planopt.bounds.tube import tube_bounds, untilted
+from planopt.bounds.multipliers import fitted_parts
+from planopt.bounds.tube import cut_limits, tube_bounds, untilted
 from planopt.objectives.moments import posterior_moments
 from planopt.objectives.upper_bounds import Discs, Field
+from planopt.planning.prove import largest_bound
 
 CRITERIA = ("map", "D", "A", "V", "T")
 
@@ -27,6 +28,16 @@ def random_design(seed: int, path: np.ndarray) -> Design:
     root = generator.normal(0.0, 10.0 ** generator.uniform(-3.0, 1.0), (2, 2))
     known = root.T @ root * generator.integers(0, 2)
     return Design(places_m=places, weights=weights, path_loss=0.5 * (known + known.T))
+
+
+def random_cuts(seed: int, path: np.ndarray) -> np.ndarray:
+    """Up to two cuts (c, 4) of random parts, at coordinates near those of a path (N, 2)."""
+    generator = np.random.default_rng(seed)
+    count = int(generator.integers(0, 3))
+    stage, axis = generator.integers(0, len(path), count), generator.integers(0, 2, count)
+    at_m = path[stage, axis] + generator.normal(0.0, generator.choice([1e-3, 1.0]), count)
+    part = generator.integers(0, np.arange(count) + 1)
+    return np.column_stack([part, stage, axis, at_m])
 
 
 def relaxed_values(context, design: Design, paths: np.ndarray) -> np.ndarray:
@@ -69,17 +80,22 @@ def gap_of(seed: int, seconds: float) -> float:
     paths = random_paths(context, 60, seed)
     values = values_of(context, paths)
     best, known = float(values.max()), float(np.median(values))
-    design = Design()
-    if seed % 3 == 0:
-        design = random_design(seed, paths[values.argmax()])
-    problem = stages_in(context, design=design)
+    problem, path, cuts = stages_in(context), paths[values.argmax()], np.zeros((0, 4))
+    designs = [Design()]
+    if seed % 3 == 0:  # Random designs of up to three parts, cut near the path
+        cuts = random_cuts(seed, path)
+        designs = [random_design(seed + part, path) for part in range(len(cuts) + 1)]
     if seed % 3 == 1:
-        path = paths[values.argmax()]
-        design = fitted_design(
-            lambda each: stages_in(context, design=each), problem.measured, path, seconds
+        fits, cuts = fitted_parts(
+            lambda each: stages_in(context, design=each), problem.measured, path, known, seconds
         )
-        problem = stages_in(context, design=design)
-    *_, last = tube_bounds(problem, known, [untilted(problem)], seconds)
+        designs = [each.design for each in fits]
+    limits = cut_limits(problem.limits_m, cuts)
+    parts = [
+        replace(stages_in(context, design=design), limits_m=each)
+        for design, each in zip(designs, limits, strict=True)
+    ]
+    last = largest_bound(parts, known, [untilted(problem)], seconds)
     return relative_gap(best, last.value, "max")
 
 

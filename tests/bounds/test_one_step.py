@@ -59,7 +59,7 @@ class Scene:
             start_m=self.here_m,
             step_m=step_m,
             steps=1,
-            bounds_m=(0.0, 0.0, SIDE_M, SIDE_M),
+            limits_m=np.array([[0.0, 0.0, SIDE_M, SIDE_M]]),
             blocked=[BLOCK],
             makers=quantity_makers([posterior], [THRESHOLD_DBM], posterior),
             reward=reward,

@@ -231,7 +231,9 @@ BOUND_FILE = "bound.npz"
 DESIGN: dict[str, tuple[str, tuple[int | None, ...]]] = {
     "places_m": ("f", (None, 2)),
     "weights": ("f", (None, 2)),
-    "path_loss": ("f", (2, 2)),
+    "path_loss": ("f", (None, 2)),
+    "owner": ("iu", (None,)),
+    "cuts": ("f", (None, 4)),
 }
 STEPPED: dict[str, tuple[str, tuple[int | None, ...]]] = {
     "step_levels": ("iu", ()),

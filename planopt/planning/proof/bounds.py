@@ -13,8 +13,8 @@ from planopt.bounds.bound import Bound, Design, Potential, Tilts
 from planopt.bounds.fixed_steps import stepped_problem, stepped_value
 from planopt.bounds.reach import relaxed_constraints, route_problem, why_unbounded
 from planopt.bounds.route import proven_value, route_bounds, valid_potential
-from planopt.bounds.stages import ignored_constraints, is_design, stage_problem, summed_terms
-from planopt.bounds.tube import StageProblem, proves
+from planopt.bounds.stages import are_designs, ignored_constraints, stage_problem, summed_terms
+from planopt.bounds.tube import StageProblem, cut_limits, proves
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.terms.term import TermContext
 from planopt.planning.certificate import required_margins_db
@@ -120,15 +120,22 @@ def verified_sum(
     problem: Problem, at: TermContext, plan: Plan, moving: MovingDiscs, tilts: Tilts | None
 ) -> Bound:
     """Return the bound that a saved certificate proves for the first robot's sum of terms."""
-    usable = tilts is not None and is_design(tilts)
-    stages = stages_of(problem, at, plan, moving, tilts if usable else None)
+    stages = stages_of(problem, at, plan, moving)
     if isinstance(stages, str):
         return Bound(None, problem.sense, plan.objective, reason=stages)
-    if tilts is not None and usable and proves(stages, tilts):
+    if tilts is not None and are_designs(tilts, stages.steps):
+        limits = cut_limits(stages.limits_m, tilts.cuts)
+        parts = [
+            replace(found, limits_m=each)
+            for design, each in zip(tilts.designs(), limits, strict=True)
+            if not isinstance(found := stages_of(problem, at, plan, moving, design), str)
+        ]
         alone = replace(tilts, levels=tilts.alone_levels, value=tilts.alone_value)
-        solo = stages.alone()
-        is_same = len(solo.keep_outs) == len(stages.keep_outs) and alone.value == tilts.value
-        if is_same or proves(solo, alone):
+        solos = [each.alone() for each in parts]
+        is_same = len(solos[0].keep_outs) == len(stages.keep_outs) and alone.value == tilts.value
+        if all(proves(each, tilts) for each in parts) and (
+            is_same or all(proves(each, alone) for each in solos)
+        ):
             return bound_of_sum(problem, at, plan, moving, tilts)
     return Bound(
         None, problem.sense, plan.objective, reason="the certificate does not prove its bound"

@@ -249,7 +249,7 @@ def stepped_bounds(
         turn = monotonic()
         core = shapely.MultiPolygon(tube.blocked).buffer(-1.02 * (np.sqrt(0.5) * side + tube.sag_m))
         shapely.prepare(core)
-        level = Level(tube, side, list[Cells](active), [], [], [], core, [])
+        level = Level(tube, side, list[Cells](active), [], [], core, [])
         value = level_bound(problem, field, level, limit_m - base)
         if value is None:
             return

@@ -165,7 +165,7 @@ class ReachPlanner:
         if reserved_m is None and len(context.moving) and warm is not None:
             reserved_m = reserved_path(position_m, warm.positions_m, problem.planner.horizon)[1:]
         scorer = Scorer(context, cost, reserved_m)
-        rejected = ""
+        rejected, ahead = "", None
         connected = problem.reach.cost_to_go == "connected"
         margin_db = self._search.margins.margin_db if connected else None
         budget = budget_from(problem, begun)
@@ -208,6 +208,9 @@ class ReachPlanner:
             pivot = cost.pivot_of(chosen.path_m)
         plan = scorer.plan_from(chosen, wall_s=perf_counter() - begun)
         route = np.zeros((0, 2)) if start is None else start.route_m
+        if start is not None and not (start.gives_way or start.is_direct):
+            ahead = ahead or Ahead(problem, self.scene, start, margin_db)
+            route = ahead.route_m(plan.positions_m[-1])
         return self._routed(replace(plan, rejected=rejected), context, pivot, route)
 
     def _routed(

@@ -26,7 +26,7 @@ from planopt.planning.proof.bounds import metre_cost_of
 from planopt.planning.proof.rule import connectivity_law, search_prediction, verifier_context
 from planopt.planning.proof.verify import verify
 from planopt.planning.scene import stops_along
-from planopt.planning.tolerances import CLEARANCE_PAD_M, STEP_PAD_M
+from planopt.planning.tolerances import CLEARANCE_PAD_M, CLEARANCE_TOLERANCE_M, STEP_PAD_M
 from planopt.planning.values.objective_value import ReachCost
 from planopt.problems.problem import Problem, integrated_cost_m, rate_s_m, step_cost_s
 from planopt.world.clearance import (
@@ -331,8 +331,12 @@ class RouteSmoothing:
         return self._cheaper(plan, other)
 
     def _cheaper(self, plan: Plan, other: Plan | None) -> Plan:
-        """Return `other` if it costs less and crosses no forbidden hole, else `plan`."""
+        """Return `other` if it is clear, costs less and crosses no forbidden hole, else `plan`."""
         if other is None or other.objective >= plan.objective:
+            return plan
+        least_m = self._problem.constraints.clearance_m - CLEARANCE_TOLERANCE_M
+        ahead = np.vstack([other.positions_m[-1:], other.route_m])
+        if not segments_clear(self._index, ahead[:-1], ahead[1:], least_m).all():
             return plan
         is_hard = self._problem.constraints.rule.slack_max_db is not None
         return plan if is_hard and other.holes else other

@@ -187,6 +187,18 @@ def test_bounds_of_robots_that_keep_apart_are_saved(tmp_path: Path) -> None:
     assert planopt.check(tmp_path).verdict is planopt.Verdict.VIOLATED
 
 
+@pytest.mark.parametrize("name", ["open_field", "trap_spiral", "inertia_slalom"])
+def test_the_route_of_a_slow_plan_is_clear(name: str) -> None:
+    """A plan that ends before the lattice's path is continued from its own end."""
+    problem = planopt.load(name)
+    reach = replace(problem.objective, effort_weight_s2_m2=10.0)
+    solution = planopt.solve(replace(problem, objective=reach))
+    plan = solution.plan
+    whole = shapely.LineString(np.vstack([plan.positions_m[-1:], plan.route_m]))
+    walls = shapely.union_all([each.polygon for each in problem.workspace.obstacles])
+    assert whole.distance(walls) > problem.constraints.clearance_m - 1e-6
+
+
 def test_a_proven_plan_takes_a_passage_between_lattice_nodes() -> None:
     """The improved plan takes a gap of 1.2 m, is cheaper, and is close to its bound."""
     walls = [shapely.box(18.0, 0.0, 21.0, 12.3), shapely.box(18.0, 13.5, 21.0, 28.0)]

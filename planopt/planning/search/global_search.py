@@ -411,6 +411,14 @@ class Ahead:
         joined = self._joined(end_m)
         return self.pivot if joined is None else self._seen_from(joined[0], end_m)
 
+    def route_m(self, end_m: Floats) -> Floats:
+        """Return the cheapest route (r, 2) over the lattice from `end_m` (2,) to the goal."""
+        joined, road_map = self._joined(end_m), self._scene.road_map
+        if joined is None:
+            return self._start.route_m
+        route = road_map.nodes_m[route_from(road_map, self._start.cost_to_go, joined[0], np.inf)]
+        return route[1:] if np.array_equal(route[0], end_m) else route
+
     def _joined(self, end_m: Floats) -> tuple[int, float, float] | None:
         """Return the cheapest node within a step of `end_m`, its total and metre cost, or None."""
         key = end_m.tobytes()

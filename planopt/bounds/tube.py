@@ -177,6 +177,7 @@ Cells = Indices  # (n, 2) indices of cells along x and y
 FIRST_SHARE = 0.5  # Side of the cells of the first level, in lengths of the longest step
 MOST_LEVELS = 30  # Maximum number of levels of cells
 MOST_CELLS = 1_000_000  # Maximum number of cells per level, over all stages
+OFFSETS_GROWTH = 2.0  # Factor of a level's time over the preceding level's for the same cells
 MOST_TILTS = 3  # Maximum number of tilts that the search uses at a level
 GAP = 1e-4  # Cells are dropped unless they may beat a feasible path's value by this share of it
 MOST_PAIRS = 2_000_000
@@ -315,9 +316,9 @@ def tube_bounds(
         yield TubeBound(best, cells, number, monotonic() - begun)
         active = kept_cells(level, through, threshold)
         left = sum(map(len, active))
-        # The next level takes time about proportional to its cells, or to their pairs.
+        # The next level has more cells, and more offsets within a step.
         growth = max(1.0, left / max(cells, 1))
-        ahead = took_s * growth ** (1 if problem.chain is None else 2)
+        ahead = took_s * (OFFSETS_GROWTH * growth if problem.chain is None else growth**2)
         late = monotonic() - begun + ahead > seconds
         if highest <= threshold or left > MOST_CELLS or late:
             return

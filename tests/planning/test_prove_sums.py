@@ -71,7 +71,7 @@ def test_plans_through_known_connections_are_proven_again(tmp_path: Path) -> Non
     )
     places = np.array([[28.0, 18.5], [29.5, 21.0], [30.5, 19.5], [31.7, 20.8], [33.0, 20.0]])
     read = planopt.Measurements(places, np.full(5, -38.5))
-    solution = planopt.solve(problem, measurements=read, prove_s=2.0)
+    solution = planopt.solve(problem, measurements=read, prove_s=20.0)
     np.testing.assert_allclose(solution.plan.positions_m[1:], places[1:], atol=1e-5)
     bound = solution.plan.bound
     assert bound is not None and bound.gap is not None and 0.0 < bound.gap < 0.001

@@ -295,8 +295,10 @@ class MappingTerm(MeasuredTerm):
         Earlier positions of the path only reduce variances given the measurements. Path lengths
         are at least the distances from the robot.
         """
-        if self.form not in ("path", "information") or len(at.law.posteriors) > 1:
-            return f"without a proven bound for form = {self.form} or several stations"
+        if len(at.law.posteriors) > 1:
+            return "without a proven bound for several stations"
+        if self.form not in ("path", "information"):
+            return f"without a proven bound for form = {self.form}; path and information have one"
         if self.form == "information":
             [posterior] = at.anticipated
             noise = posterior.parameters.multipath_std_db**2

@@ -8,9 +8,10 @@ import pytest
 from sum_scene import random_paths, stages_in, sum_context, values_of
 
 import planopt
-from planopt.bounds.bound import Design, relative_gap
+from planopt.bounds.bound import Design, Tilts, relative_gap
 from planopt.bounds.enclosure import PowerEnclosure, prior_covariances
 from planopt.bounds.multipliers import fitted_parts
+from planopt.bounds.stages import are_designs
 from planopt.bounds.tube import cut_limits, tube_bounds, untilted
 from planopt.objectives.moments import posterior_moments
 from planopt.objectives.upper_bounds import Discs, Field
@@ -121,6 +122,39 @@ def test_no_known_path_measures_more() -> None:
 def test_no_known_path_measures_more_in_a_thousand_scenes() -> None:
     """A thousand comparisons in random scenes."""
     assert compare(range(1000, 2000), 0.05) == 1000
+
+
+def test_every_path_belongs_to_a_part() -> None:
+    """Random paths, with positions exactly at cuts, lie within the limits of one part at least."""
+    compared = 0
+    for seed in range(60):
+        context = sum_context(seed, 3, plain=True, measured="map")
+        paths = random_paths(context, 40, seed)
+        cuts = np.vstack([random_cuts(seed + 1000 * k, paths[k]) for k in range(3)])
+        cuts[:, 0] = np.random.default_rng(seed).integers(0, np.arange(len(cuts)) + 1)
+        for number, (_, stage, axis, at_m) in enumerate(cuts):
+            paths[number, int(stage), int(axis)] = at_m
+        limits = np.array(cut_limits(stages_in(context).limits_m, cuts))
+        inside = (paths[:, None] >= limits[:, :, :2]) & (paths[:, None] <= limits[:, :, 2:])
+        clipped = ((paths >= 0.0) & (paths <= 40.0)).all(axis=(1, 2))
+        assert inside.all(axis=(2, 3)).any(axis=1)[clipped].all()
+        compared += int(clipped.sum())
+    print(f"{compared} comparisons")
+    assert compared > 2000
+
+
+def test_damaged_designs_prove_nothing() -> None:
+    """Designs and cuts of a saved bound that do not fit each other are not used."""
+    solution = planopt.solve(planopt.load("indoor_learn"), seed=3, horizon=4, prove_s=1.0)
+    assert solution.plan.bound is not None
+    tilts = solution.plan.bound.certificate
+    assert isinstance(tilts, Tilts) and len(tilts.cuts) > 0 and are_designs(tilts, 4)
+    for column, wrong in ((0, 99.0), (0, -1.0), (1, 4.0), (2, 2.0), (3, np.nan), (3, np.inf)):
+        cuts = tilts.cuts.copy()
+        cuts[-1, column] = wrong
+        assert not are_designs(replace(tilts, cuts=cuts), 4)
+    assert not are_designs(replace(tilts, cuts=tilts.cuts[:-1]), 4)
+    assert not are_designs(replace(tilts, owner=tilts.owner[:-1]), 4)
 
 
 @pytest.mark.parametrize("measured", CRITERIA)

@@ -69,7 +69,7 @@ def stepped_problem(
         start_m=route.start_m,
         step_m=longest,
         steps=planner.horizon,
-        bounds_m=route.bounds_m,
+        limits_m=np.tile(route.bounds_m, (planner.horizon, 1)),
         blocked=blocked_parts(problem),
         makers=quantity_makers(posteriors, route.thresholds_dbm, posteriors[0]),
         reward=no_reward,

@@ -5,7 +5,8 @@ variable PLANOPT_DATA names, and left out without it. Held out are a drive (flat
 share of the drive in pieces or one side of the room (laboratory), or random readings. Errors are
 averaged over transmitters and splits, with bootstrap intervals over them. A held-out reading counts
 if it is above the receiver's floor, and predictors that know of the floor predict it by the mean of
-their distribution above it (the plain process learns from such readings only):
+their distribution above it (the plain process learns from such readings only). Rows of the
+laboratory are numbered in time, and --undated leaves out the times of all logs:
 
     python benchmarks/measured_sites.py --rows 300 --seeds 600:602
 """
@@ -22,13 +23,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.stats import norm
 
-from planopt.channel import Measurements, Station, condition, fit_channel
+from planopt.channel import Measurements, Station, condition, fit_channel, predict_readings
 from planopt.channel.held_out import learn_path_loss, learn_plain_process
 from planopt.problems.library import library_folder
 from planopt.problems.settings import seeds_of
 
 LEVELS, TINY = (0.5, 0.8, 0.95), 1e-12
 MOST_TESTED, BOOTSTRAPS = 1_000, 2_000
+DAYS_APART_S = 1e6  # Times of the campus log are from the start of each day
 SIDE_SHARE, PIECES, PIECES_OUT, LAB_STEP = 0.3, 10, 3, 4
 
 
@@ -41,6 +43,7 @@ class Log:
     power_dbm: np.ndarray
     censored: np.ndarray
     group: np.ndarray
+    time_s: np.ndarray
 
 
 def table(file: Path) -> np.ndarray:
@@ -59,6 +62,9 @@ def log_of(rows: np.ndarray, station: Station, group: str | None, floor: str | N
         rows["power_dbm"].astype(float),
         nothing if floor is None else rows[floor] == 1,
         nothing if group is None else rows[group],
+        np.arange(len(rows), dtype=float)
+        if "t_s" not in (rows.dtype.names or ())
+        else rows["t_s"] + (0.0 if group is None else DAYS_APART_S * rows[group]),
     )
 
 
@@ -105,15 +111,26 @@ def splits(log: Log, kind: str, rows: int, random: np.random.Generator) -> Itera
         yield out
 
 
-def scores(log: Log, out: np.ndarray, rows: int, method: str, random: np.random.Generator) -> dict:
+def scores(
+    log: Log, out: np.ndarray, rows: int, method: str, dated: bool, random: np.random.Generator
+) -> dict:
     """Return RMSE, coverage and sums of squares far from the readings of each predictor."""
     known = np.sort(random.permutation(np.flatnonzero(~out))[:rows])
     tested = random.permutation(np.flatnonzero(out & ~log.censored))[:MOST_TESTED]
-    learnt = Measurements(log.places_m[known], log.power_dbm[known], log.censored[known])
-    readings = Measurements(log.places_m[tested], log.power_dbm[tested])
+    learnt = Measurements(
+        log.places_m[known],
+        log.power_dbm[known],
+        log.censored[known],
+        time_s=log.time_s[known] if dated else np.zeros(len(known)),
+    )
+    readings = Measurements(
+        log.places_m[tested],
+        log.power_dbm[tested],
+        time_s=log.time_s[tested] if dated else np.zeros(len(tested)),
+    )
     fit = fit_channel(learnt, log.station, method)
     found = {
-        "channel": condition(fit.parameters, learnt).predict(readings.positions_m),
+        "channel": predict_readings(condition(fit.parameters, learnt), readings),
         "path_loss": learn_path_loss(learnt, log.station)(readings),
         "plain_process": learn_plain_process(learnt)(readings),
     }
@@ -168,6 +185,7 @@ def main() -> None:
     parser.add_argument("--rows", type=int, default=300, help="readings of each fit")
     parser.add_argument("--seeds", default="0:1", help="seeds, first:end")
     parser.add_argument("--method", default="map", help="estimation method")
+    parser.add_argument("--undated", action="store_true", help="leave out the times of the logs")
     options = parser.parse_args()
     seeds = seeds_of(options.seeds)
     folder = Path(os.environ.get("PLANOPT_DATA", "data"))
@@ -194,7 +212,10 @@ def main() -> None:
                 for log in logs:
                     for out in splits(log, kind, options.rows, random):
                         if (~out).sum() >= 10 and (out & ~log.censored).sum() >= 10:
-                            found.append(scores(log, out, options.rows, options.method, random))
+                            dated = not options.undated
+                            found.append(
+                                scores(log, out, options.rows, options.method, dated, random)
+                            )
             report(f"{site}, {kind}", found, np.random.default_rng(0))
             every += found
     count = sum(score["far"] for score in every)

@@ -319,7 +319,7 @@ def intervals(measurements: Measurements) -> Intervals:
 def gaussian_sites(parameters: ChannelParameters, measurements: Measurements) -> Sites:
     """Return the measurements, with censored and coarsely rounded ones replaced by sites."""
     # An upper limit among strong readings is more informative than one among weak ones.
-    omega2 = parameters.multipath_std_db**2
+    omega2 = parameters.white_variance_db2
     values = measurements.power_dbm.astype(np.float64)
     variances = omega2 + rounded_variance_db2(measurements.resolution_db)
     rows = needs_site(measurements, omega2)

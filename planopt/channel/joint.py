@@ -193,7 +193,7 @@ def predict_readings(
         parts = [predict_readings(component, readings) for component in posterior.components]
         return mixture(posterior.weights, parts)
     found = predict_noiseless(posterior, readings)
-    variance = found.deviation_db**2 + posterior.parameters.multipath_std_db**2
+    variance = found.deviation_db**2 + posterior.parameters.white_variance_db2
     variance += rounded_variance_db2(readings.resolution_db)
     return Prediction(found.mean_db, np.sqrt(variance))
 

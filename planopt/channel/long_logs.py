@@ -10,7 +10,7 @@ i has mean ``y_i - (U^-1 y)_i / (U^-1)_ii`` and variance ``1 / (U^-1)_ii`` less 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -228,7 +228,7 @@ def window_sites(
     tolerance: float,
 ) -> WindowSites:
     """Fit a Gaussian site to each interval; sweep over all windows until convergence."""
-    omega2 = parameters.multipath_std_db**2
+    omega2 = max(parameters.white_variance_db2, MIN_NOISE_VARIANCE_DB2)
     rows, mean = intervals.rows, mean_db[intervals.rows]
     limit = intervals.known.upper_db - mean
     width = intervals.known.width_db
@@ -316,14 +316,13 @@ def neighbour_sites(
     parameters: ChannelParameters, measurements: Measurements, start: Sites | None = None
 ) -> Sites:
     """Return the sites of :func:`gaussian_sites`, approximated window by window."""
-    omega2 = parameters.multipath_std_db**2
+    omega2 = parameters.white_variance_db2
     values = measurements.power_dbm.astype(np.float64)
     variances = omega2 + rounded_variance_db2(measurements.resolution_db)
     chosen = needs_site(measurements, omega2)
     rows = np.flatnonzero(chosen)
     if not len(rows):
         return Sites(values, variances)
-    omega2 = max(omega2, MIN_NOISE_VARIANCE_DB2)
     displaced = measured_path_loss_variance_db2(measurements, parameters)
     positions, theta = measurements.positions_m, [parameters.k_pl_db, parameters.n_pl]
     blocks = tuple(own for own in place_blocks(positions, BLOCK) if chosen[own].any())
@@ -333,7 +332,7 @@ def neighbour_sites(
         shift = np.zeros(len(rows))
         initial = WindowSites(start.values_db[rows], precision, shift, math.nan, math.nan)
     found = window_sites(
-        replace(parameters, multipath_std_db=math.sqrt(omega2)),
+        parameters,
         measured_origins(measurements, parameters),
         (values, np.maximum(variances, MIN_NOISE_VARIANCE_DB2) + displaced),
         IntervalRows(

@@ -239,6 +239,7 @@ Real = TypeVar("Real", np.float32, np.float64)
 
 BLUR_SHARE = 1.2
 """Increase of a squared distance per unit variance of the position error in one coordinate."""
+RECEIVERS_APART_S = 1e9  # Time between receivers, whose lasting multipath is independent
 RECEIVER_OFFSET_STD_DB = 20.0
 """Prior standard deviation s of a receiver's offset, large enough to be uninformative."""
 ROWS_AT_ONCE = 64
@@ -312,6 +313,8 @@ class Origins:
     blur_m2: Floats | None = None
     time_s: Floats | None = None  # (..., n), or (1,) for all; None for a static channel
     receiver: Indices | None = None  # (..., n); None if all are 0
+    # (..., n) times, far apart for different receivers; None without lasting multipath
+    lasting_s: Floats | None = None
 
     def at(self, rows: Indices | slice) -> Origins:
         """Return the origins with indices `rows`; indices (k, m) give k batches of m origins."""
@@ -320,6 +323,7 @@ class Origins:
             None if self.blur_m2 is None else self.blur_m2[rows],
             None if self.time_s is None else self.time_s[rows],
             None if self.receiver is None else self.receiver[rows],
+            None if self.lasting_s is None else self.lasting_s[rows],
         )
 
     def without_offsets(self) -> Origins:
@@ -335,6 +339,9 @@ def measured_origins(measurements: Measurements, parameters: ChannelParameters) 
         BLUR_SHARE * std_m**2 if std_m.any() else None,
         None if math.isinf(parameters.forgetting_s) else measurements.time_s,
         measurements.receiver if measurements.receiver.any() else None,
+        measurements.time_s + RECEIVERS_APART_S * measurements.receiver
+        if parameters.lasting
+        else None,
     )
 
 
@@ -368,6 +375,10 @@ def covariance_over_db2(
         covariance *= ageing(first.time_s[..., :, None], second.time_s[..., None, :], parameters)
     if first.receiver is not None and second.receiver is not None:
         covariance += offset_covariance_db2(first.receiver, second.receiver)
+    if parameters.lasting and first.lasting_s is not None and second.lasting_s is not None:
+        gap_s = np.abs(first.lasting_s[..., :, None] - second.lasting_s[..., None, :])
+        lasting_db2 = parameters.lasting.share * parameters.multipath_std_db**2
+        covariance += lasting_db2 * np.exp(gap_s / -parameters.lasting.time_s)
     return covariance
 
 
@@ -403,8 +414,10 @@ def own_covariance_db2(
 
 
 def own_variance_db2(origins: Origins, parameters: ChannelParameters) -> Floats:
-    """Return the variance (..., n) in dB^2 of shadowing plus receiver offset."""
+    """Return the variance (..., n) in dB^2 of shadowing, receiver offset and lasting multipath."""
     variance = np.full(origins.positions_m.shape[:-1], float(parameters.shadow_std_db) ** 2)
+    if origins.lasting_s is not None:
+        variance += parameters.multipath_std_db**2 - parameters.white_variance_db2
     if origins.receiver is not None:
         variance[origins.receiver != 0] += RECEIVER_OFFSET_STD_DB**2
     return variance

@@ -123,6 +123,14 @@ class Station:
 
 
 @dataclass(frozen=True)
+class Lasting:
+    """Part of multipath that has the correlation exp(-|t - t'| / time_s) at one receiver."""
+
+    share: float  # Of omega^2
+    time_s: float
+
+
+@dataclass(frozen=True)
 class ChannelParameters:
     """Parameters of the received power in dBm (equations 1.1 and 1.2).
 
@@ -150,6 +158,9 @@ class ChannelParameters:
     n_pl_prior
         Mean and standard deviation of the normal prior on n_PL that estimates of the path loss use;
         None for a flat prior.
+    lasting
+        Part of multipath that lasts for some time wherever the receiver is (equation 2.15).
+        Readings at close times have it in common; predictions without a time are for a later drive.
 
     Raises
     ------
@@ -166,6 +177,7 @@ class ChannelParameters:
     station: Station
     forgetting_s: float = math.inf
     n_pl_prior: tuple[float, float] | None = None
+    lasting: Lasting | None = None
 
     def __post_init__(self) -> None:
         for name in ("k_pl_db", "n_pl", "shadow_std_db", "decorrelation_m", "multipath_std_db"):
@@ -190,6 +202,11 @@ class ChannelParameters:
                 key="n_pl_prior",
                 remedy="give a mean and a standard deviation, e.g. (2.0, 1.0)",
             )
+
+    @property
+    def white_variance_db2(self) -> float:
+        """Variance in dB^2 of the white part of multipath."""
+        return (1.0 - (self.lasting.share if self.lasting else 0.0)) * self.multipath_std_db**2
 
 
 def station_distance_m(positions_m: Floats, station: Station) -> Floats:

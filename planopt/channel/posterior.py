@@ -280,7 +280,7 @@ def condition(
     """
     measurements = as_measurements(measurements)
     exact = len(measurements) <= exact_limit
-    joint = int(needs_site(measurements, parameters.multipath_std_db**2).sum()) <= MOST_JOINT_SITES
+    joint = int(needs_site(measurements, parameters.white_variance_db2).sum()) <= MOST_JOINT_SITES
     if exact and joint:
         sites = gaussian_sites(parameters, measurements)
     else:
@@ -309,7 +309,7 @@ def extend(posterior: ChannelPosterior, more: Measurements) -> ChannelPosterior:
     as `exact_limit` is exceeded. A censored or coarsely rounded measurement becomes a Gaussian site
     that matches the moments of its prediction truncated to its interval. `posterior` remains valid.
     """
-    alone = needs_site(more, posterior.parameters.multipath_std_db**2)
+    alone = needs_site(more, posterior.parameters.white_variance_db2)
     start = 0
     while start < len(more):
         stop = start + 1
@@ -471,7 +471,7 @@ def least_squares_theta(posterior: ChannelPosterior) -> tuple[Floats, Floats] | 
 
 def _one_site(posterior: ChannelPosterior, one: Measurements) -> Sites:
     """Return the Gaussian site of one new interval measurement, by EP with one site."""
-    noise = max(posterior.parameters.multipath_std_db**2, MIN_NOISE_VARIANCE_DB2)
+    noise = max(posterior.parameters.white_variance_db2, MIN_NOISE_VARIANCE_DB2)
     prediction = predict_noiseless(posterior, one)
     prior = LatentPrior.known_mean(prediction.mean_db, np.diag(prediction.deviation_db**2))
     return interval_sites(prior, intervals(one), noise).as_measurements()

@@ -324,6 +324,8 @@ def learn(problem: Problem, measurements: Measurements, station: int = 0) -> Bel
         fit, posterior = _given(problem, problem.channel.given, measurements, station)
     else:
         fit = fit_channel(measurements, site, problem.channel.fit_method)
+        # The times of planned measurements are unknown: all multipath is white to a plan.
+        fit = replace(fit, parameters=replace(fit.parameters, lasting=None))
         posterior = condition(fit.parameters, measurements)
     return Belief(fit, posterior)
 

@@ -15,6 +15,8 @@ from planopt.channel import (
     predict_readings,
 )
 from planopt.channel.kriging import predict
+from planopt.channel.measurements import shadow_covariance_db2
+from planopt.channel.parameters import Lasting, regressors
 
 CHANNEL = ChannelParameters(-30.0, 2.8, 6.0, 30.0, 2.0, Station((20.0, 35.0), 3.0))
 KNOWN = simulated(CHANNEL, 3, 60, 200.0)
@@ -64,6 +66,32 @@ def test_each_reading_has_its_own_time():
     np.testing.assert_allclose(
         found.deviation_db, [one.deviation_db[0] for one in alone], rtol=1e-10
     )
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2])
+def test_multipath_that_lasts_is_common_at_close_times(share):
+    """Against one dense normal distribution of all powers; also for readings taken one by one."""
+    known = simulated(CHANNEL, 5, 40, 150.0, share)
+    known = replace(known, time_s=np.arange(40.0))
+    lasting = replace(CHANNEL, lasting=Lasting(0.7, 5.0))
+    posterior = condition(lasting, known, theta="known")
+    more = replace(MORE, time_s=np.linspace(0.0, 39.0, len(MORE)))
+    found = predict_readings(posterior, more)
+    times = np.concatenate([known.time_s, more.time_s])
+    places = np.vstack([known.positions_m, more.positions_m])
+    variance = CHANNEL.multipath_std_db**2
+    total = shadow_covariance_db2(places, places, CHANNEL)
+    total += 0.7 * variance * np.exp(-np.abs(times[:, None] - times) / 5.0)
+    noise = np.concatenate([posterior.noise_variance_db2, np.full(len(more), 0.3 * variance)])
+    total += np.diag(noise)
+    mean = regressors(places, CHANNEL.station) @ [CHANNEL.k_pl_db, CHANNEL.n_pl]
+    gain = np.linalg.solve(total[:40, :40], total[:40, 40:]).T
+    expected = mean[40:] + gain @ (posterior.values_db - mean[:40])
+    spread = np.diag(total)[40:] - np.einsum("ij,ij->i", gain, total[40:, :40])
+    np.testing.assert_allclose(found.mean_db, expected, rtol=1e-9)
+    np.testing.assert_allclose(found.deviation_db, np.sqrt(spread), rtol=1e-9)
+    late = predict_readings(posterior, replace(more, time_s=np.full(len(more), 1e4)))
+    assert_same(late, posterior.predict(more.positions_m))
 
 
 def test_readings_of_another_receiver_have_its_offset():

@@ -1,7 +1,7 @@
 """Estimation of the channel from power measurements by one of several methods."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import bdtrc
@@ -21,6 +21,7 @@ from planopt.channel.estimation.channel_fit import (
     require_method,
 )
 from planopt.channel.estimation.correlation_fit import empirical_correlation, fit_correlation
+from planopt.channel.estimation.lasting import lasting_multipath
 from planopt.channel.estimation.least_squares import (
     Identifiability,
     coefficient_covariance,
@@ -35,6 +36,7 @@ from planopt.channel.parameters import (
     PRIOR_N_PL,
     PRIOR_N_PL_STD,
     ChannelParameters,
+    Lasting,
     MeanModel,
     Station,
     mean_model,
@@ -55,6 +57,7 @@ class _FitInput:
     allows: Identifiability
     forgetting_s: float
     n_pl_prior: tuple[float, float] | None = None
+    lasting: Lasting | None = None
 
     def parameters(self, coefficients: Floats, covariance: Covariance) -> ChannelParameters:
         """Return the channel parameters of an estimate."""
@@ -69,6 +72,7 @@ class _FitInput:
             station=self.station,
             forgetting_s=self.forgetting_s,
             n_pl_prior=self.n_pl_prior,
+            lasting=self.lasting,
         )
 
 
@@ -84,8 +88,6 @@ class _Estimate:
 
 
 MAP_N_PL = (2.0, 1.0)  # Prior mean and standard deviation of n_PL for ``map``
-MAP_EXTENT_SHARE = 1.0 / 6.0  # Prior median of beta for ``map``, as a share of the log's extent
-MAP_LOG_BETA_STD = 0.7  # Prior standard deviation of the logarithm of beta for ``map``
 
 
 def _by_likelihood(data: _FitInput, *, has_prior: bool) -> _Estimate:
@@ -96,9 +98,7 @@ def _by_likelihood(data: _FitInput, *, has_prior: bool) -> _Estimate:
     # The path loss variance of position errors uses n_PL of the least-squares line.
     rough = fallback_fit(line.variance_db2, beta_bounds, "a first guess")
     known = data.parameters(line.coefficients, rough.values)
-    prior = None
-    if has_prior:
-        prior = LogNormal(MAP_EXTENT_SHARE * data.allows.rotated_extent_m, MAP_LOG_BETA_STD)
+    prior = LogNormal.for_extent(data.allows.rotated_extent_m) if has_prior else None
     found = reml_fit(data.model, data.measurements, bounds, known, prior)
     at = found.best.at
     return _Estimate(found.covariance, at.coefficients, at.coefficient_covariance, reml=found)
@@ -342,6 +342,10 @@ def fit_channel(
         return _channel_fit(_by_assumption(data, "every measurement is censored"), data, chosen)
     if allows.covariance_reason is not None:
         return _channel_fit(_by_assumption(data, allows.covariance_reason), data, chosen)
+    if chosen == "map":
+        line = least_squares(model, measurements)
+        rough = data.parameters(line.coefficients, (1.0, 1.0, 1.0))
+        data = replace(data, lasting=lasting_multipath(measurements, rough, allows))
     if chosen in ("reml", "map"):
         return _channel_fit(_by_likelihood(data, has_prior=chosen == "map"), data, chosen)
     return _channel_fit(_by_correlation(data, chosen, loss), data, chosen)
@@ -382,6 +386,11 @@ def _channel_fit(estimate: _Estimate, data: _FitInput, method: FitMethod) -> Cha
     if floor is not None:
         faults.append(floor)
     notes = list(estimate.notes)
+    if data.lasting is not None:
+        notes.append(
+            f"{data.lasting.share:.0%} of the multipath variance lasts for about "
+            f"{data.lasting.time_s:.2g} s at the receiver, wherever it is"
+        )
     if (measurements.receiver != 0).all():
         notes.append(
             "receiver 0, for which powers are predicted, measured nothing: K_PL is known no better "

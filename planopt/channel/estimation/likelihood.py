@@ -129,6 +129,20 @@ class LikelihoodData:
             correlation *= ageing(times[:, None], times, self.known)
         return correlation
 
+    def lasting(self, window: int) -> Floats | None:
+        """Return the covariance of lasting multipath in units of omega^2; None if it is zero."""
+        times, lasting = self.origins.lasting_s, self.known.lasting
+        if times is None or lasting is None:
+            return None
+        times = times[self.windows[window].rows]
+        gap_s = np.abs(times[:, None] - times)
+        return lasting.share * np.exp(gap_s / -lasting.time_s)
+
+    @property
+    def white_share(self) -> float:
+        """Share of omega^2 that is white."""
+        return 1.0 - (self.known.lasting.share if self.known.lasting else 0.0)
+
 
 def likelihood_data(
     model: MeanModel,
@@ -193,6 +207,8 @@ def _distances_m(origins: Origins, windows: tuple[Window, ...]) -> tuple[Floats,
     return tuple(own_distance_m(origins.at(window.rows)) for window in windows)
 
 
+MAP_EXTENT_SHARE = 1.0 / 6.0  # Prior median of beta for ``map``, as a share of the log's extent
+MAP_LOG_BETA_STD = 0.7  # Prior standard deviation of the logarithm of beta for ``map``
 SITE_TOLERANCE = 1e-4
 """Tolerance of the interval sites during the search; it halves the number of sweeps."""
 MEAN_TOLERANCE = 0.2
@@ -235,6 +251,11 @@ class LogNormal:
     median_m: float
     deviation: float  # Standard deviation of log beta
 
+    @staticmethod
+    def for_extent(extent_m: float) -> LogNormal:
+        """Return the prior of ``map`` for a log of this extent."""
+        return LogNormal(MAP_EXTENT_SHARE * extent_m, MAP_LOG_BETA_STD)
+
     def added_to(self, at: Evaluation, beta: float) -> Evaluation:
         """Return the evaluation `at` plus the log-prior and its derivatives at `beta`."""
         apart = math.log(beta / self.median_m) / self.deviation
@@ -274,9 +295,12 @@ class RestrictedLikelihood:
         """Evaluate the likelihood of a single window, with all interval sites fitted jointly."""
         data, rows = self.data, self.data.intervals
         shadow, nugget, beta = covariance
-        correlation = data.correlation(0, beta)
+        correlation, lasting = data.correlation(0, beta), data.lasting(0)
+        white = data.white_share
         total = shadow * correlation
-        values, noise = data.values_db, data.fixed_db2 + nugget
+        if lasting is not None:
+            total += nugget * lasting
+        values, noise = data.values_db, data.fixed_db2 + white * nugget
         sites = log_likelihood = None
         if rows is not None:
             start = self._sites
@@ -284,7 +308,7 @@ class RestrictedLikelihood:
             sites = interval_sites(
                 prior,
                 rows.known,
-                nugget,
+                white * nugget,
                 start if isinstance(start, IntervalSites) else None,
                 site_tolerance,
             )
@@ -299,8 +323,14 @@ class RestrictedLikelihood:
         correlation_slope *= shadow / beta**2
         diagonal = np.diag(half)
         moved = np.stack(
-            [correlation @ weights, weights * data.gaussian[:, None], correlation_slope @ weights]
+            [
+                correlation @ weights,
+                white * weights * data.gaussian[:, None],
+                correlation_slope @ weights,
+            ]
         )
+        lasted = 0.0 if lasting is None else lasting @ weights
+        moved[1] += lasted
         sums = _Sums(
             determinant,
             columns.T @ weights,
@@ -308,7 +338,9 @@ class RestrictedLikelihood:
             np.array(
                 [
                     2.0 * np.vdot(half, correlation) - diagonal.sum(),
-                    diagonal[data.gaussian].sum(),
+                    white * diagonal[data.gaussian].sum()
+                    + (0.0 if lasting is None else 2.0 * np.vdot(half, lasting))
+                    - (1.0 - white) * diagonal.sum(),
                     2.0 * np.vdot(half, correlation_slope),
                 ],
                 dtype=np.float64,
@@ -318,13 +350,13 @@ class RestrictedLikelihood:
         )
         coefficients, spread = sums.estimate(data.prior_precision)
         # Rounded measurements inform omega^2 too: their sites' variances grow nearly as omega^2.
-        moved[1] = weights * data.measured[:, None]
+        moved[1] = white * weights * data.measured[:, None] + lasted
         along = moved @ np.concatenate([[1.0], -coefficients])
         explained = along @ weights[:, 1:]
         sums.information = 0.5 * (
             along @ symmetric_product(half, along.T) - explained @ spread @ explained.T
         )
-        slope = 0.0 if sites is None else sites.evidence_slope
+        slope = 0.0 if sites is None else white * sites.evidence_slope
         precision = Precision(half, weights[:, 1:], spread)
         return _evaluation(
             data, sums, (coefficients, spread), slope, log_likelihood, 0.0, precision
@@ -336,7 +368,7 @@ class RestrictedLikelihood:
         shadow, nugget, beta = covariance
         sites = self._sites if isinstance(self._sites, WindowSites) else None
         coefficients = self._coefficients
-        values, noise = data.values_db, data.fixed_db2 + nugget
+        values, noise = data.values_db, data.fixed_db2 + data.white_share * nugget
         parameters = replace(
             data.known,
             shadow_std_db=math.sqrt(shadow),
@@ -364,7 +396,7 @@ class RestrictedLikelihood:
             error = np.sqrt(np.einsum("ij,jk,ik->i", there, spread, there))
             if (np.abs(there @ (coefficients - before)) <= MEAN_TOLERANCE * error).all():
                 break
-        slope = 0.0 if sites is None else sites.slope
+        slope = 0.0 if sites is None else data.white_share * sites.slope
         log_factor = 0.0 if sites is None else sites.log_factor - data.log_steps
         self._sites, self._coefficients = sites, coefficients
         return _evaluation(data, sums, (coefficients, spread), slope, None, log_factor, None)
@@ -484,7 +516,7 @@ def _window_sums(
     noise_db2: Floats,  # (n,), sites as measurements
 ) -> _Sums:
     """Return the sums over all blocks, each block conditional on its earlier neighbours."""
-    shadow, _, beta = covariance
+    shadow, nugget, beta = covariance
     size = columns.shape[1]
     sums = _Sums(
         0.0, np.zeros((size, size)), np.zeros(3), np.zeros((3, size, size)), np.zeros((3, 3))
@@ -494,7 +526,9 @@ def _window_sums(
     for number, window in enumerate(data.windows):
         rows, own, near = window.rows, len(window.own), len(window.near)
         correlation, noise = data.correlation(number, beta), noise_db2[rows]
-        total = shadow * correlation
+        total, lasting = shadow * correlation, data.lasting(number)
+        if lasting is not None:
+            total += nugget * lasting
         total.flat[:: len(total) + 1] += noise
         diagonal, inverted = factor_and_inverse(total)
         last = inverted[near:]
@@ -503,9 +537,15 @@ def _window_sums(
         sums.log_determinant += 2.0 * float(np.log(diagonal[near:]).sum())
         sums.products += here.T @ here
         correlation *= data.distances_m[number]
-        parts = [last * noise, last * data.gaussian[rows], last @ correlation]
+        white = last * data.white_share
+        parts = [last * noise, white * data.gaussian[rows], last @ correlation]
         if coarse:
-            parts.append(last * data.measured[rows])
+            parts.append(white * data.measured[rows])
+        if lasting is not None:
+            lasted = last @ lasting
+            parts[0] += nugget * lasted
+            for part in parts[1::2]:
+                part += lasted
         moved = (np.concatenate(parts) @ inverted.T).reshape(len(parts), own, -1)
         # The whitened total covariance is the identity.
         moved[0] *= -1.0
@@ -532,9 +572,12 @@ def _expected_information(
     # omega^2. Censored measurements carry no information on omega^2, so that its standard error is
     # not understated.
     shadow, _, beta = covariance
-    correlation = data.correlation(0, beta)
+    correlation, lasting = data.correlation(0, beta), data.lasting(0)
     slope = correlation * data.distances_m[0] * (shadow / beta**2)
-    products = [projection @ correlation, projection * data.measured, projection @ slope]
+    noise = data.white_share * projection * data.measured
+    if lasting is not None:
+        noise += projection @ lasting
+    products = [projection @ correlation, noise, projection @ slope]
     return np.array([[0.5 * float(np.vdot(a.T, b)) for b in products] for a in products])
 
 
@@ -545,6 +588,9 @@ def profiled_log_likelihood(
     # Terms that do not scale with alpha are ignored, and offsets have a flat prior.
     count = len(data.values_db)
     correlation = correlated_share * data.correlation(0, decorrelation_m)
+    lasting = data.lasting(0)
+    if lasting is not None:
+        correlation += (1.0 - correlated_share) * lasting
     np.fill_diagonal(correlation, 1.0)
     columns = np.column_stack([data.values_db, data.flat_columns()])
     lower, whitened = factor_and_whitened(correlation, columns)

@@ -18,7 +18,7 @@ from planopt.channel.estimation.likelihood import (
 )
 from planopt.channel.measurements import measured_path_loss_variance_db2
 from planopt.channel.neighbours import BLOCK, BLOCK_NEIGHBOURS
-from planopt.channel.parameters import mean_model
+from planopt.channel.parameters import Lasting, mean_model
 
 CHANNEL = ChannelParameters(-40.0, 3.0, 6.0, 30.0, 2.0, Station((50.0, 50.0), 10.0))
 POINT = (30.0, 5.0, 25.0)
@@ -116,6 +116,18 @@ def test_is_the_density_of_contrasts(measurements, known):
 def test_gradient_is_the_slope(measurements, known, n_pl):
     """With censoring, ages, receivers and errors of position, with and without a slope."""
     assert_gradient_is_the_slope(data_of(measurements, known, n_pl=n_pl), 1e-4, 1e-6)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3])
+@pytest.mark.parametrize("blocks", [None, BOUNDS])
+def test_gradient_with_lasting_multipath_is_the_slope(share, blocks):
+    """With two receivers, in one window and in several, also with intervals."""
+    measurements = simulated(CHANNEL, 2, 120, 200.0, share)
+    times, receiver = np.arange(120.0), np.arange(120) % 2
+    dated = replace(measurements, time_s=times, receiver=receiver)
+    known = replace(CHANNEL, lasting=Lasting(0.6, 8.0))
+    atol = 0.02 if share and blocks else 3e-6
+    assert_gradient_is_the_slope(data_of(dated, known, blocks=blocks), atol=atol)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.3])

@@ -98,6 +98,34 @@ def test_prior_without_a_spread_is_refused() -> None:
         replace(CHANNEL, n_pl_prior=(2.0, 0.0))
 
 
+def test_later_drive_is_predicted_with_honest_intervals() -> None:
+    """With times, multipath that lasts is no shadowing, and white multipath changes nothing."""
+    channel = ChannelParameters(-40.0, 3.0, 3.0, 20.0, 4.0, Station((50.0, 50.0), 10.0))
+    errors = {"dated": [], "undated": []}
+    for seed in range(6):
+        generator = np.random.default_rng(seed)
+        along, later = np.arange(300.0), generator.uniform(0.0, 100.0, (300, 2))
+        drive = 50.0 + 50.0 * np.column_stack([np.sin(along / 17.0), np.sin(along / 23.0)])
+        covariance = shadow_covariance_db2(*[np.vstack([drive, later])] * 2, channel)
+        covariance[:300, :300] += 14.0 * np.exp(-np.abs(along[:, None] - along) / 8.0)
+        covariance += np.diag(np.repeat([2.0, 16.0], 300))
+        mean = regressors(np.vstack([drive, later]), channel.station) @ [-40.0, 3.0]
+        power = mean + np.linalg.cholesky(covariance) @ generator.standard_normal(600)
+        for name, times in (("dated", along), ("undated", np.zeros(300))):
+            log = Measurements(drive, power[:300], time_s=times)
+            fit = fit_channel(log, channel.station)
+            assert any("lasts" in each for each in fit.warnings) == (name == "dated")
+            predicted = condition(fit.parameters, log).predict(later)
+            errors[name].append((power[300:] - predicted.mean_db) / predicted.deviation_db)
+    covered = {name: (np.abs(np.array(each)) < 1.96).mean() for name, each in errors.items()}
+    assert 0.92 < covered["dated"] < 0.97
+    assert covered["undated"] < covered["dated"]
+    white = simulated(CHANNEL, 8, 80, 200.0)
+    dated = replace(white, time_s=np.arange(80.0))
+    fits = [fit_channel(each, CHANNEL.station) for each in (white, dated)]
+    assert fits[0].parameters == fits[1].parameters
+
+
 def test_flat_is_predicted_no_worse_than_without_radio() -> None:
     """The third drive from 150 readings of the others: path loss, plain process, intervals."""
     file = Path(library_folder()) / "data" / "flat_log.csv"

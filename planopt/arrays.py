@@ -14,6 +14,7 @@ Mask = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 
 LARGEST = 1e12  # Maximum magnitude of numbers from a user's control loop
+LONGEST_PROOF_S = 1e6  # Largest time limit of a proof, in seconds
 
 
 def finite_array(key: str, given: object, shape: tuple[int, ...], remedy: str) -> Floats:
@@ -39,6 +40,15 @@ def require_seed(seed: object) -> None:
     if not isinstance(seed, int | np.integer) or seed < 0:
         words = f"is {seed!r}, should be a whole number of at least 0"
         raise InputError(words, key="seed", remedy="give 0, 1, ...")
+
+
+def proof_seconds(given: object) -> float:
+    """Return the time limit of a proof; raise an `InputError` if it is invalid."""
+    is_number = isinstance(given, int | float | np.integer | np.floating)
+    if not is_number or not 0.0 < given <= LONGEST_PROOF_S:
+        remedy = f"give seconds above 0, at most {LONGEST_PROOF_S:,.0f}"
+        raise InputError(f"is {given!r}", key="prove_s", remedy=remedy)
+    return float(given)
 
 
 @dataclass(frozen=True, eq=False)

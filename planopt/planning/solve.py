@@ -12,7 +12,7 @@ from typing import Any, Self, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from planopt.arrays import Floats, Mask, finite_array
+from planopt.arrays import Floats, Mask, finite_array, proof_seconds
 from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.measurements import Measurements
 from planopt.channel.posterior import Belief
@@ -42,8 +42,6 @@ from planopt.short_repr import wrapped
 from planopt.world.clearance import containing_obstacle, index_obstacles
 from planopt.world.workspace import Obstacle
 
-LONGEST_PROOF_S = 1e6  # Largest time limit of a proof, in seconds
-
 
 @one_blas_thread()
 def solve(
@@ -60,6 +58,7 @@ def solve(
 
     The plans equal the first plans of a run with the same seed, but for smoothed routes to a goal.
     """
+    seconds = None if prove_s is None else proof_seconds(prove_s)
     problem, given = with_measurements(problem, measurements)
     problem = with_overrides(problem, horizon=horizon, planner=planner, cost_to_go=cost_to_go)
     # An unreachable goal is detected before channel files are read.
@@ -67,7 +66,7 @@ def solve(
     solution = with_smooth_routes(
         solve_on(problem, prepare(problem, seed, given).belief, seed, scenes)
     )
-    return solution if prove_s is None else proven(solution, prove_s)
+    return solution if seconds is None else proven(solution, seconds)
 
 
 def with_smooth_routes(solution: Solution) -> Solution:
@@ -85,12 +84,6 @@ def with_smooth_routes(solution: Solution) -> Solution:
 
 def proven(solution: Solution, prove_s: float) -> Solution:
     """Return a solution with proven bounds, and with smoothed routes if these are cheaper."""
-    if not 0.0 < prove_s <= LONGEST_PROOF_S:
-        raise InputError(
-            f"is {prove_s!r}",
-            key="prove_s",
-            remedy=f"give seconds above 0, at most {LONGEST_PROOF_S:,.0f}",
-        )
     # Solvers are imported only if they are used.
     from planopt.planning.prove import proven_plans
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from time import process_time
 from typing import Any
 
+from planopt.arrays import proof_seconds
 from planopt.bounds.bound import GAP_TOLERANCE
 from planopt.channel.cholesky import one_blas_thread
 from planopt.errors import InputError, NoPlanError
@@ -91,6 +92,7 @@ def library_cases(
     prove_s: float = 0.0,
 ) -> list[Case]:
     """Return the cases of all valid combinations, ordered by problem and then by seed."""
+    prove_s = proof_seconds(prove_s) if prove_s else 0.0
     loaded = {name: load(name) for name in (library_names() if problems is None else problems)}
     chosen = {
         (name, kind): task_of(problem).planners(problem, kind)

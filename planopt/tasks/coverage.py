@@ -11,7 +11,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from planopt.arrays import Floats, Mask
+from planopt.arrays import Floats, Mask, proof_seconds
 from planopt.bounds.bound import relative_gap
 from planopt.coverage.assignment import NONE
 from planopt.coverage.cost_bounds import EFFORT_S, cost_bound
@@ -218,7 +218,7 @@ def solve(problem: CoverageProblem, *, seed: int, prove_s: float = EFFORT_S) -> 
 
     The bound takes about `prove_s` seconds of processor time on a common core.
     """
-    generator = np.random.default_rng(seed)
+    prove_s, generator = proof_seconds(prove_s), np.random.default_rng(seed)
     ground, starts_m = problem.scene.ground, problem.starts(generator)
     found = best_deployment(ground, len(starts_m), STARTS, generator, first_m=starts_m)
     bound = cost_bound(ground, found.places_m, prove_s)

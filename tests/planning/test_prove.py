@@ -211,8 +211,9 @@ def test_a_proven_plan_takes_a_passage_between_lattice_nodes() -> None:
     assert plan.bound.cost < plain.objective and plan.bound.gap < 0.1
 
 
-@pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_proof_needs_a_time(seconds: float) -> None:
-    """Zero, negative and infinite times are rejected by name."""
+@pytest.mark.parametrize("name", ["open_field", "coverage_plain"])
+@pytest.mark.parametrize("seconds", [0.0, -1.0, float("nan"), float("inf"), 1e9, "x", 1j])
+def test_a_proof_needs_a_time(name: str, seconds: object) -> None:
+    """All tasks reject by name times of at most 0, above 1e6 s, and values that are no numbers."""
     with pytest.raises(planopt.InputError, match="prove_s"):
-        planopt.solve(planopt.load("open_field"), prove_s=seconds)
+        planopt.solve(planopt.load(name), prove_s=seconds)

@@ -71,6 +71,14 @@ def test_rows_have_what_was_found(folder: Path) -> None:
     assert auto["path_digest"] == hashlib.sha256(millimetres).hexdigest()[:16]
 
 
+@pytest.mark.parametrize("seconds", ["nan", "inf", "1e9"])
+def test_a_proof_needs_a_time(seconds: str, tmp_path: Path, capsys) -> None:
+    """A time that is not finite or is above 1e6 s is rejected before a case is solved."""
+    assert ran(tmp_path / "out", "--prove", seconds, problems="no_route_gap") == 2
+    expect_message(capsys.readouterr().err)
+    assert not (tmp_path / "out").exists()
+
+
 def test_again_answers_nothing(folder: Path, answered: list[str], capsys) -> None:
     """And adds what is new; damaged rows are answered again."""
     before = (folder / "rows.csv").read_text()

@@ -18,7 +18,7 @@ BUDGET = {
     "files": 249,
     "functions": 3_809,
     "docstring lines": 7_567,
-    "lines of tests": 47_700,
+    "lines of tests": 47_720,
 }
 """Largest permitted value of each figure. The goal is 55,000 lines in 240 files."""
 

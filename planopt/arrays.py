@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from numbers import Real
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,10 +44,9 @@ def require_seed(seed: object) -> None:
         raise InputError(words, key="seed", remedy="give 0, 1, ...")
 
 
-def proof_seconds(given: object) -> float:
+def proof_seconds(given: Any) -> float:
     """Return the time limit of a proof; raise an `InputError` if it is invalid."""
-    is_number = isinstance(given, int | float | np.integer | np.floating)
-    if not is_number or not 0.0 < given <= LONGEST_PROOF_S:
+    if not issubclass(type(given), Real) or not 0.0 < given <= LONGEST_PROOF_S:
         remedy = f"give seconds above 0, at most {LONGEST_PROOF_S:,.0f}"
         raise InputError(f"is {given!r}", key="prove_s", remedy=remedy)
     return float(given)

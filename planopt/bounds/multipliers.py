@@ -48,7 +48,7 @@ AT_KINK_M = 0.02  # Distance from a measurement's position at which the gradient
 AT_P_MIN = 0.02  # Surplus of the probability of connection up to which p_min may count as active
 
 MOST_ROUNDS, ROUNDS_OF_PART, ROUNDS_PER_TRIAL = 25, 8, 4
-FIRST_PART = 0.2
+WHOLE_SHARE, WHOLE_S = 0.8, 4.0  # Largest share and length of the search before the first cut
 """Rounds of the search for a design of all paths, of a part of them, and between other shares."""
 FIRST_SHARES = 0.01, 0.5
 """First assumed information, in units of the reference's: of the map, and of the path loss."""
@@ -246,7 +246,7 @@ def fitted_parts(
             measured,
             Part(whole, path_m[None], np.ones(1), np.array([is_referred, *FIRST_SHARES])),
             MOST_ROUNDS,
-            FIRST_PART * seconds / (1 + (measured.criterion == "map")),
+            min(WHOLE_SHARE * seconds, WHOLE_S) / (1 + (measured.criterion == "map")),
         )
         for is_referred in ((1.0, 0.0) if measured.criterion == "map" else (1.0,))
     ]

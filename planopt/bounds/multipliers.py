@@ -48,8 +48,8 @@ AT_KINK_M = 0.02  # Distance from a measurement's position at which the gradient
 AT_P_MIN = 0.02  # Surplus of the probability of connection up to which p_min may count as active
 
 MOST_ROUNDS, ROUNDS_OF_PART, ROUNDS_PER_TRIAL = 25, 8, 4
-WHOLE_SHARE, WHOLE_S = 0.8, 4.0  # Largest share and length of the search before the first cut
 """Rounds of the search for a design of all paths, of a part of them, and between other shares."""
+WHOLE_SHARE, WHOLE_S = 0.8, 4.0  # Largest share and length of the search before the first cut
 FIRST_SHARES = 0.01, 0.5
 """First assumed information, in units of the reference's: of the map, and of the path loss."""
 

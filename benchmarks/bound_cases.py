@@ -38,7 +38,8 @@ def gaps_of(steps: int, count: int, seed: int, limits_s: list[float], free: bool
     found = list[float]()
     for limit_s in limits_s:
         given = place.problem, place.belief, plan, at.aim, NOTHING_MOVES
-        bound = prove.with_sum_bound(*given, limit_s, improves=True).bound
+        *_, proven = prove.sum_plan(*given, limit_s, improves=True)
+        bound = proven.bound
         assert bound is not None
         assert bound.gap is not None
         found.append(bound.gap)

@@ -288,6 +288,14 @@ def stopping() -> Generator[list[int]]:
         _active.pop()
 
 
+def was_interrupted() -> bool:
+    """Return whether a SIGINT arrived that did not end the work, and forget it."""
+    found = any(signal.SIGINT in received for received in _active)
+    for received in _active:
+        received[:] = [number for number in received if number != signal.SIGINT]
+    return found
+
+
 @contextlib.contextmanager
 def progress(
     description: str, total: int | None = None, *, bar: bool = True

@@ -20,6 +20,7 @@ from planopt.commands.options import (
     results_folder,
     say,
     show,
+    was_interrupted,
     with_options,
 )
 from planopt.errors import InputError, NoPlanError
@@ -112,6 +113,8 @@ def _perform(
                 result = perform(
                     action, problem, seed=options.seed, on_step=lambda *_: advance(), **settings
                 )
+                if prove_s is not None and was_interrupted():
+                    say(f"{problem.name}: interrupted; the result has the bounds found so far")
         except NoPlanError as error:
             # The reason is printed at once because finding helpful changes takes longer.
             refusal = f"{problem.name}: no plan: {error}"

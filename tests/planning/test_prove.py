@@ -1,7 +1,9 @@
 """Proven bounds of plans: their keys, their proof again from files, and what they never claim."""
 
 import json
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ import shapely
 
 import planopt
 from planopt import Problem, Solution
+from planopt.planning import prove
 
 SECONDS = 6.0
 
@@ -185,6 +188,26 @@ def test_bounds_of_robots_that_keep_apart_are_saved(tmp_path: Path) -> None:
     data["bound"] -= 0.1 * solution.plans[2].bound.alone
     (tmp_path / "plan.json").write_text(json.dumps(data))
     assert planopt.check(tmp_path).verdict is planopt.Verdict.VIOLATED
+
+
+@pytest.mark.parametrize(
+    ("name", "bounds"), [("gap_two_doors", "route_bounds"), ("fig1", "tube_bounds")]
+)
+@pytest.mark.parametrize("count", [0, 1])
+def test_an_interrupt_ends_the_proof(
+    monkeypatch: pytest.MonkeyPatch, name: str, bounds: str, count: int
+) -> None:
+    """The plan and the bounds found before the interrupt are returned."""
+    found = getattr(prove, bounds)
+
+    def interrupted(*given: object) -> Iterator[object]:
+        yield from islice(found(*given), count)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(prove, bounds, interrupted)
+    plan = planopt.solve(planopt.load(name), horizon=3, prove_s=1.0).plan
+    assert plan.verdict is planopt.Verdict.VERIFIED
+    assert (plan.bound is not None) == (count > 0)
 
 
 @pytest.mark.parametrize("name", ["open_field", "trap_spiral", "inertia_slalom"])

@@ -211,9 +211,10 @@ class Solution(MotionResult):
 
     @property
     def bound(self) -> Bound | None:
-        """Return the bound on the sum of all objectives; None unless a proof was required."""
+        """Return the bound on the sum of all objectives; None without a complete proof."""
         bounds = [plan.bound for plan in self.plans if plan.bound is not None]
-        return total_bound(bounds, self.problem.sense) if bounds else None
+        complete = bounds and len(bounds) == len(self.plans)
+        return total_bound(bounds, self.problem.sense) if complete else None
 
     @property
     def exit_code(self) -> int:

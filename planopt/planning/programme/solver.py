@@ -233,6 +233,9 @@ def call_nlp(
         return lost_point(horizon, len(start), len(row_bounds.lower))
     x, lam_g, lam_x = (np.asarray(result[name]).ravel() for name in ("x", "lam_g", "lam_x"))
     stats = solver.stats()
+    if stats["return_status"] == "User_Requested_Stop":
+        # CasADi turns an interrupt into this status.
+        raise KeyboardInterrupt
     termination = termination_of(str(stats["return_status"]))
     return nlp_point(horizon, x, lam_g, lam_x, termination, int(stats.get("iter_count", 0)))
 

@@ -36,7 +36,9 @@ TOLERANCES = {
 }
 """Tolerances of keys and columns that differ from the default `EXACT`."""
 
-REPEATED = TOLERANCES | dict.fromkeys(("bound", "gap"), Tolerance(1e-3, 1e-3))
+BOUNDED = TOLERANCES | {"bound": Tolerance(0.0, 1e-9), "gap": Tolerance(1e-10, 1e-9)}
+"""Tolerances of results with their own bounds, up to rounding on another processor."""
+REPEATED = TOLERANCES | {"bound": Tolerance(0.0, 1e-6)}
 """Tolerances of results whose bounds are proven anew by an iteration, not from a certificate."""
 ACCEPTED = frozenset(
     ("bound_wall_s", "iterations", "rung", "solve_s", "step_s", "termination", "wall_s")

@@ -16,11 +16,11 @@ import numpy as np
 
 from planopt.arrays import require_seed
 from planopt.errors import InputError, NoPlanError
-from planopt.files.compare import REPEATED, differences, in_words
+from planopt.files.compare import BOUNDED, REPEATED, differences, in_words
 from planopt.files.tables import Column, Data, finite, read_table, seed_in
 from planopt.files.writing import Patterns
 from planopt.keys import Table, located
-from planopt.planning.check.check import CheckResult
+from planopt.planning.check.check import CheckResult, gap_reasons
 from planopt.planning.files.saved import PLAN_FILE, PLAN_OR_RUN, RUN_FILE, read_object
 from planopt.planning.loop.results import RunSummary
 from planopt.planning.plan import Verdict
@@ -488,12 +488,13 @@ def _reasons_against(file: Path, data: Mapping[str, Any]) -> list[str]:
     try:
         follows = "saved" in signature(task_of(saved.problem).function(action)).parameters
         more: dict[str, Any] = {"saved": saved.tables} if follows and saved.tables else {}
-        more |= {key: saved.data[key] for key in EFFORT_KEYS if key in saved.data}
-        again: TaskResult = perform(action, saved.problem, seed=seed, **more)
+        efforts = {key: saved.data[key] for key in EFFORT_KEYS if key in saved.data}
+        again: TaskResult = perform(action, saved.problem, seed=seed, **more, **efforts)
     except NoPlanError as error:
         return [f"{file.name}: there is no plan: {error}"]
     for name in again.tables.keys() - saved.tables.keys():
         raise InputError("does not exist", file=file.parent / name)
     reasons = task_of(saved.problem).contents(again).table_reasons(saved.tables)
-    found = differences(saved.data, again.data, tolerances=REPEATED)
-    return reasons + in_words(file.name, found)
+    tolerances = REPEATED if efforts else BOUNDED
+    found = differences(saved.data, again.data, tolerances=tolerances)
+    return reasons + in_words(file.name, found) + gap_reasons(again.data.get("gap"))

@@ -2,6 +2,7 @@
 
 import json
 import re
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -68,6 +69,19 @@ def test_every_function_takes_it(file: Path, tmp_path: Path) -> None:
     found = planopt.compare(problem, sweep={"walk.radius_m": [3.0, 6.0]}, seeds=4)
     near, far = ([r.metrics["steps"] for r in found.runs[i : i + 4]] for i in (0, 4))
     assert sum(near) < sum(far)
+
+
+def test_a_result_better_than_its_bound_is_rejected(file: Path, tmp_path: Path) -> None:
+    """The check rejects a negative gap, even if it is repeated."""
+    module = tmp_path / "site" / "walk_task.py"
+    text = module.read_text()
+    module.write_text(text.replace('"steps": steps})', '"steps": steps, "gap": -0.01})'))
+    assert module.read_text() != text
+    sys.modules.pop("walk_task", None)
+    planopt.solve(planopt.load(file)).save(tmp_path / "out")
+    found = planopt.check(tmp_path / "out")
+    assert found.verdict is planopt.Verdict.VIOLATED and "better than its" in found.reasons[0]
+    sys.modules.pop("walk_task", None)
 
 
 def test_every_command_takes_it(

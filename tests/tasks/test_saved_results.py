@@ -113,6 +113,18 @@ def test_no_edit_passes(saved: Path, tmp_path: Path, monkeypatch: pytest.MonkeyP
         assert verdict is planopt.Verdict.VIOLATED, where
 
 
+@pytest.mark.parametrize("name", ["coverage_obstacles", "pursuit_design"])
+def test_a_changed_bound_is_rejected(name: str, tmp_path: Path) -> None:
+    """The bound and the gap of a deployment and of a design are compared tightly."""
+    planopt.solve(planopt.load(name)).save(tmp_path)
+    file = tmp_path / "plan.json"
+    data = json.loads(file.read_text())
+    assert planopt.check(tmp_path).verdict is planopt.Verdict.VERIFIED
+    for change in ({"bound": data["bound"] * 1.00001}, {"gap": 0.0}):
+        file.write_text(json.dumps({**data, **change}))
+        assert planopt.check(tmp_path).verdict is planopt.Verdict.VIOLATED, change
+
+
 def test_another_seed_or_problem_is_found(saved: Path, tmp_path: Path) -> None:
     """Results are those of the seed and the problem in the file."""
     file = next(saved.glob("*.json"))

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.arrays import Floats
-from planopt.bounds.bound import Potential, Tilts
+from planopt.bounds.bound import GAP_TOLERANCE, Potential, Tilts
 from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.kriging import Prediction
 from planopt.channel.measurements import SAME_PLACE_M, Measurements
@@ -422,7 +422,10 @@ def _objections(saved: Saved, result: Solution | Run) -> list[str]:
         return [
             f"{plan.robot}: {reason}" if len(result.plans) > 1 else reason
             for number, plan in enumerate(result.plans)
-            for reason in plan_reasons(problem_of_robot(saved.problem, number), plan)
+            for reason in [
+                *plan_reasons(problem_of_robot(saved.problem, number), plan),
+                *gap_reasons(None if plan.bound is None else plan.bound.gap),
+            ]
         ]
     reasons: list[str] = []
     for number, plans in enumerate(result.plans):
@@ -436,6 +439,13 @@ def _objections(saved: Saved, result: Solution | Run) -> list[str]:
         late = f"the run goes on after step {len(result.plans[0])}, {result.reason}"
         reasons.append(f"{saved.file.name}, key plans: {late}")
     return reasons
+
+
+def gap_reasons(gap: float | None) -> list[str]:
+    """Return the reason to reject a result that is better than its proven bound."""
+    if gap is None or gap >= -GAP_TOLERANCE:
+        return []
+    return [f"the gap is {gap:.2g}: the result is better than its proven bound"]
 
 
 def _different(saved: Saved, found: Contents) -> list[str]:

@@ -36,10 +36,10 @@ from planopt.world.shortest_paths import INNER_SHARE
 
 Array = Floats
 
-FIRST_TRIANGLES = 2_300, 200
+FIRST_TRIANGLES = 5_000, 200
 """Number of triangles added to the corridor of good routes before the first solve: a constant, and
 a number per second of available time."""
-FIRST_SOLVE_S = 2.0
+FIRST_SOLVE_S = 4.0
 """Minimum time limit of the first solve in seconds; it usually takes less than half a second."""
 GROWTH = 1.8  # Largest ratio of the numbers of triangles in successive solves
 MAX_TRIANGLES = 60_000  # Maximum number of triangles; a solve then takes about a minute
@@ -118,7 +118,8 @@ def route_bounds(problem: RouteProblem, seconds: float) -> Iterator[RouteBound]:
             chosen &= (loose > LOOSE_SHARE) | (area > most_area)
             first = first or len(inner)
             room = round(first + FIRST_TRIANGLES[0] + FIRST_TRIANGLES[1] * seconds) - len(inner)
-            if room > 0 and mesh.refine(_largest(area, inner, chosen, room)):
+            loss = loose * middle * np.sqrt(area)
+            if room > 0 and mesh.refine(_largest(loss, inner, chosen, room)):
                 continue
         best = replace(best, corridor=corridor)
         yield best
@@ -242,9 +243,9 @@ def _touches_goal(problem: RouteProblem, nodes_m: Array, corners: Indices) -> Ma
     return np.asarray(shapely.intersects(goal, shapely.polygons(nodes_m[corners])), dtype=bool)
 
 
-def _largest(area: Array, corners: Indices, chosen: Mask, room: int) -> Indices:
-    """Return the largest chosen triangles whose refinement adds at most `room` triangles."""
-    order = np.argsort(np.where(chosen, -area, 0.0))
+def _largest(loss: Array, corners: Indices, chosen: Mask, room: int) -> Indices:
+    """Return the chosen triangles of most loss whose refinement adds at most `room` triangles."""
+    order = np.lexsort([-loss, ~chosen])
     return corners[order[: min(int(chosen.sum()), max(1, room // 3))]]
 
 

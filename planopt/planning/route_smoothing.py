@@ -403,8 +403,12 @@ class RouteSmoothing:
         horizon = self._problem.planner.horizon
         longest_m, clearance_m = self._longest_m - POLISH_M, self._clearance_m + POLISH_M
 
+        start = places_m[1:-1].ravel()
+
         def path(inner: Floats) -> Floats:
-            return np.vstack([places_m[:1], inner.reshape(-1, 2), places_m[-1:]])
+            # The search may try positions far away.
+            near = np.clip(np.nan_to_num(inner), start - longest_m, start + longest_m)
+            return np.vstack([places_m[:1], near.reshape(-1, 2), places_m[-1:]])
 
         def cost(inner: Floats) -> float:
             places = path(inner)
@@ -420,7 +424,6 @@ class RouteSmoothing:
 
         limits: Any = {"type": "ineq", "fun": room}
         options: Any = {"maxiter": POLISHES, "ftol": 1e-7}
-        start = places_m[1:-1].ravel()
         found: Any = minimize(cost, start, method="SLSQP", constraints=limits, options=options)
         polished = path(found.x)
         values = [

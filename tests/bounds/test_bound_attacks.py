@@ -167,7 +167,7 @@ def stepped(problem: RouteProblem, step_m: float, steps: int, effort: float) -> 
         start_m=problem.start_m,
         step_m=step_m,
         steps=steps,
-        bounds_m=problem.bounds_m,
+        limits_m=np.tile(problem.bounds_m, (steps, 1)),
         blocked=[box.buffer(0.98 * problem.clearance_m - 1e-5) for box in problem.obstacles],
         makers=quantity_makers(posteriors, problem.thresholds_dbm, posteriors[0]),
         reward=no_reward,

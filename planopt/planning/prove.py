@@ -7,14 +7,15 @@ and the outage integrated along both (equation 6.13). For sums over steps,
 :mod:`planopt.bounds.tube` supplies it.
 """
 
-from collections.abc import Callable, Sequence
+import contextlib
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from time import monotonic
 
 import numpy as np
 
 from planopt.arrays import Floats
-from planopt.bounds.bound import Bound, Design, Tilts
+from planopt.bounds.bound import Bound, Design, Potential, Tilts
 from planopt.bounds.fixed_steps import stepped_bounds, stepped_problem
 from planopt.bounds.multipliers import fitted_parts, local_optimum, tilts_near
 from planopt.bounds.one_step import best_place
@@ -71,49 +72,73 @@ SURPLUS = 2e-5
 def proven_plans(
     problem: Problem, belief: Belief, plans: Sequence[Plan], aims: Sequence[Aim], seconds: float
 ) -> tuple[Plan, ...]:
-    """Return the plans with proven bounds; cheaper routes from a bound's mesh replace the old ones.
+    """Return the plans with proven bounds; better plans that the bounds suggest replace them.
 
-    Each robot gets the same share of the time.
+    Each robot gets the same share of the time. An interrupt ends the proofs and keeps the results.
     """
-    if not problem.has_goal:
-        return with_sum_bounds(problem, belief, plans, aims, seconds)
-    found: list[Plan] = []
+    found = list(plans)
+    ever_better = goal_plans if problem.has_goal else sum_plans
+    with contextlib.suppress(KeyboardInterrupt):
+        for number, plan in ever_better(problem, belief, plans, aims, seconds):
+            found[number] = plan
+    return tuple(found if problem.has_goal else with_separations(problem, 0, found))
+
+
+def unproven(problem: Problem, plan: Plan, reason: str) -> Plan:
+    """Return the plan without a bound, for a reason."""
+    return replace(plan, bound=Bound(None, problem.sense, plan.objective, reason=reason))
+
+
+def goal_plans(
+    problem: Problem, belief: Belief, plans: Sequence[Plan], aims: Sequence[Aim], seconds: float
+) -> Iterator[tuple[int, Plan]]:
+    """Yield numbers of robots and their plans to a goal, with ever tighter bounds."""
     for number, plan in enumerate(plans):
         own = problem_of_robot(problem, number)
-        share = seconds / len(plans)
         reason = why_unbounded(own, belief.posteriors)
         if reason:
-            found.append(
-                replace(plan, bound=Bound(None, problem.sense, plan.objective, reason=reason))
-            )
+            yield number, unproven(problem, plan, reason)
             continue
-        begun, smoothing = monotonic(), RouteSmoothing(own, belief.posteriors, len(plans) == 1)
-        stepped = stepped_problem(own, belief.posteriors) if share >= STEPS_S else None
-        route_s = share if stepped is None else (1.0 - STEPS_SHARE) * share
-        bounds = route_bounds(route_problem(own, belief.posteriors), route_s)
-        best = next(bounds)
-        # Bounds never get worse.
-        for best in bounds:
-            if best.corridor is not None:
-                plan = smoothing.improved(plan, best.corridor)
+        for better in goal_plan(own, belief, plan, len(plans), seconds / len(plans)):
+            yield number, better
+
+
+def goal_plan(
+    problem: Problem, belief: Belief, plan: Plan, robots: int, seconds: float
+) -> Iterator[Plan]:
+    """Yield the first robot's plan with ever tighter bounds, and with cheaper routes."""
+    begun, posteriors = monotonic(), belief.posteriors
+    smoothing = RouteSmoothing(problem, posteriors, robots == 1)
+    stepped = stepped_problem(problem, posteriors) if seconds >= STEPS_S else None
+    route_s = seconds if stepped is None else (1.0 - STEPS_SHARE) * seconds
+
+    def bounded(value_m: float, potential: Potential | None) -> Plan:
+        bound = bound_of(problem, posteriors, plan, value_m, potential, robots)
+        return replace(plan, bound=replace(bound, wall_s=monotonic() - begun))
+
+    value_m, potential = 0.0, None
+    # Bounds never get worse.
+    for best in route_bounds(route_problem(problem, posteriors), route_s):
+        if best.corridor is not None:
+            plan = smoothing.improved(plan, best.corridor)
         value_m, potential = best.value_m, best.potential
-        if stepped is not None and potential is not None:
-            cost_m = integrated_cost_s(own, belief.posteriors, plan) / rate_s_m(own)
-            limit_m = value_m + LIMIT_SHARE * (cost_m - value_m)
-            left = share - (monotonic() - begun)
-            for higher_m, levels in stepped_bounds(stepped, potential, limit_m, left):
-                if higher_m > value_m:
-                    value_m = higher_m
-                    potential = replace(potential, step_levels=levels, step_limit_m=limit_m)
-        bound = bound_of(own, belief.posteriors, plan, value_m, potential, len(plans))
-        found.append(replace(plan, bound=replace(bound, wall_s=monotonic() - begun)))
-    return tuple(found)
+        yield bounded(value_m, potential)
+    if stepped is None or potential is None:
+        return
+    cost_m = integrated_cost_s(problem, posteriors, plan) / rate_s_m(problem)
+    limit_m = value_m + LIMIT_SHARE * (cost_m - value_m)
+    left = seconds - (monotonic() - begun)
+    for higher_m, levels in stepped_bounds(stepped, potential, limit_m, left):
+        if higher_m > value_m:
+            value_m = higher_m
+            potential = replace(potential, step_levels=levels, step_limit_m=limit_m)
+            yield bounded(value_m, potential)
 
 
-def with_sum_bounds(
+def sum_plans(
     problem: Problem, belief: Belief, plans: Sequence[Plan], aims: Sequence[Aim], seconds: float
-) -> tuple[Plan, ...]:
-    """Return the plans, or better plans nearby, with bounds given the other robots' plans."""
+) -> Iterator[tuple[int, Plan]]:
+    """Yield numbers of robots and their plans, with bounds given the other robots' plans."""
     found, apart = list(plans), problem.has_separation
     share = seconds / len(plans)
     # A better plan would change the values of plans that count its measurements.
@@ -122,19 +147,21 @@ def with_sum_bounds(
     sweeps = SWEEPS if apart and improves else 0
     limits_s = [IMPROVING_SHARE * share] * sweeps
     for limit_s in [*limits_s, share - sum(limits_s)]:
-        is_changed = improves and (not apart or sweeps > 0)
+        is_changed, is_last = improves and (not apart or sweeps > 0), sweeps == 0
         sweeps -= 1
+        if is_last:
+            yield from enumerate(replace(plan, bound=None) for plan in found)
         for number, aim in enumerate(aims):
             motions = [planned_motion(problem, plan) for plan in found]
             moving = discs_to_avoid(problem, 0, others_of(motions, number))
             own = problem_of_robot(problem, number)
-            found[number] = with_sum_bound(
-                own, belief, found[number], aim, moving, limit_s, is_changed
-            )
-    return tuple(with_separations(problem, 0, found))
+            for better in sum_plan(own, belief, found[number], aim, moving, limit_s, is_changed):
+                found[number] = better
+                if is_last:
+                    yield number, better
 
 
-def with_sum_bound(
+def sum_plan(
     problem: Problem,
     belief: Belief,
     plan: Plan,
@@ -142,15 +169,16 @@ def with_sum_bound(
     moving: MovingDiscs,
     seconds: float,
     improves: bool,
-) -> Plan:
-    """Return the first robot's plan, or a better plan nearby, with a bound on its objective."""
+) -> Iterator[Plan]:
+    """Yield the first robot's plan, or a better plan nearby, with ever tighter bounds."""
     begun, index = monotonic(), index_obstacles(problem.workspace)
     start = plan.positions_m[0] if plan.drive is None else plan.drive.states[0]
     base = verifier_context(problem, index, belief.posteriors, start, moving=moving)
     at = step_context(base, workspace_region(problem), aim)
     stages = stages_of(problem, at, plan, moving)
     if isinstance(stages, str):
-        return replace(plan, bound=Bound(None, problem.sense, plan.objective, reason=stages))
+        yield unproven(problem, plan, stages)
+        return
     parts, designs, cuts, guesses = [stages], [Design()], np.zeros((0, 4)), list[Floats]()
     if stages.measured is not None:
         optimum = plan.positions_m[1:]
@@ -212,39 +240,46 @@ def with_sum_bound(
         alone_s = ALONE_SHARE * left
     for guess in guesses:
         improved(guess)
+
+    def bounded(best: TubeBound, free: TubeBound) -> Plan:
+        tilted = Tilts(
+            *(np.array(tilts), best.levels, best.value, free.levels, free.value),
+            places_m=np.concatenate([each.places_m for each in designs]),
+            weights=np.concatenate([each.weights for each in designs]),
+            path_loss=np.concatenate([each.path_loss for each in designs]),
+            owner=np.repeat(np.arange(len(designs)), [len(each.places_m) for each in designs]),
+            cuts=cuts,
+        )
+        bound = bound_of_sum(problem, at, plan, moving, tilted)
+        return replace(plan, bound=replace(bound, wall_s=monotonic() - begun))
+
     search = improved if stages.measured is None else None
-    best = free = largest_bound(parts, plan.objective, tilts, left - alone_s, search)
-    if alone_s:
+    best = None
+    for best in largest_bounds(parts, plan.objective, tilts, left - alone_s, search):
+        if not alone_s:
+            yield bounded(best, best)
+    if best is not None and alone_s:
         solos = [each.alone() for each in parts]
-        free = largest_bound(solos, plan.objective, tilts, alone_s)
-    of_both = (best.levels, best.value), (free.levels, free.value)
-    tilted = Tilts(
-        *(np.array(tilts), *of_both[0], *of_both[1]),
-        places_m=np.concatenate([each.places_m for each in designs]),
-        weights=np.concatenate([each.weights for each in designs]),
-        path_loss=np.concatenate([each.path_loss for each in designs]),
-        owner=np.repeat(np.arange(len(designs)), [len(each.places_m) for each in designs]),
-        cuts=cuts,
-    )
-    bound = bound_of_sum(problem, at, plan, moving, tilted)
-    return replace(plan, bound=replace(bound, wall_s=monotonic() - begun))
+        for free in largest_bounds(solos, plan.objective, tilts, alone_s):
+            yield bounded(best, free)
 
 
-def largest_bound(
+def largest_bounds(
     parts: Sequence[StageProblem],
     known: float,
     tilts: Sequence[Floats],
     seconds: float,
     improved: Callable[[Floats], float] | None = None,
-) -> TubeBound:
-    """Return the largest of the bounds of parts of the paths, each refined while it is largest."""
+) -> Iterator[TubeBound]:
+    """Yield the largest of the bounds of parts of the paths, each refined while it is largest."""
     runs = [tube_bounds(each, known, tilts, seconds, improved) for each in parts]
     found = [next(each) for each in runs]
     while True:
         worst = int(np.argmax([each.value for each in found]))
+        yield replace(found[worst], levels=max(each.levels for each in found))
         after = next(runs[worst], None)
         if after is None:
-            return replace(found[worst], levels=max(each.levels for each in found))
+            return
         found[worst] = after
 
 

@@ -13,6 +13,7 @@ from planopt.bounds.tube import (
     FIRST_SHARE,
     MARGIN,
     MOST_LEVELS,
+    ONE_STEP_GAP,
     StageProblem,
     evaluated,
     first_cells,
@@ -25,7 +26,7 @@ from planopt.objectives.upper_bounds import Discs, Field, Makers, constant_bound
 Array = Floats
 
 STARTS = 3  # Number of cells per level whose centres are evaluated
-GAP, LEAST_VALUE = 1e-6, 0.02
+LEAST_VALUE = 0.02
 """Relative gap at which a position counts as optimal, and the minimum of its denominator."""
 
 
@@ -69,7 +70,7 @@ def best_place(problem: StageProblem, seconds: float) -> BestPlace:
             place, value = found, reached
             tilts = [untilted(problem), *tilts_near(problem, [place[None]], np.zeros((0, 2)))]
         through = through_bounds(level, tilts)
-        threshold = value + 0.5 * GAP * max(abs(value), LEAST_VALUE)
+        threshold = value + 0.5 * ONE_STEP_GAP * max(abs(value), LEAST_VALUE)
         bound = min(bound, max(threshold, float(through[0].max(initial=-np.inf))))
         if bound <= threshold or monotonic() - begun > seconds:
             break

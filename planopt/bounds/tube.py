@@ -179,7 +179,8 @@ MOST_LEVELS = 30  # Maximum number of levels of cells
 MOST_CELLS = 1_000_000  # Maximum number of cells per level, over all stages
 OFFSETS_GROWTH = 2.0  # Factor of a level's time over the preceding level's for the same cells
 MOST_TILTS = 3  # Maximum number of tilts that the search uses at a level
-GAP = 1e-4  # Cells are dropped unless they may beat a feasible path's value by this share of it
+GAP, ONE_STEP_GAP = 1e-4, 1e-6
+"""Cells are dropped unless they may beat a known value by this share of it; for plans of a step."""
 MOST_PAIRS = 2_000_000
 """Maximum number of pairs of cells of successive stages that are evaluated one by one."""
 PAIRS_PER_NODE, NODES_PER_OFFSET = 0.25, 2000
@@ -300,7 +301,8 @@ def tube_bounds(
     known path, and may append multipliers to `tilts`, of which the search uses the last ones.
     """
     begun, best = monotonic(), np.inf
-    threshold = known + GAP * abs(known)
+    gap = ONE_STEP_GAP if problem.steps == 1 else GAP
+    threshold = known + gap * abs(known)
     side, active = FIRST_SHARE * problem.step_m, first_cells(problem)
     for number in range(1, MOST_LEVELS + 1):
         level_begun = monotonic()
@@ -309,7 +311,7 @@ def tube_bounds(
         took_s = monotonic() - level_begun
         if improved is not None and min(map(len, through)):
             known = improved(best_path(level, through))
-            threshold = known + GAP * abs(known)
+            threshold = known + gap * abs(known)
         highest = max(threshold, min(float(each.max(initial=-np.inf)) for each in through))
         best = min(best, highest + MARGIN * abs(highest))
         cells = sum(map(len, level.active))
@@ -611,6 +613,11 @@ def first_moves(level: Level, multiplier: Array) -> Array:
     problem, centres, half = level.problem, level.offsets_m(0), 0.5 * level.side_m
     away = np.hypot(*np.maximum(np.abs(centres) - level.size * half, 0.0).T)
     found = move_bounds(problem, multiplier, centres, half, away)
+    if not shapely.is_empty(level.core):
+        ends = np.stack(
+            [np.broadcast_to(problem.start_m, centres.shape), problem.start_m + centres], 1
+        )
+        found[shapely.intersects(level.core, shapely.linestrings(ends))] = -np.inf
     return np.where(away <= problem.step_m * (1.0 + ROUNDING), found, -np.inf)
 
 

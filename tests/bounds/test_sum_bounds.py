@@ -1,6 +1,7 @@
 """Attacks on bounds of sums over steps: random paths, enumeration, wrong multipliers."""
 
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -47,6 +48,7 @@ def tightest(
     path: np.ndarray,
     seconds: float,
     known: float | None = None,
+    levels: int = 30,
 ):
     """The last bound from the multipliers of a path, with its certificate.
 
@@ -55,7 +57,7 @@ def tightest(
     kinks = np.vstack([station.measurements.positions_m for station in context.posteriors])
     tilts = tilts_near(problem, [path, local_optimum(problem, path)], kinks)
     value = float(values_of(context, path[None])[0]) if known is None else known
-    *_, last = tube_bounds(problem, value, tilts, seconds)
+    *_, last = islice(tube_bounds(problem, value, tilts, seconds), levels)
     return last, certificate(np.array(tilts), last.levels, last.value)
 
 
@@ -161,8 +163,9 @@ def test_other_robots_tighten_the_bound() -> None:
         if not len(paths):
             continue
         problem, values = stages_in(context), values_of(context, paths)
-        last, _ = tightest(problem, context, paths[values.argmax()], 0.3)
-        free, _ = tightest(problem.alone(), context, paths[values.argmax()], 0.3)
+        best = paths[values.argmax()]
+        last, _ = tightest(problem, context, best, 60.0, levels=4)
+        free, _ = tightest(problem.alone(), context, best, 60.0, levels=4)
         assert values.max() <= last.value
         gaps.append(free.value / last.value - 1.0)
         compared += len(paths)

@@ -11,7 +11,6 @@ import contextlib
 import difflib
 import inspect
 import math
-import os
 import re
 import reprlib
 import sys
@@ -51,7 +50,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError, core_schema
 
 from planopt.errors import InputError
-from planopt.files.reading import DATA_FOLDER, PRIVATE
+from planopt.files.reading import PRIVATE, data_folder
 from planopt.parts import make_plain
 
 LIKE_WORDS = 0.9
@@ -371,8 +370,8 @@ def _text_of(value: object) -> object:
 def _in_folder(name: str, info: ValidationInfo) -> Path:
     if not name.startswith(PRIVATE):
         return folder_of(info) / name
-    folder = os.environ.get(DATA_FOLDER)
-    return Path(name) if folder is None else Path(folder).absolute() / name.removeprefix(PRIVATE)
+    folder = data_folder()
+    return Path(name) if folder is None else folder / name.removeprefix(PRIVATE)
 
 
 FilePath = Annotated[

@@ -224,10 +224,11 @@ class Corridor:
         cost_m: Array
         self._next: Indices
         cost_m, self._next = search(graph, directed=False, indices=ends, return_predecessors=True)
+        least_m = float(cost_m[0, ends[1]])
+        self.is_connected = 0.0 < least_m < np.inf  # Not if the start is at the goal
         # Relative excess cost of the cheapest path through each triangle; (t,)
         through = cost_m.sum(axis=0)[knots].min(axis=1)
-        self.excess = through / cost_m[0, ends[1]] - 1.0
-        self.is_connected = bool(np.isfinite(cost_m[0, ends[1]]))
+        self.excess = through / least_m - 1.0 if self.is_connected else through
 
     def _nearest(self, place_m: Array) -> int:
         away = np.linalg.norm(self._points_m[self._used] - place_m, axis=1)

@@ -99,7 +99,7 @@ def _perform(
         if solver is not None and "prove_s" in signature(solver).parameters:
             settings["prove_s"] = prove_s
         else:
-            say(f"{problem.name}: --prove proves no bound for the task {problem.task}")
+            say(f"{problem.name}: --prove has no effect on the task {problem.task}")
     if action == "simulate" and task.says_ahead and not options.json:
         settings["on_start"] = say_ahead
     report: Any

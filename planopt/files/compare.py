@@ -98,7 +98,7 @@ def differences(
         for index, (one, other_one) in enumerate(zip(these, those, strict=True)):
             where = f"{key}[{index}]"
             yield from differences(one, other_one, where, name, accepted, tolerances)
-    elif not _same(cast("object", saved), found, tolerances.get(name, EXACT)):
+    elif not same(cast("object", saved), found, tolerances.get(name, EXACT)):
         value = cast("object", saved)
         one, other = _shown(value), _shown(found)
         yield Difference(key, repr(value) if one == other else one, other)
@@ -166,7 +166,8 @@ def _same_shown(saved: str, found: str) -> bool:
     return digits > 0 and abs(float(saved) - float(found)) < 1.5 * 10.0**-digits
 
 
-def _same(saved: object, found: object, tolerance: Tolerance) -> bool:
+def same(saved: object, found: object, tolerance: Tolerance) -> bool:
+    """Return True if two values agree within a tolerance."""
     if isinstance(saved, bool) or isinstance(found, bool):
         return saved is found
     if isinstance(saved, (int, float)) and isinstance(found, (int, float)):

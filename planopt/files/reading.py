@@ -9,6 +9,7 @@ import contextlib
 import csv
 import io
 import math
+import os
 import stat
 import sys
 import warnings
@@ -33,6 +34,12 @@ LARGEST_ARRAY_VALUES = 25_000_000
 DATA_FOLDER = "PLANOPT_DATA"
 """Environment variable with the folder of measurements that planopt may not distribute."""
 PRIVATE = f"${DATA_FOLDER}/"  # Beginning of the names of files in that folder
+
+
+def data_folder() -> Path | None:
+    """Return the folder that `DATA_FOLDER` names; None if it is not set or empty."""
+    folder = os.environ.get(DATA_FOLDER)
+    return Path(folder).absolute() if folder else None
 
 
 def read_bytes(path: Path, largest: int = LARGEST_BINARY_BYTES) -> bytes:

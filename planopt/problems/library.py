@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from planopt.errors import InputError, path_of
-from planopt.files.reading import DATA_FOLDER, PRIVATE, read_text
+from planopt.files.reading import PRIVATE, data_folder, read_text
 
 LARGEST_TOML_BYTES = 2 * 2**20
 """Size limit of problem files in bytes; obstacles and maps have their own files."""
@@ -109,7 +109,7 @@ def list_problems() -> tuple[LibraryEntry, ...]:
     InputError
         A library file cannot be parsed or has no table ``[problem]`` with a description.
     """
-    is_set, tests = DATA_FOLDER in os.environ, classifications()
+    is_set, tests = data_folder() is not None, classifications()
     return tuple(
         LibraryEntry(
             path.stem,
@@ -165,7 +165,8 @@ def find_problem(path_or_name: Path | str) -> Path:
             f"there is neither a file nor a library problem named {str(path_or_name)!r}",
             remedy=remedy,
         )
-    raise InputError("does not exist", file=path, remedy=remedy)
+    fault = "is no ordinary file" if os.path.lexists(path) else "does not exist"
+    raise InputError(fault, file=path, remedy=remedy)
 
 
 def _text(path: Path, key: str, default: str) -> str:

@@ -3,11 +3,12 @@
 import re
 from collections.abc import Mapping
 from dataclasses import replace
+from os.path import lexists
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from planopt.errors import InputError, require_text
-from planopt.files.reading import DATA_FOLDER, PRIVATE
+from planopt.files.reading import DATA_FOLDER, PRIVATE, data_folder
 from planopt.keys import saved
 from planopt.parts import part_of
 from planopt.problems.channel_setup import (
@@ -64,9 +65,10 @@ def _check_file(problem: Problem, path: Path, key: str, *, is_map: bool = False)
     except OSError:  # Name not allowed by the file system
         there = False
     if not there:
-        is_private = str(path).startswith(PRIVATE)
+        folder = data_folder()
+        is_private = path.is_relative_to(PRIVATE if folder is None else folder)
         raise InputError(
-            f"is {path}, which does not exist",
+            f"is {path}, which {'is no ordinary file' if lexists(path) else 'does not exist'}",
             file=problem.file,
             key=key,
             remedy=f"set the environment variable {DATA_FOLDER} to the folder of these measurements"

@@ -295,7 +295,10 @@ def _refusal(problem: DesignProblem, error: NoPlanError) -> dict[str, Any]:
     if not isinstance(error, NoDesignError):
         return _question(problem)
     nothing = dict.fromkeys(
-        ("objective", "bound", "gap", "slot_width_s", "rate_divisor", "bits_per_axis", "cost_w")
+        (
+            *("objective", "bound", "gap", "bound_method"),
+            *("slot_width_s", "rate_divisor", "bits_per_axis", "cost_w"),
+        )
     )
     return {
         **_question(problem),

@@ -91,6 +91,13 @@ def test_a_changed_bound_is_rejected(solution: Solution, tmp_path: Path, factor:
     assert any("bound" in reason for reason in found.reasons)
 
 
+def test_a_missing_certificate_is_named(solution: Solution, tmp_path: Path) -> None:
+    """The check says that the file of the certificate is missing."""
+    assert "bound_reason" not in saved(solution, tmp_path)
+    (tmp_path / "bound.npz").unlink()
+    assert any("bound.npz" in reason for reason in planopt.check(tmp_path).reasons)
+
+
 def test_the_bound_of_a_boat_holds_for_plan_and_route() -> None:
     """The objective of a robot with inertia omits its braking and may lie below the bound."""
     plan = planopt.solve(planopt.load("harbour_reach"), prove_s=2.0).plan
@@ -147,9 +154,9 @@ def test_rules_have_a_bound_or_a_reason(constraints: dict[str, object], words: s
 
 def test_objectives_without_a_bound_say_so() -> None:
     """A mapping objective has no bound yet: the value is null, with a reason."""
-    plan = planopt.solve(planopt.load("fig5"), prove_s=0.5).plan
-    assert plan.bound is not None and plan.bound.value is None
-    assert "the term" in plan.bound.reason
+    solution = planopt.solve(planopt.load("fig5"), prove_s=0.5)
+    assert solution.plan.bound is not None and solution.plan.bound.value is None
+    assert "the term" in solution.plan.bound.reason == solution.data["bound_reason"]
 
 
 def test_bounds_of_a_team_add_up() -> None:
@@ -232,6 +239,14 @@ def test_a_proven_plan_takes_a_passage_between_lattice_nodes() -> None:
     assert plan.bound is not None and plan.bound.gap is not None
     assert plan.verdict is planopt.Verdict.VERIFIED
     assert plan.bound.cost < plain.objective and plan.bound.gap < 0.1
+
+
+@pytest.mark.parametrize("away_m", [0.0, 0.2])
+def test_a_plan_at_its_goal_has_a_bound(away_m: float) -> None:
+    """A start at the goal, or within its radius, has a lower bound of zero."""
+    robot = planopt.Robot(start_m=(5.0, 5.0), goal_m=(5.0 + away_m, 5.0), speed_max_m_s=2.0)
+    bound = planopt.solve(field(robots=robot), measurements=readings(), prove_s=0.2).plan.bound
+    assert bound is not None and bound.value == 0.0 <= bound.cost and not bound.reason
 
 
 @pytest.mark.parametrize("name", ["open_field", "coverage_plain"])

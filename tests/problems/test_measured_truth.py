@@ -74,8 +74,11 @@ def test_sites_without_their_data_are_refused(
     assert capsys.readouterr().out.count("PLANOPT_DATA") == len(lacking)
     monkeypatch.setenv("PLANOPT_DATA", str(tmp_path))
     assert not any(entry.lacks_data for entry in list_problems())
-    with refused():
+    with refused() as caught:
         planopt.load("lab_map")
+    assert "PLANOPT_DATA" in str(caught.value.remedy)
+    monkeypatch.setenv("PLANOPT_DATA", "")
+    assert [entry.name for entry in list_problems() if entry.lacks_data] == lacking
 
 
 def test_workspace_without_any_reading_is_refused() -> None:

@@ -86,6 +86,7 @@ def test_impossible(changes, code, words, written, run):
     assert found == code
     assert words in text
     if code == 4:
+        assert data["bound_method"] is data["bound"] is None
         assert data["verdict"] == "none" and data["inequality"]["margin"] < 0.0
 
 

@@ -9,13 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planopt.arrays import Floats
-from planopt.bounds.bound import GAP_TOLERANCE, Potential, Tilts
+from planopt.bounds.bound import GAP_TOLERANCE, Bound, Potential, Tilts
 from planopt.channel.cholesky import one_blas_thread
 from planopt.channel.kriging import Prediction
 from planopt.channel.measurements import SAME_PLACE_M, Measurements
 from planopt.channel.posterior import Belief, condition
 from planopt.errors import InputError, NoPlanError
-from planopt.files.compare import DIGEST, differences, digest, in_words
+from planopt.files.compare import DIGEST, EXACT, differences, digest, in_words, same
 from planopt.files.tables import REMEDY
 from planopt.objectives.moments import Region
 from planopt.planning.certificate import (
@@ -25,7 +25,7 @@ from planopt.planning.certificate import (
     worst_of,
     worst_of_robots,
 )
-from planopt.planning.files.belief_file import Arrays, SavedBelief, station_prefix
+from planopt.planning.files.belief_file import BOUND_FILE, Arrays, SavedBelief, station_prefix
 from planopt.planning.files.result_json import (
     NoPlanRecord,
     PlanRecord,
@@ -424,7 +424,7 @@ def _objections(saved: Saved, result: Solution | Run) -> list[str]:
             for number, plan in enumerate(result.plans)
             for reason in [
                 *plan_reasons(problem_of_robot(saved.problem, number), plan),
-                *gap_reasons(None if plan.bound is None else plan.bound.gap),
+                *_bound_reasons(saved, number, plan.bound),
             ]
         ]
     reasons: list[str] = []
@@ -438,6 +438,19 @@ def _objections(saved: Saved, result: Solution | Run) -> list[str]:
     if len(result.plans[0]) < len(saved.plans[0]):
         late = f"the run goes on after step {len(result.plans[0])}, {result.reason}"
         reasons.append(f"{saved.file.name}, key plans: {late}")
+    return reasons
+
+
+def _bound_reasons(saved: Saved, number: int, bound: Bound | None) -> list[str]:
+    """Return the reasons to reject the bound of a robot's plan."""
+    claimed = saved.data["robots"][number].get("bound")
+    if bound is None or claimed is None:
+        return []
+    reasons = gap_reasons(bound.gap)
+    if not same(claimed, bound.value, EXACT):
+        has_one = saved.plans[number][0].certificate is not None
+        fault = "does not prove the bound" if has_one else "is missing"
+        reasons.append(f"{BOUND_FILE}: the certificate of the bound {fault}")
     return reasons
 
 

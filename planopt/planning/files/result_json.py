@@ -326,9 +326,7 @@ class PlanRecord(Question):
     gap: Annotated[Computed, _of_bound("gap", None)]
     bound_method: Annotated[Computed, _of_bound("method", None)]
     bound_cost: Annotated[Computed, _of_bound("cost", None)]
-    bound_reason: Annotated[
-        Computed, Source(lambda of: (of.bound and of.bound.reason) or OMITTED)
-    ]
+    bound_reason: Annotated[Computed, Source(lambda of: (of.bound and of.bound.reason) or OMITTED)]
     wall_s: Annotated[Computed, _total("wall_s")]
     solve_s: Annotated[Computed, _total("solve_s")]
     iterations: Annotated[Computed, _total("iterations")]

@@ -4,8 +4,8 @@ The bound is that of the first plan (equation 6.14). The driven path is charged 
 the belief at the start, for which the bound holds, integrated along the path.
 Run: python benchmarks/route_gaps.py open_field munich_courier --seed 0 --prove 10
 `NAME:SEED` draws start and goal at random, at least 150 m (half the map's diagonal, if less) apart
-and 4 m from every obstacle. With `--cpu`, times are processor times, except for the solver's own
-time limit, which the first solve then ignores.
+and 4 m from every obstacle. With `--cpu`, times are processor times, and solves are
+not interrupted, since the solver's own limit is wall time.
 """
 
 import argparse
@@ -53,7 +53,8 @@ def main() -> None:
     parser.add_argument("--plan-only", action="store_true")
     arguments = parser.parse_args()
     if arguments.cpu:
-        route.FIRST_SOLVE_S = 60.0
+        solve = route._best_potential
+        route._best_potential = lambda *given: solve(*given[:-1], 60.0)
         route.monotonic = fixed_steps.monotonic = prove.monotonic = process_time
     print("| problem | bound, s | objective, % | plan and route, % | driven run, % | outcome |")
     print("|---|---|---|---|---|---|")

@@ -22,7 +22,12 @@ if TYPE_CHECKING:
 
 @overload
 def solve(
-    problem: TaskProblem, *, horizon: int | None = ..., planner: str | None = ..., seed: int = ...
+    problem: TaskProblem,
+    *,
+    horizon: int | None = ...,
+    planner: str | None = ...,
+    seed: int = ...,
+    prove_s: float | None = ...,
 ) -> TaskResult: ...
 @overload
 def solve(
@@ -64,8 +69,9 @@ def solve(
         table (dictionary or DataFrame) with ``x_m``, ``y_m`` in metres and ``power_dbm``; for
         several stations a sequence with one entry per station.
     prove_s
-        Wall time in seconds for a proven bound on the objective of each plan, shared by the robots
-        (:class:`planopt.extend.Bound`); None without proof.
+        Wall time in seconds, at most 1e6, for a proven bound on the objective of each plan, shared
+        by the robots (:class:`planopt.extend.Bound`); None without proof. For deployments,
+        processor time; 1 s by default.
 
     Returns
     -------

@@ -57,8 +57,9 @@ from planopt.problems.problem import Problem, problem_of_robot, rate_s_m
 from planopt.world.clearance import index_obstacles
 from planopt.world.motion import MovingDiscs
 
-STEPS_SHARE, STEPS_S = 0.35, 4.0
-"""Share of the time for steps of fixed duration; time from which on they are considered."""
+STEPS_SHARE, STEPS_S, STEPS_PART = 0.35, 4.0, 0.1
+"""Share of the time for steps of fixed duration; time, and their share of a plan's cost, from which
+on they are considered."""
 LIMIT_SHARE = 0.6  # Share of a gap that these steps may close
 LEAST_SHARE = 0.3  # Minimum share of the time that is reserved for the bound
 DESIGN_SHARE = 0.5  # Share of the time for the design of a bound on information
@@ -109,7 +110,9 @@ def goal_plan(
     """Yield the first robot's plan with ever tighter bounds, and with cheaper routes."""
     begun, posteriors = monotonic(), belief.posteriors
     smoothing = RouteSmoothing(problem, posteriors, robots == 1)
-    stepped = stepped_problem(problem, posteriors) if seconds >= STEPS_S else None
+    steps_s = problem.planner.horizon * problem.planner.step_s
+    matters = seconds >= STEPS_S and steps_s > STEPS_PART * plan.objective
+    stepped = stepped_problem(problem, posteriors) if matters else None
     route_s = seconds if stepped is None else (1.0 - STEPS_SHARE) * seconds
 
     def bounded(value_m: float, potential: Potential | None) -> Plan:

@@ -379,7 +379,7 @@ def no_plan_json(
 ) -> dict[str, Any]:
     """Return the JSON object of ``planopt solve`` if it is proven that no plan exists."""
     return {
-        **dict.fromkeys(PlanRecord.model_fields),
+        **dict.fromkeys(name for name in PlanRecord.model_fields if name != "bound_reason"),
         **Question.written(Asked(problem, seed)),
         "termination": Termination.NO_PATH.value,
         "verdict": Verdict.NONE.value,

@@ -81,8 +81,9 @@ class Tilts(Design):
 class Bound:
     """Proven bound on the objective of one robot, or of all robots together.
 
-    No plan of any planner has a better objective than `value`, which is a lower bound if the
-    objective is minimised, else an upper bound.
+    No verified plan of any planner has a better objective than `value`, which is a lower bound if
+    the objective is minimised, else an upper bound. Plans count that satisfy p_min after the same
+    steps as the released plan.
 
     Attributes
     ----------

@@ -197,6 +197,23 @@ def test_bounds_of_robots_that_keep_apart_are_saved(tmp_path: Path) -> None:
     assert planopt.check(tmp_path).verdict is planopt.Verdict.VIOLATED
 
 
+def test_the_bound_holds_for_steps_within_the_tolerance() -> None:
+    """A straight plan whose steps exceed the longest step by the tolerance is not cheaper."""
+    steps, step_m = 40, 0.2
+    length = steps * (step_m + 0.99e-5)
+    robot = planopt.Robot(start_m=(5.0, 25.0), goal_m=(5.05 + length, 25.0), speed_max_m_s=step_m)
+    problem = field(
+        robots=robot,
+        workspace=planopt.Workspace((0.0, 0.0, 40.0, 30.0)),
+        objective=planopt.objectives.ReachObjective(outage_price=0.0, effort_weight_s2_m2=0.0),
+        constraints=planopt.Constraints(p_min=1e-6, goal_radius_m=0.05 + 1e-9),
+        planner=planopt.PlannerSettings(step_s=1.0, horizon=steps),
+    )
+    bound = planopt.solve(problem, measurements=readings(), prove_s=0.5).bound
+    assert bound is not None and bound.value is not None
+    assert 0.999 * steps < bound.value <= steps
+
+
 @pytest.mark.parametrize(
     ("name", "bounds"), [("gap_two_doors", "route_bounds"), ("fig1", "tube_bounds")]
 )

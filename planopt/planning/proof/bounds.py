@@ -13,7 +13,13 @@ from planopt.bounds.bound import Bound, Design, Potential, Tilts
 from planopt.bounds.fixed_steps import stepped_problem, stepped_value
 from planopt.bounds.reach import relaxed_constraints, route_problem, why_unbounded
 from planopt.bounds.route import proven_value, route_bounds, valid_potential
-from planopt.bounds.stages import are_designs, ignored_constraints, stage_problem, summed_terms
+from planopt.bounds.stages import (
+    LONGER_M,
+    are_designs,
+    ignored_constraints,
+    stage_problem,
+    summed_terms,
+)
 from planopt.bounds.tube import StageProblem, cut_limits, proves
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.terms.term import TermContext
@@ -44,13 +50,16 @@ def bound_of(
     method = f"potential on a mesh of {triangles} triangles" if triangles else "distance to goal"
     if potential is not None and potential.step_levels:
         method += f", levels of cells around the first steps: {potential.step_levels}"
+    # Steps may be longer by the verifier's tolerance, and begin that far from the start.
+    longer_m = (problem.planner.horizon + 1) * LONGER_M
+    value_s = rate_s_m(problem) * max(0.0, value_m - longer_m)
     return Bound(
-        rate_s_m(problem) * value_m,
+        value_s,
         problem.sense,
         integrated_cost_s(problem, posteriors, plan),
         method,
         relaxed=relaxed_constraints(problem, robots),
-        alone=rate_s_m(problem) * value_m,
+        alone=value_s,
         certificate=potential,
     )
 
@@ -82,7 +91,7 @@ def stages_of(
 ) -> StageProblem | str:
     """Return the first robot's stage problem for a design, or the reason why there is no bound.
 
-    If a step of `plan` satisfies p_min, the same step of every verified plan satisfies it.
+    The bound holds for plans that satisfy p_min after the same steps as `plan`.
     """
     terms = summed_terms(problem, at)
     if terms.reason:

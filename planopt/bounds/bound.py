@@ -40,7 +40,7 @@ class Potential:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Design:
-    """Measurements that relax an information objective (equation 9.12); none by default."""
+    """Measurements that relax an information objective (equation 9.13); none by default."""
 
     places_m: Floats = field(default_factory=lambda: np.zeros((0, 2)))
     # (n, 2) measurements per place: in the reference, and in what is assumed to be known

@@ -178,7 +178,7 @@ def _largest_form(form: Array, radius: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class JointModel:
-    """Terms of the covariances between discs, less that of the shadowing (equation 9.16).
+    """Terms of the covariances between discs, less that of the shadowing (equation 9.17).
 
     `own` has the terms whose products, the first two less the others, are the covariances.
     """
@@ -237,7 +237,7 @@ class VarianceDifference:
     neglected: float  # Largest neglected eigenvalue
 
     def bounds(self, centre_m: Array, radius_m: float) -> tuple[Array, Array, Array]:
-        """Return an affine and a constant upper bound over discs (equation 9.15)."""
+        """Return an affine and a constant upper bound over discs (equation 9.16)."""
         radius = np.full(len(centre_m), radius_m)
         term, slope, rest = self.enclosure.terms(centre_m, radius)
         own, steep = self.root @ term, self.root @ slope

@@ -3,7 +3,7 @@
 
 At a local optimum the gradient of stage k is ``m_k - m_{k+1}`` minus those of active chance and
 obstacle constraints (solved by least squares). Inaccurate multipliers only loosen the bound. The
-tube uses those of the moves only, since its cells end at p_min (equation 9.18).
+tube uses those of the moves only, since its cells end at p_min (equation 9.10).
 """
 
 from __future__ import annotations

@@ -98,7 +98,7 @@ class Relaxation:
     constant: float
     # Each position adds what its predecessor does not tell; None: nothing
     chain: Chain | None
-    # Each position also adds this difference of variances (equation 9.12); None: nothing
+    # Each position also adds this difference of variances (equation 9.13); None: nothing
     tangent: VarianceDifference | None
     noise_db2: float  # omega^2
 

@@ -55,7 +55,7 @@ class Chain:
         least: Array,
         slopes: Sequence[Array],
     ) -> Array:
-        """Return what measurements lose if the preceding ones are known (equation 9.16).
+        """Return what measurements lose if the preceding ones are known (equation 9.17).
 
         `least` and `slopes` bound the covariances from below; `centre` are those of the centres.
         """
@@ -72,7 +72,7 @@ class Chain:
         return -self.share * np.log1p(-share)
 
     def lost_at_least(self, far_m: float, nearest_m: Array, variance_db2: Array) -> Array:
-        """Return least losses of positions at most `far_m` apart (equation 9.17).
+        """Return least losses of positions at most `far_m` apart (equation 9.18).
 
         `nearest_m` are their least distances from the station, and `variance_db2` the least
         geometric means of their variances.
@@ -479,7 +479,7 @@ def connected_corners(
 ) -> tuple[Mask, Indices, Array]:
     """Return where cells miss p_min (n,), cells (v,) that it cuts, and corners (v, 2) of the rest.
 
-    The rest is where the tangent of the probability's bound is at least p_min (equation 9.18).
+    The rest is where the tangent of the probability's bound is at least p_min (equation 9.10).
     """
     ring = 0.5 * side * np.array([[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]])
     after = np.roll(ring, -1, axis=0)
@@ -609,7 +609,7 @@ def tilted(level: Level, stage: int, of_steps: Array) -> Array:
 
 
 def first_moves(level: Level, multiplier: Array) -> Array:
-    """Return bounds (n,) of the step from the start to each active cell (equation 9.10)."""
+    """Return bounds (n,) of the step from the start to each active cell (equation 9.11)."""
     problem, centres, half = level.problem, level.offsets_m(0), 0.5 * level.side_m
     away = np.hypot(*np.maximum(np.abs(centres) - level.size * half, 0.0).T)
     found = move_bounds(problem, multiplier, centres, half, away)
@@ -662,7 +662,7 @@ class Step:
         return cls((before, after), low, offsets, away[near], (rows, columns), places)
 
     def moves(self, level: Level, multiplier: Array) -> Array:
-        """Return an upper bound (o,) of the move term for each offset (equation 9.10)."""
+        """Return an upper bound (o,) of the move term for each offset (equation 9.11)."""
         offset = level.side_m * (self.offsets + self.low).astype(np.float64)
         return move_bounds(level.problem, multiplier, offset, level.side_m, self.away_m)
 

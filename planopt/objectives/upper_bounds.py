@@ -67,7 +67,7 @@ class UpperBounds:
 
 Quantity = Literal["chance", "variance_db2", "tangent", "trend"]
 """Predicted quantity: probability of connection, variance of the power, difference of variances in
-the tangent of the information (9.12), or trace of the information on the path loss (9.6)."""
+the tangent of the information (9.13), or trace of the information on the path loss (9.6)."""
 
 
 Makers = Mapping[Quantity, Callable[[Discs], UpperBounds]]

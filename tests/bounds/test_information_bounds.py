@@ -236,7 +236,7 @@ def test_bounds_of_information_are_saved_and_proven_again(tmp_path) -> None:
 
 
 def test_losses_by_distance_are_lower_bounds() -> None:
-    """Two measurements share at least the information of equation 9.17, also near the station."""
+    """Two measurements share at least the information of equation 9.18, also near the station."""
     generator, compared, tight = np.random.default_rng(1), 0, list[float]()
     for seed in range(40):
         context = sum_context(seed, 2, plain=True, measured="map")

@@ -22,6 +22,7 @@ from planopt.coverage import (
     settle,
 )
 from planopt.coverage.cost_bounds import certified
+from planopt.tasks import coverage
 from planopt.world import Raster
 
 
@@ -147,3 +148,17 @@ def test_solutions_state_the_bound() -> None:
     assert quick.data["bound"] < slow.data["bound"] <= slow.data["objective"]
     assert slow.data["gap"] == pytest.approx(1.0 - slow.data["bound"] / slow.data["objective"])
     assert "relaxation" in slow.data["bound_method"] and slow.data["prove_s"] == 3.0
+
+
+def test_an_interrupt_ends_a_proof(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The bound of the least time is reported."""
+
+    def interrupted(ground: GeodesicGround, places_m: np.ndarray, effort_s: float) -> float:
+        if effort_s > 1.0:
+            raise KeyboardInterrupt
+        return cost_bound(ground, places_m, effort_s)
+
+    monkeypatch.setattr(coverage, "cost_bound", interrupted)
+    problem = load("coverage_obstacles")
+    found = solve(problem, prove_s=20.0).data
+    assert found["prove_s"] == 1.0 and found["bound"] == solve(problem).data["bound"]

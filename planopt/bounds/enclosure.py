@@ -21,8 +21,6 @@ from planopt.channel.measurements import covariance_db2, pairwise_distance_m, pl
 from planopt.channel.parameters import MIN_DISTANCE_M, ChannelParameters, regressors
 from planopt.channel.posterior import ChannelPosterior
 
-Array = Floats
-
 DISCS_AT_ONCE = 512
 """Number of discs per block; their covariances with the measurements fit into the cache."""
 MIXED = 2.0 / np.sqrt(3.0)
@@ -40,20 +38,20 @@ class PowerModel:
     y^2. Powers are in dB, variances in dB^2.
     """
 
-    radius_m: Array
-    mean_db: Array
-    mean_slope: Array
-    mean_form: Array
-    mean_low: Array
-    mean_high: Array
-    variance_db2: Array
-    variance_slope: Array
-    variance_form: Array
-    variance_low: Array
-    variance_high: Array
+    radius_m: Floats
+    mean_db: Floats
+    mean_slope: Floats
+    mean_form: Floats
+    mean_low: Floats
+    mean_high: Floats
+    variance_db2: Floats
+    variance_slope: Floats
+    variance_form: Floats
+    variance_low: Floats
+    variance_high: Floats
     least_variance: float
 
-    def probability_above(self, threshold_dbm: float, corners_m: Array) -> Array:
+    def probability_above(self, threshold_dbm: float, corners_m: Floats) -> Floats:
         """Return corner values (n, k) whose interpolation bounds P(connected) (equation 6.17)."""
         value, slope, form, most = self._taylor(threshold_dbm)
         # A concave form is at most zero, a convex one at most its interpolation.
@@ -64,12 +62,12 @@ class PowerModel:
         # Far from the centre, the Taylor polynomial is looser than the largest value.
         return np.where((bound.mean(axis=1) <= most)[:, None], bound, most[:, None])
 
-    def probability_bounds(self, threshold_dbm: float) -> tuple[Array, Array, Array]:
+    def probability_bounds(self, threshold_dbm: float) -> tuple[Floats, Floats, Floats]:
         """Return an affine and a constant upper bound of P(connected) over each disc."""
         value, slope, form, most = self._taylor(threshold_dbm)
         return value + _range_of_form(form, self.radius_m)[1], slope.T, most
 
-    def _taylor(self, threshold_dbm: float) -> tuple[Array, Array, Array, Array]:
+    def _taylor(self, threshold_dbm: float) -> tuple[Floats, Floats, Floats, Floats]:
         """Return a quadratic and a constant upper bound of P(connected) (equation 6.17)."""
         over, variance, radius = self.mean_db - threshold_dbm, self.variance_db2, self.radius_m
         deviation = np.sqrt(variance)
@@ -105,19 +103,19 @@ class PowerModel:
         most = np.minimum(self._largest_probability(threshold_dbm), 1.0)
         return value, density * slope, whole, most
 
-    def variance_bounds(self) -> tuple[Array, Array, Array]:
+    def variance_bounds(self) -> tuple[Floats, Floats, Floats]:
         """Return an affine and a constant upper bound of the variance over each disc."""
         bent = _range_of_form(self.variance_form, self.radius_m)[1]
         value, slope = self.variance_db2 + self.variance_high + bent, self.variance_slope
         return value, slope.T, value + np.hypot(*slope) * self.radius_m
 
-    def least_variances(self) -> Array:
+    def least_variances(self) -> Floats:
         """Return lower bounds (n,) of the variance."""
         bent = _range_of_form(self.variance_form, self.radius_m)[0] + self.variance_low
         steep = np.hypot(*self.variance_slope) * self.radius_m
         return np.maximum(self.variance_db2 + bent - steep, self.least_variance)
 
-    def precision_bounds(self) -> tuple[Array, Array, Array]:
+    def precision_bounds(self) -> tuple[Floats, Floats, Floats]:
         """Return an affine and a constant upper bound of 1 / variance (equation 9.5)."""
         variance, slope = self.variance_db2, self.variance_slope
         step = np.hypot(*slope) * self.radius_m
@@ -128,11 +126,11 @@ class PowerModel:
         value = 1.0 / variance - low / variance**2 + widest**2 / least**3
         return value, (-slope / variance**2).T, 1.0 / least
 
-    def probability(self, threshold_dbm: float) -> Array:
+    def probability(self, threshold_dbm: float) -> Floats:
         """Return P(power >= threshold) at the centre of each disc as an array (n,)."""
         return ndtr((self.mean_db - threshold_dbm) / np.sqrt(self.variance_db2))
 
-    def _largest_probability(self, threshold_dbm: float) -> Array:
+    def _largest_probability(self, threshold_dbm: float) -> Floats:
         """Return the largest P(power >= threshold) over each disc by interval arithmetic."""
         low, high = _range_of_form(self.variance_form, self.radius_m)
         step = np.hypot(*self.variance_slope) * self.radius_m
@@ -145,12 +143,12 @@ class PowerModel:
         return np.asarray(ndtr(over / root), dtype=np.float64) + ROUNDING
 
 
-def _product(one: Array, other: Array) -> Array:
+def _product(one: Floats, other: Floats) -> Floats:
     """Return the products of linear functions with slopes (2, n) as quadratic forms (3, n)."""
     return np.array([one[0] * other[0], one[0] * other[1] + one[1] * other[0], one[1] * other[1]])
 
 
-def _range_of_form(form: Array, radius: Array) -> tuple[Array, Array]:
+def _range_of_form(form: Floats, radius: Floats) -> tuple[Floats, Floats]:
     """Return the ranges of quadratic forms (3, n) over discs about the origin."""
     middle = 0.5 * (form[0] + form[2])
     apart = 0.5 * np.hypot(form[0] - form[2], form[1])
@@ -159,7 +157,7 @@ def _range_of_form(form: Array, radius: Array) -> tuple[Array, Array]:
     return low, np.maximum(middle + apart, 0.0) * square
 
 
-def _convex_part(form: Array) -> Array:
+def _convex_part(form: Floats) -> Floats:
     """Return the positive semidefinite parts (3, n) of quadratic forms."""
     middle = 0.5 * (form[0] + form[2])
     apart = np.maximum(0.5 * np.hypot(form[0] - form[2], form[1]), 1e-300)
@@ -170,7 +168,7 @@ def _convex_part(form: Array) -> Array:
     return np.where(low >= 0.0, form, np.where(high <= 0.0, 0.0, mixed))
 
 
-def _largest_form(form: Array, radius: Array) -> Array:
+def _largest_form(form: Floats, radius: Floats) -> Floats:
     """Return the largest absolute value (n,) of each quadratic form over a disc."""
     low, high = _range_of_form(form, radius)
     return np.maximum(-low, high)
@@ -183,17 +181,17 @@ class JointModel:
     `own` has the terms whose products, the first two less the others, are the covariances.
     """
 
-    own: Array  # (..., 2 + kappa)
-    pull: Array  # (..., kappa + 1) derivatives by the terms of the other disc
-    slope: Array  # (..., 2, kappa + 1) gradients of the terms
-    rest: Array  # (..., kappa + 1) remainders of the terms
-    change: Array  # (...) norms of the largest changes of `own`
+    own: Floats  # (..., 2 + kappa)
+    pull: Floats  # (..., kappa + 1) derivatives by the terms of the other disc
+    slope: Floats  # (..., 2, kappa + 1) gradients of the terms
+    rest: Floats  # (..., kappa + 1) remainders of the terms
+    change: Floats  # (...) norms of the largest changes of `own`
 
     def at(self, rows: object) -> JointModel:
         """Return the terms of some of the discs, by an index of their array."""
         return JointModel(*(getattr(self, each.name)[rows] for each in fields(self)))
 
-    def covariances(self, other: JointModel) -> tuple[Array, Array, list[Array]]:
+    def covariances(self, other: JointModel) -> tuple[Floats, Floats, list[Floats]]:
         """Return centres' covariances, least ones less the slopes, and both discs' slopes."""
         joint = 2.0 * _dots(self.own[..., :2], other.own[..., :2]) - _dots(self.own, other.own)
         if not self.change.any():
@@ -206,8 +204,8 @@ class JointModel:
 
 
 def prior_covariances(
-    offset_m: Array, radius_m: float, far_m: float, parameters: ChannelParameters
-) -> tuple[float, list[tuple[float, Array]]]:
+    offset_m: Floats, radius_m: float, far_m: float, parameters: ChannelParameters
+) -> tuple[float, list[tuple[float, Floats]]]:
     """Return the shadowing's covariance of two centres, and affine bounds from below over discs.
 
     A bound is a value and the slope of the first disc; the second has its negative. The positions
@@ -223,7 +221,7 @@ def prior_covariances(
     return centre, found
 
 
-def _dots(one: Array, other: Array) -> Array:
+def _dots(one: Floats, other: Floats) -> Floats:
     """Return the inner products over the last axis."""
     return np.einsum("...k,...k->...", one, other)
 
@@ -233,10 +231,10 @@ class VarianceDifference:
     """Difference of two variances, the squared norm of a linear function of the covariances."""
 
     enclosure: PowerEnclosure
-    root: Array  # (r, kappa + 2)
+    root: Floats  # (r, kappa + 2)
     neglected: float  # Largest neglected eigenvalue
 
-    def bounds(self, centre_m: Array, radius_m: float) -> tuple[Array, Array, Array]:
+    def bounds(self, centre_m: Floats, radius_m: float) -> tuple[Floats, Floats, Floats]:
         """Return an affine and a constant upper bound over discs (equation 9.16)."""
         radius = np.full(len(centre_m), radius_m)
         term, slope, rest = self.enclosure.terms(centre_m, radius)
@@ -265,7 +263,7 @@ class PowerEnclosure:
         self._least_noise = float(posterior.noise_variance_db2.min(initial=noise))
         self._sides = self._root @ solved[:, 1:].T  # (2, kappa)
 
-    def over(self, centre_m: Array, radius_m: Array) -> PowerModel:
+    def over(self, centre_m: Floats, radius_m: Floats) -> PowerModel:
         """Return ranges of the power's mean and variance over discs with centres (n, 2)."""
         parts = [
             self._block(centre_m[k : k + DISCS_AT_ONCE], radius_m[k : k + DISCS_AT_ONCE])
@@ -277,7 +275,7 @@ class PowerEnclosure:
         found = dict(zip(names, columns, strict=True))
         return PowerModel(radius_m=radius_m, **found, least_variance=noise)
 
-    def joint(self, centre_m: Array, radius_m: float) -> JointModel:
+    def joint(self, centre_m: Floats, radius_m: float) -> JointModel:
         """Return terms of the posterior covariances between discs with centres (n, 2)."""
         posterior, root, sides = self._posterior, self._root, self._sides
         parameters, radius = posterior.parameters, np.full(len(centre_m), radius_m)
@@ -307,7 +305,7 @@ class PowerEnclosure:
 
     def less(self, other: PowerEnclosure) -> VarianceDifference:
         """Return the variance less that of `other`, which has the same measured positions."""
-        forms: list[Array] = []
+        forms: list[Floats] = []
         for each in (self, other):
             rows = np.hstack([-each._sides, each._root])
             forms.append(rows.T @ rows)
@@ -317,7 +315,7 @@ class PowerEnclosure:
         root = np.sqrt(values[kept])[:, None] * vectors[:, kept].T
         return VarianceDifference(self, root, NEGLIGIBLE * float(values.max(initial=0.0)))
 
-    def terms(self, centre_m: Array, radius: Array) -> tuple[Array, Array, Array]:
+    def terms(self, centre_m: Floats, radius: Floats) -> tuple[Floats, Floats, Floats]:
         """Return covariances and regressors (kappa + 2, n), gradients, and remainders."""
         posterior, count = self._posterior, len(centre_m)
         phi, slope, form, below, above = self._covariances(centre_m, radius)
@@ -331,7 +329,7 @@ class PowerEnclosure:
             np.vstack([rest, np.zeros(count), trend_rest]),
         )
 
-    def _block(self, centre: Array, radius: Array) -> tuple[Array, ...]:
+    def _block(self, centre: Floats, radius: Floats) -> tuple[Floats, ...]:
         """Return values, tangents and remainder ranges of mean and variance over several discs."""
         posterior, root, sides, weight = self._posterior, self._root, self._sides, self._weight
         parameters = posterior.parameters
@@ -386,8 +384,8 @@ class PowerEnclosure:
         )
 
     def _square_of_change(
-        self, slope: Array, form: Array, rest: Array, radius: Array
-    ) -> tuple[Array, Array]:
+        self, slope: Floats, form: Floats, rest: Floats, radius: Floats
+    ) -> tuple[Floats, Floats]:
         """Return squared norms of whitened covariance changes: forms (3, n), remainders (n,)."""
         (x, y), form = self._inverse @ slope, self._inverse @ form
         pairs = (x, x), (x, y), (y, y)
@@ -403,8 +401,8 @@ class PowerEnclosure:
         return found, (2.0 * np.sqrt(_largest_form(found, radius)) + beyond) * beyond
 
     def _covariances(
-        self, centre: Array, radius: Array
-    ) -> tuple[Array, Array, Array, Array, Array]:
+        self, centre: Floats, radius: Floats
+    ) -> tuple[Floats, Floats, Floats, Floats, Floats]:
         """Return covariances (kappa, n), their gradients, forms, and ranges of remainders."""
         posterior, parameters = self._posterior, self._posterior.parameters
         measured, beta = posterior.origins, parameters.decorrelation_m
@@ -441,8 +439,8 @@ class PowerEnclosure:
 
 
 def _trend(
-    posterior: ChannelPosterior, centre: Array, radius: Array
-) -> tuple[Array, Array, tuple[Array, Array]]:
+    posterior: ChannelPosterior, centre: Floats, radius: Floats
+) -> tuple[Floats, Floats, tuple[Floats, Floats]]:
     """Return gradients, quadratic forms and remainders of -10 log10 of the station distance."""
     station = posterior.parameters.station
     scale = 10.0 / np.log(10.0)
@@ -461,23 +459,23 @@ def _trend(
     centre_db = -scale * np.log(np.maximum(np.sqrt(square), MIN_DISTANCE_M))
     least = -scale * np.log(np.maximum(farthest, MIN_DISTANCE_M)) - centre_db
     most = -scale * np.log(np.maximum(nearest, MIN_DISTANCE_M)) - centre_db
-    low = cast("Array", np.where(smooth, -curved, least))
-    high = cast("Array", np.where(smooth, curved, most))
+    low = cast("Floats", np.where(smooth, -curved, least))
+    high = cast("Floats", np.where(smooth, curved, most))
     return np.asarray(gradient), form, (low, high)
 
 
-def _weighted(weight: Array, low: Array, high: Array) -> tuple[Array, Array]:
+def _weighted(weight: Floats, low: Floats, high: Floats) -> tuple[Floats, Floats]:
     """Return lower and upper bounds (n,) of weighted sums of intervals over measurements."""
     one, other = weight * low, weight * high
     return np.minimum(one, other).sum(axis=0), np.maximum(one, other).sum(axis=0)
 
 
-def _scaled(factor: float, low: Array, high: Array) -> tuple[Array, Array]:
+def _scaled(factor: float, low: Floats, high: Floats) -> tuple[Floats, Floats]:
     """Return the interval [low, high] times a factor of either sign."""
     return (factor * low, factor * high) if factor >= 0.0 else (factor * high, factor * low)
 
 
-def _root(covariance: Array) -> Array:
+def _root(covariance: Floats) -> Floats:
     """Return R with R' R = M for a covariance M (2, 2), which may be zero."""
     values, vectors = np.linalg.eigh(covariance)
     return np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T

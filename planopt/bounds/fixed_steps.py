@@ -27,6 +27,7 @@ from planopt.bounds.tube import (
     Cells,
     Level,
     StageProblem,
+    core_of,
     divided,
     first_cells,
     never_moved,
@@ -35,8 +36,6 @@ from planopt.bounds.tube import (
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.upper_bounds import Discs, Field, no_reward
 from planopt.problems.problem import Problem, rate_s_m
-
-Array = Floats
 
 MOST_LEVELS = 12  # Maximum number of levels of cells
 MOST_PAIRS = 6_000_000  # Maximum number of pairs of cells of successive steps
@@ -85,10 +84,10 @@ def stepped_problem(
 class Planes:
     """Linear models of a potential over n squares of one size; a point is a square of size zero."""
 
-    centre_m: Array  # (n, 2)
-    value: Array  # (n,)
-    slope: Array  # (n, 2)
-    rest: Array  # (n,) largest deviation of the potential in free space
+    centre_m: Floats  # (n, 2)
+    value: Floats  # (n,)
+    slope: Floats  # (n, 2)
+    rest: Floats  # (n,) largest deviation of the potential in free space
     half_m: float  # Half the side of a square
 
     def at(self, rows: Indices | Mask) -> Planes:
@@ -119,7 +118,7 @@ class OpenPotential:
         self._most = np.abs(values).max(axis=1)
         self._tree = shapely.STRtree(np.asarray(shapely.polygons(places), dtype=np.object_))
 
-    def over(self, centre_m: Array, half_m: float) -> Planes:
+    def over(self, centre_m: Floats, half_m: float) -> Planes:
         """Return models over squares (n, 2); `rest` is -inf for squares outside free space."""
         cell, part = self._tree.query(squares(centre_m - half_m, 2.0 * half_m), "intersects")
         main = self._tree.query_nearest(shapely.points(centre_m), all_matches=False)[1]
@@ -135,13 +134,13 @@ class OpenPotential:
         np.maximum.at(most, cell, np.nan_to_num(rest, nan=np.inf))
         return Planes(centre_m, value, slope, most, half_m)
 
-    def _model(self, centre_m: Array, part: Indices) -> tuple[Array, Array]:
+    def _model(self, centre_m: Floats, part: Indices) -> tuple[Floats, Floats]:
         offset = centre_m - self._first[part]
         slope = self._slope[part] + np.einsum("nij,ni->nj", self._bend[part], offset)
         return self._value[part] + 0.5 * ((self._slope[part] + slope) * offset).sum(axis=1), slope
 
 
-def outages(problem: SteppedProblem, before: Planes, after: Planes) -> Array:
+def outages(problem: SteppedProblem, before: Planes, after: Planes) -> Floats:
     """Return lower bounds (n,) of the mean outage, times its price, on moves between squares."""
     route, start, longest = problem.route, problem.tube.start_m, problem.tube.step_m
     if route.price == 0.0 or not len(before.value):
@@ -167,8 +166,8 @@ def outages(problem: SteppedProblem, before: Planes, after: Planes) -> Array:
 
 
 def reduced_costs(
-    problem: SteppedProblem, before: Planes, after: Planes, outage: Array | float = 0.0
-) -> Array:
+    problem: SteppedProblem, before: Planes, after: Planes, outage: Floats | float = 0.0
+) -> Floats:
     """Return lower bounds (n,) of the reduced costs of steps between squares (equation 6.21)."""
     offset, longest = after.centre_m - before.centre_m, problem.tube.step_m
     length = np.hypot(*offset.T)
@@ -194,7 +193,7 @@ def level_bound(
 
     The level keeps the cells that plans below the limit may visit.
     """
-    tube, steps = problem.tube, list[tuple[Indices, Indices, Array]]()
+    tube, steps = problem.tube, list[tuple[Indices, Indices, Floats]]()
     near_m = tube.step_m / level.side_m * (1.0 + ROUNDING)
     planes = [potential.over(tube.start_m[None], 0.0)]
     costs = [np.zeros(1)]
@@ -247,9 +246,7 @@ def stepped_bounds(
     side, active = FIRST_SHARE * tube.step_m, first_cells(tube)
     for number in range(1, MOST_LEVELS + 1):
         turn = monotonic()
-        core = shapely.MultiPolygon(tube.blocked).buffer(-1.02 * (np.sqrt(0.5) * side + tube.sag_m))
-        shapely.prepare(core)
-        level = Level(tube, side, list[Cells](active), [], [], core, [])
+        level = Level(tube, side, list[Cells](active), [], [], core_of(tube, side), [])
         value = level_bound(problem, field, level, limit_m - base)
         if value is None:
             return

@@ -16,8 +16,6 @@ from scipy.spatial import Delaunay
 
 from planopt.arrays import Floats, Indices, Mask
 
-Array = Floats
-
 FIRST_NODES = 500  # Number of grid nodes of the first mesh, without the nodes on obstacles
 DEPTH_SHARE = 3e-4
 """Depth of mesh borders inside obstacles, as a share of the workspace diagonal. It leaves room to
@@ -34,7 +32,7 @@ AREA_TOLERANCE = 1e-9  # Relative rounding tolerance of the area of a mesh
 class Mesh:
     """Delaunay triangulation of the workspace that is refined by adding nodes."""
 
-    nodes_m: Array  # (n, 2); node 0 is the start
+    nodes_m: Floats  # (n, 2); node 0 is the start
     borders: Indices  # (m, 2) end nodes of the border segments
     # Cached by the triangle's node numbers: least costs at its corners, cost at its centre; None
     # inside a blocked area
@@ -82,8 +80,8 @@ def sides_of(corners: Indices) -> Indices:
 def first_mesh(
     bounds_m: tuple[float, float, float, float],
     blocked: Sequence[shapely.Polygon],
-    start_m: Array,
-    goal_m: Array,
+    start_m: Floats,
+    goal_m: Floats,
     goal_radius_m: float,
 ) -> Mesh:
     """Return a mesh with nodes at the start, on a grid and on all boundaries."""
@@ -114,7 +112,7 @@ def first_mesh(
             continue
         for ring in (polygon.exterior, *polygon.interiors):
             dense: Any = shapely.segmentize(ring, spacing)  # pyright: ignore
-            corners: Array = shapely.get_coordinates(dense)[:-1]  # pyright: ignore
+            corners: Floats = shapely.get_coordinates(dense)[:-1]  # pyright: ignore
             own = count + np.arange(len(corners))
             borders.append(np.column_stack([own, np.roll(own, -1)]))
             nodes.append(corners)
@@ -145,7 +143,7 @@ def inside_of(polygon: shapely.Polygon, depth_m: float) -> shapely.Geometry:
 
 
 def covers_bounds(
-    nodes_m: Array, corners: Indices, bounds_m: tuple[float, float, float, float]
+    nodes_m: Floats, corners: Indices, bounds_m: tuple[float, float, float, float]
 ) -> bool:
     """Return whether triangles (t, 3) tile the workspace and share whole sides."""
     # Then node values define a continuous function.
@@ -165,13 +163,13 @@ def covers_bounds(
     return bool(on_border.all()) and abs(area - whole) <= AREA_TOLERANCE * whole
 
 
-def doubled_areas(nodes_m: Array, corners: Indices) -> Array:
+def doubled_areas(nodes_m: Floats, corners: Indices) -> Floats:
     """Return twice the signed areas of triangles (t, 3)."""
     a, b, c = (nodes_m[corners[:, i]] for i in range(3))
     return (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
 
 
-def enclosing_discs(corners_m: Array) -> tuple[Array, Array]:
+def enclosing_discs(corners_m: Floats) -> tuple[Floats, Floats]:
     """Return centres and radii of the smallest discs that contain triangles (t, 3, 2)."""
     a, b, c = corners_m[:, 0], corners_m[:, 1], corners_m[:, 2]
     lengths = np.linalg.norm(np.stack([b - c, c - a, a - b], axis=1), axis=2)
@@ -201,10 +199,10 @@ class Corridor:
 
     def __init__(
         self,
-        nodes_m: Array,
+        nodes_m: Floats,
         corners: Indices,  # (t, 3)
-        metre_cost: Array,  # (t,)
-        goal_m: Array,
+        metre_cost: Floats,  # (t,)
+        goal_m: Floats,
     ) -> None:
         sides, number = np.unique(sides_of(corners), axis=0, return_inverse=True)
         points = np.vstack([nodes_m, nodes_m[sides].mean(axis=1)])
@@ -221,7 +219,7 @@ class Corridor:
         graph = sparse.coo_array(edges, shape=(len(points), len(points))).tocsr()
         ends = [0, self._nearest(goal_m)]
         search = cast("Any", csgraph.dijkstra)
-        cost_m: Array
+        cost_m: Floats
         self._next: Indices
         cost_m, self._next = search(graph, directed=False, indices=ends, return_predecessors=True)
         least_m = float(cost_m[0, ends[1]])
@@ -230,11 +228,11 @@ class Corridor:
         through = cost_m.sum(axis=0)[knots].min(axis=1)
         self.excess = through / least_m - 1.0 if self.is_connected else through
 
-    def _nearest(self, place_m: Array) -> int:
+    def _nearest(self, place_m: Floats) -> int:
         away = np.linalg.norm(self._points_m[self._used] - place_m, axis=1)
         return int(self._used[away.argmin()])
 
-    def path_m(self, start_m: Array) -> Array:
+    def path_m(self, start_m: Floats) -> Floats:
         """Return the points (n, 2) of the cheapest path from near `start_m` (2,) to the goal."""
         point, path = self._nearest(start_m), list[int]()
         while point >= 0:

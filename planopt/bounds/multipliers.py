@@ -34,8 +34,6 @@ from planopt.bounds.tube import (
 )
 from planopt.objectives.upper_bounds import Discs, Field, Measured
 
-Array = Floats
-
 FULL_STEP = 0.99
 """Step length, relative to the longest step, that counts as full; solvers stop short of it."""
 LEFT_OUT = 1e-3
@@ -54,7 +52,7 @@ FIRST_SHARES = 0.01, 0.5
 """First assumed information, in units of the reference's: of the map, and of the path loss."""
 
 
-def stage_rewards(problem: StageProblem, path_m: Array) -> tuple[Array, Array, Field]:
+def stage_rewards(problem: StageProblem, path_m: Floats) -> tuple[Floats, Floats, Field]:
     """Return rewards (N,) of a path's stages, their gradients (N, 2), and predicted quantities."""
     field = Field(Discs(path_m, 0.0), problem.makers)
     each = [problem.reward(k, field.at(np.array([k]))) for k in range(problem.steps)]
@@ -62,7 +60,7 @@ def stage_rewards(problem: StageProblem, path_m: Array) -> tuple[Array, Array, F
     return values, np.vstack([reward.slope for reward in each]), field
 
 
-def local_optimum(problem: StageProblem, path_m: Array, surplus: float = 0.0) -> Array:
+def local_optimum(problem: StageProblem, path_m: Floats, surplus: float = 0.0) -> Floats:
     """Return a nearly optimal path (N, 2) that ignores obstacles; `surplus` is added to p_min.
 
     Positions of `path_m` at which the connection is known stay.
@@ -74,16 +72,16 @@ def local_optimum(problem: StageProblem, path_m: Array, surplus: float = 0.0) ->
     least = np.where(is_held, 0.0, least)
     free = np.where(is_held[:, None], 0.0, np.inf)
     bounded = np.flatnonzero(least > 0.0)
-    known: dict[bytes, tuple[Array, Array, Field]] = {}
+    known: dict[bytes, tuple[Floats, Floats, Field]] = {}
 
-    def at(flat: Array) -> tuple[Array, Array, Field]:
+    def at(flat: Floats) -> tuple[Floats, Floats, Field]:
         key = flat.tobytes()
         if key not in known:
             known.clear()
             known[key] = stage_rewards(problem, flat.reshape(shape))
         return known[key]
 
-    def loss(flat: Array) -> tuple[float, Array]:
+    def loss(flat: Floats) -> tuple[float, Floats]:
         values, slopes, _ = at(flat)
         moves = np.diff(np.vstack([problem.start_m, flat.reshape(shape)]), axis=0)
         length = np.sqrt((moves**2).sum(axis=1) + (ROUNDED * problem.step_m) ** 2)
@@ -91,7 +89,7 @@ def local_optimum(problem: StageProblem, path_m: Array, surplus: float = 0.0) ->
         pull[:-1] -= pull[1:]
         return float(problem.per_metre * length.sum() - values.sum()), (pull - slopes).ravel()
 
-    def room(flat: Array) -> Array:
+    def room(flat: Floats) -> Floats:
         path = np.vstack([problem.start_m, flat.reshape(shape)])
         found = [1.0 - scale * (np.diff(path, axis=0) ** 2).sum(axis=1)]
         for each in problem.keep_outs:
@@ -101,7 +99,7 @@ def local_optimum(problem: StageProblem, path_m: Array, surplus: float = 0.0) ->
             found.append(at(flat)[2]["chance"].value[bounded] - least[bounded] - surplus)
         return np.concatenate(found)
 
-    def room_slope(flat: Array) -> Array:
+    def room_slope(flat: Floats) -> Floats:
         path = np.vstack([problem.start_m, flat.reshape(shape)])
         moves = 2.0 * scale * np.diff(path, axis=0)
         found = [slopes_of(moves, -moves)]
@@ -127,7 +125,7 @@ def local_optimum(problem: StageProblem, path_m: Array, surplus: float = 0.0) ->
     return np.asarray(found.x, dtype=np.float64).reshape(shape)
 
 
-def nearest_to(each: KeepOut, path_m: Array) -> tuple[Array, Array]:
+def nearest_to(each: KeepOut, path_m: Floats) -> tuple[Floats, Floats]:
     """Return where a path's steps are nearest to a disc's centre (N, 2), and shares (N, 1)."""
     first, last = path_m[:-1] - each.centre_m[:-1], path_m[1:] - each.centre_m[1:]
     square = np.maximum(((last - first) ** 2).sum(axis=1), 1e-300)
@@ -135,7 +133,7 @@ def nearest_to(each: KeepOut, path_m: Array) -> tuple[Array, Array]:
     return first + share * (last - first), share
 
 
-def slopes_of(before: Array, after: Array) -> Array:
+def slopes_of(before: Floats, after: Floats) -> Floats:
     """Return derivatives (N, 2 N) by all positions from those by the ends of each step (N, 2)."""
     stage = np.arange(len(after))
     found = np.zeros((len(after), *after.shape))
@@ -144,9 +142,9 @@ def slopes_of(before: Array, after: Array) -> Array:
     return found.reshape(len(found), -1)
 
 
-def tilts_near(problem: StageProblem, paths_m: Sequence[Array], kinks_m: Array) -> list[Array]:
+def tilts_near(problem: StageProblem, paths_m: Sequence[Floats], kinks_m: Floats) -> list[Floats]:
     """Return multipliers fitted to each path, with little weight at obstacles and at `kinks_m`."""
-    found: list[Array] = []
+    found: list[Floats] = []
     for path in paths_m:
         is_free = np.ones(len(path), dtype=np.bool_)
         if len(kinks_m):
@@ -157,7 +155,7 @@ def tilts_near(problem: StageProblem, paths_m: Sequence[Array], kinks_m: Array) 
     return found
 
 
-def multipliers_of(problem: StageProblem, path_m: Array, is_free: Mask) -> Array:
+def multipliers_of(problem: StageProblem, path_m: Floats, is_free: Mask) -> Floats:
     """Return multipliers of the steps (N, 2), from stages with `is_free`."""
     steps = problem.steps
     _, gradient, field = stage_rewards(problem, path_m)
@@ -167,10 +165,10 @@ def multipliers_of(problem: StageProblem, path_m: Array, is_free: Mask) -> Array
     moving = length > max(problem.standstill_m, 1e-6 * problem.step_m)
     fixed = np.where(moving[:, None], problem.per_metre * ahead, 0.0)
     weight = np.where(is_free, 1.0, LEFT_OUT)
-    columns: list[Array] = []
-    pushes: list[tuple[int, Array]] = []
+    columns: list[Floats] = []
+    pushes: list[tuple[int, Floats]] = []
 
-    def add(stage: int, direction: Array) -> None:
+    def add(stage: int, direction: Floats) -> None:
         column = np.zeros((steps, 2))
         column[stage] += direction
         if stage:
@@ -204,14 +202,14 @@ def multipliers_of(problem: StageProblem, path_m: Array, is_free: Mask) -> Array
 class Part:
     """Paths within limits, and a mixture of such paths whose measurements are the reference."""
 
-    limits_m: Array  # (N, 4) of the positions, as in `StageProblem`
-    paths_m: Array  # (p, N, 2)
-    weight: Array  # (p,)
-    share: Array  # (3,) reference, assumed measurements and path loss, relative to the mixture
+    limits_m: Floats  # (N, 4) of the positions, as in `StageProblem`
+    paths_m: Floats  # (p, N, 2)
+    weight: Floats  # (p,)
+    share: Floats  # (3,) reference, assumed measurements and path loss, relative to the mixture
     design: Design = field(default_factory=Design)
     value: float = -np.inf  # Bound on a lattice
 
-    def halves(self) -> tuple[Sequence[Part], Array]:
+    def halves(self) -> tuple[Sequence[Part], Floats]:
         """Return two parts cut where the mixture's positions vary most, and step, axis and cut."""
         mean = np.average(self.paths_m, axis=0, weights=self.weight)
         spread = np.average((self.paths_m - mean) ** 2, axis=0, weights=self.weight)
@@ -230,10 +228,10 @@ class Part:
 def fitted_parts(
     problem_of: Callable[[Design], StageProblem],
     measured: Measured,
-    path_m: Array,
+    path_m: Floats,
     known: float,
     seconds: float,
-) -> tuple[list[Part], Array]:
+) -> tuple[list[Part], Floats]:
     """Return parts of all paths with fitted designs, and the cuts (c, 4) between them.
 
     The part with the largest bound is cut until no bound exceeds `known`. The search begins at
@@ -250,7 +248,7 @@ def fitted_parts(
         )
         for is_referred in ((1.0, 0.0) if measured.criterion == "map" else (1.0,))
     ]
-    parts, cuts = [min(fits, key=lambda each: each.value)], list[Array]()
+    parts, cuts = [min(fits, key=lambda each: each.value)], list[Floats]()
     while monotonic() - begun < seconds:
         worst = int(np.argmax([each.value for each in parts]))
         halves, cut = parts[worst].halves()
@@ -285,7 +283,7 @@ def fitted(
     if not all(map(len, grid)):
         return replace(part, value=-np.inf)
 
-    def bounded(part: Part) -> tuple[Part, Array]:
+    def bounded(part: Part) -> tuple[Part, Floats]:
         places, owner = np.unique(part.paths_m.reshape(-1, 2), axis=0, return_inverse=True)
         each = np.repeat(part.weight, problem.steps)
         weight = np.asarray(np.bincount(owner.ravel(), each), dtype=np.float64)

@@ -23,8 +23,6 @@ from planopt.bounds.tube import (
 )
 from planopt.objectives.upper_bounds import Discs, Field, Makers, constant_bounds
 
-Array = Floats
-
 STARTS = 3  # Number of cells per level whose centres are evaluated
 LEAST_VALUE = 0.02
 """Relative gap at which a position counts as optimal, and the minimum of its denominator."""
@@ -34,7 +32,7 @@ LEAST_VALUE = 0.02
 class BestPlace:
     """Best known position of a one-step problem, with a proven bound."""
 
-    place_m: Array  # (2,)
+    place_m: Floats  # (2,)
     value: float
     bound: float
     levels: int
@@ -79,7 +77,7 @@ def best_place(problem: StageProblem, seconds: float) -> BestPlace:
     return BestPlace(place, value, bound, levels, monotonic() - begun)
 
 
-def best_of(problem: StageProblem, places_m: Array, makers: Makers) -> tuple[Array, float]:
+def best_of(problem: StageProblem, places_m: Floats, makers: Makers) -> tuple[Floats, float]:
     """Return the best position and its value after moving positions (n, 2) within reach."""
     moves = places_m - problem.start_m
     longest = np.maximum(np.hypot(*moves.T), problem.step_m)

@@ -34,8 +34,6 @@ from planopt.bounds.mesh import (
 from planopt.channel.posterior import ChannelPosterior
 from planopt.world.shortest_paths import INNER_SHARE
 
-Array = Floats
-
 FIRST_TRIANGLES = 5_000, 200
 """Number of triangles added to the corridor of good routes before the first solve: a constant, and
 a number per second of available time."""
@@ -53,7 +51,7 @@ SCORE_SHARE = 0.95
 """Share of the total expected gain that the triangles selected for refinement make up."""
 FRAME_SHARE = 0.02
 """Width of the blocked frame around the workspace, as a share of the workspace diagonal."""
-CLEARANCE_TOLERANCE_M = 1e-5
+ROUTE_TOLERANCE_M = 1e-5
 """Tolerance of the verifier, by which obstacles are grown less than the clearance."""
 SOLVER_TOLERANCE = 3e-4
 """Relative gap of the solver. It affects the tightness of the bound, never its validity."""
@@ -67,8 +65,8 @@ class RouteProblem:
     bounds_m: tuple[float, float, float, float]
     obstacles: Sequence[shapely.Polygon]
     clearance_m: float  # Negative: depth by which routes may cut into obstacles
-    start_m: Array  # (2,)
-    goal_m: Array  # (2,)
+    start_m: Floats  # (2,)
+    goal_m: Floats  # (2,)
     goal_radius_m: float
     price: float  # Cost of a metre out of contact, in metres
     free_above: float  # P(connected) from which on outage is free; above 1: never
@@ -147,7 +145,7 @@ def route_bounds(problem: RouteProblem, seconds: float) -> Iterator[RouteBound]:
         mesh.refine(inner[_refined(inner, gain, loose, round(room / 3.0), len(mesh.nodes_m))])
 
 
-def _refined(corners: Indices, gain: Array, loose: Array, count: int, nodes: int) -> Indices:
+def _refined(corners: Indices, gain: Floats, loose: Floats, count: int, nodes: int) -> Indices:
     """Return about `count` triangles to refine: first by gain, then loose ones nearby."""
     order = np.argsort(-gain)
     reached = np.cumsum(gain[order]) < SCORE_SHARE * float(gain.sum())
@@ -199,7 +197,7 @@ class BlockedAreas:
     tree: shapely.STRtree
     reaches_goal: bool  # Whether the goal is reachable from the start
 
-    def is_open(self, nodes_m: Array, corners: Indices) -> Mask:
+    def is_open(self, nodes_m: Floats, corners: Indices) -> Mask:
         """Return a mask (t,) of the triangles (t, 3) that are not inside a blocked area."""
         inside, _ = self.tree.query(shapely.polygons(nodes_m[corners]), predicate="covered_by")
         is_open = np.ones(len(corners), dtype=bool)
@@ -209,11 +207,7 @@ class BlockedAreas:
 
 def blocked_areas(problem: RouteProblem) -> BlockedAreas:
     """Return the areas that no route of a route problem enters."""
-    by_m = problem.clearance_m
-    if by_m > 0.0:
-        # GEOS grows polygons by up to a hundredth too much. Contact is a collision in any case.
-        by_m = max(0.0, by_m * INNER_SHARE - CLEARANCE_TOLERANCE_M)
-    grown = shapely.union_all([polygon.buffer(by_m) for polygon in problem.obstacles])
+    grown = grown_by(problem.obstacles, problem.clearance_m, ROUTE_TOLERANCE_M)
     box = shapely.box(*problem.bounds_m)
     free = shapely.get_parts(box.difference(grown))
     goal = shapely.Point(problem.goal_m).buffer(_outer_radius_m(problem), quad_segs=64)
@@ -222,28 +216,39 @@ def blocked_areas(problem: RouteProblem) -> BlockedAreas:
     x0, y0, x1, y1 = problem.bounds_m
     width = FRAME_SHARE * float(np.hypot(x1 - x0, y1 - y0))
     frame = shapely.box(x0 - width, y0 - width, x1 + width, y1 + width)
-    parts = [
-        part
-        for part in shapely.get_parts(frame.difference(shapely.union_all(own)))
-        if isinstance(part, shapely.Polygon)
-    ]
+    parts = polygons_of(frame.difference(shapely.union_all(own)))
     reaches = any(part.intersects(goal) for part in own)
     return BlockedAreas(parts, shapely.STRtree(parts), reaches)
 
 
+def grown_by(
+    obstacles: Sequence[shapely.Polygon], clearance_m: float, tolerance_m: float
+) -> shapely.Geometry:
+    """Return obstacles grown by at most the clearance less a tolerance; not by less than zero."""
+    if clearance_m > 0.0:
+        # GEOS grows polygons by up to a hundredth too much. Contact is a collision in any case.
+        clearance_m = max(0.0, clearance_m * INNER_SHARE - tolerance_m)
+    return shapely.union_all([polygon.buffer(clearance_m) for polygon in obstacles])
+
+
+def polygons_of(area: shapely.Geometry) -> list[shapely.Polygon]:
+    """Return the polygons of an area."""
+    return [part for part in shapely.get_parts(area) if isinstance(part, shapely.Polygon)]
+
+
 def _outer_radius_m(problem: RouteProblem) -> float:
     """Return the distance from the goal to the corners of a 256-gon around the goal's disc."""
-    return problem.goal_radius_m / float(np.cos(np.pi / 256)) + CLEARANCE_TOLERANCE_M
+    return problem.goal_radius_m / float(np.cos(np.pi / 256)) + ROUTE_TOLERANCE_M
 
 
-def _touches_goal(problem: RouteProblem, nodes_m: Array, corners: Indices) -> Mask:
+def _touches_goal(problem: RouteProblem, nodes_m: Floats, corners: Indices) -> Mask:
     """Return a mask (t,) of the triangles that touch the goal's disc."""
     goal = shapely.Point(problem.goal_m).buffer(_outer_radius_m(problem), quad_segs=64)
     shapely.prepare(goal)
     return np.asarray(shapely.intersects(goal, shapely.polygons(nodes_m[corners])), dtype=bool)
 
 
-def _largest(loss: Array, corners: Indices, chosen: Mask, room: int) -> Indices:
+def _largest(loss: Floats, corners: Indices, chosen: Mask, room: int) -> Indices:
     """Return the chosen triangles of most loss whose refinement adds at most `room` triangles."""
     order = np.lexsort([-loss, ~chosen])
     return corners[order[: min(int(chosen.sum()), max(1, room // 3))]]
@@ -255,7 +260,7 @@ def _known_costs(
     powers: Sequence[PowerEnclosure],
     mesh: Mesh,
     corners: Indices,
-) -> tuple[Mask, Array, Array]:
+) -> tuple[Mask, Floats, Floats]:
     """Return a mask (t,) of the open triangles, and their cached :func:`metre_costs`."""
     keys = [tuple(row) for row in corners.tolist()]
     new = np.array([k for k, key in enumerate(keys) if key not in mesh.known], dtype=np.intp)
@@ -273,8 +278,8 @@ def _known_costs(
 
 
 def metre_costs(
-    problem: RouteProblem, powers: Sequence[PowerEnclosure], corners_m: Array
-) -> tuple[Array, Array]:
+    problem: RouteProblem, powers: Sequence[PowerEnclosure], corners_m: Floats
+) -> tuple[Floats, Floats]:
     """Return lower bounds (t, 3) of the cost per metre at corners, and costs (t,) at centres."""
     count = len(corners_m)
     if problem.price == 0.0:
@@ -294,7 +299,7 @@ def metre_costs(
     return 1.0 + problem.price * silent, 1.0 + problem.price * at_centre
 
 
-def _product_below(one: Array, other: Array) -> Array:
+def _product_below(one: Floats, other: Floats) -> Floats:
     """Return corner values (t, 3) of a linear lower bound on a product of linear functions >= 0."""
     # The product is at least its interpolation minus a quarter of the sum, over the sides, of the
     # positive products of both functions' differences.
@@ -305,8 +310,8 @@ def _product_below(one: Array, other: Array) -> Array:
 
 
 def _best_potential(
-    nodes_m: Array, corners: Indices, is_open: Mask, cost: Array, at_goal: Mask, limit_s: float
-) -> tuple[Potential, Array]:
+    nodes_m: Floats, corners: Indices, is_open: Mask, cost: Floats, at_goal: Mask, limit_s: float
+) -> tuple[Potential, Floats]:
     """Return the potential with the largest value at the start, and the dual flow (t,)."""
     import clarabel
 
@@ -348,7 +353,7 @@ def _best_potential(
     return Potential(nodes_m, corners, at_nodes, at_sides), flow
 
 
-def _scaled(potential: Potential, is_open: Mask, cost: Array, at_goal: Mask) -> Potential:
+def _scaled(potential: Potential, is_open: Mask, cost: Floats, at_goal: Mask) -> Potential:
     """Return a potential shifted and scaled until it satisfies (6.14); zero if that fails."""
     unknown, *slopes = slopes_of(potential.nodes_m, potential.corners)
     values = np.concatenate([potential.at_nodes, potential.at_sides])[unknown[is_open]]
@@ -369,7 +374,7 @@ def _scaled(potential: Potential, is_open: Mask, cost: Array, at_goal: Mask) -> 
     return replace(potential, at_nodes=both[0], at_sides=both[1])
 
 
-def slopes_of(nodes_m: Array, corners: Indices) -> tuple[Indices, Array, Array]:
+def slopes_of(nodes_m: Floats, corners: Indices) -> tuple[Indices, Floats, Floats]:
     """Return indices (t, 6) of corner and mid-side values, and slopes (t, 3, 6) along x and y."""
     a, b, c = (nodes_m[corners[:, i]] for i in range(3))
     double = doubled_areas(nodes_m, corners)

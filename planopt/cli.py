@@ -109,21 +109,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         format_message = getattr(error, "format_message", None)
         if format_message is None:
             raise
-        message, found = usage_error(str(format_message()), getattr(error, "ctx", None)), error
+        message, found, context = str(format_message()), error, getattr(error, "ctx", None)
+        # The same words for all versions of Typer, with the help page
+        message = message.rstrip(".")
+        for pattern, replacement in USAGE_ERRORS.items():
+            message = re.sub(pattern, replacement, message)
+        message += f" (see {context.command_path if context else 'planopt'} --help)"
     message = " ".join(message.split())
     if "--json" in words:
         with contextlib.suppress(OutputError):
             print_out(strict_text(error_json(message, found)))
     print(f"planopt: {message}", file=sys.stderr)
     return BAD_INPUT
-
-
-def usage_error(message: str, context: typer.Context | None) -> str:
-    """Return a usage error in the same words for all versions of Typer, with the help page."""
-    message = message.rstrip(".")
-    for pattern, replacement in USAGE_ERRORS.items():
-        message = re.sub(pattern, replacement, message)
-    return f"{message} (see {context.command_path if context else 'planopt'} --help)"
 
 
 def error_json(message: str, error: Exception) -> dict[str, str | int | None]:

@@ -30,7 +30,6 @@ from planopt.bounds.tube import (
     first_cells,
     halved,
     through_bounds,
-    untilted,
 )
 from planopt.objectives.upper_bounds import Discs, Field, Measured
 
@@ -274,10 +273,8 @@ def fitted(
     Each round moves the mixture towards the path at which the bound is attained (Frank and Wolfe's
     method); some rounds try more and less assumed information.
     """
-    problem, is_map = (
-        replace(problem_of(Design()), limits_m=part.limits_m),
-        measured.criterion == "map",
-    )
+    problem = replace(problem_of(Design()), limits_m=part.limits_m)
+    is_map = measured.criterion == "map"
     side, grid = 0.5 * FIRST_SHARE * problem.step_m, first_cells(problem)
     grid = [divided(problem, each, side, k) for k, each in enumerate(grid, 1)]
     if not all(map(len, grid)):
@@ -291,7 +288,7 @@ def fitted(
         weights = np.outer(weight, part.share[:2])
         design = Design(places_m=places, weights=weights, path_loss=known)
         level = evaluated(replace(problem_of(design), limits_m=part.limits_m), side, grid, 0.0)
-        through = through_bounds(level, [untilted(problem)])
+        through = through_bounds(level, [])
         best = [cells[each.argmax()] for cells, each in zip(level.active, through, strict=True)]
         path = level.field(np.array(best)).discs.centre_m
         value = min(float(each.max()) for each in through)

@@ -19,7 +19,6 @@ from planopt.bounds.tube import (
     first_cells,
     kept_cells,
     through_bounds,
-    untilted,
 )
 from planopt.objectives.upper_bounds import Discs, Field, Makers, constant_bounds
 
@@ -35,7 +34,6 @@ class BestPlace:
     place_m: Floats  # (2,)
     value: float
     bound: float
-    levels: int
     seconds: float
 
     @property
@@ -52,7 +50,7 @@ def best_place(problem: StageProblem, seconds: float) -> BestPlace:
     if len(near):
         makers: Makers = {**problem.makers, "chance": partial(constant_bounds, value=1.0)}
         place, value = best_of(problem, near, makers)
-    tilts = [untilted(problem)]
+    tilts = list[Floats]()
     side, active = FIRST_SHARE * problem.step_m, first_cells(problem)
     while len(active[0]) and levels < MOST_LEVELS:
         levels += 1
@@ -66,7 +64,7 @@ def best_place(problem: StageProblem, seconds: float) -> BestPlace:
             found, reached = best_of(problem, both, problem.makers)
         if reached > value:
             place, value = found, reached
-            tilts = [untilted(problem), *tilts_near(problem, [place[None]], np.zeros((0, 2)))]
+            tilts = tilts_near(problem, [place[None]], np.zeros((0, 2)))
         through = through_bounds(level, tilts)
         threshold = value + 0.5 * ONE_STEP_GAP * max(abs(value), LEAST_VALUE)
         bound = min(bound, max(threshold, float(through[0].max(initial=-np.inf))))
@@ -74,7 +72,7 @@ def best_place(problem: StageProblem, seconds: float) -> BestPlace:
             break
         active, side = kept_cells(level, through, threshold), 0.5 * side
     bound += MARGIN * abs(bound)
-    return BestPlace(place, value, bound, levels, monotonic() - begun)
+    return BestPlace(place, value, bound, monotonic() - begun)
 
 
 def best_of(problem: StageProblem, places_m: Floats, makers: Makers) -> tuple[Floats, float]:

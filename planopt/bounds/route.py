@@ -32,6 +32,7 @@ from planopt.bounds.mesh import (
     sides_of,
 )
 from planopt.channel.posterior import ChannelPosterior
+from planopt.world.clearance import polygons_of
 from planopt.world.shortest_paths import INNER_SHARE
 
 FIRST_TRIANGLES = 5_000, 200
@@ -79,8 +80,6 @@ class RouteBound:
     """A certified lower bound on the cost of every route."""
 
     value_m: float
-    triangles: int  # Number of triangles in free space
-    seconds: float
     potential: Potential | None  # None for the straight-line distance
     corridor: Corridor | None = None  # Cheapest paths through the latest mesh
 
@@ -90,7 +89,7 @@ def route_bounds(problem: RouteProblem, seconds: float) -> Iterator[RouteBound]:
     # The first solve may exceed the time; later solves are interrupted.
     begun = monotonic()
     straight = float(np.linalg.norm(problem.goal_m - problem.start_m)) - problem.goal_radius_m
-    best = RouteBound(max(0.0, straight) * (1.0 - ROUNDING), 0, 0.0, None)
+    best = RouteBound(max(0.0, straight) * (1.0 - ROUNDING), None)
     yield best
     blocked = blocked_areas(problem)
     if not blocked.reaches_goal:
@@ -134,7 +133,7 @@ def route_bounds(problem: RouteProblem, seconds: float) -> Iterator[RouteBound]:
         covered = covers_bounds(mesh.nodes_m, corners, problem.bounds_m)
         elapsed = monotonic() - begun
         if covered and value > best.value_m:
-            best = RouteBound(value, len(inner), elapsed, potential, corridor)
+            best = RouteBound(value, potential, corridor)
             yield best
         widths.clear()
         left = seconds - (monotonic() - begun)
@@ -231,11 +230,6 @@ def grown_by(
         # GEOS grows polygons by up to a hundredth too much. Contact is a collision in any case.
         clearance_m = max(0.0, clearance_m * INNER_SHARE - tolerance_m)
     return shapely.union_all([polygon.buffer(clearance_m) for polygon in obstacles])
-
-
-def polygons_of(area: shapely.Geometry) -> list[shapely.Polygon]:
-    """Return the polygons of an area."""
-    return [part for part in shapely.get_parts(area) if isinstance(part, shapely.Polygon)]
 
 
 def _outer_radius_m(problem: RouteProblem) -> float:

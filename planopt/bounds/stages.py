@@ -6,9 +6,9 @@ listed, except for the workspace, static obstacles and p_min.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial, reduce
+from functools import reduce
 
 import numpy as np
 import shapely
@@ -17,7 +17,7 @@ from planopt.arrays import Floats, Mask
 from planopt.bounds.bound import Design, Tilts
 from planopt.bounds.enclosure import PowerEnclosure, PowerModel, VarianceDifference
 from planopt.bounds.reach import MOVING, ignored_motion, longest_sag_m, why_not_enclosed
-from planopt.bounds.route import grown_by, polygons_of
+from planopt.bounds.route import grown_by
 from planopt.bounds.tube import LARGEST, Chain, KeepOut, StageProblem
 from planopt.channel.gaussian_sites import MIN_NOISE_VARIANCE_DB2
 from planopt.channel.measurements import SAME_PLACE_M
@@ -28,7 +28,6 @@ from planopt.objectives.upper_bounds import (
     Field,
     Makers,
     Measured,
-    Quantity,
     StageBounds,
     UpperBounds,
     constant_bounds,
@@ -36,6 +35,7 @@ from planopt.objectives.upper_bounds import (
     no_reward,
 )
 from planopt.problems.problem import Problem
+from planopt.world.clearance import polygons_of
 from planopt.world.motion import NOTHING_MOVES, MovingDiscs
 
 LONGER_M = 8e-5
@@ -177,17 +177,14 @@ def stage_problem(
     at: TermContext,
     terms: SummedTerms,
     kept: Mask,
-    design: Design | None = None,
+    design: Design,
     moving: MovingDiscs = NOTHING_MOVES,  # Discs that the robot avoids, for instance other robots
 ) -> StageProblem:
     """Return the first robot's stage problem; p_min applies to steps in the mask `kept` (N,)."""
     measured, relaxation = None, None
     for weight, each in terms.each:
         if each.measured is not None:
-            measured, relaxation = (
-                each.measured,
-                Relaxation.of(each.measured, design or Design(), weight),
-            )
+            measured, relaxation = (each.measured, Relaxation.of(each.measured, design, weight))
 
     def reward(stage: int, field: Field) -> UpperBounds:
         total = no_reward(stage, field)
@@ -269,18 +266,7 @@ def quantity_makers(
         bounds = relaxation.tangent.bounds(discs.centre_m, discs.radius_m)
         return UpperBounds(*bounds, discs.radius_m)
 
-    makers: dict[Quantity, Callable[[Discs], UpperBounds]] = {
-        "chance": chance,
-        "variance_db2": variance,
-        "tangent": tangent,
-        "trend": trend,
-    }
-    return {name: partial(or_nothing, make) for name, make in makers.items()}
-
-
-def or_nothing(make: Callable[[Discs], UpperBounds], discs: Discs) -> UpperBounds:
-    """Return the upper bounds of `make` over discs; empty without discs."""
-    return make(discs) if len(discs.centre_m) else constant_bounds(discs, 0.0)
+    return {"chance": chance, "variance_db2": variance, "tangent": tangent, "trend": trend}
 
 
 def either(one: UpperBounds, other: UpperBounds) -> UpperBounds:

@@ -12,7 +12,7 @@ local optimum make the bound exact up to the square of the cell size.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from time import monotonic
@@ -249,9 +249,7 @@ class TubeBound:
     """Upper bound on the value of all paths, with the size of its proof."""
 
     value: float
-    cells: int  # Number of cells at the last level, over all stages
     levels: int
-    seconds: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -306,17 +304,16 @@ def tube_bounds(
     for number in range(1, MOST_LEVELS + 1):
         level_begun = monotonic()
         level = evaluated(problem, side, active)
-        through = through_bounds(level, [untilted(problem), *tilts[-MOST_TILTS:]])
+        through = through_bounds(level, tilts[-MOST_TILTS:])
         took_s = monotonic() - level_begun
         if improved is not None and min(map(len, through)):
             known = improved(best_path(level, through))
             threshold = known + gap * abs(known)
         highest = max(threshold, min(float(each.max(initial=-np.inf)) for each in through))
         best = min(best, highest + MARGIN * abs(highest))
-        cells = sum(map(len, level.active))
-        yield TubeBound(best, cells, number, monotonic() - begun)
+        yield TubeBound(best, number)
         active = kept_cells(level, through, threshold)
-        left = sum(map(len, active))
+        cells, left = (sum(map(len, each)) for each in (level.active, active))
         # The next level has more cells, and more offsets within a step.
         growth = max(1.0, left / max(cells, 1))
         ahead = took_s * (OFFSETS_GROWTH * growth if problem.chain is None else growth**2)
@@ -352,11 +349,10 @@ def proves(problem: StageProblem, tilts: Tilts) -> bool:
     if not all((np.abs(each) < LARGEST).all() for each in (tilts.of_steps, tilts.value)):
         return False
     limit = tilts.value - 0.5 * MARGIN * abs(tilts.value)
-    every = [untilted(problem), *tilts.of_steps]
     side, active = FIRST_SHARE * problem.step_m, first_cells(problem)
     for _ in range(min(tilts.levels, MOST_LEVELS)):
         level = evaluated(problem, side, active)
-        active = kept_cells(level, through_bounds(level, every), limit)
+        active = kept_cells(level, through_bounds(level, tilts.of_steps), limit)
         if min(map(len, active)) == 0:
             return True
         if sum(map(len, active)) > MOST_CELLS:
@@ -380,11 +376,6 @@ def cut_limits(limits_m: Floats, cuts: Floats) -> list[Floats]:
         found[int(part)], last = halved(found[int(part)], int(stage), int(axis), at_m)
         found.append(last)
     return found
-
-
-def untilted(problem: StageProblem) -> Floats:
-    """Return zero multipliers (N, 2) for all steps of a problem."""
-    return np.zeros((problem.steps, 2))
 
 
 def kept_cells(level: Level, through: Sequence[Floats], limit: float) -> list[Cells]:
@@ -542,13 +533,13 @@ def sure_rewards(
     return pairs, problem.reward(stage, Field(Discs(held, problem.sure_radius_m), makers)).most
 
 
-def through_bounds(level: Level, tilts: Sequence[Floats]) -> list[Floats]:
+def through_bounds(level: Level, tilts: Iterable[Floats]) -> list[Floats]:
     """Return, for each stage, upper bounds on the value of paths through each active cell."""
     best, chain = [np.full(len(each), np.inf) for each in level.active], level.problem.chain
     steps = [Step.between(level, k) for k in range(1, len(best)) if chain is None]
     pairs = None if chain is None else PairedSteps.over(level, chain)
     # Losses between successive stages have no multipliers.
-    for of_steps in tilts if pairs is None else [untilted(level.problem)]:
+    for of_steps in [np.zeros((len(best), 2)), *(tilts if pairs is None else ())]:
         own = [tilted(level, k, of_steps) for k in range(len(best))]
         moves = [step.moves(level, of_steps[k]) for k, step in enumerate(steps, 1)]
 

@@ -47,7 +47,9 @@ def truncated_normal(upper: Floats, width: Floats) -> TruncatedNormal:
     """Return the moments of standard normal variables given ``upper - width <= x <= upper``."""
     # Shapes: upper (m,); width (m,).
     if np.isinf(width).all() and (upper > LEAST_CLOSED_FORM).all():
-        return _half_line(upper)
+        hazard = np.sqrt(2.0 / np.pi) / np.asarray(erfcx(-np.sqrt(0.5) * upper), dtype=np.float64)
+        log_probability = np.asarray(log_ndtr(upper), dtype=np.float64)
+        return TruncatedNormal(log_probability, -hazard, 1.0 - hazard * (upper + hazard))
     # Mirrored if the middle is below 0, so that the density peaks at 0 or at the lower end.
     mirrored = upper < 0.5 * width
     lower = np.where(mirrored, -upper, upper - width)
@@ -69,14 +71,6 @@ def truncated_normal(upper: Floats, width: Floats) -> TruncatedNormal:
         np.log(mass * length) - 0.5 * highest**2 - 0.5 * np.log(2.0 * np.pi),
         np.where(mirrored, -mean, mean),
         np.einsum("ij,ij,ij->i", density, step, step),
-    )
-
-
-def _half_line(upper: Floats) -> TruncatedNormal:
-    """Return the moments of standard normal variables truncated above at `upper` (m,)."""
-    hazard = np.sqrt(2.0 / np.pi) / np.asarray(erfcx(-np.sqrt(0.5) * upper), dtype=np.float64)
-    return TruncatedNormal(
-        np.asarray(log_ndtr(upper), dtype=np.float64), -hazard, 1.0 - hazard * (upper + hazard)
     )
 
 

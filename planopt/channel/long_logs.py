@@ -261,8 +261,12 @@ def window_sites(
             sites = site_of[numbers]
             covariance = latent.copy()
             covariance.flat[:: len(covariance) + 1] += noise[window.rows]
-            cavity_mean, cavity = _cavities(covariance, centred[window.rows], len(window.own), own)
-            # The left-out measurement includes its site's noise.
+            # Leave-one-out means and variances; the left-out measurement includes its site's noise.
+            lower, whitened = factor_and_whitened(covariance, centred[window.rows])
+            near = len(lower) - len(window.own)
+            inverse = lower_inverse(np.tril(lower[near:, near:]))
+            cavity = 1.0 / np.einsum("ij,ij->j", inverse, inverse)[own]
+            cavity_mean = centred[numbers] - (whitened[near:] @ inverse)[own] * cavity
             cavity = np.maximum(cavity - 1.0 / precision[sites], 1e-12)
             spread = np.sqrt(omega2 + cavity)
             inside = truncated_normal((limit[sites] - cavity_mean) / spread, width[sites] / spread)
@@ -295,21 +299,6 @@ def window_sites(
         last = error
     log_factor, slope = (float(total) for total in parts.sum(axis=0))
     return WindowSites(mean, precision, shift, log_factor, slope)
-
-
-def _cavities(
-    covariance: Floats,  # (h + own, h + own), overwritten
-    centred_db: Floats,
-    own: int,
-    rows: Indices,
-) -> tuple[Floats, Floats]:
-    """Return leave-one-out means and variances of the block's measurements `rows`."""
-    lower, whitened = factor_and_whitened(covariance, centred_db)
-    near = len(lower) - own
-    inverse = lower_inverse(np.tril(lower[near:, near:]))
-    variance = 1.0 / np.einsum("ij,ij->j", inverse, inverse)[rows]
-    weighted = (whitened[near:] @ inverse)[rows]
-    return centred_db[near:][rows] - weighted * variance, variance
 
 
 def neighbour_sites(

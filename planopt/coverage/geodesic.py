@@ -17,6 +17,7 @@ from planopt.coverage.density import UNIFORM, Density, UniformDensity
 from planopt.coverage.ground import ConvexGround, Cover, TwoNearest
 from planopt.coverage.voronoi import Boundary, ConvexRegion, checked_polygon, convex_region
 from planopt.errors import InputError
+from planopt.world.clearance import polygons_of
 from planopt.world.shortest_paths import FreeArea, free_area, nearest_places
 
 SLIVER = 1e-6  # Minimum area of a free part of a grid square, as a share of the square
@@ -148,7 +149,9 @@ def geodesic_ground(
 ) -> GeodesicGround:
     """Return a region with obstacles, prepared for coverage by shortest-path distances."""
     free = _in_one_part(checked_polygon(outline), obstacles)
-    kept = _parts(free.buffer(-clearance_m, join_style="mitre")) if clearance_m > 0.0 else [free]
+    kept = [free]
+    if clearance_m > 0.0:
+        kept = polygons_of(free.buffer(-clearance_m, join_style="mitre"))
     if len(kept) != 1:
         raise InputError(
             f"is {clearance_m:g} m, which leaves {len(kept)} separate parts of the region",
@@ -188,7 +191,7 @@ def _in_one_part(whole: shapely.Polygon, obstacles: Sequence[shapely.Polygon]) -
         if not (shapely.is_valid(obstacle) and obstacle.area > 0.0):
             raise InputError("has a self-intersecting outline", key=f"world.obstacles[{number}]")
         left = left.difference(obstacle)
-    parts = _parts(left)
+    parts = polygons_of(left)
     if not parts:
         raise InputError(
             "cover the whole region", key="world.obstacles", remedy="remove some of them"
@@ -201,12 +204,6 @@ def _in_one_part(whole: shapely.Polygon, obstacles: Sequence[shapely.Polygon]) -
             remedy="make a problem for each part",
         )
     return shapely.orient_polygons(parts[0])
-
-
-def _parts(area: shapely.Geometry) -> list[shapely.Polygon]:
-    """Return the polygons of an area."""
-    parts = shapely.get_parts(area).tolist()
-    return [part for part in parts if isinstance(part, shapely.Polygon) and part.area > 0.0]
 
 
 def _nodes(

@@ -58,17 +58,13 @@ class Moments:
         return self.parameters.shadow_std_db**2 + self.parameters.multipath_std_db**2
 
     @cached_property
-    def gated_part(self) -> Floats:
-        """Matrix S - kappa I ``(..., N, N)`` to multiply by gates, with kappa = `blind_db2`."""
-        return self.whole_covariance - self.blind_db2 * np.eye(self.whole_covariance.shape[-1])
-
-    @cached_property
     def covariance(self) -> Floats:
         """Covariance of gated measurements for known path loss as an array ``(..., N, N)``."""
         if self.gate is None:
             return self.whole_covariance
         both = self.gate[..., :, None] * self.gate[..., None, :]
-        return both * self.gated_part + self.blind_db2 * np.eye(self.gate.shape[-1])
+        blind = self.blind_db2 * np.eye(self.gate.shape[-1])
+        return both * (self.whole_covariance - blind) + blind
 
     @cached_property
     def trend(self) -> Floats:
@@ -104,16 +100,11 @@ class Moments:
         return self.blind_db2 + self.gate**2 * (noise - self.blind_db2)
 
     @cached_property
-    def whole_across(self) -> NDArray[np.floating]:
-        """Weighted covariances ``(..., N, g)`` of ungated measurements with map positions."""
-        if self.map_covariance is None:
-            raise AssertionError("the spatial average needs a map")
-        return self.map_covariance()
-
-    @cached_property
     def across(self) -> NDArray[np.floating]:
         """Weighted covariances of measurements with map positions as an array ``(..., N, g)``."""
-        across = self.whole_across
+        if self.map_covariance is None:
+            raise AssertionError("the spatial average needs a map")
+        across = self.map_covariance()
         return across if self.gate is None else self.gate.astype(across.dtype)[..., None] * across
 
 

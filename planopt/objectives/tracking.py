@@ -274,7 +274,12 @@ def delayed_costs(
     ends = at_ends(paths_m, arrivals, retreats, settings)
     # A robot that is stationary or stops with the first step stays there and does not probe.
     leaving = np.where(arrivals > 0, arrivals, stayed_steps(paths_m) - 1)
-    back_m, home = _return_paths(stops, leaving, retreats, total)
+    # Straight paths to the nearest connected position; the arrival is infinite if none is known.
+    home_m, steps = retreats.nearest_connected(stops)
+    driven = np.maximum(np.arange(total) - leaving[:, None], 0.0)
+    share = np.where(np.isfinite(steps)[:, None], driven / np.maximum(steps, 1.0)[:, None], 0.0)
+    back_m = stops[:, None] + np.minimum(share, 1.0)[..., None] * (home_m - stops)[:, None]
+    home = leaving + steps
     returning = sensing_information(tracking.sensor, back_m, tracking.target_m)
     sensed = sensing_information(tracking.sensor, paths_m, tracking.target_m[:length])
     stage = np.arange(total)
@@ -348,16 +353,3 @@ def _variance_on_path(
         else:
             axis.update(now, known[first:, s] * sensed[:, first] + others[first])
     return variance
-
-
-def _return_paths(
-    stops_m: Floats, leaving: Indices, retreats: Retreats, total: int
-) -> tuple[Floats, Floats]:
-    """Return straight paths ``(c, k, 2)`` to the nearest connected positions, and arrival steps."""
-    # Each robot stays at its stop until step `leaving` (c,) ends. The arrival step is infinite if
-    # no connected position is known.
-    home_m, steps = retreats.nearest_connected(stops_m)
-    driven = np.maximum(np.arange(total) - leaving[:, None], 0.0)
-    share = np.where(np.isfinite(steps)[:, None], driven / np.maximum(steps, 1.0)[:, None], 0.0)
-    paths = stops_m[:, None] + np.minimum(share, 1.0)[..., None] * (home_m - stops_m)[:, None]
-    return paths, leaving + steps

@@ -86,7 +86,9 @@ class Field:
     def __getitem__(self, name: Quantity) -> UpperBounds:
         """Return the bounds of a quantity."""
         if name not in self.made:
-            if self.parent is None:
+            if not len(self.discs.centre_m):
+                self.made[name] = constant_bounds(self.discs, 0.0)
+            elif self.parent is None:
                 self.made[name] = self.makers[name](self.discs)
             else:
                 larger, rows = self.parent

@@ -20,6 +20,7 @@ from planopt.world.clearance import (
     index_obstacles,
     inside_bounds,
     is_clear,
+    polygons_of,
     segment_clearance_m,
     segment_lines,
     swept_clearance_m,
@@ -54,8 +55,7 @@ def is_joined(problem: Problem, clearance_m: float, without: Obstacle | None = N
     # Start and goal may lie on the boundary of free space.
     return any(
         part.distance(start) <= CLEARANCE_PAD_M and part.distance(goal) <= CLEARANCE_PAD_M
-        for part in shapely.get_parts(free)
-        if isinstance(part, shapely.Polygon) and not part.is_empty
+        for part in polygons_of(free)
     )
 
 

@@ -336,15 +336,14 @@ def unaware(parameters: ChannelParameters) -> ChannelParameters:
     return replace(parameters, k_pl_db=parameters.k_pl_db + CERTAIN_DB)
 
 
-def require_tracking(problem: Problem) -> None:
-    """Raise an InputError unless the problem tracks a target with one station."""
-    if not any(term.sensor for term in problem.terms) or len(problem.stations) > 1:
-        raise InputError(
-            f"is {problem.planner.name}, which needs a tracking term and exactly one station",
-            file=problem.file,
-            key="planner.name",
-            remedy='use planner.name = "auto"',
-        )
+def _unfit(problem: Problem, words: str) -> InputError:
+    """Return the error of a planner whose conditions a problem violates."""
+    return InputError(
+        f"is {problem.planner.name}, which {words}",
+        file=problem.file,
+        key="planner.name",
+        remedy='use planner.name = "auto"',
+    )
 
 
 class StrategyPlanner:
@@ -358,7 +357,8 @@ class StrategyPlanner:
         *,
         assumed: Assumed,
     ) -> None:
-        require_tracking(problem)
+        if not any(term.sensor for term in problem.terms) or len(problem.stations) > 1:
+            raise _unfit(problem, "needs a tracking term and exactly one station")
         self._problem, self._ground, self._assumed = problem, ground, assumed
         inner = replace(problem, planner=replace(problem.planner, name="auto"))
         self._planner = HorizonPlanner(inner, ground)
@@ -429,13 +429,10 @@ def require_foreseeable(problem: Problem) -> None:
         or problem.workspace.timed
         or not all(robot.moves_freely for robot in problem.robots)
     ):
-        raise InputError(
-            f"is {problem.planner.name}, which bounds the tracking error only for problems "
-            "with one station, single integrators, no separation_m, and obstacles that "
-            "neither move, appear nor vanish",
-            file=problem.file,
-            key="planner.name",
-            remedy='use planner.name = "auto"',
+        raise _unfit(
+            problem,
+            "bounds the tracking error only for problems with one station, single integrators, "
+            "no separation_m, and obstacles that neither move, appear nor vanish",
         )
 
 

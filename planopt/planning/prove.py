@@ -178,20 +178,14 @@ def sum_plan(
     start = plan.positions_m[0] if plan.drive is None else plan.drive.states[0]
     base = verifier_context(problem, index, belief.posteriors, start, moving=moving)
     at = step_context(base, workspace_region(problem), aim)
-    stages = stages_of(problem, at, plan, moving)
-    if isinstance(stages, str):
-        yield unproven(problem, plan, stages)
+    problem_of = stages_of(problem, at, plan, moving)
+    if isinstance(problem_of, str):
+        yield unproven(problem, plan, problem_of)
         return
+    stages = problem_of(Design())
     parts, designs, cuts, guesses = [stages], [Design()], np.zeros((0, 4)), list[Floats]()
     if stages.measured is not None:
         optimum = plan.positions_m[1:]
-
-        def problem_of(design: Design) -> StageProblem:
-            found = stages_of(problem, at, plan, moving, design)
-            if isinstance(found, str):
-                raise AssertionError(found)
-            return found
-
         fits, cuts = fitted_parts(
             problem_of, stages.measured, optimum, plan.objective, DESIGN_SHARE * seconds
         )

@@ -33,7 +33,7 @@ from planopt.report.panel import (
     Panel,
     dress,
 )
-from planopt.world.clearance import clearance_m, index_obstacles, inside_bounds
+from planopt.world.clearance import clearance_m, index_obstacles, inside_bounds, polygons_of
 from planopt.world.motion import centres_at, growth_m
 from planopt.world.raster import Raster
 from planopt.world.workspace import Workspace
@@ -63,18 +63,6 @@ INSET = 0.3  # Side of the inset, as a share of the map's
 INSET_BELOW = 0.6  # Minimum side of a window without inset, as a share of the workspace's side
 
 
-def cell_centres(bounds_m: Bounds) -> tuple[Floats, Floats]:
-    """Return x and y of the centres of nearly square cells, `NODES` along the longer side."""
-    x_min, y_min, x_max, y_max = bounds_m
-    side = max(x_max - x_min, y_max - y_min) / NODES
-    axes: list[Floats] = []
-    for low, high in ((x_min, x_max), (y_min, y_max)):
-        count = max(2, round((high - low) / side))
-        half = (high - low) / count / 2.0
-        axes.append(np.linspace(low + half, high - half, count))
-    return axes[0], axes[1]
-
-
 def drawn_cells(workspace: Workspace, x_m: Floats, y_m: Floats) -> Mask:
     """Return a mask (ny, nx) of cells with a free centre or a free neighbour."""
     centres = np.stack(np.meshgrid(x_m, y_m), axis=-1)
@@ -91,7 +79,13 @@ def believed_rasters(
     problem: Problem, belief: Belief, bounds_m: Bounds
 ) -> tuple[Raster, Raster, Raster]:
     """Return the best station's power, its deviation and P(any connection); NaN in obstacles."""
-    x, y = cell_centres(bounds_m)
+    x_min, y_min, x_max, y_max = bounds_m
+    side, axes = max(x_max - x_min, y_max - y_min) / NODES, list[Floats]()
+    for low, high in ((x_min, x_max), (y_min, y_max)):
+        count = max(2, round((high - low) / side))
+        half = (high - low) / count / 2.0
+        axes.append(np.linspace(low + half, high - half, count))
+    x, y = axes
     drawn = drawn_cells(problem.workspace, x, y)
     places = np.stack(np.meshgrid(x, y), axis=-1)[drawn]
     thresholds = [radio.threshold_dbm for radio in problem.stations]
@@ -130,8 +124,7 @@ def draw_ground(panel: Panel, workspace: Workspace, title: str) -> None:
 
 def joined(polygons: Sequence[shapely.Polygon]) -> list[shapely.Polygon]:
     """Return the polygons without shared sides, for instance between tiles of a grid."""
-    found = shapely.union_all(list(polygons))
-    return [each for each in shapely.get_parts(found) if isinstance(each, shapely.Polygon)]
+    return polygons_of(shapely.union_all(list(polygons)))
 
 
 def draw_polygons(

@@ -242,7 +242,15 @@ def build(config: DesignFile, folder: Path, file: Path | None) -> DesignProblem:
 def solve(problem: DesignProblem, *, seed: int) -> TaskResult:
     """Return the network of minimum power or energy, its guarantee and active constraints."""
     design = problem.solver(problem.design)
-    proof = _proof(problem, design)
+    config = problem.config
+    values = config.pursuit.model_dump() | config.network.model_dump()
+    values["margin"] = config.design.margin
+    values["slot_blocks"] = config.network.least_slot_blocks
+    given = DesignData(**{key.name: values[key.name] for key in fields(DesignData)})
+    # The independent verifier evaluates the requirements.
+    proof = certify(
+        given, problem.theorem, design.slot_width_s, design.rate_divisor, design.bits_per_axis
+    )
     data = {
         "horizon": None,
         **_question(problem),
@@ -252,18 +260,6 @@ def solve(problem: DesignProblem, *, seed: int) -> TaskResult:
         "pareto": [] if problem.design.first_distance_m is None else _front(problem),
     }
     return TaskResult(problem, data, value=design)
-
-
-def _proof(problem: DesignProblem, design: Design) -> tuple[Inequality, ...]:
-    """Return the requirements on a design as evaluated by the independent verifier."""
-    config = problem.config
-    values = config.pursuit.model_dump() | config.network.model_dump()
-    values["margin"] = config.design.margin
-    values["slot_blocks"] = config.network.least_slot_blocks
-    data = DesignData(**{key.name: values[key.name] for key in fields(DesignData)})
-    return certify(
-        data, problem.theorem, design.slot_width_s, design.rate_divisor, design.bits_per_axis
-    )
 
 
 def _unproved(late: tuple[float, ...] | None, blocks: int) -> str:

@@ -311,7 +311,15 @@ def build(config: PursuitFile, folder: Path, file: Path | None) -> PursuitProble
         workspace = Workspace(config.world.bounds_m, config.world.obstacles)
         arena = arena_of(workspace, config.pursuit.clearance_m)
     _require_covered(config, service)
-    _require_updates(config.network)
+    network = config.network
+    # The mode `updates` relies on silence.
+    if network.updates != "full" and (network.loss_probability > 0.0 or network.detection):
+        raise InputError(
+            f'cannot be "{network.updates}" if reports are lost or evaders are missed: silence '
+            "then does not mean that a report is unchanged",
+            key="network.updates",
+            remedy='use "full", or leave out network.loss_probability and network.detection',
+        )
     problem = PursuitProblem(config, file, service, arena)
     problem.scene(np.random.default_rng(0))
     return problem
@@ -333,15 +341,4 @@ def _require_covered(config: PursuitFile, service: SnapshotService) -> None:
             f"{service.side_m:g}) m",
             key="world.bounds_m",
             remedy="reduce the bounds, or set network.endless = true",
-        )
-
-
-def _require_updates(network: ServiceTable) -> None:
-    """Raise an error if `updates` relies on silence although reports may be missing."""
-    if network.updates != "full" and (network.loss_probability > 0.0 or network.detection):
-        raise InputError(
-            f'cannot be "{network.updates}" if reports are lost or evaders are missed: silence '
-            "then does not mean that a report is unchanged",
-            key="network.updates",
-            remedy='use "full", or leave out network.loss_probability and network.detection',
         )

@@ -25,6 +25,12 @@ def index_obstacles(workspace: Workspace) -> ObstacleIndex:
     return ObstacleIndex(workspace.obstacles, polygons, shapely.STRtree(polygons))
 
 
+def polygons_of(area: shapely.Geometry) -> list[shapely.Polygon]:
+    """Return the polygons of an area."""
+    parts = shapely.get_parts(area).tolist()
+    return [part for part in parts if isinstance(part, shapely.Polygon) and part.area > 0.0]
+
+
 def segment_lines(starts_m: Floats, ends_m: Floats) -> NDArray[np.object_]:
     """Return the segments between the rows of two ``(n, 2)`` arrays as ``(n,)`` geometries."""
     # A segment whose squared length underflows becomes a point; GEOS would divide by zero.

@@ -121,7 +121,7 @@ def stages_in(
     problem = replace(problem, constraints=replace(problem.constraints, p_min=p_min))
     kept = np.full(problem.planner.horizon, p_min > 0.0)
     terms = summed_terms(problem, context)
-    return stage_problem(problem, context, terms, kept, design, context.moving)
+    return stage_problem(problem, context, terms, kept, design or Design(), context.moving)
 
 
 def random_paths(context: StepContext, count: int, seed: int) -> np.ndarray:

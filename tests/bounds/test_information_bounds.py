@@ -12,7 +12,7 @@ from planopt.bounds.bound import Design, Tilts, relative_gap
 from planopt.bounds.enclosure import PowerEnclosure, prior_covariances
 from planopt.bounds.multipliers import fitted_parts
 from planopt.bounds.stages import are_designs
-from planopt.bounds.tube import cut_limits, tube_bounds, untilted
+from planopt.bounds.tube import cut_limits, tube_bounds
 from planopt.objectives.moments import posterior_moments
 from planopt.objectives.upper_bounds import Discs, Field
 from planopt.planning.prove import largest_bounds
@@ -96,7 +96,7 @@ def gap_of(seed: int, seconds: float) -> float:
         replace(stages_in(context, design=design), limits_m=each)
         for design, each in zip(designs, limits, strict=True)
     ]
-    *_, last = largest_bounds(parts, known, [untilted(problem)], seconds)
+    *_, last = largest_bounds(parts, known, [], seconds)
     return relative_gap(best, last.value, "max")
 
 
@@ -183,7 +183,7 @@ def test_no_enumerated_path_measures_more(measured: str) -> None:
         values = values_of(context, paths)
         own = Design(places_m=paths[values.argmax()], weights=np.tile([1.0, 0.1], (2, 1)))
         problem = stages_in(context, design=own)
-        *_, last = tube_bounds(problem, float(np.median(values)), [untilted(problem)], 0.3)
+        *_, last = tube_bounds(problem, float(np.median(values)), [], 0.3)
         assert values.max() <= last.value
         compared += len(paths)
     print(f"{measured}: {compared} comparisons")

@@ -16,7 +16,6 @@ from planopt.planning.planners import (
     LawnmowerPlanner,
     OneStepPlanner,
     RandomPlanner,
-    StrategyPlanner,
     best_nodes,
     clairvoyant_paths,
     lane_rows,
@@ -354,14 +353,6 @@ def test_what_the_planners_do_not_plan_is_refused():
     learning = terms_problem(LEARNING, name="unaware")
     with pytest.raises(InputError, match="needs a tracking term"):
         planner_for(learning, ground, np.random.default_rng(0))
-    assert isinstance(
-        planner_for(
-            replace(problem, planner=replace(problem.planner, name="unaware")),
-            ground,
-            np.random.default_rng(0),
-        ),
-        StrategyPlanner,
-    )
 
 
 def test_the_first_step_has_the_largest_deviation() -> None:

@@ -253,15 +253,7 @@ def test_without_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
 def test_csv_rows_in_any_order(tmp_path: Path) -> None:
     """Shuffled rows, another column, a byte order mark, spaces and empty cells."""
     path = tmp_path / "map.csv"
-    rows = [
-        "5,-4,x,-70",
-        "1,-1.5,x,-80.5",
-        "3,-4,x,",
-        "3,-1.5,x, -90",
-        "",
-        "1,-4,x,-61",
-        "5,-1.5,x,1",
-    ]
+    rows = "5,-4,x,-70 1,-1.5,x,-80.5 3,-4,x, 3,-1.5,x,\t-90  1,-4,x,-61 5,-1.5,x,1".split(" ")
     path.write_text("\n".join(["﻿x_m, y_m,note,gain", *rows]))
     values = read_raster(path, "gain").values
     np.testing.assert_array_equal(values, [[-61, np.nan, -70], [-80.5, -90, 1]])

@@ -159,15 +159,6 @@ WORDS: dict[str, tuple[str, str]] = {
 """Names of parameters in messages, and their units."""
 
 
-def _weak_words(
-    parameters: ChannelParameters, standard_errors: dict[str, float], n_pl_is_assumed: bool
-) -> list[str]:
-    """Return warnings about parameters with large standard errors."""
-    tested = [name for name in WORDS if not (name == "n_pl" and n_pl_is_assumed)]
-    words = [poor_words(name, getattr(parameters, name), standard_errors[name]) for name in tested]
-    return [each for each in words if each]
-
-
 def poor_words(name: str, value: float, standard_error: float) -> str:
     """Return a warning about a parameter with a large standard error; empty for a small one."""
     called, unit = WORDS[name]
@@ -368,7 +359,9 @@ def _channel_fit(estimate: _Estimate, data: _FitInput, method: FitMethod) -> Cha
     doubts = list(covariance.warnings)
     if allows.n_pl_reason is not None:
         doubts.insert(0, f"n_PL is assumed {PRIOR_N_PL:g}, not estimated: {allows.n_pl_reason}")
-    faults = _weak_words(parameters, errors, allows.n_pl_reason is not None)
+    tested = [name for name in WORDS if name != "n_pl" or allows.n_pl_reason is None]
+    poor = [poor_words(name, getattr(parameters, name), errors[name]) for name in tested]
+    faults = [words for words in poor if words]
     log_likelihood, others = None, tuple[OtherMode, ...]()
     if estimate.reml is not None:
         log_likelihood = estimate.reml.best.at.log_likelihood

@@ -288,7 +288,17 @@ class RestrictedLikelihood:
         """Return the expected information (3, 3) at `covariance`; `at` is the evaluation there."""
         if at.precision is None:
             return at.information
-        expected = _expected_information(self.data, covariance, at.precision.projection())
+        # Intervals count as Gaussian sites. The variance of a rounded measurement is assumed to
+        # grow as omega^2. Censored measurements carry no information on omega^2, so that its
+        # standard error is not understated.
+        data, projection, (shadow, _, beta) = self.data, at.precision.projection(), covariance
+        correlation, lasting = data.correlation(0, beta), data.lasting(0)
+        slope = correlation * data.distances_m[0] * (shadow / beta**2)
+        noise = data.white_share * projection * data.measured
+        if lasting is not None:
+            noise += projection @ lasting
+        products = [projection @ correlation, noise, projection @ slope]
+        expected = np.array([[0.5 * float(np.vdot(a.T, b)) for b in products] for a in products])
         return expected if self.prior is None else expected + self.prior.information(covariance[2])
 
     def _whole(self, covariance: Covariance, site_tolerance: float) -> Evaluation:
@@ -562,23 +572,6 @@ def _window_sums(
         flat = moved[:3].reshape(3, -1)
         sums.information += flat @ flat.T
     return sums
-
-
-def _expected_information(
-    data: LikelihoodData, covariance: Covariance, projection: Floats
-) -> Floats:
-    """Return the expected information (3, 3) of (xi^2, omega^2, beta)."""
-    # Intervals count as Gaussian sites. The variance of a rounded measurement is assumed to grow as
-    # omega^2. Censored measurements carry no information on omega^2, so that its standard error is
-    # not understated.
-    shadow, _, beta = covariance
-    correlation, lasting = data.correlation(0, beta), data.lasting(0)
-    slope = correlation * data.distances_m[0] * (shadow / beta**2)
-    noise = data.white_share * projection * data.measured
-    if lasting is not None:
-        noise += projection @ lasting
-    products = [projection @ correlation, noise, projection @ slope]
-    return np.array([[0.5 * float(np.vdot(a.T, b)) for b in products] for a in products])
 
 
 def profiled_log_likelihood(

@@ -373,16 +373,13 @@ def _transformed(messages: Sequence[Recorded]) -> Iterator[_Track]:
     place = np.zeros((len(time_s), 3))
     for table in chain:
         found = _interpolated(time_s, table[:, 0], table[:, 1:])
-        place = found[:, :3] + _rotated(found[:, 3:], place)
+        # Quaternions of any norm
+        turn = found[:, 3:] / np.linalg.norm(found[:, 3:], axis=1, keepdims=True)
+        twice = 2.0 * np.cross(turn[:, :3], place)
+        rotated = place + turn[:, 3:] * twice + np.cross(turn[:, :3], twice)
+        place = found[:, :3] + rotated
     if len(time_s) > 1:
         yield _Track("/tf", TRANSFORMS, frame, time_s, place[:, :2])
-
-
-def _rotated(turn: Floats, place: Floats) -> Floats:
-    """Return positions (n, 3) rotated by quaternions (n, 4) of any norm."""
-    turn = turn / np.linalg.norm(turn, axis=1, keepdims=True)
-    twice = 2.0 * np.cross(turn[:, :3], place)
-    return place + turn[:, 3:] * twice + np.cross(turn[:, :3], twice)
 
 
 def _interpolated(time_s: Floats, times_s: Floats, values: Floats) -> Floats:

@@ -110,26 +110,22 @@ def table_of_frame(frame: Any) -> LogTable:
             remedy="give the name of a file or a DataFrame",
         ) from None
     if hasattr(frame, "geometry") and hasattr(frame, "crs"):
-        columns = _with_points(frame, columns)
+        # The points replace position columns.
+        points = frame.geometry
+        if not (points.geom_type == "Point").all():
+            raise InputError(
+                "has geometries that are no points",
+                key="geometry",
+                remedy="give one point for each reading",
+            )
+        x, y = "x_m", "y_m"
+        if frame.crs is not None:
+            # Any reference system is converted to degrees; the user gives --origin for these.
+            points, x, y = points.to_crs(4326), "longitude", "latitude"
+        left = {name: values for name, values in columns.items() if not is_position(name)}
+        left.pop(str(points.name), None)
+        columns = {x: list(points.x), y: list(points.y), **left}
     return _table(None, list(columns), list(zip(*columns.values(), strict=True)))
-
-
-def _with_points(frame: Any, columns: dict[str, list[Any]]) -> dict[str, list[Any]]:
-    """Return the columns, with the frame's points in place of position columns."""
-    points = frame.geometry
-    if not (points.geom_type == "Point").all():
-        raise InputError(
-            "has geometries that are no points",
-            key="geometry",
-            remedy="give one point for each reading",
-        )
-    names = ("x_m", "y_m")
-    if frame.crs is not None:
-        # Any reference system is converted to degrees; the user gives --origin for these.
-        points, names = points.to_crs(4326), ("longitude", "latitude")
-    left = {name: values for name, values in columns.items() if not is_position(name)}
-    left.pop(str(points.name), None)
-    return {names[0]: list(points.x), names[1]: list(points.y), **left}
 
 
 def _table(path: Path | None, names: Sequence[str], rows: Iterable[Sequence[Any]]) -> LogTable:

@@ -150,7 +150,11 @@ def measurements_of(table: LogTable, columns: LogColumns, log_format: LogFormat)
     x, y, power = (np.array([cell.number() for cell in column]) for column in cells)
     unit = log_format.power_unit or _power_unit(columns.power, power)
     if unit != "dBm":
-        power = _from_milliwatts(cells[2], power)
+        if (power <= 0.0).any():
+            raise cells[2][int(np.argmax(power <= 0.0))].error(
+                "the power in mW should be above 0", "remove the row, or give --power-unit dBm"
+            )
+        power = 10.0 * np.log10(power)
     censored = np.zeros(len(power), dtype=np.bool_)
     if log_format.censored_column is not None:
         censored |= np.array([cell.flag() for cell in table.cells(log_format.censored_column)])
@@ -193,16 +197,6 @@ def _power_unit(name: str, power: Floats) -> str:
     # A receiver measures less than 0 dBm, which is 1 mW.
     between = len(power) and 0.0 <= power.min() and 0.0 < power.max() <= 1.0
     return DETECTED_MW if between else "dBm"
-
-
-def _from_milliwatts(cells: Sequence[Cell], power: Floats) -> Floats:
-    """Return powers in mW converted to dBm; raise an error for a power of zero."""
-    if (power <= 0.0).any():
-        cell = cells[int(np.argmax(power <= 0.0))]
-        raise cell.error(
-            "the power in mW should be above 0", "remove the row, or give --power-unit dBm"
-        )
-    return 10.0 * np.log10(power)
 
 
 def _position_std_m(table: LogTable, columns: LogColumns, log_format: LogFormat) -> Floats:

@@ -129,7 +129,14 @@ def columns_of(table: LogTable, log_format: LogFormat) -> LogColumns:
         )
     )
     if x is None or y is None:
-        in_degrees, x, y = _position_columns(table, log_format, x, y)
+        degrees = [alias(table, role) for role in DEGREES]
+        metres = [alias(table, role) for role in ("x", "y")]
+        in_degrees = None not in degrees and (
+            log_format.origin_deg is not None or (None in metres and x is None and y is None)
+        )
+        found = degrees if in_degrees else metres
+        # An undetected column is reported as missing by its usual name.
+        x, y = x or found[0] or "x_m", y or found[1] or "y_m"
     else:
         in_degrees = log_format.origin_deg is not None or (
             reader is not None and reader.in_degrees and log_format.columns[:2] == (None, None)
@@ -154,20 +161,6 @@ def columns_of(table: LogTable, log_format: LogFormat) -> LogColumns:
         name,
         reader,
     )
-
-
-def _position_columns(
-    table: LogTable, log_format: LogFormat, x: str | None, y: str | None
-) -> tuple[bool, str, str]:
-    """Return whether positions are in degrees, and the names of the two position columns."""
-    degrees = [alias(table, role) for role in DEGREES]
-    metres = [alias(table, role) for role in ("x", "y")]
-    in_degrees = None not in degrees and (
-        log_format.origin_deg is not None or (None in metres and x is None and y is None)
-    )
-    found = degrees if in_degrees else metres
-    # An undetected column is reported as missing by its usual name.
-    return in_degrees, x or found[0] or "x_m", y or found[1] or "y_m"
 
 
 def _named(table: LogTable, name: str) -> str:

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 import shapely
 
 from planopt.arrays import Floats
-from planopt.channel.channel_map import PosteriorMap, default_cell_m, serving_map
+from planopt.channel.channel_map import default_cell_m, serving_map
 from planopt.channel.posterior import Belief
 from planopt.errors import InputError
 from planopt.files.tables import Column, table_text
@@ -214,17 +214,26 @@ def path_of_result(result: MotionResult, robot: int | str = 0) -> RobotPath:
     )
 
 
+Writer = TypeVar("Writer")
+
+
+def _writer_of(writers: Mapping[str, Writer], file: Path, what: str) -> Writer:
+    """Return the writer for the extension of a file."""
+    write = writers.get(file.suffix.lower())
+    if write is None:
+        raise InputError(
+            f"{what} cannot be written as {file.suffix or 'a file without ending'!r}",
+            file=file,
+            remedy=f"end the name in one of {', '.join(writers)}",
+        )
+    return write
+
+
 def save_path(
     path: RobotPath, file: Path, origin_deg: Origin | None = None, altitude_m: float = 0.0
 ) -> None:
     """Write a robot's path to a file in the format of its extension."""
-    write = WRITERS.get(file.suffix.lower())
-    if write is None:
-        raise InputError(
-            f"paths cannot be written as {file.suffix or 'a file without ending'!r}",
-            file=file,
-            remedy=f"end the name in one of {', '.join(WRITERS)}",
-        )
+    write = _writer_of(WRITERS, file, "paths")
     if not math.isfinite(altitude_m):
         raise InputError(f"is {altitude_m!r}", key="altitude_m", remedy="give an altitude in m")
     if origin_deg is not None:
@@ -294,14 +303,6 @@ def _numbers(mean_dbm: Floats, source: Any) -> dict[str, Floats]:
         "deviation_db": source.deviation_db,
         "connectivity": source.connectivity,
     }
-
-
-def _map_of(result: MotionResult) -> PosteriorMap:
-    """Return a map of the workspace from the first robot's last channel estimate."""
-    problem = result.problem
-    bounds = problem.workspace.bounds_m
-    thresholds = [station.threshold_dbm for station in problem.stations]
-    return serving_map(result.belief_of(0).posteriors, bounds, default_cell_m(bounds), thresholds)
 
 
 def _object(title: str, **properties: Any) -> dict[str, Any]:
@@ -398,7 +399,9 @@ def _messages(result: MotionResult) -> Iterator[tuple[float, str, str, dict[str,
     def head(time_s: float) -> dict[str, Any]:
         return {"timestamp": _stamp(time_s), "frame_id": FRAME}
 
-    maps = _map_of(result)
+    bounds, posteriors = result.problem.workspace.bounds_m, result.belief_of(0).posteriors
+    thresholds = [station.threshold_dbm for station in result.problem.stations]
+    maps = serving_map(posteriors, bounds, default_cell_m(bounds), thresholds)
     layers = {
         "connectivity": maps.connectivity,
         "mean_dbm": maps.mean_db,
@@ -438,7 +441,8 @@ def _messages(result: MotionResult) -> Iterator[tuple[float, str, str, dict[str,
             topic = f"/{track.robot}"
             pose = {**head(time_s), "pose": _pose(places[row], headings[row])}
             yield time_s, f"{topic}/pose", "foxglove.PoseInFrame", pose
-            numbers = {name: _or_none(each[row]) for name, each in track.numbers.items()}
+            own = {name: float(each[row]) for name, each in track.numbers.items()}
+            numbers = {name: value if math.isfinite(value) else None for name, value in own.items()}
             link = {"timestamp": _stamp(time_s), **numbers}
             yield time_s, f"{topic}/link", "planopt.Link", link
             if row < len(track.plans):
@@ -461,10 +465,6 @@ def _line(ring: shapely.LinearRing) -> dict[str, Any]:
         "colors": [],
         "indices": [],
     }
-
-
-def _or_none(value: np.float64) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def write_mcap(path: Path, result: MotionResult) -> None:
@@ -546,13 +546,7 @@ RECORDERS: dict[str, Callable[[Path, MotionResult], None]] = {
 
 def save_recording(result: MotionResult, file: Path) -> None:
     """Write a solution or run to a recording in the format of its extension, atomically."""
-    write = RECORDERS.get(file.suffix.lower())
-    if write is None:
-        raise InputError(
-            f"recordings cannot be written as {file.suffix or 'a file without ending'!r}",
-            file=file,
-            remedy=f"end the name in one of {', '.join(RECORDERS)}",
-        )
+    write = _writer_of(RECORDERS, file, "recordings")
     try:
         write_whole(file, lambda temporary: write(temporary, result))
     except InputError as error:

@@ -5,6 +5,7 @@ A bound holds for the cost with the outage integrated along the route (equation 
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -87,16 +88,17 @@ def verified_bound(
 
 
 def stages_of(
-    problem: Problem, at: TermContext, plan: Plan, moving: MovingDiscs, design: Design | None = None
-) -> StageProblem | str:
-    """Return the first robot's stage problem for a design, or the reason why there is no bound.
+    problem: Problem, at: TermContext, plan: Plan, moving: MovingDiscs
+) -> Callable[[Design], StageProblem] | str:
+    """Return the first robot's stage problem by design, or the reason why there is no bound.
 
     The bound holds for plans that satisfy p_min after the same steps as `plan`.
     """
     terms = summed_terms(problem, at)
     if terms.reason:
         return terms.reason
-    return stage_problem(problem, at, terms, connected_steps(problem, at, plan), design, moving)
+    kept = connected_steps(problem, at, plan)
+    return partial(stage_problem, problem, at, terms, kept, moving=moving)
 
 
 def connected_steps(problem: Problem, at: TermContext, plan: Plan) -> Mask:
@@ -129,15 +131,15 @@ def verified_sum(
     problem: Problem, at: TermContext, plan: Plan, moving: MovingDiscs, tilts: Tilts | None
 ) -> Bound:
     """Return the bound that a saved certificate proves for the first robot's sum of terms."""
-    stages = stages_of(problem, at, plan, moving)
-    if isinstance(stages, str):
-        return Bound(None, problem.sense, plan.objective, reason=stages)
+    problem_of = stages_of(problem, at, plan, moving)
+    if isinstance(problem_of, str):
+        return Bound(None, problem.sense, plan.objective, reason=problem_of)
+    stages = problem_of(Design())
     if tilts is not None and are_designs(tilts, stages.steps):
         limits = cut_limits(stages.limits_m, tilts.cuts)
         parts = [
-            replace(found, limits_m=each)
+            replace(problem_of(design), limits_m=each)
             for design, each in zip(tilts.designs(), limits, strict=True)
-            if not isinstance(found := stages_of(problem, at, plan, moving, design), str)
         ]
         alone = replace(tilts, levels=tilts.alone_levels, value=tilts.alone_value)
         solos = [each.alone() for each in parts]

@@ -11,7 +11,7 @@ from scipy.special import betaincinv
 
 from planopt.arrays import Floats, Mask
 from planopt.channel.joint import JointPrediction, longest_run
-from planopt.channel.path_connectivity import JointConnectivity, joint_connectivity
+from planopt.channel.path_connectivity import joint_connectivity
 from planopt.errors import InputError
 from planopt.planning.certificate import RuleResult
 from planopt.planning.plan import History, data_of_steps_mbit, data_pace_mbit
@@ -182,11 +182,6 @@ def joint_result(prediction: JointPrediction, threshold_dbm: float, p_min: float
     if len(prediction) <= INTEGRATED_STEPS and found.at_each.min() >= p_min:
         generator = np.random.default_rng(SEED)
         found = joint_connectivity(prediction, threshold_dbm, generator, ACCURACY)
-    achieved, method = _best_bound(found)
-    return RuleResult(Joint.kind, achieved, p_min, Joint.unit, method)
-
-
-def _best_bound(found: JointConnectivity) -> tuple[float, str]:
     bounds = {
         "Hunter's bound": found.hunter.value,
         "Slepian's product": found.product.value,
@@ -197,7 +192,7 @@ def _best_bound(found: JointConnectivity) -> tuple[float, str]:
         bounds["integral less three standard errors"] = found.exact.value - found.exact.error
     proven = {method: value for method, value in bounds.items() if value is not None}
     best = max(proven, key=lambda method: proven[method])
-    return proven[best], best
+    return RuleResult(Joint.kind, proven[best], p_min, Joint.unit, best)
 
 
 @dataclass(frozen=True, eq=False)

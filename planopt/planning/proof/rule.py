@@ -84,12 +84,6 @@ def stations_law(problem: Problem, posteriors: Sequence[ChannelPosterior]) -> Co
     return ConnectivityLaw(tuple(posteriors), thresholds, problem.constraints.p_min)
 
 
-def law_after(law: ConnectivityLaw, history: History) -> ConnectivityLaw:
-    """Return the law given the packets of a run; unchanged if shadowing varies with time."""
-    changes = any(math.isfinite(each.parameters.forgetting_s) for each in law.posteriors)
-    return law if changes else replace(law, proven=history.connected)
-
-
 def uncertain_law(
     problem: Problem, posteriors: Sequence[ChannelPosterior]
 ) -> ConnectivityLaw | None:
@@ -136,7 +130,9 @@ class VerifierContext:
     def law(self) -> ConnectivityLaw:
         """Probability model of connection."""
         law = self.uncertain or stations_law(self.problem, self.posteriors)
-        return law_after(law, self.history)
+        # Packets prove nothing if shadowing varies with time.
+        changes = any(math.isfinite(each.parameters.forgetting_s) for each in law.posteriors)
+        return law if changes else replace(law, proven=self.history.connected)
 
     @property
     def position_m(self) -> Floats:

@@ -90,13 +90,8 @@ class LocalRanking:
         gates = at.near_measuring.gates(paths_m) if self._measures else None
         gate = None if gates is None else gates.value
         paths = replace(self._paths(paths_m, gate, order=1), gates=gates)
-        value, slope = self._value(paths), np.zeros(paths_m.shape)
-        for term in at.problem.terms:
-            with calling(term, "slope", key="objective.terms"):
-                found = term.slope(paths)
-            slope += term.weight * returned(
-                term, "slope", found, slope.shape, words="the gradient of each path", unbounded=True
-            )
+        value = self._value(paths)
+        slope = self._summed("slope", paths, paths_m.shape, "the gradient of each path")
         if self._missing_db_cost is not None and len(at.law.posteriors) == 1:
             # With several stations, the gradient of the chance constraint is omitted.
             slope -= self._missing_db_cost * missing_slope(at, paths.stations[0])
@@ -116,15 +111,18 @@ class LocalRanking:
             stations = along(self._stations)
         return Paths(self._context, paths_m, stations, measured)
 
+    def _summed(self, method: str, paths: Paths, shape: tuple[int, ...], words: str) -> Floats:
+        """Return the weighted sum of what a method of the terms returns."""
+        total = np.zeros(shape)
+        for term in self._context.problem.terms:
+            with calling(term, method, key="objective.terms"):
+                found = getattr(term, method)(paths)
+            total += term.weight * returned(term, method, found, shape, words=words, unbounded=True)
+        return total
+
     def _value(self, paths: Paths) -> Floats:
-        at = self._context
-        value = np.zeros(len(paths.paths_m))
-        for term in at.problem.terms:
-            with calling(term, "values", key="objective.terms"):
-                found = term.values(paths)
-            value += term.weight * returned(
-                term, "values", found, value.shape, words="one number for each path", unbounded=True
-            )
+        at, shape = self._context, (len(paths.paths_m),)
+        value = self._summed("values", paths, shape, "one number for each path")
         if not at.problem.constraints.requires_connection:
             return value
         if self._missing_db_cost is None:

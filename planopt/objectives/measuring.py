@@ -84,7 +84,14 @@ class MeasuringRule:
         if not paths_m.size:
             return np.zeros(paths_m.shape[:-1], dtype=np.bool_)
         if paths_m.ndim == 2 and len(paths_m) > LONGEST_PATH:
-            return self._takes_of_log(paths_m)
+            # A long list needs memory linear in its length.
+            rows = np.flatnonzero(self.is_open(paths_m))
+            taken = rows[:0]
+            for start in range(0, len(rows), LONGEST_PATH):
+                block = rows[start : start + LONGEST_PATH]
+                earlier = MeasuringRule(self.spacing_m, (paths_m[taken],))
+                taken = np.concatenate([taken, block[earlier.takes(paths_m[block])]])
+            return np.isin(np.arange(len(paths_m)), taken)
         each_path = paths_m.reshape(-1, *paths_m.shape[-2:])
         is_open = self.is_open(each_path.reshape(-1, 2)).reshape(each_path.shape[:2])
         return self._taken(is_open, _squared_between_m2(each_path)).reshape(paths_m.shape[:-1])
@@ -96,16 +103,6 @@ class MeasuringRule:
             for k in range(1, taken.shape[1]):
                 taken[:, k] &= ~(close[:, k, :k] & taken[:, :k]).any(axis=1)
         return taken
-
-    def _takes_of_log(self, places_m: Floats) -> Mask:
-        """Return :meth:`takes` for a long list of positions (n, 2), in memory linear in n."""
-        rows = np.flatnonzero(self.is_open(places_m))
-        taken = rows[:0]
-        for start in range(0, len(rows), LONGEST_PATH):
-            block = rows[start : start + LONGEST_PATH]
-            earlier = MeasuringRule(self.spacing_m, (places_m[taken],))
-            taken = np.concatenate([taken, block[earlier.takes(places_m[block])]])
-        return np.isin(np.arange(len(places_m)), taken)
 
     def gates(self, paths_m: Floats) -> Gates | None:
         """Return smooth gates of paths (c, N, 2); None if all gates nearby are fully open."""

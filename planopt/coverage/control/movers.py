@@ -262,7 +262,12 @@ def _inert_moves(task: _Task, now: Floats) -> tuple[Floats, Floats, Floats]:
     # Over the horizon, braking paths are bounded by the largest speed.
     reach_m = most * (horizon + 0.5 * math.ceil(most / change))
     sets = task.sets(stops, fastest * (1.0 + 0.5 * later), reach_m)
-    path, rates = _braking(places, now, change, horizon)
+    # Agents may always brake at a constant rate.
+    steps = _stop_steps(now, change)[:, None]
+    left = np.maximum(1.0 - np.arange(horizon + 1) / np.maximum(steps, 1.0), 0.0)
+    rates = left[:, :, None] * now[:, None]
+    path = np.zeros_like(rates) + places[:, None]
+    path[:, 1:] += np.cumsum(0.5 * (rates[:, 1:] + rates[:, :-1]), axis=1)
     reserves = path + 0.5 * later[:, None, None] * rates
     wide = sets.widened(np.concatenate((path, reserves), axis=1))
     wide = wide.thinned(places, np.full(len(places), reach_m))
@@ -298,16 +303,6 @@ def _shorter(vectors: Floats, most: float) -> Mask:
 def _stop_steps(rates: Floats, change: float) -> Floats:
     """Return the minimum number (n,) of braking steps from velocities (n, 2)."""
     return np.ceil(np.linalg.norm(rates, axis=1) / change - 1e-9)
-
-
-def _braking(places: Floats, now: Floats, change: float, horizon: int) -> tuple[Floats, Floats]:
-    """Return paths and velocities, both (n, N + 1, 2), of agents that brake at a constant rate."""
-    steps = _stop_steps(now, change)[:, None]
-    left = np.maximum(1.0 - np.arange(horizon + 1) / np.maximum(steps, 1.0), 0.0)
-    rates = left[:, :, None] * now[:, None]
-    paths = np.zeros_like(rates) + places[:, None]
-    paths[:, 1:] += np.cumsum(0.5 * (rates[:, 1:] + rates[:, :-1]), axis=1)
-    return paths, rates
 
 
 def _driven(

@@ -44,7 +44,7 @@ GROWTH = 1.8  # Largest ratio of the numbers of triangles in successive solves
 MAX_TRIANGLES = 60_000  # Maximum number of triangles; a solve then takes about a minute
 LOOSE_SHARE = 0.01
 """Relative gap between certified and actual cost above which corridor triangles are refined."""
-CORRIDORS = 0.15, 0.1, 0.06, 0.04
+CORRIDORS = 0.05, 0.03, 0.02, 0.01, 0.01, 0.01, 0.01, 0.01, 0.01
 """Maximum relative excess cost of routes through the corridor, for each of its refinements."""
 MESH_SHARE = 3e-4  # Largest area of a triangle in the corridor, as a share of the workspace
 FLOW_WEIGHT = 0.005  # Expected relative gain of refining a triangle whose certified cost is exact

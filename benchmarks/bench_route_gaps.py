@@ -1,9 +1,11 @@
-"""Small versions of the studies of doors and of optimality gaps of routes."""
+"""Small versions of the studies of doors and of optimality gaps."""
 
 from __future__ import annotations
 
 import pytest
+from bound_cases import main as sums
 from narrow_doors import main as doors
+from one_step_cases import main as one_step
 from route_gaps import main as gaps
 
 
@@ -26,3 +28,15 @@ def test_narrow_door_is_found(
     monkeypatch.setattr("sys.argv", words)
     doors()
     assert "1 of 1 with a plan" in capsys.readouterr().out
+
+
+def test_gaps_of_sums(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """Tracking has a small gap, and single steps none."""
+    words = ["bound_cases", "--first-seed", "1", "--seeds", "1", "--seconds", "3"]
+    monkeypatch.setattr("sys.argv", words)
+    sums()
+    assert "median" in capsys.readouterr().out
+    monkeypatch.setattr("sys.argv", ["one_step_cases", "--seeds", "1"])
+    one_step()
+    rows = capsys.readouterr().out.splitlines()[-4:]
+    assert all(float(row.split()[-1]) <= 1e-6 for row in rows)

@@ -14,6 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 import planopt
+from planopt.bounds.bound import Design
 from planopt.bounds.one_step import BestPlace, best_place
 from planopt.bounds.stages import stage_problem, summed_terms
 from planopt.bounds.tube import StageProblem
@@ -41,7 +42,8 @@ def one_step(name: str, seed: int, **changes: object) -> StageProblem:
         problem, index_obstacles(problem.workspace), solution.belief.posteriors, here
     )
     at = step_context(base, workspace_region(problem), solution.aims[0])
-    stages = stage_problem(problem, at, summed_terms(problem, at), np.zeros(1, dtype=bool))
+    terms, kept = summed_terms(problem, at), np.zeros(1, dtype=bool)
+    stages = stage_problem(problem, at, terms, kept, Design())
     return replace(stages, step_m=at.step_length_m)
 
 
@@ -62,7 +64,7 @@ def cases(seed: int) -> dict[str, BestPlace]:
     """The solutions of all problems for a seed."""
     learning = one_step("fig2", seed, criterion="T")
     mapping = one_step("fig3", seed, form="path", variance_threshold_db2=4.0, closeness_per_m=0.01)
-    x0, y0, x1, y1 = mapping.bounds_m
+    x0, y0, x1, y1 = mapping.limits_m[0]
     everywhere = replace(mapping, step_m=float(np.hypot(x1 - x0, y1 - y0)))
     found = {"(2)": best_place(learning, 60.0), "(3) position": best_place(everywhere, 60.0)}
     target = found["(3) position"].place_m

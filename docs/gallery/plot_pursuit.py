@@ -40,7 +40,7 @@ def draw_ages(ages_s, title):
 at_mote = snapshot(service, Track(np.zeros(1), (mote[None] + 0.5) * service.mote_spacing_m), 60.0)
 view, axes = draw_ages(at_mote.ages_s[at_mote.level_map()], "snapshot at one mote")
 axes.plot(*at_mote.sampled_m[0], "s", color="tab:blue", label="mote")
-for track in tracks:
+for number, track in enumerate(tracks):
     now = snapshot(service, track, 60.0)
     level = now.shown_at(mote).argmax()
     since = np.array([now.sampled_m[level], track.positions_m[-1]])
@@ -48,6 +48,9 @@ for track in tracks:
     low = now.reported_m[level] - half_m
     axes.add_patch(plt.Rectangle(low, 2.0 * half_m, 2.0 * half_m, fill=False, color="tab:orange"))
     axes.plot(*since.T, color="tab:red", marker="o", markevery=[-1])
+    if number == 0:
+        axes.patches[0].set_label("report and its error bound")
+        axes.lines[-1].set_label("object, moved since the report")
 axes.legend()
 
 # %%

@@ -20,9 +20,10 @@ from planopt.arrays import Floats, Indices, Mask
 from planopt.bounds.bound import Potential
 from planopt.bounds.reach import longest_sag_m, route_problem
 from planopt.bounds.route import ROUNDING, RouteProblem, blocked_areas, slopes_of
-from planopt.bounds.stages import CLOSER_M, LONGER_M, blocked_parts, quantity_makers
+from planopt.bounds.stages import CLOSER_M, blocked_parts, quantity_makers
 from planopt.bounds.tube import (
     FIRST_SHARE,
+    LONGER_M,
     MARGIN,
     Cells,
     Level,

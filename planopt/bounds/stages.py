@@ -18,7 +18,7 @@ from planopt.bounds.bound import Design, Tilts
 from planopt.bounds.enclosure import PowerEnclosure, PowerModel, VarianceDifference
 from planopt.bounds.reach import MOVING, ignored_motion, longest_sag_m, why_not_enclosed
 from planopt.bounds.route import grown_by
-from planopt.bounds.tube import LARGEST, Chain, KeepOut, StageProblem
+from planopt.bounds.tube import LARGEST, LONGER_M, Chain, KeepOut, StageProblem
 from planopt.channel.gaussian_sites import MIN_NOISE_VARIANCE_DB2
 from planopt.channel.measurements import SAME_PLACE_M
 from planopt.channel.posterior import ChannelPosterior, with_repeated
@@ -34,12 +34,10 @@ from planopt.objectives.upper_bounds import (
     information_bounds,
     no_reward,
 )
-from planopt.problems.problem import Problem
+from planopt.problems.problem import Problem, may_reach_from
 from planopt.world.clearance import polygons_of
 from planopt.world.motion import NOTHING_MOVES, MovingDiscs
 
-LONGER_M = 8e-5
-"""Length by which a verified step may exceed the longest step, for the verifier's tolerances."""
 LESS_CHANCE = 1e-5
 """Probability by which a verified step may fall below p_min, for the verifier's tolerance."""
 CLOSER_M = 5e-5
@@ -195,12 +193,6 @@ def stage_problem(
                 total = total.plus(bounds.reward(stage, field).scaled(weight))
         return total
 
-    own, step_s = problem.robots[0], problem.planner.step_s
-
-    def may_reach(stage: int, places_m: Floats, slack_m: float) -> Mask:
-        longest = slack_m + 2.0 * LONGER_M * stage**2
-        return own.dynamics.may_reach(at.state, places_m, stage * step_s, longest)
-
     return StageProblem(
         start_m=at.position_m,
         step_m=at.step_length_m + LONGER_M,
@@ -221,7 +213,7 @@ def stage_problem(
         p_min=np.where(kept, problem.constraints.p_min - LESS_CHANCE, 0.0) if kept.any() else None,
         keep_outs=keep_outs(problem, moving, len(kept)),
         sag_m=(longest_sag_m(problem) or 0.0) + CLOSER_M,
-        may_reach=None if own.moves_freely else may_reach,
+        may_reach=may_reach_from(problem, at.state),
     )
 
 

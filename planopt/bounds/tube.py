@@ -34,6 +34,7 @@ from planopt.objectives.upper_bounds import (
     UpperBounds,
     constant_bounds,
 )
+from planopt.problems.problem import MayReach
 from planopt.world.motion import closest_approach_m
 
 Slices = tuple[slice, slice]
@@ -187,6 +188,8 @@ PAIRS_PER_NODE, NODES_PER_OFFSET = 0.25, 2000
 DISC_SIDES = 128  # Number of sides of the polygons inside discs
 WAY_PARTS = 8  # Number of equal parts into which moves are divided to test them for obstacles
 ROUNDING = 1e-10  # Relative widening of every bound, far above the rounding errors of its sums
+LONGER_M = 8e-5
+"""Length by which a verified step may exceed the longest step, for the verifier's tolerances."""
 OUTSIDE_M = 3e-6
 """Distance by which a verified position may leave the workspace, for the verifier's tolerance."""
 LARGEST = 1e12  # Limit of the multipliers and the value of a saved certificate
@@ -231,9 +234,7 @@ class StageProblem:
     chain: Chain | None = None
     keep_outs: Sequence[KeepOut] = ()
     sag_m: float = 0.0  # Largest distance of a motion from the straight move of the step
-    # Maps a stage (from 1), positions (n, 2) and a slack in metres to whether the robot, with its
-    # inertia and heading, may come that near to them; None: it is free
-    may_reach: Callable[[int, Floats, float], Mask] | None = None
+    may_reach: MayReach | None = None  # For a robot with inertia or a heading
 
     def alone(self) -> StageProblem:
         """Return the problem without the other robots."""
@@ -415,7 +416,9 @@ def open_cells(problem: StageProblem, cells: Cells, side: float, stage: int) -> 
     inside &= (corner + side >= np.array([x0, y0]) - OUTSIDE_M).all(axis=1)
     cells, corner = cells[inside], corner[inside]
     if problem.may_reach is not None:
-        inside = problem.may_reach(stage, corner + 0.5 * side, np.sqrt(0.5) * side)
+        # Tolerances of speed and heading add up over the steps.
+        slack_m = np.sqrt(0.5) * side + 2.0 * LONGER_M * stage**2
+        inside = problem.may_reach(corner + 0.5 * side, stage, slack_m)
         cells, corner = cells[inside], corner[inside]
     areas = problem.areas(stage - 1)
     if not areas or not len(cells):

@@ -423,3 +423,20 @@ def steps_cost_s(problem: Problem, positions_m: Floats, resting_m: Floats | None
     radius_m, step_s = problem.constraints.goal_radius_m, problem.planner.step_s
     weight, goal = problem.reach.effort_weight_s2_m2, np.asarray(problem.goal_m)
     return path_cost_s(positions_m, goal, radius_m, step_s, weight, resting_m)
+
+
+MayReach = Callable[[Floats, int, float], Mask]
+"""Function that returns a mask of positions (n, 2): whether a robot may be within a distance (m) of
+each after a number of steps. It is conservative: never False for a reachable position."""
+
+
+def may_reach_from(problem: Problem, state: Floats) -> MayReach | None:
+    """Return a function that tests reachability from `state`; None for a single integrator."""
+    if problem.robots[0].moves_freely:
+        return None
+    dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
+
+    def may_reach(places_m: Floats, step: int, slack_m: float) -> Mask:
+        return dynamics.may_reach(state, places_m, step * step_s, slack_m)
+
+    return may_reach

@@ -30,11 +30,11 @@ from planopt.planning.proof.rule import (
     stations_law,
     whole_plan_result,
 )
-from planopt.planning.proof.searches import best_margins_by_step, build_goal_grid, may_reach_from
+from planopt.planning.proof.searches import best_margins_by_step, build_goal_grid
 from planopt.planning.proof.verify import is_priced
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M, MARGIN_TOLERANCE_DB
 from planopt.planning.values.objective_value import common_level
-from planopt.problems.problem import Problem, problem_of_robot
+from planopt.problems.problem import Problem, may_reach_from, problem_of_robot
 from planopt.robots.dynamics import braked_motion
 from planopt.world.clearance import index_obstacles
 from planopt.world.motion import MovingDiscs, step_distances_m

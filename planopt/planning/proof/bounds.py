@@ -14,14 +14,8 @@ from planopt.bounds.bound import Bound, Design, Potential, Tilts
 from planopt.bounds.fixed_steps import stepped_problem, stepped_value
 from planopt.bounds.reach import relaxed_constraints, route_problem, why_unbounded
 from planopt.bounds.route import proven_value, route_bounds, valid_potential
-from planopt.bounds.stages import (
-    LONGER_M,
-    are_designs,
-    ignored_constraints,
-    stage_problem,
-    summed_terms,
-)
-from planopt.bounds.tube import StageProblem, cut_limits, proves
+from planopt.bounds.stages import are_designs, ignored_constraints, stage_problem, summed_terms
+from planopt.bounds.tube import LONGER_M, StageProblem, cut_limits, proves
 from planopt.channel.posterior import ChannelPosterior
 from planopt.objectives.terms.term import TermContext
 from planopt.planning.certificate import required_margins_db

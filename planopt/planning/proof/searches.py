@@ -19,7 +19,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from planopt.arrays import Floats, Indices, Mask
 from planopt.planning.tolerances import CLEARANCE_TOLERANCE_M
-from planopt.problems.problem import Problem, charged_length_m
+from planopt.problems.problem import MayReach, Problem, charged_length_m
 from planopt.world.clearance import ObstacleIndex, clearance_m, is_clear, segment_clearance_m
 from planopt.world.shortest_paths import (
     ShortestPaths,
@@ -58,18 +58,6 @@ def parts_of(passable: Mask) -> NDArray[np.int32]:
         "tuple[object, int]", label(passable, structure=np.ones((3, 3), dtype=np.int32))
     )
     return np.asarray(numbered[0], dtype=np.int32)
-
-
-def may_reach_from(problem: Problem, state: Floats) -> MayReach | None:
-    """Return a function that tests reachability from `state`; None for a single integrator."""
-    if problem.robots[0].moves_freely:
-        return None
-    dynamics, step_s = problem.robots[0].dynamics, problem.planner.step_s
-
-    def may_reach(places_m: Floats, step: int, slack_m: float) -> Mask:
-        return dynamics.may_reach(state, places_m, step * step_s, slack_m)
-
-    return may_reach
 
 
 MarginAt = Callable[[Floats], Floats]
@@ -160,9 +148,6 @@ FINE_STEPS = 4
 REFINED_STEPS = 12  # Number of initial steps with a refined grid
 REFINED_NODES = 24  # Number of best nodes around which each refinement searches
 REFINEMENTS = 2  # Number of refinements, each with a quarter of the previous spacing
-MayReach = Callable[[Floats, int, float], Mask]
-"""Function that returns a mask of positions (n, 2): whether a robot may be within a distance (m) of
-each after a number of steps. It is conservative: never False for a reachable position."""
 
 
 def best_margins_by_step(

@@ -30,11 +30,10 @@ from planopt.planning.proof.searches import (
     best_margins_by_step,
     build_goal_grid,
     goal_costs,
-    may_reach_from,
     price_path,
 )
 from planopt.planning.tolerances import MARGIN_TOLERANCE_DB, STANDSTILL_M
-from planopt.problems.problem import Problem, outage_share
+from planopt.problems.problem import Problem, may_reach_from, outage_share
 from planopt.robots.dynamics import Drive
 
 COST_TOLERANCE = 0.05
